@@ -1,0 +1,34 @@
+"""Every error that a user can act on.
+
+A message names the file, the field, the value found, what is allowed and what to do next.
+Expected failures of the method (a line search that gives up, an alignment that stops early) are
+recorded results, not exceptions.
+"""
+
+
+class ClothTrackError(Exception):
+    """The root of all errors that clothtrack raises on purpose; the command line exits with 1."""
+
+
+class InvalidRecordingError(ClothTrackError):
+    """A recording on disk cannot be used as it is."""
+
+
+class InvalidMeshError(ClothTrackError):
+    """A mesh cannot be a cloth: not finite, not manifold, degenerate or of the wrong size."""
+
+
+class SimulationDivergedError(ClothTrackError):
+    """The cloth simulation left the finite numbers and there is no state to go back to."""
+
+
+class InvalidResultError(ClothTrackError):
+    """A tracked trajectory on disk is missing, unfinished or from another version."""
+
+
+class InvalidConfigError(ClothTrackError):
+    """Settings that contradict each other or the data they are used with."""
+
+
+class StorageError(ClothTrackError):
+    """The disk refused: full, read-only or not ours to write."""

@@ -1,0 +1,1 @@
+"""Measures of a tracked trajectory, with and without truth, and their tables."""

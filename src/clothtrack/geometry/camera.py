@@ -1,0 +1,111 @@
+"""The pinhole camera: pixel centres at integers, x right, y down, z forward (OpenCV, ROS)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.errors import InvalidRecordingError
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Where a camera stands and how it projects.
+
+    Attributes:
+        name: the camera's name in the recording.
+        width: image width [pixels].
+        height: image height [pixels].
+        fx: focal length along x [pixels].
+        fy: focal length along y [pixels].
+        cx: column of the principal point [pixels].
+        cy: row of the principal point [pixels].
+        world_from_camera: rigid transform, camera frame to world frame.
+    """
+
+    name: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_from_camera: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a rigid pinhole camera.
+
+        Raises:
+            InvalidRecordingError: with the field, its value and the limit.
+        """
+        for name in ("width", "height", "fx", "fy"):
+            if not getattr(self, name) > 0:
+                raise InvalidRecordingError(
+                    f"camera {self.name!r}: {name} is {getattr(self, name)}; it must be positive"
+                )
+        for name, size in (("cx", self.width), ("cy", self.height)):
+            if not 0 <= getattr(self, name) < size:
+                raise InvalidRecordingError(
+                    f"camera {self.name!r}: {name} is {getattr(self, name)}, outside the image "
+                    f"(0 to {size}); were cx and cy swapped?"
+                )
+        rotation = self.world_from_camera[:3, :3]
+        error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+        if not (error < 1e-3 and np.linalg.det(rotation) > 0):
+            raise InvalidRecordingError(
+                f"camera {self.name!r}: world_from_camera is not rigid (its rotation part misses "
+                f"orthonormality by {error:.2g}, limit 1e-3, determinant "
+                f"{np.linalg.det(rotation):.3g}, must be +1); write a rotation and metres"
+            )
+        if np.abs(self.world_from_camera[3] - [0, 0, 0, 1]).max() > 1e-6:
+            raise InvalidRecordingError(
+                f"camera {self.name!r}: the last row of world_from_camera is "
+                f"{self.world_from_camera[3].tolist()}; it must be 0 0 0 1"
+            )
+
+    @property
+    def position(self) -> Float[np.ndarray, " 3"]:
+        """Centre of projection in the world [m]."""
+        return self.world_from_camera[:3, 3]
+
+    def camera_from_world_points(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> Float[np.ndarray, "points 3"]:
+        """World points [m] in the camera's frame [m]."""
+        return (points - self.position) @ self.world_from_camera[:3, :3]
+
+    def project(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
+        """World points [m] to pixels (column, row) and depth along the optical axis [m]."""
+        local = self.camera_from_world_points(points)
+        depth = local[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = local[:, :2] / depth[:, None] * (self.fx, self.fy) + (self.cx, self.cy)
+        return pixels, depth
+
+    def back_project(
+        self,
+        depth: Float[np.ndarray, "height width"],
+        mask: Bool[np.ndarray, "height width"] | None = None,
+    ) -> Float[np.ndarray, "points 3"]:
+        """Pixels with a measurement (depth > 0) inside the mask, as world points [m]."""
+        chosen = depth > 0 if mask is None else (depth > 0) & mask
+        rows, columns = np.nonzero(chosen)
+        z = depth[rows, columns].astype(np.float64)
+        local = np.stack([(columns - self.cx) / self.fx * z, (rows - self.cy) / self.fy * z, z], 1)
+        return local @ self.world_from_camera[:3, :3].T + self.position
+
+    def resized(self, width: int) -> "Camera":
+        """The same view in an image of another width (whole pixels, aspect kept)."""
+        scale = width / self.width
+        return Camera(
+            self.name,
+            width,
+            max(1, round(self.height * scale)),
+            self.fx * scale,
+            self.fy * scale,
+            (self.cx + 0.5) * scale - 0.5,
+            (self.cy + 0.5) * scale - 0.5,
+            self.world_from_camera,
+        )

@@ -1,0 +1,127 @@
+"""The triangle mesh of a cloth: where its vertices are and how they are connected.
+
+Public arrays are in metres. Vertices keep their index for life: vertex 17 is the same material
+point in every frame, in the files and in the report.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.errors import InvalidMeshError
+
+
+@dataclass(frozen=True, eq=False)
+class ClothMesh:
+    """A manifold triangle mesh, possibly open (hem, neck) and in one or several pieces.
+
+    Attributes:
+        vertices: positions [m], world frame or the garment's own.
+        faces: vertex indices, one row per triangle.
+        canonical: canonical coordinates [m] of each vertex: the same material point has the same
+            canonical coordinates in every mesh of the garment, whatever its triangulation.
+    """
+
+    vertices: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    canonical: Float[np.ndarray, "vertices 3"] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be a cloth.
+
+        Raises:
+            InvalidMeshError: with the first offending vertex, face or edge.
+        """
+        _check(self)
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices."""
+        return len(self.vertices)
+
+    @cached_property
+    def edges(self) -> Int[np.ndarray, "edges 2"]:
+        """Every edge once, lower vertex index first, sorted."""
+        pairs = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        return np.unique(pairs, axis=0).astype(np.int32)
+
+    @cached_property
+    def edge_lengths(self) -> Float[np.ndarray, " edges"]:
+        """Length of each edge [m] at the present vertices."""
+        ends = self.vertices[self.edges]
+        return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+    @cached_property
+    def vertex_areas(self) -> Float[np.ndarray, " vertices"]:
+        """A third of the area [m^2] of the triangles around each vertex; sums to the mesh area."""
+        corners = self.vertices[self.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.zeros(self.vertex_count)
+        np.add.at(areas, self.faces.ravel(), np.repeat(np.linalg.norm(normals, axis=1) / 6.0, 3))
+        return areas
+
+    @cached_property
+    def opposite_pairs(self) -> Int[np.ndarray, "interior_edges 2"]:
+        """The two vertices that face each other across each interior edge (bending pairs)."""
+        sides = self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        opposite = self.faces[:, [2, 0, 1]].reshape(-1)
+        keys = np.sort(sides, axis=1)
+        order = np.lexsort((keys[:, 1], keys[:, 0]))
+        keys, opposite = keys[order], opposite[order]
+        shared = np.flatnonzero((keys[1:] == keys[:-1]).all(axis=1))
+        return np.stack([opposite[shared], opposite[shared + 1]], axis=1).astype(np.int32)
+
+    def with_vertices(self, vertices: Float[np.ndarray, "vertices 3"]) -> "ClothMesh":
+        """The same cloth somewhere else."""
+        return replace(self, vertices=np.asarray(vertices))
+
+
+def _check(mesh: ClothMesh) -> None:
+    vertices, faces = mesh.vertices, mesh.faces
+    if len(faces) == 0:
+        raise InvalidMeshError("the mesh has no triangle; a cloth needs at least one")
+    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(bad):
+        raise InvalidMeshError(
+            f"vertex {bad[0]} is {vertices[bad[0]].tolist()}: {len(bad)} of {len(vertices)} "
+            "vertices are not finite; repair or re-export the mesh"
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InvalidMeshError(
+            f"a face names vertex {int(faces.max() if faces.min() >= 0 else faces.min())}, "
+            f"but vertices run from 0 to {len(vertices) - 1}"
+        )
+    twice = np.flatnonzero(
+        (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    )
+    if len(twice):
+        raise InvalidMeshError(
+            f"face {twice[0]} is {faces[twice[0]].tolist()}: it uses one vertex twice; remove it"
+        )
+    keys = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, counts = np.unique(keys, axis=0, return_counts=True)
+    if counts.max() > 2:
+        worst = int(counts.argmax())
+        raise InvalidMeshError(
+            f"edge {edges[worst].tolist()} belongs to {counts[worst]} triangles; a cloth has at "
+            "most 2 at an edge (non-manifold): split the mesh there or drop the duplicate faces"
+        )
+    unused = np.setdiff1d(np.arange(len(vertices)), faces)
+    if len(unused):
+        raise InvalidMeshError(
+            f"vertex {unused[0]} belongs to no triangle ({len(unused)} such vertices); "
+            "remove loose vertices"
+        )
+    lengths = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
+    if lengths.min() < 1e-6:
+        worst = int(lengths.argmin())
+        raise InvalidMeshError(
+            f"edge {edges[worst].tolist()} is {lengths[worst]:.1e} m long (at least 1e-6 m): "
+            "duplicate vertices; merge them"
+        )
+    if mesh.canonical is not None and len(mesh.canonical) != len(vertices):
+        raise InvalidMeshError(
+            f"{len(mesh.canonical)} canonical coordinates for {len(vertices)} vertices"
+        )

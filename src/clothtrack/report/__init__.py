@@ -1,0 +1,1 @@
+"""Look at what happened: stills, overlay video, one offline page."""

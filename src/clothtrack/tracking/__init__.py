@@ -1,0 +1,1 @@
+"""The contribution of the paper: calibration, alignment, line search, Algorithm 1."""
