@@ -156,9 +156,7 @@ def _track_folder(
             _refuse_other_settings(path, config)
             logger.info("%s: finished before, skipped", path)
             return Outcome(folder, path, skipped=True)
-        tracked = track_recording(
-            read_recording(folder), config, device=device, progress=progress
-        )
+        tracked = track_recording(read_recording(folder), config, device=device, progress=progress)
         tracked.save(path)
     except ClothTrackError as error:
         logger.error("%s: %s", folder.name, error)

@@ -28,7 +28,9 @@ PARAMETERS = (
 )
 """Everything that can be calibrated: four properties of the cloth, and how the tool holds it."""
 
-Score = Callable[[Float[np.ndarray, "candidates parameters"], float], Float[np.ndarray, " candidates"]]
+Score = Callable[
+    [Float[np.ndarray, "candidates parameters"], float], Float[np.ndarray, " candidates"]
+]
 """Chamfer [m^2] of candidates, columns as PARAMETERS, rolled through a share (0, 1] of the action."""
 
 
