@@ -65,7 +65,7 @@ def find_frames(
                     "sort the frames by time and drop doubles",
                 )
             )  # fmt: skip
-        paths = {kind: _paths(folder, entry, index, kind, camera_names, found)
+        paths = {kind: _paths(folder, entry, index, kind, camera_names, found=found)
                  for kind in PICTURE_KINDS}  # fmt: skip
         cloud = _cloud(folder, entry, index, found)
         frame = Frame(index, float(entry["time_s"]), **paths, cloud=cloud)
@@ -120,6 +120,7 @@ def _paths(
     index: int,
     kind: PictureKind,
     camera_names: Sequence[str],
+    *,
     found: list[Violation],
 ) -> dict[str, Path]:
     if not entry.keys() & {*PICTURE_KINDS, "cloud"}:

@@ -1,5 +1,6 @@
 """The first mesh of a recording: a Wavefront OBJ file whose vertex order is kept."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -119,7 +120,7 @@ def _fan(words: list[str], count: int) -> list[list[int]]:
     if 0 in named:
         raise ValueError("OBJ vertices are counted from 1, so there is no vertex 0")
     corners = [index - 1 if index > 0 else count + index for index in named]
-    return [[corners[0], b, c] for b, c in zip(corners[1:], corners[2:], strict=False)]
+    return [[corners[0], b, c] for b, c in pairwise(corners[1:])]
 
 
 def _refuse_loose_duplicates(path: Path, positions: Float[np.ndarray, "vertices 3"]) -> None:
