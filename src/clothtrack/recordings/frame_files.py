@@ -69,7 +69,7 @@ def find_frames(
                  for kind in PICTURE_KINDS}  # fmt: skip
         cloud = _cloud(folder, entry, index, found)
         frame = Frame(index, float(entry["time_s"]), **paths, cloud=cloud)
-        if not frame.depth and cloud is None:
+        if not (frame.depth or cloud or entry.keys() & {"depth", "cloud"}):
             found.append(
                 Violation(
                     DOCUMENT, f"frames[{index}]", "", "neither depth nor a cloud shows this frame",

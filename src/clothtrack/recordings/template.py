@@ -1,5 +1,6 @@
 """The first mesh of a recording: a Wavefront OBJ file whose vertex order is kept."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -41,13 +42,20 @@ def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
                     f"{path}: line {number} is {line.strip()[:60]!r}: {error}; re-export the mesh"
                 ) from error
     positions = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-    coordinates = None if canonical is None else read_canonical(canonical)
     try:
-        mesh = ClothMesh(positions, np.array(faces, dtype=np.int32).reshape(-1, 3), coordinates)
+        mesh = ClothMesh(positions, np.array(faces, dtype=np.int32).reshape(-1, 3))
     except InvalidMeshError as error:
         raise InvalidMeshError(f"{path}: {error}") from error
     _refuse_loose_duplicates(path, positions)
-    return mesh
+    if canonical is None:
+        return mesh
+    coordinates = read_canonical(canonical)
+    if len(coordinates) != len(positions):
+        raise InvalidRecordingError(
+            f"{canonical}: {len(coordinates)} canonical coordinates for {len(positions)} vertices "
+            f"of {path.name}; write one row per vertex, in the same order"
+        )
+    return replace(mesh, canonical=coordinates)
 
 
 def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
