@@ -100,8 +100,8 @@ def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
     from clothtrack.recordings.inspection import inspect as inspect_recording
 
     found = inspect_recording(recording)
-    _say(json_module.dumps(found.as_dict(), indent=2) if json else found.as_text())
-    return 0 if found.usable else 1
+    _say(json_module.dumps(found.as_dict(), indent=2) if json else found.text())
+    return 0 if found.valid else 1
 
 
 @_verb
