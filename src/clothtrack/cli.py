@@ -5,12 +5,12 @@ called, so that `--help` is instant. Exit codes: 0 done, 1 bad input (one clear 
 error), 2 wrong usage, 130 interrupted.
 """
 
-import errno
 import json as json_module
 import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -163,16 +163,7 @@ def track(
         recordings, output, _run_config(mode, settings, seed=seed), device=device, workers=workers
     )
     if json:
-        rows = [
-            {
-                "recording": str(one.recording),
-                "result": None if one.result is None else str(one.result),
-                "skipped": one.skipped,
-                "error": one.error,
-            }
-            for one in outcomes
-        ]
-        _say(json_module.dumps(rows, indent=2))
+        _say(json_module.dumps([asdict(one) for one in outcomes], indent=2, default=str))
     for one in outcomes:
         if one.result is None:
             _complain(f"{one.recording}: {one.error}")
@@ -306,7 +297,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        _complain(str(_storage_error(error)))
+        _complain(str(StorageError.of(error)))
     except KeyboardInterrupt:
         _complain(
             "interrupted; what was finished is whole, nothing half-written keeps its name. "
@@ -314,19 +305,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         return 130
     return 1
-
-
-def _storage_error(error: OSError) -> StorageError:
-    """An error of the operating system, in words that say what to do."""
-    where = error.filename or "the output"
-    remedies = {
-        errno.ENOSPC: "the disk is full; free some space and run the same command again",
-        errno.EDQUOT: "the quota is used up; free some space and run the same command again",
-        errno.EACCES: "no permission; choose another folder or change its owner",
-        errno.EROFS: "the disk is read-only; choose another folder",
-        errno.ENOENT: "there is no such file or folder; check the name",
-    }
-    return StorageError(f"{where}: {remedies.get(error.errno or 0, error.strerror or str(error))}")
 
 
 def _run_config(mode: str, settings: Sequence[str], *, seed: int) -> "RunConfig":

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numpy as np
 import warp as wp
@@ -165,6 +166,7 @@ def visible_vertices(
     return VisibilityCheck(faces, cameras, tolerance_m=tolerance_m, device=device)(vertices)
 
 
+@no_type_check  # a Warp struct is no type that can be checked
 def _kernel_camera(camera: Camera) -> kernels.RasterCamera:
     value = kernels.RasterCamera()
     value.width, value.height = camera.width, camera.height
