@@ -109,26 +109,35 @@ def simulate(
     output: Positional[Path],
     *,
     garment: Literal["towel", "tshirt"] = "towel",
-    episodes: int = 1,
+    trajectories: int = 1,
     actions: int = 3,
+    workers: int = 1,
     seed: Seed = 0,
 ) -> int:
-    """Make recordings in the stand-in world, with the truth kept apart in OUTPUT/truth.
+    """Film a stand-in world: OUTPUT/recordings, and the truth kept apart in OUTPUT/truth.
 
     Args:
-        output: folder that gets one recording per episode.
+        output: folder for both; recordings that are there are left as they are.
         garment: what lies on the table.
-        episodes: how many recordings.
+        trajectories: how many recordings; they get the seeds SEED, SEED + 1 and so on.
         actions: pick-and-places per recording.
-        seed: of the garment, the actions and the sensor's noise.
+        workers: processes.
+        seed: of garment, pose, actions, camera and noise.
     """
     from clothtrack.world.episodes import EpisodeConfig
-    from clothtrack.world.episodes import simulate as simulate_episodes
+    from clothtrack.world.episodes import simulate as film
 
-    config = EpisodeConfig(garment=garment, actions=actions)
-    for folder in simulate_episodes(output, config, episodes=episodes, seed=seed):
+    folders = film(
+        output,
+        garment,
+        trajectories,
+        seed=seed,
+        config=EpisodeConfig(actions=actions),
+        processes=workers,
+    )
+    for folder in folders:
         _say(str(folder))
-    return 0
+    return 0 if len(folders) == trajectories else 1
 
 
 @_verb
@@ -215,34 +224,30 @@ def evaluate(
 def view(
     artefact: Positional[Path],
     *,
-    recording: Path | None = None,
+    recordings: Path,
     html: Path | None = None,
-    port: int = 8080,
+    port: int | None = None,
 ) -> int:
-    """Look at a recording or a tracked trajectory: in a browser, or as one offline page.
+    """Look at a tracked trajectory: in a browser, or as one page that needs no network.
 
     Args:
-        artefact: recording folder, or NAME.zarr.
-        recording: the recording of a tracked trajectory, for pictures and clouds.
+        artefact: NAME.zarr that `track` wrote.
+        recordings: its recording, or the folder in which recordings lie by name.
         html: write one self-contained page here instead of serving.
-        port: of the local server; it listens on this machine only.
+        port: of the local server, which listens on this machine only; any free one by default.
     """
-    from clothtrack.recordings.store import read_recording
-
-    if (artefact / "recording.json").exists():
-        subject: Recording | TrackedTrajectory = read_recording(artefact)
-        seen = subject
-    else:
-        subject = _load_tracked(artefact)
-        seen = None if recording is None else _recording_of(subject, recording)
+    tracked = _load_tracked(artefact)
+    recording = _recording_of(tracked, recordings)
     if html is not None:
         from clothtrack.report.page import write_report
 
-        _say(str(write_report(subject, seen, html)))
+        _say(str(write_report(tracked, recording, html)))
         return 0
     from clothtrack.report.live import view_live
 
-    view_live(subject, seen, port=port)
+    # The address is in the log, and here it is what one wants to know.
+    logging.getLogger("clothtrack.report").setLevel(logging.INFO)
+    view_live(tracked, recording, port)
     return 0
 
 
