@@ -265,7 +265,9 @@ def _cloth(
     )
 
 
-def _template(folder: Path, entry: Mapping[str, Any], found: list[Violation]) -> ClothMesh | None:
+def _template(
+    folder: Path, entry: Mapping[str, Any], found: list[Violation]
+) -> ClothMesh | None:
     files: dict[str, Path] = {}
     for name in ("template", "template_canonical"):
         if entry.get(name) is not None:
