@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import no_type_check
 
 import numpy as np
 import warp as wp
@@ -166,8 +165,7 @@ def visible_vertices(
     return VisibilityCheck(faces, cameras, tolerance_m=tolerance_m, device=device)(vertices)
 
 
-@no_type_check  # a Warp struct is no type that can be checked
-def _kernel_camera(camera: Camera) -> kernels.RasterCamera:
+def _kernel_camera(camera: Camera) -> object:
     value = kernels.RasterCamera()
     value.width, value.height = camera.width, camera.height
     value.fx, value.fy, value.cx, value.cy = camera.fx, camera.fy, camera.cx, camera.cy
