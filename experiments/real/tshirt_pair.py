@@ -21,6 +21,7 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.colors import learned_set
 from clothtrack.recordings.recording import ClothDescription, PickerPath
 from clothtrack.recordings.segmentation import ColorSegmenter, main_components
 from clothtrack.recordings.store import RecordingWriter
@@ -175,10 +176,8 @@ def _masks(folder: Path, camera: Camera) -> tuple[Bool[np.ndarray, "height width
     # The set has no mask of the second frame: the shirt's colours are learned in the first.
     first, second = frame_numbers(folder)
     mask = _first_mask(folder)
-    rows, columns = np.nonzero(mask)
-    box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
     picture = read_picture(folder / f"color_{first:03d}.png")
-    segmenter = ColorSegmenter.from_box(picture, tuple(int(side) for side in box))
+    segmenter = ColorSegmenter(learned_set(picture, mask, ~mask))
     later = segmenter(
         read_picture(folder / f"color_{second:03d}.png"), _depth(folder, second), camera, None
     )
