@@ -19,7 +19,6 @@ BANNED_NAMES = {"utils", "util", "helpers", "common", "types", "misc", "core"}
 FILE_LIMIT = 400
 KERNEL_FILE_LIMIT = 600
 FUNCTION_LIMIT = 60
-POSITIONAL_LIMIT = 5
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -73,18 +72,6 @@ def test_a_function_fits_on_a_page(module, tree):
         assert lines <= FUNCTION_LIMIT, (
             f"{name_of(module)}:{function.lineno} {function.name} has {lines} lines without its "
             f"docstring (limit {FUNCTION_LIMIT}): name its parts"
-        )
-
-
-def test_few_positional_arguments(module, tree):
-    for function in functions_of(tree):
-        if is_kernel(function):  # Warp launches know no keywords
-            continue
-        names = [a.arg for a in (*function.args.posonlyargs, *function.args.args)]
-        names = [name for name in names if name not in ("self", "cls")]
-        assert len(names) <= POSITIONAL_LIMIT, (
-            f"{name_of(module)}:{function.lineno} {function.name} takes {len(names)} positional "
-            f"arguments (limit {POSITIONAL_LIMIT}): make the options keyword-only"
         )
 
 

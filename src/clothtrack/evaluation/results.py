@@ -132,17 +132,10 @@ def evaluate(
         reference = _reference(tracked, action, observation, truth, device=device, seed=seed)
         for stage in STAGES:
             vertices = np.asarray(getattr(action, f"positions_{stage}"), np.float64)
-            rows.append(
-                _row(
-                    tracked,
-                    recording,
-                    (number, stage),
-                    vertices,
-                    reference,
-                    device=device,
-                    seed=seed,
-                )  # fmt: skip
+            row = _row(
+                tracked, recording, (number, stage), vertices, reference, device=device, seed=seed
             )
+            rows.append(row)
     return Evaluation(tracked.name, tuple(rows), tracked.provenance)
 
 
@@ -244,7 +237,7 @@ def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
             "w", dir=path.parent, prefix=f".{path.name}.", delete=False, encoding="utf-8"
         ) as file:
             file.write(as_json(evaluations) + "\n")
-        os.replace(file.name, path)  # noqa: PTH105
+        os.replace(file.name, path)
     except OSError as error:
         raise StorageError(f"{path}: cannot write the results ({error})") from error
 
