@@ -31,6 +31,7 @@ from real import hanging_cloth, robot_clouds, tshirt_pair
 from run_tracker import MODE_NAMES, before_final_alignment, track
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 COMPARED = ("default", "full_held_paper", "open_loop")
 SMOKE_FRAMES = {hanging_cloth.NAME: 6, robot_clouds.NAME: 9}
@@ -58,7 +59,7 @@ class Task:
     smoke: bool
     device: str
 
-    def tracked(self):  # noqa: ANN201
+    def tracked(self) -> TrackedTrajectory:
         """The tracked trajectory of this task."""
         return track(
             self.recording, self.mode, self.results, calibrated=not self.smoke, device=self.device

@@ -7,6 +7,7 @@ The path is the commanded one: where the tool really held the cloth is not known
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,7 @@ def load(file: Path) -> RobotSequence:
     return RobotSequence(
         name=file.stem,
         task=task,
-        clouds=tuple(points[a:b] for a, b in zip(offsets[:-1], offsets[1:], strict=True)),
+        clouds=tuple(points[a:b] for a, b in pairwise(offsets)),
         gripper=gripper.astype(np.float64),
         time_s=time_s.astype(np.float64),
         lowest_z_m=float(facts.get("lowest_z_m", points[:, 2].min())),
@@ -204,11 +205,8 @@ def score(
     sequence = load(file)
     rest = start_mesh(sequence) if rest is None else rest
     visible = VisibilityCheck(faces, sequence.cameras, tolerance_m=VISIBILITY_TOLERANCE_M)
-    rows = [
-        (frame, p)
-        for frame, p in zip(range(len(positions)) if frames is None else frames, positions)
-        if frame >= first
-    ]
+    numbers = range(len(positions)) if frames is None else frames
+    rows = [(frame, p) for frame, p in zip(numbers, positions, strict=True) if frame >= first]
     halves = np.array([_halves(sequence, frame, p, visible(p)) for frame, p in rows])
     return RobotCloudScore(
         frames=np.array([frame for frame, _ in rows]),
