@@ -1,1 +1,1 @@
-"""The stand-in for reality: another physics engine, a depth camera with noise, a tool in the way."""
+"""The stand-in for reality: another engine, a depth camera with noise, a tool in the way."""

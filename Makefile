@@ -1,0 +1,76 @@
+# One verb per wish. Everything is installed into .venv, nothing outside this folder.
+#
+#   make demo      install, track the shipped recording, name the report
+#   make test      install the test tools too, run the tests
+#   make check     lint, format, types, direction of imports
+#   make bench     speed of the cloth solver beside its peers, to out/bench_solver.json
+#
+# PYTHON=python3.12 make demo    chooses the interpreter (3.11 or newer)
+
+PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,$(shell command -v $(name) 2>/dev/null)))
+VENV ?= .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PYTEST_ARGS ?= -n auto --maxprocesses 4 --dist loadfile
+
+# The operations are small: a second thread per process waits more than it works.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test test-all check format bench clean
+
+help:
+	@sed -n '3,9s/^# \{0,1\}//p' Makefile
+
+install: $(VENV)/.installed
+
+$(VENV)/.created:
+	@test -n "$(PYTHON)" || { echo "no python3 found; install Python 3.11 or newer" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "$(PYTHON) is too old; clothtrack needs Python 3.11 or newer: make PYTHON=python3.12" >&2; exit 1; }
+	@rm -rf $(VENV)
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "$(PYTHON) cannot make a virtual environment; on Debian or Ubuntu: apt install python3-venv" >&2; exit 1; }
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.created pyproject.toml constraints.txt
+	@echo "installing clothtrack into $(VENV) ..."
+	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	@echo "installing the test tools into $(VENV) ..."
+	@$(PIP) --editable '.[dev]'
+	@touch $@
+
+$(VENV)/.installed-bench: $(VENV)/.installed
+	@echo "installing the peers of the benchmark into $(VENV) ..."
+	@$(PIP) --editable '.[bench]'
+	@touch $@
+
+demo: $(VENV)/.installed
+	$(BIN)/clothtrack demo --output out/demo
+
+test: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-all: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "not gpu and not data"
+
+check: $(VENV)/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/lint-imports --no-cache
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+bench: $(VENV)/.installed-bench
+	@mkdir -p out
+	$(BIN)/python benchmarks/bench_solver.py --json out/bench_solver.json
+
+clean:
+	rm -rf $(VENV) out .pytest_cache .ruff_cache

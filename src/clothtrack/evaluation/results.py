@@ -1,0 +1,289 @@
+"""Rows of measures, one per action and stage, with all that is needed to make them again."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.evaluation.metrics import (
+    ClothMeasures,
+    ErrorSummary,
+    chamfer_pc,
+    chamfer_surface,
+    cloth_measures,
+    cloud_floor,
+    root_mean_square_mm,
+    vertex_error_mm,
+)
+from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.geometry.visibility import visible_vertices
+from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.tracking.configuration import MODES
+from clothtrack.tracking.tracked_trajectory import TrackedAction, TrackedTrajectory
+
+Stage = Literal["before_final_alignment", "after_final_alignment"]
+STAGES: tuple[Stage, ...] = ("before_final_alignment", "after_final_alignment")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One mesh, measured: the last frame of one action, before or after the final alignment.
+
+    The paper measures before. What is handed on, and becomes a pseudo-label, is the mesh after.
+
+    Attributes:
+        recording: name of the recording.
+        method: named mode of the tracker, or "custom".
+        action: number of the action, from 0.
+        frame: frame of the recording.
+        stage: before or after the final alignment.
+        chamfer_pc: visible vertices against the cloud [m^2].
+        chamfer_pc_rms_mm: root of half of it [mm].
+        chamfer_floor: the same for the truth, or between two halves of the cloud [m^2].
+        floor_of: "truth" or "cloud halves".
+        chamfer_surface: whole surface against the true one [m^2]; NaN without truth.
+        vertex_error_mm: "all", "visible", "hidden" against the truth; empty without truth.
+        cloth: measures that need no truth.
+    """
+
+    recording: str
+    method: str
+    action: int
+    frame: int
+    stage: Stage
+    chamfer_pc: float
+    chamfer_pc_rms_mm: float
+    chamfer_floor: float
+    floor_of: str
+    chamfer_surface: float
+    vertex_error_mm: Mapping[str, ErrorSummary]
+    cloth: ClothMeasures
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The rows of one tracked trajectory.
+
+    Attributes:
+        name: name of the recording.
+        rows: per action, before and after the final alignment.
+        provenance: of the tracking run: commit, configuration hash, versions, seed, device.
+    """
+
+    name: str
+    rows: tuple[Row, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """What the mesh at one frame is measured against."""
+
+    observation: Observation
+    floor: float
+    floor_of: str
+    surface: tuple[np.ndarray, np.ndarray] | None
+    true_points: Float[np.ndarray, "vertices 3"] | None
+    truly_visible: Bool[np.ndarray, " vertices"] | None
+
+
+def evaluate(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    truth: Truth | None = None,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
+    seed: int = 0,
+) -> Evaluation:
+    """Measure a tracked trajectory at the end of each action.
+
+    Args:
+        tracked: what the tracker left.
+        recording: what it was tracked from.
+        truth: the true meshes, where somebody knows them.
+        segmenter: finds the cloth in a picture; the recording's own way by default.
+        device: "cpu" or "cuda:0", for visibility.
+        seed: of surface samples and cloud halves.
+
+    Raises:
+        InvalidResultError: when trajectory, recording and truth do not belong together.
+    """
+    if tracked.actions and tracked.actions[-1].last_frame >= len(recording.frames):
+        raise InvalidResultError(
+            f"{tracked.name}: an action ends at frame {tracked.actions[-1].last_frame}, but "
+            f"{recording.folder} has {len(recording.frames)} frames; give the recording that it "
+            "was tracked from"
+        )
+    rows: list[Row] = []
+    for number, action in enumerate(tracked.actions):
+        frame = recording.frames[action.last_frame]
+        observation = observe(recording, frame, segmenter)
+        reference = _reference(tracked, action, observation, truth, device=device, seed=seed)
+        for stage in STAGES:
+            vertices = np.asarray(getattr(action, f"positions_{stage}"), np.float64)
+            row = _row(
+                tracked, recording, (number, stage), vertices, reference, device=device, seed=seed
+            )
+            rows.append(row)
+    return Evaluation(tracked.name, tuple(rows), tracked.provenance)
+
+
+def method_name(config: Mapping[str, Any]) -> str:
+    """The named mode that a stored run configuration is, or "custom"."""
+    stored = json.dumps(config.get("tracker", config), sort_keys=True, default=str)
+    for name, mode in MODES.items():
+        if json.dumps(asdict(mode), sort_keys=True, default=str) == stored:
+            return name
+    return "custom"
+
+
+def _reference(
+    tracked: TrackedTrajectory,
+    action: TrackedAction,
+    observation: Observation,
+    truth: Truth | None,
+    *,
+    device: str,
+    seed: int,
+) -> _Reference:
+    surface = None if truth is None else truth.at(action.last_frame)
+    if truth is None or surface is None:
+        floor = cloud_floor(observation.points, seed)
+        return _Reference(observation, floor, "cloud halves", None, None, None)
+    pair = (surface, truth.faces)
+    if truth.canonical is None or tracked.mesh.canonical is None:
+        floor = cloud_floor(observation.points, seed)
+        return _Reference(observation, floor, "cloud halves", pair, None, None)
+    canonical = np.asarray(tracked.mesh.canonical, np.float64)
+    where = material_map(truth.canonical, truth.faces, canonical)
+    points = material_points(surface, truth.faces, where)
+    faces, cameras = tracked.mesh.faces, observation.cameras
+    seen = visible_vertices(points, faces, cameras, device=device) & ~observation.silent(points)
+    floor = chamfer_pc(points, seen, observation.points)
+    true_seen = visible_vertices(surface, truth.faces, cameras, device=device)
+    share = np.einsum("ij,ij->i", where[1], true_seen[truth.faces[where[0]]].astype(float))
+    return _Reference(observation, floor, "truth", pair, points, share > 0.5)
+
+
+def _row(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    which: tuple[int, Stage],
+    vertices: Float[np.ndarray, "vertices 3"],
+    reference: _Reference,
+    *,
+    device: str,
+    seed: int,
+) -> Row:
+    faces, observation = tracked.mesh.faces, reference.observation
+    seen = visible_vertices(vertices, faces, observation.cameras, device=device)
+    chamfer = chamfer_pc(vertices, seen & ~observation.silent(vertices), observation.points)
+    errors: dict[str, ErrorSummary] = {}
+    if reference.true_points is not None and reference.truly_visible is not None:
+        errors = vertex_error_mm(vertices, reference.true_points, reference.truly_visible)
+    surface = float("nan")
+    if reference.surface is not None:
+        surface = chamfer_surface((vertices, faces), reference.surface, seed=seed)
+    number, stage = which
+    return Row(
+        recording=tracked.name,
+        method=method_name(tracked.config),
+        action=number,
+        frame=tracked.actions[number].last_frame,
+        stage=stage,
+        chamfer_pc=chamfer,
+        chamfer_pc_rms_mm=root_mean_square_mm(chamfer),
+        chamfer_floor=reference.floor,
+        floor_of=reference.floor_of,
+        chamfer_surface=surface,
+        vertex_error_mm=errors,
+        cloth=cloth_measures(
+            tracked.mesh, vertices, recording.table, rest_height_m=_rest_height_m(tracked.config)
+        ),
+    )
+
+
+def _rest_height_m(config: Mapping[str, Any]) -> float:
+    """Height at which the middle of the tracked cloth rests [m]: half its thickness."""
+    solver = config.get("tracker", {}).get("solver", {})
+    return 0.5 * float(solver.get("thickness_m", SolverConfig().thickness_m))
+
+
+def as_json(evaluations: Sequence[Evaluation]) -> str:
+    """All rows and their provenance as JSON; NaN becomes null."""
+    return json.dumps([_plain(asdict(one)) for one in evaluations], indent=2, allow_nan=False)
+
+
+def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
+    """Write `as_json` to a file, whole or not at all.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(
+            "w", dir=path.parent, prefix=f".{path.name}.", delete=False, encoding="utf-8"
+        ) as file:
+            file.write(as_json(evaluations) + "\n")
+        os.replace(file.name, path)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot write the results ({error})") from error
+
+
+def table(evaluations: Iterable[Evaluation]) -> str:
+    """The rows as text, one line per action and stage, and what the columns mean."""
+    lines = [_HEADER]
+    for evaluation in evaluations:
+        for row in evaluation.rows:
+            errors = [row.vertex_error_mm.get(key) for key in ("all", "visible", "hidden")]
+            means = [f"{one.mean:.1f}" if one and one.count else "-" for one in errors]
+            p95 = f"{errors[0].p95:.1f}" if errors[0] else "-"
+            lines.append(
+                f"{row.recording[:22]:22} {row.action:>3} {row.stage.split('_')[0]:6} "
+                f"{1e4 * row.chamfer_pc:7.3f} {1e4 * row.chamfer_floor:7.3f} "
+                f"{row.chamfer_pc_rms_mm:6.2f}  {means[0]:>6} {means[1]:>7} {means[2]:>6} {p95:>6} "
+                f"{100 * row.cloth.edge_strain:7.2f} {row.cloth.crossings:6d} "
+                f"{row.cloth.close_pairs:6d} {_percent(row.cloth.below_table):>6} "
+                f"{1e4 * row.cloth.coverage:9.1f}"
+            )
+    return "\n".join([*lines, _LEGEND])
+
+
+_HEADER = (
+    f"{'recording':22} {'act':>3} {'TTO2':6} {'Ch.PC':>7} {'floor':>7} {'rms':>6}  "
+    f"{'error':>6} {'visible':>7} {'hidden':>6} {'p95':>6} "
+    f"{'strain':>7} {'cross':>6} {'close':>6} {'below':>6} {'coverage':>9}"
+)
+_LEGEND = (
+    "Ch.PC, floor [1e-4 m^2]; rms and vertex errors against the truth [mm], '-' without truth; "
+    "strain, below [%]; coverage [cm^2]; TTO2: before or after the final alignment"
+)
+
+
+def _percent(share: float) -> str:
+    return "-" if np.isnan(share) else f"{100 * share:.1f}"
+
+
+def _plain(value: Any) -> Any:
+    """The same with nothing that JSON lacks: NaN and infinity become null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,181 @@
+"""What a camera sees of a mesh: depth image, face per pixel, visible vertices (a z-buffer)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from jaxtyping import Bool, Float, Int
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry import raster_kernels as kernels
+from clothtrack.geometry.camera import Camera
+
+NEAREST_DEPTH_M = 1e-3
+"""Surfaces nearer to the camera than this [m] are not drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthBuffer:
+    """What a camera sees of a mesh.
+
+    Attributes:
+        depth: distance along the optical axis at each pixel centre [m]; infinite where no face is.
+        faces: index of the nearest face at each pixel centre; -1 where no face is.
+    """
+
+    depth: Float[np.ndarray, "height width"]
+    faces: Int[np.ndarray, "height width"]
+
+
+class Rasteriser:
+    """Draws one mesh topology in one camera, again and again, into buffers that it keeps.
+
+    Args:
+        faces: vertex indices per triangle; drawn from both sides.
+        camera: the camera; pixel centres at integers.
+        device: Warp device, "cpu" or "cuda:0".
+
+    Raises:
+        InvalidConfigError: when there is no face to draw.
+    """
+
+    def __init__(
+        self, faces: Int[np.ndarray, "faces 3"], camera: Camera, *, device: str = "cpu"
+    ) -> None:
+        if len(faces) == 0:
+            raise InvalidConfigError("nothing to draw: the mesh has no face")
+        self.camera = camera
+        self.device = device
+        self.faces = wp.array(np.ascontiguousarray(faces, np.int32), dtype=wp.vec3i, device=device)
+        self.kernel_camera = _kernel_camera(camera)
+        self.pixels = wp.empty(camera.width * camera.height, dtype=wp.uint64, device=device)
+
+    def render(self, vertices: Float[np.ndarray, "vertices 3"] | wp.array) -> DepthBuffer:
+        """Depth and face of every pixel for vertices in the world [m]."""
+        self.draw(_on_device(vertices, self.device))
+        shape = (self.camera.height, self.camera.width)
+        depth = wp.empty(len(self.pixels), dtype=wp.float32, device=self.device)
+        faces = wp.empty(len(self.pixels), dtype=wp.int32, device=self.device)
+        wp.launch(
+            kernels.unpack_pixels,
+            dim=len(self.pixels),
+            inputs=[self.pixels],
+            outputs=[depth, faces],
+            device=self.device,
+        )
+        return DepthBuffer(depth.numpy().reshape(shape), faces.numpy().reshape(shape))
+
+    def draw(self, vertices: wp.array) -> None:
+        """Fill `pixels` for world vertices [m] (a vec3 array on this device); no copy, no wait."""
+        self.pixels.fill_(kernels.EMPTY_PIXEL)
+        wp.launch(
+            kernels.draw_faces,
+            dim=len(self.faces),
+            inputs=[vertices, self.faces, self.kernel_camera],
+            outputs=[self.pixels],
+            device=self.device,
+        )
+
+
+class VisibilityCheck:
+    """Which vertices some camera sees, for one topology, as often as wanted.
+
+    A vertex is visible when a face around it covers a pixel of some camera, it projects into that
+    image, and it lies no deeper than the surface there plus a tolerance. The tolerance must be
+    smaller than the distance of two layers of cloth that lie on each other.
+
+    Args:
+        faces: vertex indices per triangle.
+        cameras: one or more cameras. A small image (`Camera.resized`) is fast and usually enough:
+            its pixels should not be larger than the mesh's edges.
+        tolerance_m: how much deeper than the surface a visible vertex may lie [m].
+        device: Warp device, "cpu" or "cuda:0".
+
+    Raises:
+        InvalidConfigError: when there is no face, no camera or a negative tolerance.
+    """
+
+    def __init__(
+        self,
+        faces: Int[np.ndarray, "faces 3"],
+        cameras: Sequence[Camera],
+        *,
+        tolerance_m: float = 0.003,
+        device: str = "cpu",
+    ) -> None:
+        if not cameras:
+            raise InvalidConfigError("visibility needs at least one camera; none was given")
+        if not tolerance_m >= 0:
+            raise InvalidConfigError(f"tolerance_m is {tolerance_m}; it must be 0 or more")
+        self.tolerance_m = tolerance_m
+        self.device = device
+        self.rasterisers = [Rasteriser(faces, camera, device=device) for camera in cameras]
+        self._hit = wp.empty(0, dtype=wp.bool, device=device)
+        self._visible = wp.empty(0, dtype=wp.bool, device=device)
+
+    def __call__(
+        self, vertices: Float[np.ndarray, "vertices 3"] | wp.array
+    ) -> Bool[np.ndarray, " vertices"]:
+        """Visible vertices, for vertices in the world [m]."""
+        return self.on_device(_on_device(vertices, self.device)).numpy().astype(bool)
+
+    def on_device(self, vertices: wp.array) -> wp.array:
+        """The same without leaving the device: a bool array that the next call overwrites."""
+        count = len(vertices)
+        if len(self._visible) != count:
+            self._hit = wp.empty(count, dtype=wp.bool, device=self.device)
+            self._visible = wp.empty(count, dtype=wp.bool, device=self.device)
+        self._visible.zero_()
+        for rasteriser in self.rasterisers:
+            rasteriser.draw(vertices)
+            self._hit.zero_()
+            wp.launch(
+                kernels.mark_hit_vertices,
+                dim=-(-len(rasteriser.pixels) // kernels.STRIP_PIXELS),
+                inputs=[rasteriser.pixels, rasteriser.faces],
+                outputs=[self._hit],
+                device=self.device,
+            )
+            wp.launch(
+                kernels.mark_visible_vertices,
+                dim=count,
+                inputs=[
+                    vertices,
+                    self._hit,
+                    rasteriser.kernel_camera,
+                    rasteriser.pixels,
+                    self.tolerance_m,
+                ],
+                outputs=[self._visible],
+                device=self.device,
+            )
+        return self._visible
+
+
+def visible_vertices(
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    cameras: Sequence[Camera],
+    *,
+    tolerance_m: float = 0.003,
+    device: str = "cpu",
+) -> Bool[np.ndarray, " vertices"]:
+    """Vertices that at least one camera sees (see `VisibilityCheck`, which keeps its buffers)."""
+    return VisibilityCheck(faces, cameras, tolerance_m=tolerance_m, device=device)(vertices)
+
+
+def _kernel_camera(camera: Camera) -> object:
+    value = kernels.RasterCamera()
+    value.width, value.height = camera.width, camera.height
+    value.fx, value.fy, value.cx, value.cy = camera.fx, camera.fy, camera.cx, camera.cy
+    value.camera_from_world = wp.mat33(*camera.world_from_camera[:3, :3].T.ravel().tolist())
+    value.position = wp.vec3(*camera.position.tolist())
+    value.near = NEAREST_DEPTH_M
+    return value
+
+
+def _on_device(vertices: Float[np.ndarray, "vertices 3"] | wp.array, device: str) -> wp.array:
+    if isinstance(vertices, wp.array):
+        return vertices
+    return wp.array(np.ascontiguousarray(vertices, np.float32), dtype=wp.vec3, device=device)

@@ -1,0 +1,205 @@
+"""From recordings to tracked trajectories: the method over a data set, in a straight line."""
+
+import hashlib
+import importlib.metadata
+import json
+import logging
+import platform
+import subprocess
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+
+from clothtrack import __version__
+from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.first_mesh import FirstMeshConfig, first_mesh
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.tracking.tracker import Tracker
+
+logger = logging.getLogger(__name__)
+
+Progress = Callable[[str, int, int], None]
+"""Called with a recording's name, frames done and frames in all."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that a tracking run depends on; it is stored with every result.
+
+    Attributes:
+        tracker: Algorithm 1 and all that it uses.
+        first_mesh: the mesh it starts from, when the recording has no template.
+        cloud_spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
+        seed: stored with the result; nothing in tracking draws random numbers so far.
+    """
+
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    first_mesh: FirstMeshConfig = field(default_factory=FirstMeshConfig)
+    cloud_spacing_m: float = 0.004
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one recording.
+
+    Attributes:
+        recording: its folder.
+        result: the tracked trajectory on disk, or None after an error.
+        skipped: it had been finished before.
+        error: what was wrong with it.
+    """
+
+    recording: Path
+    result: Path | None
+    skipped: bool = False
+    error: str = ""
+
+
+def track_recording(
+    recording: Recording,
+    config: RunConfig,
+    *,
+    device: str = "cpu",
+    segmenter: Segmenter | None = None,
+    progress: Progress | None = None,
+) -> TrackedTrajectory:
+    """Recording -> clouds -> first mesh -> calibration and tracking (Fig. 2 of the paper).
+
+    Args:
+        recording: read and validated.
+        config: the whole configuration.
+        device: "cpu" or "cuda:0".
+        segmenter: finds the cloth in a picture; the recording's masks or colours by default.
+        progress: called after every frame.
+    """
+
+    @lru_cache(maxsize=8)
+    def observed(frame_index: int) -> Observation:
+        frame = recording.frames[frame_index]
+        return observe(recording, frame, segmenter, spacing_m=config.cloud_spacing_m or None)
+
+    def cloud(frame: Frame) -> Observation:
+        return observed(frame.index)
+
+    mesh = first_mesh(recording, cloud(recording.frames[0]), config.first_mesh)
+    tracker = Tracker(recording, mesh, config.tracker, cloud, device=device)
+    tracked = tracker.track(progress)
+    return replace(tracked, config=asdict(config), provenance=provenance(recording, config, device))
+
+
+def track_recordings(
+    recordings: Sequence[Path],
+    output: Path,
+    config: RunConfig,
+    *,
+    workers: int = 1,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> list[Outcome]:
+    """Track many recordings; finished ones are skipped, a bad one does not stop the others.
+
+    Args:
+        recordings: recording folders.
+        output: folder that gets one `NAME.zarr` per recording.
+        config: the whole configuration.
+        workers: processes; each tracks one recording at a time.
+        device: "cpu" or "cuda:0".
+        progress: called after every frame (with one worker) or every recording.
+
+    Returns:
+        One outcome per recording, in the given order.
+    """
+    folders = [Path(folder) for folder in recordings]
+    names = [folder.resolve().name for folder in folders]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InvalidConfigError(
+            f"two recordings are called {sorted(twice)[0]!r}, their results would overwrite each "
+            "other; rename one folder"
+        )
+    output.mkdir(parents=True, exist_ok=True)
+    if workers <= 1 or len(folders) == 1:
+        return [_track_folder(folder, output, config, device, progress) for folder in folders]
+    outcomes: dict[Path, Outcome] = {}
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        jobs = {
+            pool.submit(_track_folder, folder, output, config, device, None): folder
+            for folder in folders
+        }
+        for done, job in enumerate(as_completed(jobs), 1):
+            outcomes[jobs[job]] = job.result()
+            if progress is not None:
+                progress(jobs[job].name, done, len(jobs))
+    return [outcomes[folder] for folder in folders]
+
+
+def result_path(recording: Path, output: Path) -> Path:
+    """Where the tracked trajectory of a recording lies."""
+    return output / f"{recording.resolve().name}.zarr"
+
+
+def _track_folder(
+    folder: Path, output: Path, config: RunConfig, device: str, progress: Progress | None
+) -> Outcome:
+    path = result_path(folder, output)
+    try:
+        if path.exists():
+            _refuse_other_settings(path, config)
+            logger.info("%s: finished before, skipped", path)
+            return Outcome(folder, path, skipped=True)
+        tracked = track_recording(read_recording(folder), config, device=device, progress=progress)
+        tracked.save(path)
+    except ClothTrackError as error:
+        logger.error("%s: %s", folder.name, error)
+        return Outcome(folder, None, error=str(error))
+    return Outcome(folder, path)
+
+
+def _refuse_other_settings(path: Path, config: RunConfig) -> None:
+    found = TrackedTrajectory.load(path).provenance.get("config_hash")
+    if found != config_hash(config):
+        raise InvalidConfigError(
+            f"{path} was tracked with other settings (hash {found}, now {config_hash(config)}); "
+            "choose another --output or remove it"
+        )
+
+
+def config_hash(config: RunConfig) -> str:
+    """Ten hexadecimal digits that change with any setting."""
+    text = json.dumps(asdict(config), sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:10]
+
+
+def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str, object]:
+    """What one needs to make a result again: versions, commit, seed, device, source."""
+    packages = ("numpy", "scipy", "warp-lang", "opencv-python-headless", "zarr")
+    return {
+        "clothtrack": __version__,
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "packages": {name: importlib.metadata.version(name) for name in packages},
+        "device": device,
+        "seed": config.seed,
+        "config_hash": config_hash(config),
+        "recording": dict(recording.provenance),
+    }
+
+
+def _commit() -> str:
+    """The commit of a checkout, or an empty text when this is an installed package."""
+    here = Path(__file__).parent
+    asked = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    return asked.stdout.strip() if asked.returncode == 0 else ""

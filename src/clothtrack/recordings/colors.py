@@ -1,0 +1,130 @@
+"""Sets of colours: which colours are cloth, looked up by the five highest bits of each channel.
+
+A set is a table of 32 x 32 x 32 entries, so a printed cloth with twenty colours costs as much as a
+plain one, and asking costs one look-up per pixel.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from scipy.ndimage import gaussian_filter
+
+BINS = 32
+NO, LOOSE, CORE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class ColorRange:
+    """A range of hue, saturation and value.
+
+    Attributes:
+        hue: from and to [degrees]; from > to runs through 0 (red).
+        saturation: from and to, 0 (grey) to 1.
+        value: from and to, 0 (black) to 1.
+    """
+
+    hue: tuple[float, float] = (0.0, 360.0)
+    saturation: tuple[float, float] = (0.3, 1.0)
+    value: tuple[float, float] = (0.17, 1.0)
+
+    def widened(self) -> "ColorRange":
+        """The range with a margin for shade, gloss and white balance."""
+        low, high = self.hue
+        if low <= high and high - low >= 336:
+            hue = (0.0, 360.0)
+        else:
+            hue = ((low - 12) % 360, (high + 12) % 360)
+        return ColorRange(hue, _spread(self.saturation, 0.1), _spread(self.value, 0.08))
+
+    def contains(self, hsv: Float[np.ndarray, "*any 3"]) -> Bool[np.ndarray, "*any"]:
+        """Whether colours lie in the range; hue [degrees], saturation and value 0 to 1."""
+        hue, saturation, value = np.moveaxis(hsv, -1, 0)
+        low, high = self.hue
+        turned = (hue >= low) & (hue <= high) if low <= high else (hue >= low) | (hue <= high)
+        for channel, (least, most) in ((saturation, self.saturation), (value, self.value)):
+            turned = turned & (channel >= least) & (channel <= most)
+        return turned
+
+
+NAMED_COLORS: Mapping[str, tuple[ColorRange, ...]] = MappingProxyType(
+    {
+        "red": (ColorRange((345.0, 14.0)),),
+        "orange": (ColorRange((14.0, 42.0), value=(0.5, 1.0)),),
+        "yellow": (ColorRange((42.0, 70.0)),),
+        "green": (ColorRange((70.0, 165.0)),),
+        "cyan": (ColorRange((165.0, 200.0)),),
+        "blue": (ColorRange((200.0, 260.0)),),
+        "purple": (ColorRange((260.0, 300.0)),),
+        "pink": (
+            ColorRange((300.0, 345.0)),
+            ColorRange((345.0, 14.0), saturation=(0.15, 0.5), value=(0.7, 1.0)),
+        ),
+        "brown": (ColorRange((8.0, 45.0), value=(0.12, 0.6)),),
+        "white": (ColorRange(saturation=(0.0, 0.18), value=(0.6, 1.0)),),
+        "grey": (ColorRange(saturation=(0.0, 0.2), value=(0.2, 0.75)),),
+        "gray": (ColorRange(saturation=(0.0, 0.2), value=(0.2, 0.75)),),
+        "black": (
+            ColorRange(saturation=(0.0, 0.35), value=(0.0, 0.25)),
+            ColorRange(saturation=(0.0, 1.0), value=(0.0, 0.12)),
+        ),
+    }
+)
+
+
+def named_set(name: str) -> UInt8[np.ndarray, "32 32 32"]:
+    """Set of the colours with a name: `CORE` inside its range, `LOOSE` near it."""
+    levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
+    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
+    hsv = cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV).reshape(rgb.shape)
+    ranges = NAMED_COLORS[name.lower()]
+    members = np.zeros(rgb.shape[:3], dtype=np.uint8)
+    for chosen in ranges:
+        members[chosen.widened().contains(hsv) & (members == NO)] = LOOSE
+    for chosen in ranges:
+        members[chosen.contains(hsv)] = CORE
+    return members
+
+
+def learned_set(
+    color: UInt8[np.ndarray, "height width 3"],
+    cloth: Bool[np.ndarray, "height width"],
+    other: Bool[np.ndarray, "height width"],
+) -> UInt8[np.ndarray, "32 32 32"]:
+    """Set of the colours that are more frequent on the cloth than elsewhere.
+
+    Two smoothed histograms are compared bin by bin (a likelihood ratio): `CORE` where cloth is
+    three times as frequent, `LOOSE` where it is more frequent.
+
+    Args:
+        color: colour picture, red first.
+        cloth: pixels that are cloth, nearly all.
+        other: pixels that are not, nearly all.
+    """
+    bins = bin_of(color)
+    inside, outside = (
+        gaussian_filter(
+            np.bincount(bins[chosen], minlength=BINS**3).reshape((BINS,) * 3).astype(np.float32),
+            0.8,
+            mode="nearest",
+        )
+        for chosen in (cloth, other)
+    )
+    seen = inside > 1e-5 * max(int(cloth.sum()), 1)
+    members = np.zeros((BINS,) * 3, dtype=np.uint8)
+    members[seen & (inside > outside)] = LOOSE
+    members[seen & (inside > 3 * outside)] = CORE
+    return members
+
+
+def bin_of(color: UInt8[np.ndarray, "height width 3"]) -> np.ndarray:
+    """Number of the table entry of every pixel."""
+    high = (color >> 3).astype(np.uint16)
+    return (high[..., 0] << 10) | (high[..., 1] << 5) | high[..., 2]
+
+
+def _spread(bounds: tuple[float, float], margin: float) -> tuple[float, float]:
+    return max(bounds[0] - margin, 0.0), min(bounds[1] + margin, 1.0)

@@ -1,0 +1,186 @@
+"""What a recording holds and what is wrong with it: the answer of `clothtrack inspect`."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from clothtrack.errors import ClothTrackError
+from clothtrack.recordings.pictures import read_depth
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.validation import check_recording
+from clothtrack.recordings.violation import Violation
+
+_LISTED = 20
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One thing that a recording holds, in words.
+
+    Attributes:
+        name: what ("frames").
+        value: how much or which ("50, from 0 to 2.45 s").
+    """
+
+    name: str
+    value: str
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What a recording holds and what is wrong with it.
+
+    Attributes:
+        folder: where it lies.
+        facts: what it holds; empty when it cannot be read.
+        notes: what is allowed but worth knowing before tracking.
+        violations: everything that is wrong; empty for a valid recording.
+    """
+
+    folder: Path
+    facts: tuple[Fact, ...]
+    notes: tuple[str, ...]
+    violations: tuple[Violation, ...]
+
+    @property
+    def valid(self) -> bool:
+        """Whether the recording can be read and tracked."""
+        return not self.violations
+
+    def text(self) -> str:
+        """The inspection for a person, at most some 40 lines."""
+        if self.violations:
+            count = len(self.violations)
+            lines = [f"{self.folder}: {count} thing{'s' if count > 1 else ''} to correct"]
+            lines += [f"  - {violation.message}" for violation in self.violations[:_LISTED]]
+            if count > _LISTED:
+                lines.append(f"  ... and {count - _LISTED} more")
+            return "\n".join(lines)
+        width = max(len(fact.name) for fact in self.facts)
+        lines = [f"{self.folder}: a valid recording"]
+        lines += [f"  {fact.name:<{width}}  {fact.value}" for fact in self.facts]
+        lines += [f"  note: {note}" for note in self.notes]
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, object]:
+        """The inspection for a program: strings, lists and dictionaries, as JSON holds them."""
+        return {
+            "folder": str(self.folder),
+            "valid": self.valid,
+            "facts": {fact.name: fact.value for fact in self.facts},
+            "notes": list(self.notes),
+            "violations": [asdict(violation) for violation in self.violations],
+        }
+
+
+def inspect(folder: Path) -> Inspection:
+    """Look through a recording: every picture is decoded, and the cloth looked for in frame 0."""
+    checked = check_recording(folder, thorough=True)
+    if checked.recording is None:
+        return Inspection(folder, (), (), checked.violations)
+    return Inspection(folder, _facts(checked.recording), _notes(checked.recording), ())
+
+
+def _facts(recording: Recording) -> tuple[Fact, ...]:
+    frames = recording.frames
+    facts = [
+        Fact("frames", f"{len(frames)}, from {frames[0].time_s:g} to {frames[-1].time_s:g} s"),
+        Fact("shown by", _kinds(recording)),
+    ]
+    for camera in recording.cameras:
+        pose = " ".join(f"{value:.3f}" for value in camera.position)
+        size = f"{camera.width} x {camera.height}, fx {camera.fx:.1f}, at ({pose}) m"
+        facts.append(Fact(f"camera {camera.name}", size))
+        facts += _depth_facts(recording, camera.name)
+    facts.append(Fact("table", _table(recording)))
+    facts.append(Fact("actions", _actions(recording)))
+    for name, path in recording.picker_paths.items():
+        span = f"{len(path.time_s)} samples, {path.time_s[0]:g} to {path.time_s[-1]:g} s"
+        facts.append(Fact(f"picker {name}", f"{span}, closed in {100 * path.closed.mean():.0f} %"))
+    facts.append(Fact("cloth", _cloth(recording)))
+    return tuple(facts)
+
+
+def _kinds(recording: Recording) -> str:
+    counts = {
+        "colour": sum(bool(frame.color) for frame in recording.frames),
+        "depth": sum(bool(frame.depth) for frame in recording.frames),
+        "masks": sum(bool(frame.mask) for frame in recording.frames),
+        "clouds": sum(frame.cloud is not None for frame in recording.frames),
+    }
+    total = len(recording.frames)
+    return ", ".join(
+        kind if count == total else f"{kind} ({count} of {total} frames)"
+        for kind, count in counts.items()
+        if count
+    )
+
+
+def _depth_facts(recording: Recording, name: str) -> list[Fact]:
+    first = next((frame for frame in recording.frames if name in frame.depth), None)
+    if first is None:
+        return []
+    depth = read_depth(first.depth[name], recording.depth_units_m[name])
+    measured = depth[depth > 0]
+    low, middle, high = np.percentile(measured, [1, 50, 99]).tolist()
+    share = 100 * measured.size / depth.size
+    spread = f"{low:.3f} to {high:.3f} m, median {middle:.3f} m, {share:.0f} % of the pixels"
+    return [Fact(f"depth {name}", spread)]
+
+
+def _table(recording: Recording) -> str:
+    if recording.table is None:
+        return "none: the cloth hangs"
+    point, normal = recording.table.point, recording.table.normal
+    tilt = np.degrees(np.arccos(np.clip(normal[2], -1, 1)))
+    return f"through ({point[0]:.3f} {point[1]:.3f} {point[2]:.3f}) m, tilted {tilt:.1f} degrees"
+
+
+def _actions(recording: Recording) -> str:
+    if not recording.actions:
+        return "none"
+    spans = [
+        f"{a.first_frame}-{a.last_frame} by {' + '.join(a.pickers)}" for a in recording.actions
+    ]
+    return f"{len(spans)}: {_joined(spans, 4)}"
+
+
+def _cloth(recording: Recording) -> str:
+    cloth = recording.cloth
+    parts = [cloth.kind]
+    if cloth.color:
+        parts.append(cloth.color)
+    if cloth.size_m:
+        parts.append(f"{cloth.size_m[0]:g} x {cloth.size_m[1]:g} m")
+    if cloth.template is not None:
+        parts.append(f"template of {cloth.template.vertex_count} vertices")
+    if cloth.held_vertices:
+        parts.append(f"held by {', '.join(cloth.held_vertices)}")
+    return ", ".join(parts)
+
+
+def _notes(recording: Recording) -> tuple[str, ...]:
+    notes = []
+    if not recording.actions:
+        notes.append("no actions: there is nothing that moves the cloth in the simulation")
+    if recording.cloth.template is None:
+        notes.append("no template: tracking needs a first mesh (cloth.template)")
+    try:
+        observation = observe(recording, recording.frames[0])
+    except ClothTrackError as error:
+        notes.append(f"the cloth is not found in frame 0: {error}")
+    else:
+        extent = np.ptp(observation.points, axis=0)
+        notes.append(
+            f"frame 0 shows {len(observation.points)} points of cloth at 4 mm, "
+            f"{extent[0]:.2f} x {extent[1]:.2f} x {extent[2]:.2f} m along x, y, z"
+        )
+    return tuple(notes)
+
+
+def _joined(words: Sequence[str], most: int) -> str:
+    more = f", and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + more

@@ -1,0 +1,203 @@
+"""Colour, depth, mask and cloud files: read whole or refused, never half a picture.
+
+OpenCV decodes a PNG that breaks off in the middle and leaves the rest black, which would be a
+silent hole in the cloth. So every file is walked chunk by chunk first.
+"""
+
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from clothtrack.errors import InvalidRecordingError
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+GREY = 0
+_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
+_TORN = "the file breaks off; copy or record it again"
+
+
+@dataclass(frozen=True)
+class PngHeader:
+    """What the first bytes of a PNG file say.
+
+    Attributes:
+        width: picture width [pixels].
+        height: picture height [pixels].
+        bits: bits per channel.
+        color_type: 0 grey, 2 colour, 3 palette, 4 grey with alpha, 6 colour with alpha.
+    """
+
+    width: int
+    height: int
+    bits: int
+    color_type: int
+
+
+def read_header(path: Path) -> PngHeader:
+    """Size and kind of a PNG file, from its first and last bytes only.
+
+    Raises:
+        InvalidRecordingError: the file is missing, not a PNG or breaks off.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(29)
+            file.seek(0, 2)
+            file.seek(max(file.tell() - len(_END), 0))
+            end = file.read()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    return _parse_header(path, start, end)
+
+
+def read_color(path: Path) -> UInt8[np.ndarray, "height width 3"]:
+    """Colour picture, red first.
+
+    Raises:
+        InvalidRecordingError: the file is missing, damaged or not an 8-bit PNG.
+    """
+    header, data = _read_png(path)
+    if header.bits > 8:
+        raise InvalidRecordingError(
+            f"{path}: a colour picture of {header.bits} bits per channel; write 8 bits"
+        )
+    picture = _decode(path, data, cv2.IMREAD_COLOR)
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
+
+
+def read_depth(path: Path, unit_m: float) -> Float[np.ndarray, "height width"]:
+    """Depth along the optical axis [m], float32; 0 where nothing was measured.
+
+    Args:
+        path: a 16-bit grey PNG.
+        unit_m: metres per unit of the file (0.001 for millimetres).
+
+    Raises:
+        InvalidRecordingError: the file is missing, damaged or not a 16-bit grey PNG.
+    """
+    header, data = _read_png(path)
+    if (header.bits, header.color_type) != (16, GREY):
+        raise InvalidRecordingError(
+            f"{path}: {depth_problem(header)}; write depth as one 16-bit grey channel"
+        )
+    return _decode(path, data, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(unit_m)
+
+
+def read_mask(path: Path) -> Bool[np.ndarray, "height width"]:
+    """Mask of the cloth: true where the picture is not black.
+
+    Raises:
+        InvalidRecordingError: the file is missing, damaged or not a grey PNG of at most 8 bits.
+    """
+    header, data = _read_png(path)
+    if header.bits > 8 or header.color_type != GREY:
+        raise InvalidRecordingError(
+            f"{path}: a mask of {header.bits} bits and PNG colour type {header.color_type}; "
+            "write one 8-bit grey channel, 255 on the cloth and 0 elsewhere"
+        )
+    return _decode(path, data, cv2.IMREAD_UNCHANGED) > 0
+
+
+def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
+    """Point cloud of one moment, world frame [m], from the array `points` of an npz file.
+
+    Raises:
+        InvalidRecordingError: the file is missing, damaged, or `points` is not (N, 3) and finite.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            points = np.asarray(file["points"])
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except KeyError as error:
+        raise InvalidRecordingError(
+            f"{path}: no array named 'points'; save it with np.savez(path, points=points)"
+        ) from error
+    except (ValueError, EOFError, TypeError, AttributeError, zlib.error) as error:
+        raise InvalidRecordingError(f"{path}: not a readable npz file ({error})") from error
+    except Exception as error:
+        # zipfile raises its own BadZipFile, and NotImplementedError for odd compressions.
+        raise InvalidRecordingError(f"{path}: not a readable npz file ({error})") from error
+    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
+        raise InvalidRecordingError(
+            f"{path}: points has shape {points.shape} and type {points.dtype}; "
+            "it must be (N, 3) numbers, metres in the world frame"
+        )
+    if not np.isfinite(points).all():
+        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+        raise InvalidRecordingError(
+            f"{path}: points[{row}] is {points[row].tolist()}; leave out what was not measured"
+        )
+    return points.astype(np.float64)
+
+
+def encode_png(picture: np.ndarray) -> bytes:
+    """PNG file of a grey (8 or 16 bits) or colour (8 bits, red first) picture; lossless.
+
+    Fast compression: a recording is written while the robot moves.
+    """
+    ordered = picture[..., ::-1] if picture.ndim == 3 else picture
+    done, data = cv2.imencode(
+        ".png", np.ascontiguousarray(ordered), [cv2.IMWRITE_PNG_COMPRESSION, 2]
+    )
+    assert done, "OpenCV refuses a picture whose shape and type were checked"
+    return data.tobytes()
+
+
+def depth_problem(header: PngHeader) -> str:
+    """Says in which way a PNG is not a depth picture."""
+    if header.color_type != GREY:
+        return f"a depth picture of PNG colour type {header.color_type} (colour, not grey)"
+    return f"a depth picture of {header.bits} bits"
+
+
+def _read_png(path: Path) -> tuple[PngHeader, bytes]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    header = _parse_header(path, data[:29], data[-len(_END) :])
+    position = len(SIGNATURE)
+    while position < len(data):
+        length = int.from_bytes(data[position : position + 4], "big")
+        stop = position + 8 + length
+        stored = data[stop : stop + 4]
+        if len(stored) < 4:
+            raise InvalidRecordingError(f"{path}: {_TORN}")
+        if zlib.crc32(memoryview(data)[position + 4 : stop]) != int.from_bytes(stored, "big"):
+            raise InvalidRecordingError(
+                f"{path}: the file is damaged at byte {position}; copy or record it again"
+            )
+        position = stop + 4
+    return header, data
+
+
+def _parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:
+    if not start.startswith(SIGNATURE):
+        problem = "the file is empty" if not start else "not a PNG file"
+        raise InvalidRecordingError(f"{path}: {problem}; write pictures as PNG")
+    if len(start) < 29 or end != _END:
+        raise InvalidRecordingError(f"{path}: {_TORN}")
+    return PngHeader(*struct.unpack(">IIBB", start[16:26]))
+
+
+def _decode(path: Path, data: bytes, flags: int) -> np.ndarray:
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise InvalidRecordingError(f"{path}: the picture cannot be decoded ({error.err})") from (
+            error
+        )
+    if picture is None:
+        raise InvalidRecordingError(f"{path}: the picture cannot be decoded; record it again")
+    return picture
+
+
+def _unreadable(path: Path, error: OSError) -> InvalidRecordingError:
+    problem = "the file is missing" if isinstance(error, FileNotFoundError) else str(error.strerror)
+    return InvalidRecordingError(f"{path}: {problem}; add the file or drop it from the recording")

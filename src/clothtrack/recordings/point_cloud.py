@@ -1,0 +1,257 @@
+"""What the cameras saw of the cloth in one frame: points, and where they were blind."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.pictures import read_cloud, read_color, read_depth
+from clothtrack.recordings.recording import Frame, Recording, Table
+from clothtrack.recordings.segmentation import (
+    HeightSegmenter,
+    MaskFolder,
+    Segmenter,
+    default_segmenter,
+    height_picture,
+    main_components,
+)
+
+CUT_MARGIN_M = 0.012
+TOOL_HEIGHT_M = 0.015
+_COLOR_BLIND = (HeightSegmenter, MaskFolder)
+_HALF_NEIGHBOURS = [
+    (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What was seen of the cloth in one frame.
+
+    Attributes:
+        points: points of the cloth in the world [m].
+        cameras: the cameras that may have seen it.
+        hidden: per camera name, the pixels where cloth could not have been seen: no depth was
+            measured, or a tool stands in front. Empty for recordings of clouds.
+        lowest_height_m: world height [m] under which points were cut away, or None.
+        tool_positions: tip of every picker in the world [m].
+        tool_clearance_m: radius around the tips [m] within which points were cut away.
+    """
+
+    points: Float[np.ndarray, "points 3"]
+    cameras: tuple[Camera, ...]
+    hidden: Mapping[str, Bool[np.ndarray, "height width"]]
+    lowest_height_m: float | None
+    tool_positions: Float[np.ndarray, "tools 3"]
+    tool_clearance_m: float
+
+    def silent(self, vertices: Float[np.ndarray, "vertices 3"]) -> Bool[np.ndarray, " vertices"]:
+        """True where a visible vertex may lack a point nearby without being in the wrong place.
+
+        So it is outside every picture or on a hidden pixel of those that it falls in, under the
+        cut or less than 12 mm above it, or inside the clearance of a tool. Whether cloth hides
+        cloth is another question: `clothtrack.geometry.visibility` answers it.
+        """
+        silent = np.ones(len(vertices), dtype=bool)
+        for camera in self.cameras:
+            silent &= ~_in_clear_view(vertices, camera, self.hidden.get(camera.name))
+        if self.lowest_height_m is not None:
+            silent |= vertices[:, 2] < self.lowest_height_m + CUT_MARGIN_M
+        for tip in self.tool_positions:
+            silent |= np.linalg.norm(vertices - tip, axis=1) < self.tool_clearance_m
+        return silent
+
+
+def observe(
+    recording: Recording,
+    frame: Frame,
+    segmenter: Segmenter | None = None,
+    *,
+    spacing_m: float | None = 0.004,
+    largest_component: bool = True,
+    drop_flying: bool = True,
+    stray_share: float = 0.04,
+) -> Observation:
+    """Points of the cloth in the world, from all cameras or from the frame's cloud.
+
+    Args:
+        recording: the recording.
+        frame: one of its frames.
+        segmenter: finds the cloth; left out, masks, colour hint or height do
+            (`default_segmenter`).
+        spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
+        largest_component: keep the largest connected part of each mask, and parts of at least a
+            quarter of its size.
+        drop_flying: drop pixels in mid-air between a surface and what lies behind it.
+        stray_share: clusters of less than this share of the points are dropped; 0 keeps all.
+
+    Raises:
+        InvalidRecordingError: a file cannot be read, or no cloth is found.
+    """
+    clouds: list[Float[np.ndarray, "points 3"]] = []
+    hidden: dict[str, Bool[np.ndarray, "height width"]] = {}
+    for camera in recording.cameras:
+        if camera.name in frame.depth:
+            depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
+            find = segmenter or default_segmenter(recording, frame, camera)
+            # Decoding a picture costs as much as everything else together.
+            looks = camera.name in frame.color and not isinstance(find, _COLOR_BLIND)
+            color = read_color(frame.color[camera.name]) if looks else None
+            mask = find(color, depth, camera, recording.table)
+            if largest_component:
+                mask = main_components(mask)
+            blind = depth == 0
+            if drop_flying:
+                blind |= flying_pixels(depth, camera.fx)
+            hidden[camera.name] = hidden_pixels(depth, mask, blind, camera, recording.table)
+            clouds.append(camera.back_project(depth, mask & ~blind))
+    if frame.cloud is not None:
+        # The recording's own merged cloud stands for all cameras.
+        clouds = [read_cloud(frame.cloud)]
+    points = np.concatenate(clouds) if clouds else np.zeros((0, 3))
+    if spacing_m is not None:
+        points = thin(points, spacing_m)
+    points = without_strays(points, stray_share, spacing_m=spacing_m or 0.0)
+    if not len(points):
+        raise InvalidRecordingError(
+            f"{recording.folder}: no cloth is found in frame {frame.index}; look at its mask "
+            "(or cloth.color) and whether the depth has measurements there"
+        )
+    tips = [path.position_at(frame.time_s) for path in recording.picker_paths.values()]
+    return Observation(
+        points=points,
+        cameras=recording.cameras,
+        hidden=hidden,
+        lowest_height_m=recording.observed.lowest_height_m,
+        tool_positions=np.array(tips, dtype=np.float64).reshape(-1, 3),
+        tool_clearance_m=recording.observed.tool_clearance_m,
+    )
+
+
+def flying_pixels(
+    depth_m: Float[np.ndarray, "height width"], focal_px: float
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels that mix two surfaces: depth climbs past them steeply, on both sides the same way.
+
+    Steep is more than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of
+    noise. A pixel on the rim of a surface has a jump on one side only, and stays.
+    """
+    steep = (6.0 / focal_px) * depth_m + 0.004
+    flying = np.zeros(depth_m.shape, dtype=bool)
+    for axis in (0, 1):
+        ahead, behind, middle = (
+            _along(axis, slice(2, None)), _along(axis, slice(None, -2)), _along(axis, slice(1, -1))
+        )  # fmt: skip
+        step_in = depth_m[middle] - depth_m[behind]
+        step_out = depth_m[ahead] - depth_m[middle]
+        limit = steep[middle]
+        climbs = (step_in > limit) & (step_out > limit) & (depth_m[behind] > 0)
+        falls = (step_in < -limit) & (step_out < -limit) & (depth_m[ahead] > 0)
+        flying[middle] |= climbs | falls
+    return flying
+
+
+def hidden_pixels(
+    depth_m: Float[np.ndarray, "height width"],
+    mask: Bool[np.ndarray, "height width"],
+    blind: Bool[np.ndarray, "height width"],
+    camera: Camera,
+    table: Table | None,
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels where cloth could not have been seen, with two pixels around them.
+
+    Those are the blind ones, and those that show neither cloth nor table but something that stands
+    more than 15 mm above the table: the tool. A blind spot under 3 x 3 pixels hides nothing: its
+    neighbours were measured. Without a table, what is outside the mask is background, measured or
+    not.
+    """
+    unseen = cv2.morphologyEx(blind.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))) > 0
+    if table is None:
+        unseen &= mask
+    else:
+        unseen |= ~mask & (depth_m > 0) & (height_picture(depth_m, camera, table) > TOOL_HEIGHT_M)
+    return cv2.dilate(unseen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+
+
+def thin(
+    points: Float[np.ndarray, "points 3"], spacing_m: float
+) -> Float[np.ndarray, "fewer_points 3"]:
+    """Mean of the points in every cube of the given side [m]."""
+    if not len(points):
+        return points
+    _, members, counts = np.unique(_cells(points, spacing_m), return_inverse=True,
+                                   return_counts=True)  # fmt: skip
+    sums = np.stack([np.bincount(members, axis) for axis in points.T], axis=1)
+    return sums / counts[:, None]
+
+
+def without_strays(
+    points: Float[np.ndarray, "points 3"],
+    share: float,
+    *,
+    link_m: float = 0.012,
+    spacing_m: float = 0.0,
+) -> Float[np.ndarray, "fewer_points 3"]:
+    """The points without clusters that hold less than a share of all.
+
+    Points are linked through cubes whose diagonal is `link_m` and which touch: points nearer than
+    0.58 `link_m` are always linked, points farther apart than 2 `link_m` never.
+
+    Args:
+        points: points [m].
+        share: share of the points that a cluster must hold.
+        link_m: distance [m] over which points belong together.
+        spacing_m: distance [m] of neighbouring points; cubes are never smaller than 1.5 of it.
+    """
+    if not len(points) or share <= 0:
+        return points
+    side = max(link_m / np.sqrt(3.0), 1.5 * spacing_m)
+    cells, members = np.unique(_cells(points, side), return_inverse=True)
+    first, second = [], []
+    for x, y, z in _HALF_NEIGHBOURS:
+        wanted = cells + ((x << 42) + (y << 21) + z)
+        place = np.minimum(np.searchsorted(cells, wanted), len(cells) - 1)
+        linked = np.flatnonzero(cells[place] == wanted)
+        first.append(linked)
+        second.append(place[linked])
+    rows, columns = np.concatenate(first), np.concatenate(second)
+    links = coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(len(cells),) * 2)
+    _, cluster = connected_components(links, directed=False)
+    cluster_of_point = cluster[members]
+    sizes = np.bincount(cluster_of_point)
+    return points[sizes[cluster_of_point] >= share * len(points)]
+
+
+def _cells(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
+    # 21 bits an axis, in the middle of their range: neighbours differ by a constant.
+    index = np.floor((points - points.mean(axis=0)) / side_m).astype(np.int64) + (1 << 20)
+    index = np.clip(index, 1, (1 << 21) - 2)
+    return (index[:, 0] << 42) | (index[:, 1] << 21) | index[:, 2]
+
+
+def _in_clear_view(
+    vertices: Float[np.ndarray, "vertices 3"],
+    camera: Camera,
+    hidden: Bool[np.ndarray, "height width"] | None,
+) -> Bool[np.ndarray, " vertices"]:
+    pixels, depth = camera.project(vertices)
+    with np.errstate(invalid="ignore"):
+        inside = (
+            (depth > 0)
+            & (pixels > -0.5).all(axis=1)
+            & (pixels < (camera.width - 0.5, camera.height - 0.5)).all(axis=1)
+        )
+    if hidden is not None:
+        columns, rows = np.rint(pixels[inside]).astype(np.int64).T
+        inside[inside] = ~hidden[rows, columns]
+    return inside
+
+
+def _along(axis: int, part: slice) -> tuple[slice, slice]:
+    return (part, slice(None)) if axis == 0 else (slice(None), part)

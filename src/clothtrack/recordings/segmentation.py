@@ -1,0 +1,369 @@
+"""Which pixels are cloth: by its colour, by its height above the table, or from masks on disk."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.colors import (
+    CORE,
+    LOOSE,
+    NAMED_COLORS,
+    bin_of,
+    learned_set,
+    named_set,
+)
+from clothtrack.recordings.pictures import read_mask
+from clothtrack.recordings.recording import Frame, Recording, Table
+
+_OPENING = np.ones((3, 3), np.uint8)
+_CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
+
+
+@runtime_checkable
+class Segmenter(Protocol):
+    """Anything that finds the cloth in a picture; yours may be a network."""
+
+    def __call__(
+        self,
+        color: UInt8[np.ndarray, "height width 3"] | None,
+        depth_m: Float[np.ndarray, "height width"],
+        camera: Camera,
+        table: Table | None,
+    ) -> Bool[np.ndarray, "height width"]:
+        """Mask of the cloth.
+
+        Args:
+            color: colour picture, red first, when the frame has one.
+            depth_m: depth [m], 0 where nothing was measured.
+            camera: the camera of both.
+            table: the table, when there is one.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ColorSegmenter:
+    """The cloth is what has its colours, with the height above the table as a second vote.
+
+    Make one with `from_name`, `from_click` or `from_box`.
+
+    Attributes:
+        members: per colour (five bits a channel) whether it is cloth: 2 surely, 1 perhaps, 0 no.
+        raised_m: a colour that is only perhaps cloth counts from this height above the table [m].
+        tool_gap_m: what stands nearer to the camera than the cloth around it by more than this
+            [m], and has another colour, is the tool and not a print on the cloth.
+        widest_share: more of the picture than this is never the cloth alone: the background has
+            its colour too, and height decides.
+    """
+
+    members: UInt8[np.ndarray, "32 32 32"]
+    raised_m: float = 0.006
+    tool_gap_m: float = 0.015
+    widest_share: float = 0.6
+
+    @classmethod
+    def from_name(cls, name: str) -> "ColorSegmenter":
+        """From a colour name such as "blue".
+
+        Raises:
+            InvalidConfigError: the name is unknown.
+        """
+        if name.lower() not in NAMED_COLORS:
+            raise InvalidConfigError(
+                f"the cloth's colour is {name!r}; known names: {', '.join(NAMED_COLORS)}"
+            )
+        return cls(named_set(name))
+
+    @classmethod
+    def from_box(
+        cls,
+        color: UInt8[np.ndarray, "height width 3"],
+        box: tuple[int, int, int, int],
+        *,
+        rounds: int = 2,
+    ) -> "ColorSegmenter":
+        """From a box around the cloth in one picture; what else is at its rim does no harm.
+
+        Colours are learned from the middle of the box against what is outside, then again from the
+        mask that they give.
+
+        Args:
+            color: colour picture, red first.
+            box: first column, first row, and the column and row after the last [pixels].
+            rounds: how often the colours are learned again.
+
+        Raises:
+            InvalidConfigError: the box is empty or leaves the picture, or nothing in it differs
+                from the outside.
+        """
+        left, top, right, bottom = box
+        height, width = color.shape[:2]
+        if not (0 <= left < right <= width and 0 <= top < bottom <= height):
+            raise InvalidConfigError(
+                f"the box {box} is not inside the picture of {width} x {height} pixels; "
+                "give left, top, right, bottom"
+            )
+        # The middle of the box is cloth; arms and background stand at its rim.
+        rim = (right - left) // 5, (bottom - top) // 5
+        middle = np.zeros((height, width), dtype=bool)
+        middle[top + rim[1] : bottom - rim[1], left + rim[0] : right - rim[0]] = True
+        outside = np.ones((height, width), dtype=bool)
+        outside[top:bottom, left:right] = False
+        return cls._learn(color, middle, outside, rounds=rounds)
+
+    @classmethod
+    def from_click(
+        cls,
+        color: UInt8[np.ndarray, "height width 3"],
+        column: int,
+        row: int,
+        *,
+        tolerance: float = 9.0,
+    ) -> "ColorSegmenter":
+        """From one click on a plain cloth; a printed one needs a box.
+
+        The even patch around the click is learned, and what looks like it.
+
+        Args:
+            color: colour picture, red first.
+            column: column of the click [pixels].
+            row: row of the click [pixels].
+            tolerance: how far a colour of the patch may be from the clicked one, in each of L, a
+                and b of CIE Lab (a unit is about a visible difference; L counts
+                half).
+
+        Raises:
+            InvalidConfigError: the click is outside the picture.
+        """
+        height, width = color.shape[:2]
+        if not (0 <= column < width and 0 <= row < height):
+            raise InvalidConfigError(
+                f"the click ({column}, {row}) is outside the picture of {width} x {height} pixels"
+            )
+        soft = cv2.GaussianBlur(color, (0, 0), 3.0)
+        lab = cv2.cvtColor(soft, cv2.COLOR_RGB2LAB)
+        region = np.zeros((height + 2, width + 2), np.uint8)
+        # OpenCV stretches L (0 to 100) over 0 to 255: 5 of its units are 2 of Lab.
+        reach = (tolerance * 2 * 2.55, tolerance, tolerance)
+        flags = 4 | (255 << 8) | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE
+        cv2.floodFill(lab, region, (column, row), (0, 0, 0), reach, reach, flags)
+        patch = region[1:-1, 1:-1] > 0
+        beyond = cv2.dilate(patch.astype(np.uint8), np.ones((9, 9), np.uint8)) == 0
+        return cls._learn(color, patch, beyond, rounds=1)
+
+    @classmethod
+    def _learn(
+        cls,
+        color: UInt8[np.ndarray, "height width 3"],
+        cloth: Bool[np.ndarray, "height width"],
+        other: Bool[np.ndarray, "height width"],
+        *,
+        rounds: int,
+    ) -> "ColorSegmenter":
+        members = learned_set(color, cloth, other)
+        for _ in range(rounds):
+            mask = main_components(_closed(_opened(members.ravel()[bin_of(color)] == CORE)))
+            if not mask.any():
+                break
+            members = learned_set(color, mask, ~mask)
+        if not (members == CORE).any():
+            raise InvalidConfigError(
+                "no colour of the cloth differs from the rest of the picture; "
+                "give masks, or a table so that height can decide"
+            )
+        return cls(members)
+
+    def __call__(
+        self,
+        color: UInt8[np.ndarray, "height width 3"] | None,
+        depth_m: Float[np.ndarray, "height width"],
+        camera: Camera,
+        table: Table | None,
+    ) -> Bool[np.ndarray, "height width"]:
+        """Mask of the cloth: its largest connected part and parts nearly as large.
+
+        Raises:
+            InvalidRecordingError: there is no colour picture, or the background has the cloth's
+                colours and there is no table to tell them apart.
+        """
+        if color is None:
+            raise InvalidRecordingError(
+                f"camera {camera.name!r}: there is no colour picture to find the cloth's colour "
+                "in; add color/ or mask/ files"
+            )
+        votes = self.members.ravel()[bin_of(color)]
+        accepted = votes == CORE
+        measured = depth_m > 0
+        if table is None:
+            near_core = cv2.dilate(accepted.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            accepted |= near_core & (votes == LOOSE)
+            heights = None
+        else:
+            heights = height_picture(depth_m, camera, table)
+            accepted |= (votes == LOOSE) & measured & (heights > self.raised_m)
+            accepted &= ~(measured & (heights < -0.03))
+        if accepted.mean() > self.widest_share:
+            if heights is None:
+                raise InvalidRecordingError(
+                    f"camera {camera.name!r}: the cloth's colours cover "
+                    f"{100 * accepted.mean():.0f} % of the picture (at most "
+                    f"{100 * self.widest_share:.0f} %), the background has them too; "
+                    "give mask/ files, or the table so that height can decide"
+                )
+            accepted &= measured & (heights > self.raised_m)
+        accepted = _opened(accepted)
+        return main_components(self._without_tool(_closed(accepted), accepted, depth_m))
+
+    def _without_tool(
+        self,
+        closed: Bool[np.ndarray, "height width"],
+        colored: Bool[np.ndarray, "height width"],
+        depth_m: Float[np.ndarray, "height width"],
+    ) -> Bool[np.ndarray, "height width"]:
+        # Gaps in the colour are prints, shine and the tool. A print lies at the depth of the
+        # cloth around it, the tool above.
+        window = _window(closed)
+        whole, closed, colored, depth_m = (closed, closed[window], colored[window], depth_m[window])
+        doubtful = closed & ~colored & (depth_m > 0)
+        weight = (colored & (depth_m > 0)).astype(np.float32)
+        size = (21, 21)
+        total = cv2.boxFilter(weight, -1, size, normalize=False)
+        around = cv2.boxFilter(weight * depth_m.astype(np.float32), -1, size, normalize=False)
+        nearer = depth_m * total < around - self.tool_gap_m * total
+        whole[window] &= ~(doubtful & (nearer | (total == 0)))
+        return whole
+
+
+@dataclass(frozen=True)
+class HeightSegmenter:
+    """The cloth is what stands out of the table: for plain tables with nothing else on them.
+
+    Attributes:
+        lowest_m: what is lower than this above the table is table [m]; above the depth noise, so
+            the flattest parts of a thin cloth are lost.
+    """
+
+    lowest_m: float = 0.004
+
+    def __call__(
+        self,
+        color: UInt8[np.ndarray, "height width 3"] | None,  # noqa: ARG002
+        depth_m: Float[np.ndarray, "height width"],
+        camera: Camera,
+        table: Table | None,
+    ) -> Bool[np.ndarray, "height width"]:
+        """Mask of the cloth: the largest raised part and parts nearly as large.
+
+        Raises:
+            InvalidRecordingError: there is no table.
+        """
+        if table is None:
+            raise InvalidRecordingError(
+                f"camera {camera.name!r}: no height without a table; add the field table, "
+                "cloth.color or mask/ files"
+            )
+        calm = cv2.medianBlur(depth_m.astype(np.float32), 3)
+        raised = (calm > 0) & (height_picture(calm, camera, table) > self.lowest_m)
+        return main_components(_closed(_opened(raised)) & (depth_m > 0))
+
+
+@dataclass(frozen=True)
+class MaskFolder:
+    """The cloth is what somebody marked: one mask file per camera name."""
+
+    files: Mapping[str, Path]
+
+    def __call__(
+        self,
+        color: UInt8[np.ndarray, "height width 3"] | None,  # noqa: ARG002
+        depth_m: Float[np.ndarray, "height width"],
+        camera: Camera,
+        table: Table | None,  # noqa: ARG002
+    ) -> Bool[np.ndarray, "height width"]:
+        """The mask as it stands in the file.
+
+        Raises:
+            InvalidRecordingError: the file is missing, damaged, empty or of another size.
+        """
+        if camera.name not in self.files:
+            raise InvalidRecordingError(f"camera {camera.name!r} has no mask; add its file")
+        path = self.files[camera.name]
+        mask = read_mask(path)
+        if mask.shape != depth_m.shape:
+            raise InvalidRecordingError(
+                f"{path}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels and the depth "
+                f"{depth_m.shape[1]} x {depth_m.shape[0]}; write masks of the same size"
+            )
+        if not mask.any():
+            raise InvalidRecordingError(
+                f"{path}: the mask is empty; paint the cloth white or delete the file"
+            )
+        return mask
+
+
+def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Segmenter:
+    """What finds the cloth when nothing was asked for: masks, else the colour hint, else height.
+
+    Raises:
+        InvalidRecordingError: the recording has nothing that tells the cloth from the rest.
+    """
+    if camera.name in frame.mask:
+        return MaskFolder(frame.mask)
+    if recording.cloth.color is not None and camera.name in frame.color:
+        return ColorSegmenter.from_name(recording.cloth.color)
+    if recording.table is not None:
+        return HeightSegmenter()
+    raise InvalidRecordingError(
+        f"{recording.folder}: nothing tells the cloth from the rest in frame {frame.index}, camera "
+        f"{camera.name!r}; add mask/ files, or cloth.color (with color/ files), or the table"
+    )
+
+
+def height_picture(
+    depth_m: Float[np.ndarray, "height width"], camera: Camera, table: Table
+) -> Float[np.ndarray, "height width"]:
+    """Height of every pixel above the table [m]; meaningless where the depth is 0."""
+    normal = camera.world_from_camera[:3, :3].T @ table.normal
+    columns = (np.arange(camera.width) - camera.cx) / camera.fx * normal[0]
+    rows = (np.arange(camera.height) - camera.cy) / camera.fy * normal[1]
+    per_meter = (columns[None, :] + (rows + normal[2])[:, None]).astype(np.float32)
+    return depth_m * per_meter + np.float32((camera.position - table.point) @ table.normal)
+
+
+def main_components(
+    mask: Bool[np.ndarray, "height width"], share: float = 0.25
+) -> Bool[np.ndarray, "height width"]:
+    """The largest connected part of a mask, and every part of at least `share` of its area.
+
+    A tool across the cloth cuts its picture into parts of similar size: they all stay.
+    """
+    kept = np.zeros_like(mask)
+    window = _window(mask)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        mask[window].view(np.uint8), connectivity=8, ltype=cv2.CV_32S
+    )
+    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    areas[0] = 0
+    kept[window] = ((areas > 0) & (areas >= share * areas.max()))[labels]
+    return kept
+
+
+def _window(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
+    """Smallest part of the picture that holds the mask; at least one pixel."""
+    column, row, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    return slice(row, row + max(height, 1)), slice(column, column + max(width, 1))
+
+
+def _opened(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _OPENING) > 0
+
+
+def _closed(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, _CLOSING) > 0

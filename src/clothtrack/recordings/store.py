@@ -1,0 +1,341 @@
+"""Recordings on disk: read one, or write one frame by frame while it happens."""
+
+import errno
+import io
+import json
+import math
+import re
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from clothtrack.errors import InvalidRecordingError, StorageError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.document import DOCUMENT, VERSION
+from clothtrack.recordings.frame_files import conventional_name
+from clothtrack.recordings.picker_table import picker_text
+from clothtrack.recordings.pictures import (
+    encode_png,
+    read_cloud,
+    read_color,
+    read_depth,
+    read_mask,
+)
+from clothtrack.recordings.recording import (
+    ClothDescription,
+    ObservedRegion,
+    PickerPath,
+    Recording,
+    Table,
+)
+from clothtrack.recordings.template import canonical_text, obj_text
+from clothtrack.recordings.validation import PICKER_FILE, check_recording
+
+TEMPLATE_FILE = "template.obj"
+CANONICAL_FILE = "template_canonical.csv"
+
+
+def read_recording(folder: Path) -> Recording:
+    """Read the recording in a folder; pictures stay on disk.
+
+    Raises:
+        InvalidRecordingError: with the first violation and how many there are
+            (`clothtrack.recordings.inspection.inspect` gives all).
+    """
+    checked = check_recording(folder)
+    if checked.recording is None:
+        first, *more = checked.violations
+        rest = f" (and {len(more)} more: clothtrack inspect {folder})" if more else ""
+        raise InvalidRecordingError(f"{folder}: {first.message}{rest}")
+    return checked.recording
+
+
+def write_recording(recording: Recording, folder: Path) -> Recording:
+    """Write a recording to another folder, pictures included, and read it back.
+
+    Raises:
+        StorageError: the folder exists or the disk refuses.
+        InvalidRecordingError: a picture cannot be read.
+    """
+    with RecordingWriter(
+        folder,
+        recording.cameras,
+        recording.depth_units_m,
+        table=recording.table,
+        cloth=recording.cloth,
+        observed=recording.observed,
+        provenance=recording.provenance,
+    ) as writer:
+        for frame in recording.frames:
+            writer.add_frame(
+                frame.time_s,
+                color={name: read_color(path) for name, path in frame.color.items()},
+                depth={
+                    name: read_depth(path, recording.depth_units_m[name])
+                    for name, path in frame.depth.items()
+                },
+                mask={name: read_mask(path) for name, path in frame.mask.items()},
+                cloud=None if frame.cloud is None else read_cloud(frame.cloud),
+            )
+        for action in recording.actions:
+            writer.add_action(action.first_frame, action.last_frame, action.pickers)
+        for name, path in recording.picker_paths.items():
+            writer.set_picker_path(name, path)
+    return read_recording(folder)
+
+
+class RecordingWriter:
+    """Writes a recording frame by frame: all of it appears under its name, or nothing.
+
+    Use it in a `with` block. Files go to a hidden folder beside the target as they come; when the
+    block ends well they are checked and the folder is renamed; when it raises, they are removed.
+    A process that is killed leaves only the hidden folder `.NAME.….partial`.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        cameras: Sequence[Camera],
+        depth_units_m: Mapping[str, float],
+        *,
+        table: Table | None = None,
+        cloth: ClothDescription | None = None,
+        observed: ObservedRegion | None = None,
+        provenance: Mapping[str, object] | None = None,
+    ) -> None:
+        """Make the hidden folder.
+
+        Args:
+            folder: where the recording is to lie; must not exist.
+            cameras: every camera.
+            depth_units_m: metres per unit of the depth files, per camera name.
+            table: the table, or None when the cloth hangs.
+            cloth: what is known of the cloth, with its template.
+            observed: where data was cut away.
+            provenance: who made it, how; anything that JSON can hold.
+
+        Raises:
+            StorageError: the folder exists or cannot be made.
+        """
+        self._folder = Path(folder).absolute()
+        self._cameras = {camera.name: camera for camera in cameras}
+        self._units = dict(depth_units_m)
+        self._table = table
+        self._cloth = cloth or ClothDescription()
+        self._observed = observed or ObservedRegion()
+        self._provenance = dict(provenance or {})
+        self._frames: list[dict[str, Any]] = []
+        self._actions: list[dict[str, Any]] = []
+        self._paths: dict[str, PickerPath] = {}
+        if self._folder.exists():
+            raise StorageError(f"{folder} exists; delete it or write to another name")
+        mark = f".{self._folder.name}.{uuid.uuid4().hex[:8]}.partial"
+        self._partial = self._folder.with_name(mark)
+        with storage(self._partial):
+            self._partial.mkdir(parents=True)
+
+    def __enter__(self) -> "RecordingWriter":
+        """The writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Finish the recording, or remove what was written when the block raised.
+
+        Raises:
+            InvalidRecordingError: what was written is no valid recording.
+            StorageError: the disk refuses.
+        """
+        try:
+            if kind is None:
+                self._finish()
+        finally:
+            shutil.rmtree(self._partial, ignore_errors=True)
+
+    def add_frame(
+        self,
+        time_s: float,
+        *,
+        color: Mapping[str, UInt8[np.ndarray, "_ _ 3"]] | None = None,
+        depth: Mapping[str, Float[np.ndarray, "_ _"]] | None = None,
+        mask: Mapping[str, Bool[np.ndarray, "_ _"]] | None = None,
+        cloud: Float[np.ndarray, "points 3"] | None = None,
+    ) -> None:
+        """Write one frame.
+
+        Args:
+            time_s: time since the start [s], after the frame before.
+            color: per camera name, 8-bit picture, red first.
+            depth: per camera name, depth [m]; what is not finite, not positive or beyond 65,535
+                units is written as 0, no measurement.
+            mask: per camera name, mask of the cloth.
+            cloud: points of the cloth in the world [m].
+
+        Raises:
+            InvalidRecordingError: a camera is unknown, a picture has another size, the time does
+                not advance.
+            StorageError: the disk refuses.
+        """
+        index = len(self._frames)
+        if self._frames and not time_s > self._frames[-1]["time_s"]:
+            raise InvalidRecordingError(
+                f"frame {index}: time_s is {time_s}, not after {self._frames[-1]['time_s']}; "
+                "write frames in order of time"
+            )
+        if not math.isfinite(time_s):
+            raise InvalidRecordingError(f"frame {index}: time_s is {time_s}; write seconds")
+        entry: dict[str, Any] = {"index": index, "time_s": float(time_s)}
+        files: dict[str, bytes] = {}
+        for kind, shown in (("color", color), ("depth", depth), ("mask", mask)):
+            names: dict[str, str] = {}
+            for name, picture in (shown or {}).items():
+                self._check_size(index, name, picture)
+                single = len(self._cameras) == 1
+                file = conventional_name(kind, index, None if single else name)
+                files[file] = encode_png(self._stored(kind, name, picture))
+                names[name] = file
+            if names:
+                entry[kind] = next(iter(names.values())) if len(self._cameras) == 1 else names
+        if cloud is not None:
+            entry["cloud"] = conventional_name("cloud", index)
+            buffer = io.BytesIO()
+            np.savez_compressed(buffer, points=cloud)
+            files[entry["cloud"]] = buffer.getvalue()
+        for file, data in files.items():
+            self._write(file, data)
+        self._frames.append(entry)
+
+    def add_action(self, first_frame: int, last_frame: int, pickers: Sequence[str]) -> None:
+        """Note a pick-and-place; `last_frame` belongs to it."""
+        self._actions.append(
+            {"first_frame": first_frame, "last_frame": last_frame, "pickers": list(pickers)}
+        )
+
+    def set_picker_path(self, name: str, path: PickerPath) -> None:
+        """Note where a picker's tip was during the whole recording."""
+        if not name or not re.fullmatch(r"[^\s,\"]+", name):
+            raise InvalidRecordingError(
+                f"picker {name!r}: a picker's name has no spaces, commas or quotes; rename it"
+            )
+        self._paths[name] = path
+
+    def _check_size(self, index: int, name: str, picture: np.ndarray) -> None:
+        camera = self._cameras.get(name)
+        if camera is None:
+            raise InvalidRecordingError(
+                f"frame {index}: there is no camera {name!r}; cameras: {', '.join(self._cameras)}"
+            )
+        height, width = picture.shape[:2]
+        if (width, height) != (camera.width, camera.height):
+            raise InvalidRecordingError(
+                f"frame {index}: a picture of {width} x {height} pixels from camera {name!r} of "
+                f"{camera.width} x {camera.height}; resize the picture or correct the camera"
+            )
+
+    def _stored(self, kind: str, name: str, picture: np.ndarray) -> np.ndarray:
+        if kind == "mask":
+            return picture.astype(np.uint8) * 255
+        if kind == "color":
+            return picture
+        if name not in self._units:
+            raise InvalidRecordingError(f"camera {name!r} has depth; give depth_units_m for it")
+        units = np.rint(np.nan_to_num(picture, nan=0.0, posinf=0.0) / self._units[name])
+        return np.where((units > 0) & (units <= 65535), units, 0).astype(np.uint16)
+
+    def _write(self, file: str, data: bytes) -> None:
+        path = self._partial / file
+        with storage(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+
+    def _finish(self) -> None:
+        template = self._cloth.template
+        if template is not None:
+            self._write(TEMPLATE_FILE, obj_text(template).encode())
+            if template.canonical is not None:
+                self._write(CANONICAL_FILE, canonical_text(template.canonical).encode())
+        if self._paths:
+            self._write(PICKER_FILE, picker_text(self._paths).encode())
+        text = json.dumps(self._document(), indent=1, ensure_ascii=False, allow_nan=False)
+        self._write(DOCUMENT, text.encode())
+        checked = check_recording(self._partial)
+        if checked.recording is None:
+            raise InvalidRecordingError(f"{self._folder}: {checked.violations[0].message}")
+        with storage(self._folder):
+            self._partial.rename(self._folder)
+
+    def _document(self) -> dict[str, Any]:
+        document: dict[str, Any] = {
+            "version": VERSION,
+            "cameras": [self._camera_entry(camera) for camera in self._cameras.values()],
+            "frames": self._frames,
+            "actions": self._actions,
+            "cloth": _cloth_entry(self._cloth),
+            "observed": {
+                "lowest_height_m": self._observed.lowest_height_m,
+                "tool_clearance_m": self._observed.tool_clearance_m,
+            },
+            "provenance": self._provenance,
+        }
+        if self._table is not None:
+            document["table"] = {
+                "point": self._table.point.tolist(),
+                "normal": self._table.normal.tolist(),
+            }
+        return document
+
+    def _camera_entry(self, camera: Camera) -> dict[str, Any]:
+        entry: dict[str, Any] = {
+            name: getattr(camera, name)
+            for name in ("name", "width", "height", "fx", "fy", "cx", "cy")
+        }
+        entry["world_from_camera"] = camera.world_from_camera.tolist()
+        if camera.name in self._units:
+            entry["depth_unit_m"] = self._units[camera.name]
+        return entry
+
+
+@contextmanager
+def storage(path: Path) -> Iterator[None]:
+    """Turns what the disk refuses into a `StorageError` that names the file and the remedy."""
+    remedies = {
+        errno.ENOSPC: "the disk is full; free space or write elsewhere",
+        errno.EDQUOT: "the disk quota is used up; free space or write elsewhere",
+        errno.EACCES: "not allowed to write there; choose another folder",
+        errno.EROFS: "the disk is read-only; choose another folder",
+        errno.EEXIST: "it exists; delete it or write to another name",
+        errno.ENOTEMPTY: "it exists; delete it or write to another name",
+    }
+    try:
+        yield
+    except OSError as error:
+        reason = remedies.get(error.errno or 0, f"{error.strerror}; check the disk")
+        raise StorageError(f"{path}: {reason}") from error
+
+
+def _cloth_entry(cloth: ClothDescription) -> dict[str, Any]:
+    entry: dict[str, Any] = {"kind": cloth.kind}
+    if cloth.color is not None:
+        entry["color"] = cloth.color
+    if cloth.size_m is not None:
+        entry["size_m"] = list(cloth.size_m)
+    if cloth.template is not None:
+        entry["template"] = TEMPLATE_FILE
+        if cloth.template.canonical is not None:
+            entry["template_canonical"] = CANONICAL_FILE
+    if cloth.held_vertices:
+        entry["held_vertices"] = {
+            name: np.asarray(held).tolist() for name, held in cloth.held_vertices.items()
+        }
+    return entry

@@ -1,0 +1,144 @@
+"""The first mesh of a recording: a Wavefront OBJ file whose vertex order is kept."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.errors import InvalidMeshError, InvalidRecordingError
+from clothtrack.geometry.mesh import ClothMesh
+
+CANONICAL_COLUMNS = ("x_m", "y_m", "z_m")
+
+
+def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
+    """Mesh of an OBJ file [m]; polygons are cut into fans, vertices keep order and number.
+
+    Only `v` and `f` lines count. Vertices that lie at the same place are refused and not merged:
+    merging would renumber them, and vertex 17 must stay vertex 17.
+
+    Args:
+        path: the OBJ file.
+        canonical: CSV file of one canonical coordinate (x_m, y_m, z_m) per vertex, in order.
+
+    Raises:
+        InvalidRecordingError: a file is missing or has text where a number belongs.
+        InvalidMeshError: the mesh cannot be a cloth.
+    """
+    vertices: list[list[float]] = []
+    faces: list[list[int]] = []
+    for number, line in enumerate(_lines(path), start=1):
+        words = line.split()
+        if words and words[0] in {"v", "f"}:
+            try:
+                if words[0] == "v":
+                    vertices.append(_vertex(words[1:]))
+                else:
+                    faces.extend(_fan(words[1:], len(vertices)))
+            except ValueError as error:
+                raise InvalidRecordingError(
+                    f"{path}: line {number} is {line.strip()[:60]!r}: {error}; re-export the mesh"
+                ) from error
+    positions = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    try:
+        mesh = ClothMesh(positions, np.array(faces, dtype=np.int32).reshape(-1, 3))
+    except InvalidMeshError as error:
+        raise InvalidMeshError(f"{path}: {error}") from error
+    _refuse_loose_duplicates(path, positions)
+    if canonical is None:
+        return mesh
+    coordinates = read_canonical(canonical)
+    if len(coordinates) != len(positions):
+        raise InvalidRecordingError(
+            f"{canonical}: {len(coordinates)} canonical coordinates for {len(positions)} vertices "
+            f"of {path.name}; write one row per vertex, in the same order"
+        )
+    return replace(mesh, canonical=coordinates)
+
+
+def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
+    """Canonical coordinates [m] of a CSV file with the columns x_m, y_m, z_m, a row per vertex.
+
+    Raises:
+        InvalidRecordingError: the file is missing, a column is, or a field is no number.
+    """
+    lines = [line for line in _lines(path) if line.strip()]
+    head = tuple(word.strip() for word in lines[0].split(",")) if lines else ()
+    if head != CANONICAL_COLUMNS:
+        raise InvalidRecordingError(
+            f"{path}: the first line is {','.join(head)!r}; it must be 'x_m,y_m,z_m'"
+        )
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            rows.append(_vertex(line.split(",")))
+        except ValueError as error:
+            raise InvalidRecordingError(f"{path}: line {number}: {error}; write metres") from error
+        if not np.isfinite(rows[-1]).all():
+            raise InvalidRecordingError(f"{path}: line {number} is {rows[-1]}; write metres")
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def obj_text(mesh: ClothMesh) -> str:
+    """The OBJ file of a mesh; every digit of every coordinate, so that reading gives it back."""
+    return "".join(
+        [f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
+        + [f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist()]
+    )
+
+
+def canonical_text(canonical: Float[np.ndarray, "vertices 3"]) -> str:
+    """The CSV file of canonical coordinates [m]."""
+    rows = [f"{x!r},{y!r},{z!r}\n" for x, y, z in canonical.astype(np.float64).tolist()]
+    return "".join([",".join(CANONICAL_COLUMNS) + "\n", *rows])
+
+
+def held_problem(held: Int[np.ndarray, " held"], vertex_count: int) -> str | None:
+    """Says which held vertex the template does not have; None when all exist."""
+    outside = held[(held < 0) | (held >= vertex_count)]
+    if not len(outside):
+        return None
+    return f"vertex {outside[0]} is not in the template (0 to {vertex_count - 1})"
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise InvalidRecordingError(
+            f"{path}: {error.strerror}; add the file or drop it from the recording"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise InvalidRecordingError(f"{path}: not a text file; write UTF-8") from error
+
+
+def _vertex(words: list[str]) -> list[float]:
+    if len(words) < 3:
+        raise ValueError(f"{len(words)} numbers where x, y, z belong")
+    return [float(word) for word in words[:3]]
+
+
+def _fan(words: list[str], count: int) -> list[list[int]]:
+    # OBJ counts from 1, or from the end with negative numbers; "3/1/2" also names uv and normal.
+    named = [int(word.split("/")[0]) for word in words]
+    if len(named) < 3:
+        raise ValueError("a face needs at least three vertices")
+    if 0 in named:
+        raise ValueError("OBJ vertices are counted from 1, so there is no vertex 0")
+    corners = [index - 1 if index > 0 else count + index for index in named]
+    return [[corners[0], b, c] for b, c in pairwise(corners[1:])]
+
+
+def _refuse_loose_duplicates(path: Path, positions: Float[np.ndarray, "vertices 3"]) -> None:
+    order = np.lexsort(positions.T)
+    ranked = positions[order]
+    same = np.flatnonzero((ranked[1:] == ranked[:-1]).all(axis=1))
+    if len(same):
+        first, second = sorted(order[same[0] : same[0] + 2].tolist())
+        raise InvalidMeshError(
+            f"{path}: vertices {first} and {second} lie at the same place "
+            f"({len(same)} such pairs): the cloth would fall apart there; "
+            "merge them (in Blender: merge by distance)"
+        )

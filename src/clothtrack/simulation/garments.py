@@ -1,0 +1,231 @@
+"""Flat garments as meshes of any size: a towel and a two-layer T-shirt.
+
+Canonical coordinates do not depend on the triangulation: two meshes of one garment agree on which
+material point is which, however many vertices each of them has.
+"""
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation.triangulation import (
+    Piece,
+    Span,
+    distance_to_polyline,
+    triangulate,
+)
+
+GarmentKind = Literal["towel", "tshirt"]
+TowelPattern = Literal["alternating", "regular", "random"]
+
+DEFAULT_SIZES_M: dict[str, tuple[float, float]] = {"towel": (0.3, 0.3), "tshirt": (0.5, 0.45)}
+"""Width and length [m] of each kind of garment when none is asked for."""
+
+SEAM_TAPER_M = 0.02
+"""Distance [m] from a seam over which the two layers of a flat garment reach their full gap."""
+
+
+def towel(
+    width_m: float = 0.3,
+    length_m: float = 0.3,
+    spacing_m: float = 0.01,
+    *,
+    pattern: TowelPattern = "alternating",
+    seed: int = 0,
+) -> ClothMesh:
+    """A rectangle in the plane z = 0, centred at the origin.
+
+    Args:
+        width_m: extent along x [m].
+        length_m: extent along y [m].
+        spacing_m: length of an edge [m]; the nearest whole number of edges fits each side.
+        pattern: "regular" cuts every grid cell along the same diagonal, "alternating" along the
+            other one in every second cell, "random" is a turned triangular lattice.
+        seed: turns and shifts the lattice of "random".
+
+    Raises:
+        InvalidConfigError: when the spacing does not fit the size.
+    """
+    _check_size(width_m, length_m, spacing_m)
+    if pattern == "random":
+        x, y = width_m / 2.0, length_m / 2.0
+        corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y], [-x, -y]])
+        spans = [Span(corners[k : k + 2]) for k in range(4)]
+        piece = triangulate(spans, spacing_m, seed)
+        points, faces = piece.points, piece.faces
+    else:
+        columns, rows = (max(1, round(size / spacing_m)) for size in (width_m, length_m))
+        grid_x, grid_y = np.meshgrid(
+            np.linspace(-0.5, 0.5, columns + 1) * width_m,
+            np.linspace(-0.5, 0.5, rows + 1) * length_m,
+        )
+        points = np.stack([grid_x.ravel(), grid_y.ravel()], axis=1)
+        index = np.arange(len(points), dtype=np.int32).reshape(rows + 1, columns + 1)
+        a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
+        d, c = index[1:, :-1].ravel(), index[1:, 1:].ravel()
+        rising = np.stack([a, b, c, a, c, d], axis=1)
+        falling = np.stack([a, b, d, b, c, d], axis=1)
+        row, column = np.divmod(np.arange(len(a)), columns)
+        odd = ((row + column) % 2 == 1) & (pattern == "alternating")
+        faces = np.where(odd[:, None], falling, rising).reshape(-1, 3)
+    vertices = np.column_stack([points, np.zeros(len(points))])
+    return ClothMesh(vertices, faces, vertices.copy())
+
+
+def tshirt(
+    width_m: float = 0.5,
+    length_m: float = 0.45,
+    spacing_m: float = 0.01,
+    *,
+    layer_gap_m: float = 0.004,
+    seed: int = 0,
+) -> ClothMesh:
+    """A T-shirt lying flat: front layer above the back layer, sewn at shoulders and sides.
+
+    Hem, cuffs and neck are open; the neck is cut deeper in front. Lies around z = 0, centred at
+    the origin, neck towards +y. Canonical coordinates are the flat (x, y) and an inflated
+    height that is positive on the front, negative on the back and zero on the seams.
+
+    Args:
+        width_m: from cuff to cuff [m].
+        length_m: from hem to shoulder [m].
+        spacing_m: length of an edge [m].
+        layer_gap_m: distance of the layers [m] away from the seams.
+        seed: turns and shifts the lattice of each layer.
+
+    Raises:
+        InvalidConfigError: when the spacing does not fit the size.
+    """
+    _check_size(width_m, length_m, spacing_m)
+    outline_front = _tshirt_outline(width_m, length_m, neck_depth=0.10)
+    outline_back = _tshirt_outline(width_m, length_m, neck_depth=0.03)
+    front = triangulate(outline_front, spacing_m, 2 * seed)
+    back = triangulate(outline_back, spacing_m, 2 * seed + 1)
+
+    points, faces, side = _sewn_together(front, back)
+    seams = [span.points for span in outline_front if span.sewn]
+    from_seam = np.min([distance_to_polyline(points, seam) for seam in seams], axis=0)
+    gap = 0.5 * layer_gap_m * _rounded(from_seam / SEAM_TAPER_M)
+    inflated = 0.12 * width_m * _rounded(from_seam / (0.25 * width_m))
+    return ClothMesh(
+        np.column_stack([points, side * gap]), faces, np.column_stack([points, side * inflated])
+    )
+
+
+def garment(
+    kind: GarmentKind,
+    *,
+    vertex_count: int = 1000,
+    size_m: tuple[float, float] | None = None,
+    pattern: TowelPattern = "alternating",
+    seed: int = 0,
+) -> ClothMesh:
+    """A flat garment with about the wanted number of vertices (within some 8 %).
+
+    Args:
+        kind: "towel" or "tshirt".
+        vertex_count: wanted number of vertices.
+        size_m: width and length [m]; the usual size of the kind when None.
+        pattern: triangulation of a towel.
+        seed: turns and shifts the triangulation, where it has a free turn.
+
+    Raises:
+        InvalidConfigError: for another kind, or a count that the size cannot have.
+    """
+    if kind not in DEFAULT_SIZES_M:
+        raise InvalidConfigError(
+            f"kind is {kind!r}; known garments are {', '.join(DEFAULT_SIZES_M)}"
+        )
+    width, length = size_m or DEFAULT_SIZES_M[kind]
+    make: Callable[[float], ClothMesh]
+    if kind == "towel":
+        layers = 1.0
+
+        def make(spacing: float) -> ClothMesh:
+            return towel(width, length, spacing, pattern=pattern, seed=seed)
+    else:
+        layers = 1.2
+
+        def make(spacing: float) -> ClothMesh:
+            return tshirt(width, length, spacing, seed=seed)
+
+    spacing = float(np.sqrt(layers * width * length / vertex_count))
+    best = make(spacing)
+    for _ in range(6):
+        candidate = make(spacing)
+        if abs(candidate.vertex_count - vertex_count) < abs(best.vertex_count - vertex_count):
+            best = candidate
+        if abs(candidate.vertex_count / vertex_count - 1.0) < 0.02:
+            break
+        spacing *= float(np.sqrt(candidate.vertex_count / vertex_count))
+    return best
+
+
+def _check_size(width_m: float, length_m: float, spacing_m: float) -> None:
+    if not 0.0 < spacing_m <= min(width_m, length_m) / 4.0:
+        raise InvalidConfigError(
+            f"spacing_m is {spacing_m:.4g} for a garment of {width_m:.4g} m x {length_m:.4g} m; "
+            f"it must be above 0 and at most a quarter of the shorter side"
+        )
+
+
+def _rounded(share: Float[np.ndarray, " vertices"]) -> Float[np.ndarray, " vertices"]:
+    """A quarter circle: 0 at 0, upright there, level at 1 and beyond."""
+    rest = 1.0 - np.minimum(share, 1.0)
+    return np.sqrt(1.0 - rest**2)
+
+
+def _tshirt_outline(width: float, length: float, neck_depth: float) -> list[Span]:
+    """The outline of one layer, counter-clockwise from the left end of the hem.
+
+    Proportions are those of an ordinary shirt: body three fifths of the width from cuff to cuff,
+    sleeves sloping downwards.
+    """
+    top = length / 2.0
+    right = {
+        "hem": (0.30 * width, -top),
+        "armpit": (0.30 * width, top - 0.32 * length),
+        "cuff_below": (0.42 * width, top - 0.42 * length),
+        "cuff_above": (0.50 * width, top - 0.22 * length),
+        "shoulder": (0.27 * width, top - 0.06 * length),
+        "neck": (0.11 * width, top),
+    }
+    left = {name: (-x, y) for name, (x, y) in right.items()}
+    turn = np.linspace(0.0, np.pi, 65)
+    neck = np.stack(
+        [right["neck"][0] * np.cos(turn), top - neck_depth * length * np.sin(turn)], axis=1
+    )
+
+    def line(start: tuple[float, float], end: tuple[float, float], *, sewn: bool = True) -> Span:
+        return Span(np.array([start, end]), sewn=sewn)
+
+    climb = list(right)
+    is_cuff = ("cuff_below", "cuff_above")
+    up = [line(right[a], right[b], sewn=(a, b) != is_cuff) for a, b in pairwise(climb)]
+    down = [line(left[b], left[a], sewn=(a, b) != is_cuff) for a, b in pairwise(climb)]
+    return [line(left["hem"], right["hem"], sewn=False), *up, Span(neck), *down[::-1]]
+
+
+def _sewn_together(
+    front: Piece, back: Piece
+) -> tuple[
+    Float[np.ndarray, "vertices 2"], Int[np.ndarray, "faces 3"], Float[np.ndarray, " vertices"]
+]:
+    """Join two pieces at their sewn vertices, which both list in the same order.
+
+    Returns the points [m], the faces (outward on both layers) and the side of each vertex:
+    +1 front, -1 back, 0 on a seam.
+    """
+    own = np.flatnonzero(~back.sewn)
+    index = np.empty(len(back.points), dtype=np.int32)
+    index[back.sewn] = np.flatnonzero(front.sewn)
+    index[own] = len(front.points) + np.arange(len(own))
+    points = np.concatenate([front.points, back.points[own]])
+    faces = np.concatenate([front.faces, index[back.faces][:, ::-1]]).astype(np.int32)
+    side = np.concatenate([np.where(front.sewn, 0.0, 1.0), np.full(len(own), -1.0)])
+    return points, faces, side

@@ -1,0 +1,124 @@
+"""The whole configuration of a tracking run, and the named modes that the tables compare."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.simulation.dynamics import DynamicsConfig
+from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.tracking.alignment import AlignmentConfig
+from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig
+from clothtrack.tracking.line_search import LineSearchConfig
+from clothtrack.tracking.picking import PickingConfig
+
+
+def _default_parameters() -> dict[str, float]:
+    return {
+        "stretch_compliance": 0.0,
+        "bend_compliance": 1.0,
+        "table_friction": 0.5,
+        "particle_friction": 0.5,
+        "grasp_offset_x_m": 0.0,
+        "grasp_offset_y_m": 0.0,
+        "grasp_offset_z_m": 0.0,
+    }
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """Everything that decides how a recording is tracked.
+
+    Attributes:
+        use_pseudo_action: correct the dynamics at every frame (paper: full method). Without it the
+            dynamics run open loop inside an action ("No Pseudo Act").
+        use_dynamics_initialisation: start the alignment from the dynamics' prediction; without it
+            from the last mesh ("No Dyn Init").
+        use_action: give the picker's motion to the dynamics, and calibrate ("No Act Cond").
+        use_final_alignment: align once more at the end of an action ("No TTO2").
+        attachment_strength: 1 holds the attached vertices at their targets ("held", the paper's
+            pseudo-action); less pulls them there inside the solver loop ("soft"), so that
+            contacts, stretch and table win over the observation.
+        attach_observed_only: attach only vertices that the sensor could have contradicted; the
+            paper attaches every visible vertex.
+        minimum_observed: least share of vertices that must be seen, and least cloud points per
+            vertex, for a correction; below it the frame's prediction stands.
+        score_frames: frames of an action at which calibration compares clouds, evenly spaced and
+            ending with the last; 1 in the paper.
+        visibility_width: width [pixels] of the z-buffer that decides visibility.
+        visibility_tolerance_m: how far [m] behind the z-buffer's surface a vertex still counts as
+            visible; below the distance of two layers.
+        parameters: cloth parameters and grasp offset before any calibration.
+        calibration: what is searched per action.
+        alignment: test-time optimisation at every frame (TTO1).
+        final_alignment: test-time optimisation at the end of an action (TTO2).
+        line_search: when a pseudo-action is too much.
+        picking: how a picker takes hold.
+        dynamics: how a frame is cut into simulator steps.
+        solver: the cloth simulator.
+    """
+
+    use_pseudo_action: bool = True
+    use_dynamics_initialisation: bool = True
+    use_action: bool = True
+    use_final_alignment: bool = True
+    attachment_strength: float = 0.7
+    attach_observed_only: bool = True
+    minimum_observed: float = 0.02
+    score_frames: int = 1
+    visibility_width: int = 320
+    visibility_tolerance_m: float = 0.003
+    parameters: Mapping[str, float] = field(default_factory=_default_parameters)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    final_alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
+    picking: PickingConfig = field(default_factory=PickingConfig)
+    dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
+    solver: SolverConfig = field(default_factory=SolverConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse contradictions.
+
+        Raises:
+            InvalidConfigError: with the field, its value and what is allowed.
+        """
+        if not 0.0 < self.attachment_strength <= 1.0:
+            raise InvalidConfigError(
+                f"attachment_strength is {self.attachment_strength}; it must be in (0, 1]"
+            )
+        missing = [name for name in PARAMETERS if name not in self.parameters]
+        unknown = [name for name in self.parameters if name not in PARAMETERS]
+        if missing or unknown:
+            raise InvalidConfigError(
+                f"parameters: missing {missing}, unknown {unknown}; known are {list(PARAMETERS)}"
+            )
+
+
+_PAPER = TrackerConfig(
+    attachment_strength=1.0,
+    attach_observed_only=False,
+    alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),
+    final_alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),
+)
+
+MODES: Mapping[str, TrackerConfig] = {
+    "default": TrackerConfig(),
+    "full_held_paper": _PAPER,
+    "no_pseudo_action": replace(_PAPER, use_pseudo_action=False),
+    "no_dynamics_initialisation": replace(_PAPER, use_dynamics_initialisation=False),
+    "no_action_conditioning": replace(_PAPER, use_action=False),
+    "no_final_alignment": replace(_PAPER, use_final_alignment=False),
+    "open_loop": replace(_PAPER, use_pseudo_action=False, use_final_alignment=False),
+}
+"""Our default, the paper's method, the paper's four ablations, and the dynamics alone."""
+
+
+def mode(name: str) -> TrackerConfig:
+    """The configuration of a named mode.
+
+    Raises:
+        InvalidConfigError: with the names that exist.
+    """
+    if name not in MODES:
+        raise InvalidConfigError(f"unknown mode {name!r}; there are {', '.join(MODES)}")
+    return MODES[name]

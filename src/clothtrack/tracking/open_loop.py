@@ -1,0 +1,121 @@
+"""Score cloth parameters by rolling an action out without any correction (Sec. III-B.1)."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
+from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import ClothState
+from clothtrack.tracking.calibration import PARAMETERS, Score
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.picking import Grasp, held_motion
+
+
+def cloth_parameters(values: Mapping[str, float]) -> ClothParameters:
+    """The solver's share of the calibrated parameters."""
+    return ClothParameters(**{name: float(values[name]) for name in PARAMETERS[:4]})
+
+
+def grasp_offset(values: Mapping[str, float]) -> Float[np.ndarray, " 3"]:
+    """The tool's share: from where the tip was commanded to where it holds the cloth [m]."""
+    return np.array([values[name] for name in PARAMETERS[4:]])
+
+
+class OpenLoopScore:
+    """Rolls batches of candidates through an action; the batch solver is built once."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        mesh: ClothMesh,
+        solver_config: SolverConfig,
+        config: TrackerConfig,
+        observe: Callable[[Frame], Observation],
+        visible: VisibilityCheck,
+        *,
+        device: str = "cpu",
+    ) -> None:
+        """Build a solver as wide as the largest batch."""
+        widest = max(len(values) for values in config.calibration.axes.values())
+        if config.calibration.method != "descent":
+            widest = min(config.calibration.batch, config.calibration.size)
+        self._environments = widest
+        solver = ClothSolver(mesh, solver_config, environments=widest, device=device)
+        self._dynamics = ClothDynamics(solver, config.dynamics)
+        self._recording, self._observe, self._visible = recording, observe, visible
+        self._score_frames = config.score_frames
+
+    def of(self, state: ClothState, action: PickAndPlace, grasps: tuple[Grasp, ...]) -> Score:
+        """The score of candidates for this action, started from this state."""
+
+        def score(candidates: Float[np.ndarray, "candidates parameters"], share: float):  # noqa: ANN202
+            last = action.first_frame + max(
+                1, round(share * (action.last_frame - action.first_frame))
+            )
+            parts = [
+                self._roll(candidates[i : i + self._environments], state, action, last, grasps)
+                for i in range(0, len(candidates), self._environments)
+            ]
+            return np.concatenate(parts)
+
+        return score
+
+    def _roll(
+        self,
+        candidates: Float[np.ndarray, "candidates parameters"],
+        state: ClothState,
+        action: PickAndPlace,
+        last_frame: int,
+        grasps: tuple[Grasp, ...],
+    ) -> Float[np.ndarray, " candidates"]:
+        count = len(candidates)
+        rows = candidates[np.minimum(np.arange(self._environments), count - 1)]
+        values = [dict(zip(PARAMETERS, row.tolist(), strict=True)) for row in rows]
+        self._dynamics.solver.set_parameters([cloth_parameters(each) for each in values])
+        offsets = np.stack([grasp_offset(each) for each in values])
+        steps = max(1, (last_frame - action.first_frame) // self._score_frames)
+        scored = range(last_frame, action.first_frame, -steps)[: self._score_frames]
+        total = np.zeros(count)
+        frames = self._recording.frames
+        rolled = None
+        for frame in frames[action.first_frame + 1 : last_frame + 1]:
+            start_s = frames[frame.index - 1].time_s
+            motion = held_motion(grasps, start_s, frame.time_s, offsets)
+            rolled = self._dynamics.roll_out(
+                state if rolled is None else None, motion, frame.time_s - start_s
+            )
+            if frame.index in scored:
+                observation = self._observe(frame)
+                total += [self._chamfer(each, observation) for each in rolled.positions[:count]]
+        return total / len(scored)
+
+    def _chamfer(
+        self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
+    ) -> float:
+        if not np.isfinite(positions).all():
+            return np.inf
+        return masked_chamfer(positions, self._visible(positions), observation)
+
+
+def masked_chamfer(
+    positions: Float[np.ndarray, "vertices 3"], visible: np.ndarray, observation: Observation
+) -> float:
+    """Two-way Chamfer [m^2] of visible vertices against a cloud, silent vertices left out.
+
+    A vertex counts towards vertex-to-cloud only where the sensor could have answered.
+    """
+    if not visible.any() or not len(observation.points):
+        return np.inf
+    seen = positions[visible]
+    from_cloud = cKDTree(seen).query(observation.points)[0]
+    answered = seen[~observation.silent(seen)]
+    from_mesh = cKDTree(observation.points).query(answered)[0] if len(answered) else np.zeros(1)
+    return float(np.mean(from_cloud**2) + np.mean(from_mesh**2))

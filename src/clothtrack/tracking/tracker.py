@@ -1,0 +1,253 @@
+"""Algorithm 1: the full mesh at every observation, from the dynamics and the cloud together.
+
+Per pick-and-place the cloth's parameters are calibrated; then, frame by frame, the dynamics
+predict, test-time optimisation corrects, and the dynamics run again with the correction as a
+pseudo-action. At the end of the action the mesh is aligned once more. Nothing here can see the
+truth: the only inputs are a recording and a first mesh.
+"""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
+from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion, RollOut
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import Attachment, ClothState
+from clothtrack.tracking.alignment import Aligner, Alignment
+from clothtrack.tracking.calibration import PARAMETERS, calibrate
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.line_search import LineSearchResult, search_line
+from clothtrack.tracking.open_loop import OpenLoopScore, cloth_parameters, grasp_offset
+from clothtrack.tracking.picking import Grasp, find_grasps, held_motion, picker_speed
+from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedAction, TrackedTrajectory
+
+logger = logging.getLogger(__name__)
+
+Observe = Callable[[Frame], Observation]
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class ActionContext:
+    """What stays fixed during one action: who holds what, and with which parameters."""
+
+    action: PickAndPlace
+    grasps: tuple[Grasp, ...]
+    parameters: dict[str, float]
+
+
+class Tracker:
+    """Tracks one cloth through one recording; the solver and its buffers are built once."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        first_mesh: ClothMesh,
+        config: TrackerConfig,
+        observe: Observe,
+        *,
+        device: str = "cpu",
+    ) -> None:
+        """Set up the dynamics, the aligners and the cameras.
+
+        Args:
+            recording: what was recorded.
+            first_mesh: the flat cloth in the world [m]; its edges are the rest lengths for good.
+            config: the whole configuration.
+            observe: turns a frame into a cloud.
+            device: "cpu" or "cuda:0".
+        """
+        self._recording, self._mesh, self._config, self._observe = (
+            recording, first_mesh, config, observe,
+        )  # fmt: skip
+        self._solver_config = replace(config.solver, table=recording.table)
+        self._device = device
+        solver = ClothSolver(first_mesh, self._solver_config, device=device)
+        self._dynamics = ClothDynamics(solver, config.dynamics)
+        cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
+        self._visible = VisibilityCheck(
+            first_mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m, device=device
+        )
+        self._align = Aligner(first_mesh, config.alignment, device=device)
+        self._align_last = Aligner(first_mesh, config.final_alignment, device=device)
+        self._open_loop: OpenLoopScore | None = None
+
+    def track(self, progress: Progress | None = None) -> TrackedTrajectory:
+        """Run Algorithm 1 over every action of the recording."""
+        frames = self._recording.frames
+        parameters = dict(self._config.parameters)
+        state = self._dynamics.solver.save()
+        positions = np.repeat(state.positions, len(frames), axis=0)
+        records = StepRecords.empty(len(frames))
+        actions = []
+        for action in self._recording.actions:
+            context, calibration = self._calibrated(state, action, parameters)
+            parameters = context.parameters
+            self._dynamics.solver.set_parameters(cloth_parameters(parameters))
+            positions[action.first_frame :] = state.positions[0]
+            for frame in frames[action.first_frame + 1 : action.last_frame + 1]:
+                state = self._step(state, context, frame, records)
+                positions[frame.index :] = state.positions[0]
+                if progress is not None:
+                    progress(self._recording.name, frame.index + 1, len(frames))
+            before = state.positions[0]
+            final = self._final_alignment(state, frames[action.last_frame])
+            state = self._handed_on(state, final)
+            positions[action.last_frame :] = state.positions[0]
+            losses = (np.nan, np.nan) if final is None else (final.losses[0], final.losses[-1])
+            actions.append(
+                TrackedAction(
+                    first_frame=action.first_frame,
+                    last_frame=action.last_frame,
+                    positions_before_final_alignment=before,
+                    positions_after_final_alignment=state.positions[0],
+                    final_alignment_losses=np.array(losses),
+                    parameters=parameters,
+                    calibration=calibration,
+                    held_vertices={g.picker: tuple(g.vertices.tolist()) for g in context.grasps},
+                )
+            )
+        return TrackedTrajectory(
+            name=self._recording.name,
+            mesh=self._mesh,
+            frames=np.array([frame.index for frame in frames]),
+            time_s=np.array([frame.time_s for frame in frames]),
+            positions=positions,
+            visible=np.stack([self._visible(each) for each in positions]),
+            actions=tuple(actions),
+            steps=records,
+        )
+
+    def _step(
+        self, state: ClothState, context: ActionContext, frame: Frame, records: StepRecords
+    ) -> ClothState:
+        """One pass of Algorithm 1's inner loop: predict, align, roll again with the correction."""
+        start_s = self._recording.frames[frame.index - 1].time_s
+        duration_s = frame.time_s - start_s
+        motion = None
+        if self._config.use_action:
+            offset = grasp_offset(context.parameters)
+            motion = held_motion(context.grasps, start_s, frame.time_s, offset)
+
+        clock = time.process_time()
+        prediction = self._dynamics.roll_out(state, motion, duration_s)
+        records.predict_s[frame.index] = time.process_time() - clock
+        records.highest_speed[frame.index] = prediction.highest_speed.max()
+        if not self._config.use_pseudo_action:
+            return prediction.state
+
+        clock = time.process_time()
+        observation = self._observe(frame)
+        initial = prediction if self._config.use_dynamics_initialisation else state
+        aligned = self._alignment(self._align, initial.positions[0], observation)
+        records.align_s[frame.index] = time.process_time() - clock
+        if aligned is None:
+            return prediction.state
+        alignment, attached = aligned
+        records.loss_before[frame.index] = alignment.losses[0]
+        records.loss_after[frame.index] = alignment.losses[-1]
+
+        clock = time.process_time()
+        result = self._line_search(
+            state, motion, duration_s, prediction, initial.positions[0], alignment, attached,
+            picker_speed(context.grasps, start_s, frame.time_s),
+        )  # fmt: skip
+        records.correct_s[frame.index] = time.process_time() - clock
+        records.trials[frame.index] = result.trials
+        records.correction_scale[frame.index] = result.scale
+        records.gave_up[frame.index] = result.gave_up
+        records.highest_speed[frame.index] = result.roll_out.highest_speed.max()
+        return result.roll_out.state
+
+    def _line_search(
+        self,
+        state: ClothState,
+        motion: HeldMotion | None,
+        duration_s: float,
+        prediction: RollOut,
+        initial: Float[np.ndarray, "vertices 3"],
+        alignment: Alignment,
+        attached: Bool[np.ndarray, " vertices"],
+        speed: float,
+    ) -> LineSearchResult:
+        """Roll the dynamics with the pseudo-action, under the line search."""
+        strength = np.where(attached, self._config.attachment_strength, 0.0).astype(np.float32)
+
+        def roll_with_correction(scale: float) -> RollOut:
+            pseudo_action = Attachment(
+                targets=(initial + scale * alignment.corrections)[None].astype(np.float32),
+                strength=strength[None],
+            )
+            return self._dynamics.roll_out(state, motion, duration_s, pseudo_action)
+
+        search = self._config.line_search
+        return search_line(roll_with_correction, prediction, search.threshold(speed), search)
+
+    def _alignment(
+        self, align: Aligner, positions: Float[np.ndarray, "vertices 3"], observation: Observation
+    ) -> tuple[Alignment, Bool[np.ndarray, " vertices"]] | None:
+        """Align visible vertices to the cloud; None when there is nothing to align to.
+
+        Returns:
+            The alignment, and the vertices that a pseudo-action may take hold of.
+        """
+        visible = self._visible(positions)
+        observed = visible & ~observation.silent(positions)
+        enough = self._config.minimum_observed * len(positions)
+        if observed.sum() < enough or len(observation.points) < enough:
+            return None
+        alignment = align.align(
+            positions,
+            observation.points,
+            visible,
+            trusted=observed,
+            table=self._recording.table,
+            rest_height_m=0.5 * self._solver_config.thickness_m,
+        )
+        return alignment, observed if self._config.attach_observed_only else visible
+
+    def _final_alignment(self, state: ClothState, frame: Frame) -> Alignment | None:
+        """TTO2: the last word of the cloud on this action's mesh."""
+        if not self._config.use_final_alignment:
+            return None
+        aligned = self._alignment(self._align_last, state.positions[0], self._observe(frame))
+        return None if aligned is None else aligned[0]
+
+    def _handed_on(self, state: ClothState, final: Alignment | None) -> ClothState:
+        """The state that the next action starts from: aligned, at rest, contacts remembered."""
+        if final is None:
+            return state
+        self._dynamics.solver.restore(state)
+        self._dynamics.solver.place(state.positions + final.corrections[None])
+        self._dynamics.solver.set_velocities(np.zeros_like(state.velocities))
+        return self._dynamics.solver.save()
+
+    def _calibrated(self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]):  # noqa: ANN202
+        grasps = find_grasps(self._recording, action, state.positions[0], self._config.picking)
+        config = self._config.calibration
+        if not self._config.use_action:
+            config = replace(config, method="none")
+        if self._open_loop is None and config.method != "none":
+            self._open_loop = OpenLoopScore(
+                self._recording, self._mesh, self._solver_config, self._config,
+                self._observe, self._visible, device=self._device,
+            )  # fmt: skip
+        score = None if self._open_loop is None else self._open_loop.of(state, action, grasps)
+        chosen, calibration = calibrate(score, parameters, config)
+        logger.info(
+            "%s, frames %d-%d: %s after %.1f roll-outs",
+            self._recording.name, action.first_frame, action.last_frame,
+            {name: chosen[name] for name in calibration.names}, calibration.roll_outs,
+        )  # fmt: skip
+        return ActionContext(action, grasps, chosen), calibration
+
+
+__all__ = ["PARAMETERS", "Tracker"]

@@ -1,0 +1,197 @@
+"""The physics of the stand-in world: a thin finite-element shell on a table, in MuJoCo.
+
+It shares nothing with the tracker's position-based cloth: elasticity comes from a shell with
+bending, contact is between thin faces with friction cones, time stepping is implicit. What the
+tracker cannot calibrate away here, it could not calibrate away in reality either.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.errors import InvalidConfigError, SimulationDivergedError
+from clothtrack.geometry.mesh import ClothMesh
+
+TIME_STEP_S = 0.005
+CONTACT_RADIUS_M = 0.0015
+GRASP_SLOTS = 8
+GRASP_TIME_CONSTANT_S = 2.0 * TIME_STEP_S
+"""The stiffest that MuJoCo allows a constraint to be at this time step."""
+PARKED_M = (0.0, 0.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """What a cloth is made of, and what it lies on.
+
+    Attributes:
+        young_pa: Young's modulus [Pa]; 4e4 at half a millimetre hangs like a cotton shirt.
+        poisson: Poisson's ratio.
+        thickness_m: thickness of the elastic shell [m]; bending stiffness grows with its cube.
+        area_density: mass per area [kg/m^2].
+        damping_s: stiffness-proportional damping of the shell [s].
+        table_friction: Coulomb coefficient between cloth and table.
+        cloth_friction: Coulomb coefficient between cloth and cloth.
+    """
+
+    young_pa: float = 4e4
+    poisson: float = 0.2
+    thickness_m: float = 0.5e-3
+    area_density: float = 0.2
+    damping_s: float = 1e-2
+    table_friction: float = 0.5
+    cloth_friction: float = 0.5
+
+    @classmethod
+    def sample(cls, rng: np.random.Generator) -> "Fabric":
+        """A fabric drawn from the range of ordinary knitted and woven cloth."""
+        return cls(
+            young_pa=float(rng.uniform(2.5e4, 6e4)),
+            poisson=float(rng.uniform(0.1, 0.3)),
+            thickness_m=float(rng.uniform(0.4e-3, 0.65e-3)),
+            area_density=float(rng.uniform(0.15, 0.28)),
+            table_friction=float(rng.uniform(0.35, 0.8)),
+            cloth_friction=float(rng.uniform(0.3, 0.7)),
+        )
+
+
+class FlexWorld:
+    """A cloth on a table, and a gripper that holds some of its vertices.
+
+    The table is the plane z = 0 of the world frame; gravity points down.
+    """
+
+    def __init__(self, mesh: ClothMesh, fabric: Fabric) -> None:
+        """Lay the cloth down where its vertices are, unstretched and at rest.
+
+        Raises:
+            InvalidConfigError: when the cloth starts under the table.
+        """
+        lowest = float(mesh.vertices[:, 2].min())
+        if lowest < 0.0:
+            raise InvalidConfigError(
+                f"the cloth starts {-lowest:.4g} m under the table (z = 0); lift the mesh"
+            )
+        self._model = mujoco.MjModel.from_xml_string(_scene(mesh, fabric))
+        self._data = mujoco.MjData(self._model)
+        joints = self._model.body_jntadr[self._model.flex_vertbodyid]
+        self._first = self._model.jnt_qposadr[joints]
+        self._start = np.array(mesh.vertices, dtype=np.float64)
+        self._tip = np.array(PARKED_M)
+        mujoco.mj_forward(self._model, self._data)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time [s]."""
+        return float(self._data.time)
+
+    @property
+    def positions(self) -> Float[np.ndarray, "vertices 3"]:
+        """Vertex positions [m], as of the end of the last step."""
+        return self._start + self._data.qpos[self._first[:, None] + np.arange(3)]
+
+    @property
+    def speed_rms(self) -> float:
+        """Root mean square speed of the vertices [m/s]."""
+        return float(np.sqrt(3.0 * np.mean(np.square(self._data.qvel))))
+
+    @property
+    def kinetic_energy(self) -> float:
+        """Kinetic energy of the cloth [J]."""
+        masses = self._model.body_mass[self._model.flex_vertbodyid]
+        speeds = self._data.qvel.reshape(-1, 3)
+        return float(0.5 * np.sum(masses[:, None] * speeds**2))
+
+    def grasp(self, vertices: Int[np.ndarray, " held"], tip: Float[np.ndarray, " 3"]) -> None:
+        """Close the gripper at `tip` [m]: these vertices follow it from now on, offsets kept.
+
+        Raises:
+            InvalidConfigError: for more vertices than a gripper holds.
+        """
+        if len(vertices) > GRASP_SLOTS:
+            raise InvalidConfigError(
+                f"{len(vertices)} vertices to grasp; the gripper holds at most {GRASP_SLOTS}"
+            )
+        self.release()
+        self._data.mocap_pos[0] = self._tip = np.array(tip)
+        offsets = self.positions[vertices] - tip
+        for slot, (vertex, offset) in enumerate(zip(vertices, offsets, strict=True)):
+            # The vertex bodies are points: the anchor in the cloth is their own origin.
+            self._model.eq_obj2id[slot] = self._model.flex_vertbodyid[vertex]
+            self._model.eq_data[slot, :3] = offset
+            self._model.eq_data[slot, 3:6] = 0.0
+            self._data.eq_active[slot] = True
+
+    def move(self, tip: Float[np.ndarray, " 3"]) -> None:
+        """Put the gripper here [m] for the next step.
+
+        A critically damped constraint trails a moving body by two time constants; leading by as
+        much keeps the held cloth at the tip.
+        """
+        velocity = (tip - self._tip) / TIME_STEP_S
+        self._data.mocap_pos[0] = tip + 2.0 * GRASP_TIME_CONSTANT_S * velocity
+        self._tip = np.array(tip)
+
+    def release(self) -> None:
+        """Open the gripper."""
+        self._data.eq_active[:] = False
+
+    def step(self, count: int = 1) -> None:
+        """Advance by `count` steps of `TIME_STEP_S`.
+
+        Raises:
+            SimulationDivergedError: when a position is no longer finite.
+        """
+        mujoco.mj_step(self._model, self._data, count)
+        if not np.isfinite(self._data.qpos).all() or self._data.warning.number[:].any():
+            raise SimulationDivergedError(
+                f"the stand-in world diverged at {self.time_s:.3f} s; use a softer fabric "
+                "(young_pa) or a finer mesh"
+            )
+
+    def settle(self, *, speed: float = 0.01, limit_s: float = 1.0) -> float:
+        """Step until the cloth is at rest (rms speed [m/s] below `speed`); seconds used."""
+        start = self.time_s
+        while True:
+            self.step()
+            if self.speed_rms < speed or self.time_s - start >= limit_s:
+                return self.time_s - start
+
+
+def _scene(mesh: ClothMesh, fabric: Fabric) -> str:
+    """The MJCF of the table, the cloth and a gripper whose grasp constraints sleep.
+
+    The grasp constraints name vertex 0 until `FlexWorld.grasp` points them elsewhere: MuJoCo
+    evaluates a constraint's bodies anew in every step.
+    """
+    points = " ".join(f"{x:.9g}" for x in np.asarray(mesh.vertices, dtype=float).ravel())
+    elements = " ".join(map(str, mesh.faces.ravel()))
+    mass = fabric.area_density * float(mesh.vertex_areas.sum())
+    grasps = "\n".join(
+        '<connect body1="gripper" body2="cloth_0" anchor="0 0 0" active="false" '
+        f'solref="{GRASP_TIME_CONSTANT_S} 1"/>'
+        for _ in range(GRASP_SLOTS)
+    )
+    parked = " ".join(map(str, PARKED_M))
+    return f"""
+<mujoco>
+  <option timestep="{TIME_STEP_S}" integrator="discrete" solver="CG" cone="pyramidal"
+          tolerance="1e-5" iterations="30"/>
+  <size memory="512M"/>
+  <worldbody>
+    <geom name="table" type="plane" size="2 2 0.1" condim="3" priority="1"
+          friction="{fabric.table_friction} 0.005 0.0001"/>
+    <body name="gripper" mocap="true" pos="{parked}"/>
+    <flexcomp name="cloth" type="direct" dim="2" mass="{mass}" radius="{CONTACT_RADIUS_M}"
+              point="{points}" element="{elements}">
+      <contact selfcollide="auto" condim="3" friction="{fabric.cloth_friction} 0.005 0.0001"/>
+      <elasticity young="{fabric.young_pa}" poisson="{fabric.poisson}"
+                  thickness="{fabric.thickness_m}" damping="{fabric.damping_s}" elastic2d="both"/>
+    </flexcomp>
+  </worldbody>
+  <equality>
+    {grasps}
+  </equality>
+</mujoco>"""

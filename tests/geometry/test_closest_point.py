@@ -1,0 +1,60 @@
+"""Closest points agree with brute force and with what can be said in closed form."""
+
+import numpy as np
+import pytest
+
+from clothtrack.geometry import closest_point
+from clothtrack.geometry.closest_point import closest_on_mesh, closest_on_triangle
+
+
+def soup(rng, count):
+    vertices = rng.normal(size=(3 * count, 3))
+    return vertices, np.arange(3 * count).reshape(-1, 3)
+
+
+def dense_samples(corners, steps=200):
+    u, v = np.meshgrid(np.linspace(0, 1, steps), np.linspace(0, 1, steps))
+    keep = u + v <= 1
+    weights = np.stack([1 - u[keep] - v[keep], u[keep], v[keep]], axis=1)
+    return weights @ corners
+
+
+def test_no_sample_of_the_triangle_is_closer(rng):
+    corners = rng.normal(size=(40, 3, 3))
+    points = 2 * rng.normal(size=(40, 3))
+    weights = closest_on_triangle(points, corners)
+    assert (weights >= 0).all()
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    found = np.linalg.norm(np.einsum("ij,ijk->ik", weights, corners) - points, axis=1)
+    for triangle, point, distance in zip(corners, points, found, strict=True):
+        sampled = np.linalg.norm(dense_samples(triangle) - point, axis=1).min()
+        assert distance <= sampled + 1e-12
+        assert distance >= sampled - 0.05  # the samples are this dense
+
+
+def test_a_triangle_without_area_is_its_longest_edge():
+    corners = np.array([[[0.0, 0, 0], [1, 0, 0], [0.5, 0, 0]]])
+    weights = closest_on_triangle(np.array([[0.25, 1.0, 0.0]]), corners)
+    np.testing.assert_allclose(weights[0] @ corners[0], [0.25, 0, 0], atol=1e-12)
+
+
+def test_a_point_of_the_mesh_finds_itself(rng):
+    vertices, faces = soup(rng, 30)
+    weights = rng.dirichlet([1, 1, 1], size=30)
+    points = np.einsum("ij,ijk->ik", weights, vertices[faces])
+    face, found = closest_on_mesh(points, vertices, faces)
+    reached = np.einsum("ij,ijk->ik", found, vertices[faces[face]])
+    np.testing.assert_allclose(reached, points, atol=1e-9)
+
+
+@pytest.mark.parametrize("pairs_at_once", [1, 37, 2_000_000])
+def test_the_mesh_search_agrees_with_trying_every_face(rng, monkeypatch, pairs_at_once):
+    monkeypatch.setattr(closest_point, "_PAIRS_AT_ONCE", pairs_at_once)
+    vertices, faces = soup(rng, 25)
+    points = 1.5 * rng.normal(size=(20, 3))
+    face, weights = closest_on_mesh(points, vertices, faces)
+    found = np.linalg.norm(np.einsum("ij,ijk->ik", weights, vertices[faces[face]]) - points, axis=1)
+    for point, distance in zip(points, found, strict=True):
+        every = closest_on_triangle(np.repeat(point[None], len(faces), 0), vertices[faces])
+        gaps = np.linalg.norm(np.einsum("ij,ijk->ik", every, vertices[faces]) - point, axis=1)
+        assert distance == pytest.approx(gaps.min(), abs=1e-12)

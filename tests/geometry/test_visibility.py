@@ -1,0 +1,207 @@
+"""Laws of the z-buffer: against ray casting, at the near plane, and for what counts as visible."""
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser, VisibilityCheck, visible_vertices
+
+DOWN = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1.0], [0, 0, 0, 1]])
+
+
+def camera(width=64, height=48, focal=60.0, pose=DOWN, **options):
+    centre = options.pop("centre", ((width - 1) / 2, (height - 1) / 2))
+    return Camera("top", width, height, focal, focal * 1.1, *centre, pose)
+
+
+def grid(count, size, height=0.0, offset=(0.0, 0.0)):
+    side = np.linspace(-size / 2, size / 2, count)
+    x, y = np.meshgrid(side + offset[0], side + offset[1], indexing="ij")
+    vertices = np.stack([x.ravel(), y.ravel(), np.full(count * count, float(height))], 1)
+    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + count, corner + 1], 1),
+            np.stack([corner + 1, corner + count, corner + count + 1], 1),
+        ]
+    )
+    return vertices, faces
+
+
+def cast_rays(vertices, faces, view):
+    """Depth and face by testing every ray against every triangle, in double precision."""
+    local = view.camera_from_world_points(vertices)
+    columns, rows = np.meshgrid(np.arange(view.width), np.arange(view.height))
+    rays = np.stack([(columns - view.cx) / view.fx, (rows - view.cy) / view.fy], -1)
+    rays = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], -1)
+    depth = np.full(rays.shape[:2], np.inf)
+    index = np.full(rays.shape[:2], -1)
+    margin = np.full(rays.shape[:2], np.inf)
+    for number, (a, b, c) in enumerate(local[faces]):
+        determinant = a @ np.cross(b, c)
+        weights = np.stack([rays @ np.cross(b, c), rays @ np.cross(c, a), rays @ np.cross(a, b)])
+        weights = weights / determinant
+        with np.errstate(divide="ignore"):
+            z = 1 / weights.sum(0)
+        margin = np.minimum(margin, np.abs(weights * z).min(0))
+        hit = (weights >= 0).all(0) & (z > 1e-3) & (z < depth)
+        depth[hit], index[hit] = z[hit], number
+    return depth, index, margin
+
+
+def random_pose(rng):
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    pose = np.eye(4)
+    pose[:3, :3] = q * np.sign(np.linalg.det(q))
+    pose[:3, 3] = rng.normal(size=3)
+    return pose
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rasteriser_agrees_with_ray_casting(seed):
+    rng = np.random.default_rng(seed)
+    view = camera(pose=random_pose(rng), centre=(20.3, 31.2))
+    centres = rng.uniform([-0.4, -0.4, 0.5], [0.4, 0.4, 2.0], size=(40, 1, 3))
+    local = centres + rng.normal(scale=0.15, size=(40, 3, 3))
+    vertices = (local @ view.world_from_camera[:3, :3].T + view.position).reshape(-1, 3)
+    faces = np.arange(120).reshape(-1, 3)
+    seen = Rasteriser(faces, view).render(vertices)
+    depth, index, margin = cast_rays(vertices, faces, view)
+    sure = margin > 2e-3
+    assert sure.mean() > 0.7
+    np.testing.assert_array_equal(seen.faces[sure], index[sure])
+    assert (index[sure] >= 0).mean() > 0.2
+    np.testing.assert_allclose(seen.depth[sure], depth[sure], rtol=1e-5)
+
+
+def test_triangle_that_reaches_behind_the_camera_is_drawn_where_it_is_in_front():
+    view = camera()
+    rng = np.random.default_rng(3)
+    local = rng.normal(loc=(0, 0, 0.4), size=(30, 3, 3))
+    assert ((local[..., 2] < 0).any(1) & (local[..., 2] > 0).any(1)).sum() > 5
+    vertices = (local @ view.world_from_camera[:3, :3].T + view.position).reshape(-1, 3)
+    faces = np.arange(90).reshape(-1, 3)
+    seen = Rasteriser(faces, view).render(vertices)
+    depth, index, margin = cast_rays(vertices, faces, view)
+    sure = margin > 3e-3
+    assert sure.mean() > 0.5
+    np.testing.assert_array_equal(seen.faces[sure], index[sure])
+    np.testing.assert_allclose(seen.depth[sure], depth[sure], rtol=1e-3)
+
+
+def test_a_mesh_behind_the_camera_leaves_the_image_empty():
+    vertices, faces = grid(5, 0.3, height=2.0)
+    seen = Rasteriser(faces, camera()).render(vertices)
+    assert (seen.faces == -1).all()
+    assert np.isposinf(seen.depth).all()
+
+
+def test_a_closed_grid_has_no_holes_even_with_pixel_centres_on_its_edges():
+    view = Camera("top", 41, 41, 40.0, 40.0, 20.0, 20.0, DOWN)
+    vertices, faces = grid(21, 1.0)  # every edge lies on a line of pixel centres or between two
+    seen = Rasteriser(faces, view).render(vertices)
+    assert (seen.faces >= 0).all()
+    np.testing.assert_allclose(seen.depth, 1.0, rtol=1e-6)
+
+
+def test_pixel_centres_are_at_integers():
+    view = camera(width=9, height=7, focal=10.0)
+    for row, column in [(0, 0), (3, 8), (6, 4)]:
+        x, y = (column - view.cx) / view.fx, (row - view.cy) / view.fy
+        local = np.array([[x - 0.03, y - 0.03, 1], [x + 0.03, y - 0.03, 1], [x, y + 0.04, 1]])
+        vertices = local @ view.world_from_camera[:3, :3].T + view.position
+        seen = Rasteriser(np.array([[0, 1, 2]]), view).render(vertices)
+        assert np.argwhere(seen.faces == 0).tolist() == [[row, column]]
+
+
+def test_face_order_and_winding_do_not_change_the_picture():
+    rng = np.random.default_rng(1)
+    vertices, faces = grid(9, 0.5)
+    vertices[:, 2] = rng.uniform(0, 0.2, len(vertices))
+    order = rng.permutation(len(faces))
+    one = Rasteriser(faces, camera()).render(vertices)
+    other = Rasteriser(faces[order][:, ::-1], camera()).render(vertices)
+    np.testing.assert_allclose(other.depth, one.depth, rtol=1e-6)
+    covered = one.faces >= 0
+    np.testing.assert_array_equal(covered, other.faces >= 0)
+
+
+def test_upper_layer_hides_the_lower_one_and_the_last_face_is_not_always_visible():
+    lower, faces = grid(12, 0.4)
+    upper, _ = grid(12, 0.4, height=0.01)
+    both = np.concatenate([upper, lower])
+    both_faces = np.concatenate([faces, faces + len(upper)])
+    inner = np.abs(lower[:, :2]).max(1) < 0.15
+    seen = visible_vertices(both, both_faces, [camera(320, 240, 250.0)])
+    assert seen[: len(upper)].all()
+    assert not seen[len(upper) :][inner].any()
+
+
+def test_thin_layers_need_a_tolerance_below_their_distance():
+    """A hidden vertex whose own face shows through a gap counts only within the tolerance."""
+    lower, faces = grid(9, 0.4)
+    upper, _ = grid(9, 0.4, height=0.006, offset=(0.02, 0.0))
+    both = np.concatenate([upper, lower])
+    both_faces = np.concatenate([faces, faces + len(upper)])
+    check = [
+        visible_vertices(both, both_faces, [camera(320, 240, 250.0)], tolerance_m=tolerance)
+        for tolerance in (0.003, 0.01)
+    ]
+    column = np.isclose(lower[:, 0], -0.15)  # under the upper layer, but their faces peep out
+    assert not check[0][len(upper) :][column].any()
+    assert check[1][len(upper) :][column].any()
+
+
+def test_every_vertex_of_one_smooth_layer_in_the_image_is_visible():
+    rng = np.random.default_rng(0)
+    vertices, faces = grid(40, 0.5)
+    phase = rng.uniform(0, 6, 3)
+    vertices[:, 2] = 0.02 * np.sin(12 * vertices[:, 0] + phase[0]) * np.cos(9 * vertices[:, 1])
+    assert visible_vertices(vertices, faces, [camera(320, 240, 250.0)]).all()
+
+
+def test_vertices_outside_the_image_are_not_visible():
+    vertices, faces = grid(30, 2.0)
+    view = camera(64, 48, 60.0)
+    pixels, _ = view.project(vertices)
+    outside = ((pixels < -0.5) | (pixels >= [63.5, 47.5])).any(1)
+    seen = visible_vertices(vertices, faces, [view], tolerance_m=0.01)
+    assert outside.any()
+    assert not seen[outside].any()
+    assert seen[~outside].all()
+
+
+def test_several_cameras_see_the_union():
+    below = DOWN.copy()
+    below[:3, :3] = np.diag([1.0, 1.0, 1.0])
+    below[:3, 3] = [0, 0, -1]
+    lower, faces = grid(12, 0.4)
+    upper, _ = grid(12, 0.4, height=0.05)
+    both = np.concatenate([upper, lower])
+    both_faces = np.concatenate([faces, faces + len(upper)])
+    views = [camera(160, 120, 130.0), camera(160, 120, 130.0, pose=below)]
+    each = [visible_vertices(both, both_faces, [view]) for view in views]
+    union = visible_vertices(both, both_faces, views)
+    np.testing.assert_array_equal(union, each[0] | each[1])
+    assert union.all()
+    assert not each[0].all()
+    assert not each[1].all()
+
+
+def test_a_check_can_be_used_again():
+    vertices, faces = grid(12, 0.4)
+    check = VisibilityCheck(faces, [camera(160, 120, 130.0)])
+    first = check(vertices)
+    assert not check(vertices + np.array([0, 0, 5.0])).any()
+    np.testing.assert_array_equal(check(vertices), first)
+
+
+def test_settings_that_make_no_sense_are_refused():
+    _, faces = grid(3, 0.1)
+    with pytest.raises(InvalidConfigError, match="camera"):
+        VisibilityCheck(faces, [])
+    with pytest.raises(InvalidConfigError, match="tolerance_m"):
+        VisibilityCheck(faces, [camera()], tolerance_m=-1.0)
+    with pytest.raises(InvalidConfigError, match="no face"):
+        Rasteriser(faces[:0], camera())

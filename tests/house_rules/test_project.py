@@ -1,0 +1,82 @@
+"""Rules about the project as a whole: direction of imports, change log, versions, references."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+VERSION = PROJECT["version"]
+
+
+def test_imports_go_one_way():
+    check = (
+        "from importlinter.cli import lint_imports; import sys; "
+        "sys.exit(lint_imports(no_cache=True))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", check], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_the_change_log_has_room_for_the_next_change():
+    sections = re.findall(
+        r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE
+    )
+    assert sections[0] == "Unreleased"
+    assert VERSION in sections or len(sections) == 1
+
+
+def test_one_version():
+    front = (ROOT / "src/clothtrack/__init__.py").read_text("utf-8")
+    assert f'__version__ = "{VERSION}"' in front
+    assert f"version: {VERSION}" in (ROOT / "CITATION.cff").read_text("utf-8")
+
+
+def test_every_requirement_has_a_known_good_version():
+    text = (ROOT / "constraints.txt").read_text("utf-8")
+    pinned = {
+        re.split(r"==", line)[0].lower().replace("_", "-")
+        for line in text.splitlines()
+        if line and not line.startswith("#")
+    }
+    extras = PROJECT["optional-dependencies"].values()
+    wanted = [*PROJECT["dependencies"], *(one for extra in extras for one in extra)]
+    names = {re.split(r"[\[<>=!~ ;]", one)[0].lower().replace("_", "-") for one in wanted}
+    assert names <= pinned, f"constraints.txt lacks {sorted(names - pinned)}"
+
+
+def test_tracking_needs_no_torch():
+    assert not any(one.startswith("torch") for one in PROJECT["dependencies"])
+
+
+def test_the_command_is_installed_with_the_package():
+    try:
+        scripts = metadata.distribution("clothtrack").entry_points
+    except metadata.PackageNotFoundError:
+        pytest.skip("clothtrack runs from its source folder here, not installed")
+    assert {one.name for one in scripts} >= {"clothtrack"}
+
+
+@pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]), ids=str)
+def test_links_between_pages_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text("utf-8")):
+        if "://" not in target and not target.startswith("mailto:"):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("docs/*.md")), ids=str)
+def test_functions_named_in_the_docs_exist(page):
+    """`room/module.py: name` in a page names something that the module defines."""
+    for path, names in re.findall(r"`(\w+/\w+\.py): ([\w., ]+)`", page.read_text("utf-8")):
+        module = ROOT / "src/clothtrack" / path
+        assert module.exists(), f"{page.name} names {path}"
+        source = module.read_text("utf-8")
+        for name in re.split(r"[., ]+", names):
+            assert re.search(rf"\b{name}\b", source), f"{page.name}: {path} has no {name}"

@@ -1,0 +1,138 @@
+"""Garments: one piece of cloth with the right openings, even triangles, shared material points."""
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation.garments import garment, towel, tshirt
+
+
+def boundary_loops(faces: np.ndarray) -> int:
+    """Number of closed chains of edges that belong to one triangle only."""
+    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    _, index, counts = np.unique(
+        np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    following = dict(sides[counts[index.ravel()] == 1].tolist())
+    loops = 0
+    while following:
+        start, vertex = following.popitem()
+        loops += 1
+        while vertex != start:
+            vertex = following.pop(vertex)
+    return loops
+
+
+def euler_characteristic(mesh: ClothMesh) -> int:
+    return mesh.vertex_count - len(mesh.edges) + len(mesh.faces)
+
+
+def components(mesh: ClothMesh) -> int:
+    label = np.arange(mesh.vertex_count)
+    while True:
+        lowest = label.copy()
+        np.minimum.at(lowest, mesh.edges[:, 0], label[mesh.edges[:, 1]])
+        np.minimum.at(lowest, mesh.edges[:, 1], label[mesh.edges[:, 0]])
+        if (lowest == label).all():
+            return len(np.unique(label))
+        label = lowest
+
+
+def smallest_angle_deg(mesh: ClothMesh) -> float:
+    corners = mesh.vertices[mesh.faces]
+    smallest = np.inf
+    for k in range(3):
+        u = corners[:, (k + 1) % 3] - corners[:, k]
+        v = corners[:, (k + 2) % 3] - corners[:, k]
+        cosine = (u * v).sum(axis=1) / np.linalg.norm(u, axis=1) / np.linalg.norm(v, axis=1)
+        smallest = min(smallest, float(np.degrees(np.arccos(cosine.max()))))
+    return smallest
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("count", [500, 1000, 2500])
+def test_tshirt_is_a_sphere_with_four_holes(count: int, seed: int) -> None:
+    mesh = garment("tshirt", vertex_count=count, seed=seed)
+    assert components(mesh) == 1
+    assert boundary_loops(mesh.faces) == 4
+    assert euler_characteristic(mesh) == 2 - 4
+    assert smallest_angle_deg(mesh) > 15.0
+
+
+@pytest.mark.parametrize("pattern", ["alternating", "regular", "random"])
+def test_towel_is_a_disk_of_the_asked_size(pattern: str) -> None:
+    mesh = towel(0.4, 0.3, 0.012, pattern=pattern, seed=2)
+    assert components(mesh) == 1
+    assert boundary_loops(mesh.faces) == 1
+    assert euler_characteristic(mesh) == 1
+    assert np.isclose(mesh.vertex_areas.sum(), 0.4 * 0.3)
+    assert smallest_angle_deg(mesh) > 15.0
+    assert np.array_equal(mesh.canonical, mesh.vertices)
+
+
+@pytest.mark.parametrize("kind", ["towel", "tshirt"])
+@pytest.mark.parametrize("count", [500, 1500, 10_000])
+def test_garment_has_the_wanted_number_of_vertices(kind: str, count: int) -> None:
+    assert abs(garment(kind, vertex_count=count).vertex_count / count - 1.0) < 0.08
+
+
+def test_normals_point_up_in_front_and_down_behind() -> None:
+    mesh = tshirt(spacing_m=0.015)
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    height = mesh.canonical[mesh.faces, 2].mean(axis=1)
+    assert (np.sign(normals[:, 2]) == np.sign(height)).all()
+
+
+def test_layers_keep_their_gap_and_meet_at_the_seams() -> None:
+    mesh = tshirt(spacing_m=0.01, layer_gap_m=0.004)
+    height = mesh.vertices[:, 2]
+    assert np.array_equal(np.sign(height), np.sign(mesh.canonical[:, 2]))
+    assert np.isclose(height.max(), 0.002)
+    assert np.isclose(height.min(), -0.002)
+    rows = np.abs(height[height != 0.0])
+    assert rows.min() > 0.0005
+
+
+def test_canonical_points_agree_between_triangulations() -> None:
+    coarse = tshirt(spacing_m=0.02, seed=1)
+    fine = tshirt(spacing_m=0.008, seed=7)
+    front_coarse = coarse.canonical[coarse.canonical[:, 2] > 0]
+    front_fine = fine.canonical[fine.canonical[:, 2] > 0]
+    gap = np.linalg.norm(front_coarse[:, None, :2] - front_fine[None, :, :2], axis=2)
+    nearest = gap.argmin(axis=1)
+    inner = front_coarse[:, 2] > 0.03
+    assert inner.sum() > 50
+    rise = np.abs(front_coarse[inner, 2] - front_fine[nearest[inner], 2])
+    assert (rise < 2.0 * gap.min(axis=1)[inner] + 1e-6).all()
+
+
+def test_another_seed_is_another_triangulation() -> None:
+    one, other = (tshirt(spacing_m=0.02, seed=seed) for seed in (0, 1))
+    again = tshirt(spacing_m=0.02, seed=0)
+    assert np.array_equal(one.vertices, again.vertices)
+    assert one.vertices.shape != other.vertices.shape or not np.allclose(
+        one.vertices, other.vertices
+    )
+    assert np.isclose(one.vertex_areas.sum(), other.vertex_areas.sum(), rtol=0.02)
+
+
+def test_front_and_back_are_cut_differently_at_the_neck() -> None:
+    mesh = tshirt(spacing_m=0.01)
+    middle = np.abs(mesh.vertices[:, 0]) < 0.01
+    front, back = (
+        mesh.vertices[middle & (side * mesh.canonical[:, 2] > 0), 1].max() for side in (1, -1)
+    )
+    assert back - front > 0.02
+
+
+@pytest.mark.parametrize("spacing", [0.0, -0.01, 0.2])
+def test_a_spacing_that_does_not_fit_is_refused(spacing: float) -> None:
+    with pytest.raises(InvalidConfigError, match="spacing_m"):
+        towel(0.3, 0.3, spacing)
+
+
+def test_an_unknown_garment_is_refused() -> None:
+    with pytest.raises(InvalidConfigError, match="trousers"):
+        garment("trousers")

@@ -1,0 +1,81 @@
+"""Grid, halving and descent against a known score whose optimum is on the grid."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, calibrate
+from clothtrack.tracking.configuration import TrackerConfig
+
+START = TrackerConfig().parameters
+BEST = {"bend_compliance": 10.0, "table_friction": 0.5, "particle_friction": 1.0}
+COLUMNS = [PARAMETERS.index(name) for name in BEST]
+
+
+def bowl(candidates: np.ndarray, share: float) -> np.ndarray:
+    """Separable, convex in the logarithms; short prefixes see the same valley, only flatter."""
+    distance = np.log(candidates[:, COLUMNS]) - np.log(list(BEST.values()))
+    return 1e-4 + share * 1e-4 * (distance**2).sum(axis=1)
+
+
+@pytest.mark.parametrize("method", ["grid", "halving", "descent"])
+def test_finds_the_optimum_of_a_bowl(method: str) -> None:
+    config = CalibrationConfig(method=method)
+    chosen, record = calibrate(bowl, START, config)
+    assert {name: chosen[name] for name in BEST} == BEST
+    assert record.scores[record.best] == record.scores.min() == pytest.approx(1e-4)
+    assert len(record.scores) == len(record.candidates)
+    if method != "grid":
+        assert record.roll_outs < 0.7 * config.size
+
+
+def test_the_grid_tries_every_combination_once() -> None:
+    config = CalibrationConfig(method="grid")
+    _, record = calibrate(bowl, START, config)
+    assert len(record.scores) == config.size == record.roll_outs
+    assert len(np.unique(record.candidates, axis=0)) == config.size
+
+
+def test_none_keeps_the_start() -> None:
+    chosen, record = calibrate(bowl, START, CalibrationConfig(method="none"))
+    assert chosen == START
+    assert record.best == -1
+    assert record.roll_outs == 0
+
+
+def test_parameters_off_the_axes_reach_the_score_unchanged() -> None:
+    start = {**START, "grasp_offset_z_m": -0.02}
+
+    def score(candidates: np.ndarray, _: float) -> np.ndarray:
+        assert (candidates[:, PARAMETERS.index("grasp_offset_z_m")] == -0.02).all()
+        return np.zeros(len(candidates))
+
+    calibrate(score, start, CalibrationConfig(method="grid"))
+
+
+def test_an_exploded_candidate_is_the_worst_one() -> None:
+    config = replace(CalibrationConfig(method="grid"), axes={"table_friction": (0.1, 0.2, 0.3)})
+    scores = iter([np.array([np.nan, 2.0, np.inf])])
+    chosen, record = calibrate(lambda *_: next(scores), START, config)
+    assert chosen["table_friction"] == 0.2
+    assert np.isinf(record.scores[[0, 2]]).all()
+
+
+def test_descent_starts_at_the_previous_optimum() -> None:
+    first = []
+
+    def score(candidates: np.ndarray, share: float) -> np.ndarray:
+        first.append(candidates[:, PARAMETERS.index("table_friction")].copy())
+        return bowl(candidates, share)
+
+    calibrate(score, {**START, "table_friction": 1.9}, CalibrationConfig(method="descent"))
+    assert (first[0] == 2.0).all()
+
+
+def test_unknown_and_empty_axes_are_refused() -> None:
+    with pytest.raises(InvalidConfigError, match="table_friction"):
+        CalibrationConfig(axes={"stickiness": (1.0,)})
+    with pytest.raises(InvalidConfigError, match="no value"):
+        CalibrationConfig(axes={"table_friction": ()})

@@ -1,0 +1,55 @@
+"""The line search takes the largest calm part of a correction, or says that there is none."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.tracking.line_search import LineSearchConfig, is_calm, search_line
+
+
+def roll_out(speed: float, position: float = 0.0) -> SimpleNamespace:
+    return SimpleNamespace(
+        highest_speed=np.array([speed]), positions=np.full((1, 2, 3), position), state=None
+    )
+
+
+@pytest.mark.parametrize(("limit", "trials"), [(1.0, 1), (0.7, 2), (0.69, 3), (0.05, 10)])
+def test_takes_the_largest_power_of_the_decay_that_is_calm(limit: float, trials: int) -> None:
+    tried = []
+
+    def roll(scale: float) -> SimpleNamespace:
+        tried.append(scale)
+        return roll_out(1.0 if scale <= limit else 9.0)
+
+    result = search_line(roll, roll_out(0.0), 2.0, LineSearchConfig())
+    assert result.trials == trials == len(tried)
+    assert result.scale == pytest.approx(0.7 ** (trials - 1))
+    assert not result.gave_up
+
+
+def test_gives_up_after_ten_trials_and_keeps_the_prediction() -> None:
+    prediction = roll_out(0.1)
+    result = search_line(lambda _: roll_out(np.inf), prediction, 2.0, LineSearchConfig())
+    assert result.gave_up
+    assert result.roll_out is prediction
+    assert (result.trials, result.scale) == (10, 0.0)
+
+
+def test_non_finite_is_never_calm() -> None:
+    assert not is_calm(roll_out(np.nan), 2.0)
+    assert not is_calm(roll_out(0.0, np.nan), 2.0)
+    assert is_calm(roll_out(2.0), 2.0)
+
+
+def test_threshold_grows_with_the_picker() -> None:
+    config = LineSearchConfig(explosion_speed=3.0, explosion_ratio=15.0)
+    assert config.threshold(0.1) == 3.0
+    assert config.threshold(1.0) == 15.0
+
+
+@pytest.mark.parametrize("settings", [{"decay": 1.0}, {"decay": 0.0}, {"trials": 0}])
+def test_refuses_a_search_that_cannot_end(settings: dict) -> None:
+    with pytest.raises(InvalidConfigError):
+        LineSearchConfig(**settings)
