@@ -14,13 +14,14 @@ class ClothBuffers:
     """Warp arrays of (environments, vertices) unless said otherwise.
 
     Attributes:
-        positions, velocities: the state.
+        positions: the state.
+        velocities: the state; within a substep those of the free flight.
         start: positions at the beginning of the substep, after a soft pull.
-        previous: positions at the beginning of the elastic substep.
+        predicted: where free flight would have led in the elastic substep.
         moves: what contact wants to add to the positions.
         stops: the part of it that ends an approach and changes the velocity.
         inverse_masses: 0 for held vertices [1/kg].
-        pull: share of the way to the goal per substep; 1 is held.
+        pull: rate at which a soft vertex approaches its goal [1/s]; 0 is free, -1 held.
         goals: where attached vertices go.
         airborne: substeps since the last touch.
         rest: positions of the rest shape (vertices).
@@ -34,7 +35,7 @@ class ClothBuffers:
     positions: wp.array
     velocities: wp.array
     start: wp.array
-    previous: wp.array
+    predicted: wp.array
     moves: wp.array
     stops: wp.array
     inverse_masses: wp.array
@@ -69,7 +70,7 @@ def allocate(mesh: ClothMesh, area_density: float, environments: int, device: st
         positions=wp.array(everywhere, dtype=wp.vec3, device=device),
         velocities=vectors(),
         start=vectors(),
-        previous=vectors(),
+        predicted=vectors(),
         moves=vectors(),
         stops=vectors(),
         inverse_masses=wp.array(weights, dtype=float, device=device),

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from clothtrack.simulation.solver import ClothSolver
-from clothtrack.simulation.state import Attachment, ClothState
+from clothtrack.simulation.state import Attachment, ClothState, pull_rate, pull_strength
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +166,8 @@ def _attachment(
             way = before + (targets - before) * (index / steps)
             targets = np.where(strength[..., None] >= 1.0, way, targets)
         soft = (strength > 0.0) & (strength < 1.0)
-        strength[soft] = 1.0 - (1.0 - strength[soft]) ** (1.0 / steps)
+        # The same spring in every step: its rate is that of the whole roll-out.
+        strength[soft] = pull_strength(pull_rate(strength[soft], 1.0), 1.0 / steps)
     if motion is not None:
         targets[:, motion.vertices] = held
         strength[:, motion.vertices] = 1.0

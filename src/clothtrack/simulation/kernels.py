@@ -16,6 +16,11 @@ AIRBORNE_LIMIT = wp.constant(5)
 """Substeps after its last touch during which a vertex counts as supported and may sleep."""
 
 
+HELD = wp.constant(-1.0)
+"""The pull of a vertex that goes where it is told, whatever it meets."""
+
+
+@no_type_check
 @wp.struct
 class Clock:
     """Lengths of time that differ from step to step; in memory, so that one graph serves all.
@@ -34,9 +39,8 @@ class Clock:
 @wp.kernel
 def attach(
     targets: wp.array2d(dtype=wp.vec3),
-    strength: wp.array2d(dtype=float),
+    rates: wp.array2d(dtype=float),
     masses: wp.array(dtype=float),
-    substeps: int,
     table_point: wp.vec3,
     table_normal: wp.vec3,
     resting_height: float,
@@ -47,28 +51,58 @@ def attach(
     """Spread an attachment over the environments; no target lies inside the table."""
     environment, vertex = wp.tid()
     source = wp.min(environment, targets.shape[0] - 1)
-    wish = strength[source, vertex]
-    share = float(0.0)
-    inverse = 1.0 / masses[vertex]
-    if wish >= 1.0:
-        share = 1.0
-        inverse = 0.0
-    elif wish > 0.0:
-        share = 1.0 - wp.pow(1.0 - wish, 1.0 / float(substeps))
+    rate = rates[source, vertex]
     goal = targets[source, vertex]
     inside = resting_height - wp.dot(goal - table_point, table_normal)
     if inside > 0.0:
         goal += inside * table_normal
-    pull[environment, vertex] = share
+    pull[environment, vertex] = rate
     goals[environment, vertex] = goal
-    inverse_masses[environment, vertex] = inverse
+    if rate == HELD:
+        inverse_masses[environment, vertex] = 0.0
+    else:
+        inverse_masses[environment, vertex] = 1.0 / masses[vertex]
 
 
 @no_type_check
 @wp.func
-def fall(position: wp.vec3, velocity: wp.vec3, gravity: wp.vec3, clock: Clock):
-    """Velocity after one elastic substep of free flight with drag."""
-    return (velocity + gravity * clock.elastic_s) * clock.decay
+def predict(
+    environment: int,
+    vertex: int,
+    position: wp.vec3,
+    velocity: wp.vec3,
+    gravity: wp.vec3,
+    clock: Clock,
+    positions: wp.array2d(dtype=wp.vec3),
+    predicted: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+):
+    """Fly freely for one elastic substep, with drag."""
+    flying = (velocity + gravity * clock.elastic_s) * clock.decay
+    arrival = position + clock.elastic_s * flying
+    velocities[environment, vertex] = flying
+    predicted[environment, vertex] = arrival
+    positions[environment, vertex] = arrival
+
+
+@no_type_check
+@wp.func
+def follow(
+    environment: int,
+    vertex: int,
+    position: wp.vec3,
+    goal: wp.vec3,
+    left: int,
+    clock: Clock,
+    positions: wp.array2d(dtype=wp.vec3),
+    predicted: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+):
+    """Move a held vertex by its share of the way that is left."""
+    way = (goal - position) / float(left)
+    velocities[environment, vertex] = way / clock.elastic_s
+    predicted[environment, vertex] = position + way
+    positions[environment, vertex] = position + way
 
 
 @no_type_check
@@ -82,32 +116,34 @@ def begin_substep(
     goals: wp.array2d(dtype=wp.vec3),
     positions: wp.array2d(dtype=wp.vec3),
     velocities: wp.array2d(dtype=wp.vec3),
+    predicted: wp.array2d(dtype=wp.vec3),
     start: wp.array2d(dtype=wp.vec3),
-    previous: wp.array2d(dtype=wp.vec3),
 ):
     """Move what is attached, then predict where the vertices fly.
 
-    A soft pull shifts the position and takes the same share of the velocity: it is a critically
-    damped spring whatever the number of substeps, and stores no energy.
+    A soft pull is a critically damped spring, integrated implicitly: it does the same whatever the
+    number of substeps and does not swing. It also carries the vertex's weight, which the
+    observation that gave the target has already felt.
     """
     environment, vertex = wp.tid()
-    share = pull[environment, vertex]
-    position = positions[environment, vertex]
-    velocity = velocities[environment, vertex]
-    if share == 1.0:
-        left = float(substeps_left[0] * elastic_substeps)
-        start[environment, vertex] = position
-        previous[environment, vertex] = position
-        positions[environment, vertex] = position + (goals[environment, vertex] - position) / left
-        return
-    if share > 0.0:
-        position += share * (goals[environment, vertex] - position)
-        velocity *= 1.0 - share
-    start[environment, vertex] = position
-    previous[environment, vertex] = position
     clock = clocks[0]
-    positions[environment, vertex] = position + clock.elastic_s * fall(
-        position, velocity, gravity, clock
+    rate = pull[environment, vertex]
+    position = positions[environment, vertex]
+    if rate == HELD:
+        start[environment, vertex] = position
+        left = substeps_left[0] * elastic_substeps
+        goal = goals[environment, vertex]
+        follow(environment, vertex, position, goal, left, clock, positions, predicted, velocities)
+        return
+    velocity = velocities[environment, vertex]
+    if rate > 0.0:
+        turn = rate * clock.substep_s
+        velocity += (rate * turn) * (goals[environment, vertex] - position)
+        velocity /= (1.0 + turn) * (1.0 + turn)
+    start[environment, vertex] = position
+    weight = wp.where(rate > 0.0, 0.0, 1.0) * gravity
+    predict(
+        environment, vertex, position, velocity, weight, clock, positions, predicted, velocities
     )
 
 
@@ -117,26 +153,33 @@ def continue_substep(
     clocks: wp.array(dtype=Clock),
     substeps_left: wp.array(dtype=int),
     elastic_substeps: int,
-    elastic_substep: int,
     gravity: wp.vec3,
     pull: wp.array2d(dtype=float),
     goals: wp.array2d(dtype=wp.vec3),
     positions: wp.array2d(dtype=wp.vec3),
-    previous: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+    predicted: wp.array2d(dtype=wp.vec3),
+    elastic_substep: int,
 ):
-    """Take the velocity from the last elastic substep and predict the next one."""
+    """Let the constraints change the velocity, then predict the next elastic substep.
+
+    The change is added to the predicted velocity: a difference of positions alone would lose it
+    to rounding, which at these short times is biased by a percent.
+    """
     environment, vertex = wp.tid()
-    position = positions[environment, vertex]
-    if pull[environment, vertex] == 1.0:
-        left = float(substeps_left[0] * elastic_substeps - elastic_substep)
-        previous[environment, vertex] = position
-        positions[environment, vertex] = position + (goals[environment, vertex] - position) / left
-        return
     clock = clocks[0]
-    velocity = (position - previous[environment, vertex]) / clock.elastic_s
-    previous[environment, vertex] = position
-    positions[environment, vertex] = position + clock.elastic_s * fall(
-        position, velocity, gravity, clock
+    position = positions[environment, vertex]
+    rate = pull[environment, vertex]
+    if rate == HELD:
+        left = substeps_left[0] * elastic_substeps - elastic_substep
+        goal = goals[environment, vertex]
+        follow(environment, vertex, position, goal, left, clock, positions, predicted, velocities)
+        return
+    velocity = velocities[environment, vertex]
+    velocity += (position - predicted[environment, vertex]) / clock.elastic_s
+    weight = wp.where(rate > 0.0, 0.0, 1.0) * gravity
+    predict(
+        environment, vertex, position, velocity, weight, clock, positions, predicted, velocities
     )
 
 
@@ -211,7 +254,7 @@ def end_substep(
     clocks: wp.array(dtype=Clock),
     inverse_masses: wp.array2d(dtype=float),
     start: wp.array2d(dtype=wp.vec3),
-    previous: wp.array2d(dtype=wp.vec3),
+    predicted: wp.array2d(dtype=wp.vec3),
     moves: wp.array2d(dtype=wp.vec3),
     stops: wp.array2d(dtype=wp.vec3),
     has_table: int,
@@ -237,9 +280,9 @@ def end_substep(
         substeps_left[0] = substeps_left[0] - 1
     clock = clocks[0]
     solved = positions[environment, vertex]
-    velocity = (solved - previous[environment, vertex]) / clock.elastic_s
+    velocity = velocities[environment, vertex]
+    velocity += (solved - predicted[environment, vertex]) / clock.elastic_s
     if inverse_masses[environment, vertex] == 0.0:
-        velocities[environment, vertex] = velocity
         airborne[environment, vertex] = 0
         return
     position = solved

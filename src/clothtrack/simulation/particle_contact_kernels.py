@@ -26,8 +26,8 @@ def find_neighbours(
     environment, vertex = wp.tid()
     offset = environment * positions.shape[1]
     position = positions[environment, vertex]
-    found = int(0)
-    other = int(0)
+    found = wp.int32(0)
+    other = wp.int32(0)
     query = wp.hash_grid_query(grid, position, reach, environment)
     while wp.hash_grid_query_next(query, other):
         across = position - positions[environment, other - offset]
@@ -62,7 +62,7 @@ def push_particles(
     total = wp.vec3(0.0, 0.0, 0.0)
     stopped = wp.vec3(0.0, 0.0, 0.0)
     weight = inverse_masses[environment, vertex]
-    touching = int(0)
+    touching = wp.int32(0)
     if weight > 0.0:
         position = positions[environment, vertex]
         for slot in range(counts[environment, vertex]):

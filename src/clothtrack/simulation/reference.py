@@ -28,7 +28,7 @@ class ReferenceCloth:
         parameters: material.
         positions: vertices [m].
         velocities: [m/s].
-        pull: share of the way to the goal per substep; 1 is held.
+        pull: rate at which a soft vertex approaches its goal [1/s]; 0 is free, -1 held.
         goals: where attached vertices go [m].
         pairs: candidates of contact, per vertex: (triangle + 1) x side and the distance kept [m].
         neighbours: candidates of particle contact, per vertex.
@@ -50,21 +50,19 @@ class ReferenceCloth:
         parts = config.elastic_substeps
         elastic_s = substep_s / parts
         masses = self.mesh.vertex_areas * config.area_density
-        inverse = np.where(self.pull == 1.0, 0.0, 1.0 / masses)
-        soft = np.where(self.pull < 1.0, self.pull, 0.0)[:, None]
-        positions = self.positions + soft * (self.goals - self.positions)
-        velocities = self.velocities * (1.0 - soft)
-        start = positions.copy()
+        held = self.pull == -1.0
+        inverse = np.where(held, 0.0, 1.0 / masses)
+        turn = np.where(held, 0.0, self.pull)[:, None] * substep_s
+        start = self.positions.copy()
+        positions = self.positions.copy()
+        velocities = self.velocities + turn**2 / substep_s * (self.goals - positions)
+        velocities /= (1.0 + turn) ** 2
+        weight = np.where(turn > 0.0, 0.0, 1.0) * np.array(config.gravity)
         for part in range(parts):
             previous = positions.copy()
-            velocities = (velocities + elastic_s * np.array(config.gravity)) * np.exp(
-                -config.damping * elastic_s
-            )
+            velocities = (velocities + elastic_s * weight) * np.exp(-config.damping * elastic_s)
             way = (self.goals - positions) / (substeps_left * parts - part)
-            positions = np.where(self.pull[:, None] == 1.0, positions + way, positions)
-            positions = np.where(
-                self.pull[:, None] == 1.0, positions, positions + elastic_s * velocities
-            )
+            positions += np.where(held[:, None], way, elastic_s * velocities)
             _solve(
                 positions,
                 inverse,
@@ -81,7 +79,9 @@ class ReferenceCloth:
             )
             velocities = (positions - previous) / elastic_s
         moves, stops = self._contact(positions, start, inverse, substep_s)
-        self._finish(positions, velocities, start, inverse, moves, stops, substep_s)
+        self._finish(
+            positions, velocities, start, inverse, moves=moves, stops=stops, substep_s=substep_s
+        )
 
     def _contact(self, positions, start, inverse, substep_s):
         if self.pairs is not None:
@@ -90,7 +90,7 @@ class ReferenceCloth:
             return _particle_contact(self, positions, start, inverse)
         return np.zeros_like(positions), np.zeros_like(positions)
 
-    def _finish(self, positions, velocities, start, inverse, moves, stops, substep_s) -> None:
+    def _finish(self, positions, velocities, start, inverse, *, moves, stops, substep_s) -> None:
         table = self.config.table
         solved = positions.copy()
         for vertex in np.flatnonzero(inverse > 0.0):

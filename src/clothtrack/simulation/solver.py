@@ -25,7 +25,7 @@ from clothtrack.simulation.contacts import (
     TriangleContact,
 )
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
-from clothtrack.simulation.state import Attachment, ClothState, ContactMemory
+from clothtrack.simulation.state import Attachment, ClothState, ContactMemory, pull_rate
 
 logger = logging.getLogger(__name__)
 
@@ -41,6 +41,7 @@ class _DeviceConstraints:
 
     @classmethod
     def upload(cls, constraints: DistanceConstraints, device: str) -> "_DeviceConstraints":
+        """Copy to the device."""
         return cls(
             wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
             wp.array(constraints.lengths, dtype=float, device=device),
@@ -169,7 +170,7 @@ class ClothSolver:
             self._everywhere(memory.counts),
         )
 
-    def place(self, positions: Float[np.ndarray, "environments vertices 3"]) -> None:
+    def place(self, positions: Float[np.ndarray, "*environments vertices 3"]) -> None:
         """Move the vertices [m] without forgetting on which side of each other they were.
 
         One environment (or no environment axis) is given to all; velocities stay.
@@ -177,7 +178,7 @@ class ClothSolver:
         positions = np.asarray(positions, dtype=np.float32).reshape(-1, self.mesh.vertex_count, 3)
         self._buffers.positions.assign(self._everywhere(positions))
 
-    def set_velocities(self, velocities: Float[np.ndarray, "environments vertices 3"]) -> None:
+    def set_velocities(self, velocities: Float[np.ndarray, "*environments vertices 3"]) -> None:
         """Set the velocities [m/s]; one environment is given to all."""
         shaped = np.asarray(velocities, dtype=np.float32).reshape(-1, self.mesh.vertex_count, 3)
         self._buffers.velocities.assign(self._everywhere(shaped))
@@ -203,7 +204,7 @@ class ClothSolver:
         search, substep = self._graphs or self._capture()
         substeps = max(1, math.ceil(duration_s / self.config.substep_s - 1e-6))
         between_searches = self._set_clock(duration_s / substeps, substeps)
-        self._set_attachment(attachment, substeps)
+        self._set_attachment(attachment, duration_s)
         self._buffers.highest_speed.zero_()
         for index in range(substeps):
             if index % between_searches == 0:
@@ -235,37 +236,28 @@ class ClothSolver:
         self._buffers.substeps_left.fill_(substeps)
         return between_searches
 
-    def _set_attachment(self, attachment: Attachment | None, substeps: int) -> None:
+    def _set_attachment(self, attachment: Attachment | None, duration_s: float) -> None:
         if attachment is None and not self._attached:
             return
         buffers = self._buffers
-        vertices = self.mesh.vertex_count
+        self._attached = attachment is not None
         if attachment is None:
-            attachment = Attachment(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-            self._attached = False
-        else:
-            self._attached = True
+            nothing = np.zeros((1, self.mesh.vertex_count))
+            attachment = Attachment(np.zeros((*nothing.shape, 3)), nothing)
+        strength = np.asarray(attachment.strength, dtype=np.float64)
+        rates = np.where(strength >= 1.0, -1.0, pull_rate(strength, duration_s))
+        targets = np.asarray(attachment.targets, dtype=np.float32)
+        environments = max(len(rates), len(targets))
+        targets = np.broadcast_to(targets, (environments, *targets.shape[1:]))
+        rates = np.broadcast_to(rates, targets.shape[:2]).astype(np.float32)
         point, normal, table = self._table()
         wp.launch(
             kernels.attach,
             dim=buffers.shape,
             inputs=[
-                wp.array(
-                    np.broadcast_to(
-                        attachment.targets, (len(attachment.targets), vertices, 3)
-                    ).astype(np.float32),
-                    dtype=wp.vec3,
-                    device=self.device,
-                ),
-                wp.array(
-                    np.broadcast_to(
-                        attachment.strength, (len(attachment.targets), vertices)
-                    ).astype(np.float32),
-                    dtype=float,
-                    device=self.device,
-                ),
+                wp.array(np.ascontiguousarray(targets), dtype=wp.vec3, device=self.device),
+                wp.array(rates, dtype=float, device=self.device),
                 buffers.masses,
-                substeps,
                 point,
                 normal,
                 self.config.resting_height_m if table else -math.inf,
@@ -297,26 +289,25 @@ class ClothSolver:
 
     def _launch_substep(self) -> None:
         buffers, config = self._buffers, self.config
-        gravity = wp.vec3(*config.gravity)
-        attached = [buffers.pull, buffers.goals, buffers.positions]
-        time = [buffers.clocks, buffers.substeps_left, config.elastic_substeps]
+        inputs = [
+            buffers.clocks,
+            buffers.substeps_left,
+            config.elastic_substeps,
+            wp.vec3(*config.gravity),
+            buffers.pull,
+            buffers.goals,
+            buffers.positions,
+            buffers.velocities,
+            buffers.predicted,
+        ]
         for part in range(config.elastic_substeps):
-            if part == 0:
-                wp.launch(
-                    kernels.begin_substep,
-                    dim=buffers.shape,
-                    inputs=[*time, gravity, *attached],
-                    outputs=[buffers.velocities, buffers.start, buffers.previous],
-                    device=self.device,
-                )
-            else:
-                wp.launch(
-                    kernels.continue_substep,
-                    dim=buffers.shape,
-                    inputs=[*time, part, gravity, *attached],
-                    outputs=[buffers.previous],
-                    device=self.device,
-                )
+            kernel = kernels.begin_substep if part == 0 else kernels.continue_substep
+            wp.launch(
+                kernel,
+                dim=buffers.shape,
+                inputs=[*inputs, buffers.start if part == 0 else part],
+                device=self.device,
+            )
             self._launch_constraints()
         self._contact.push()
         self._launch_end()
@@ -365,7 +356,7 @@ class ClothSolver:
                 buffers.clocks,
                 buffers.inverse_masses,
                 buffers.start,
-                buffers.previous,
+                buffers.predicted,
                 buffers.moves,
                 buffers.stops,
                 table,

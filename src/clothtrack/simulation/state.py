@@ -66,9 +66,32 @@ class Attachment:
     Attributes:
         targets: where attached vertices are to be at the end of the step [m], world.
         strength: 0 is free; 1 is held: moved there in a straight line, whatever it meets; between
-            them the vertex closes this share of its distance to the target during the step, as
-            far as stretch, contact and table let it.
+            them a critically damped spring that closes this share of the distance during the
+            step from rest, as far as stretch, contact and table let it.
     """
 
     targets: Float[np.ndarray, "environments vertices 3"]
     strength: Float[np.ndarray, "environments vertices"]
+
+
+# Share that a critically damped spring has closed after rate x time, starting at rest.
+_TURNS = np.linspace(0.0, 25.0, 5001)
+_SHARES = 1.0 - (1.0 + _TURNS) * np.exp(-_TURNS)
+
+
+def pull_rate(
+    strength: Float[np.ndarray, "*axes"], duration_s: float
+) -> Float[np.ndarray, "*axes"]:
+    """Rate [1/s] of the critically damped spring that closes a share of its way in a time.
+
+    From rest the share after a time t is 1 - (1 + r t) exp(-r t).
+    """
+    return np.interp(strength, _SHARES, _TURNS) / duration_s
+
+
+def pull_strength(
+    rate: Float[np.ndarray, "*axes"], duration_s: float
+) -> Float[np.ndarray, "*axes"]:
+    """Share of the way that a spring of this rate [1/s] closes in a time; undoes `pull_rate`."""
+    turns = np.asarray(rate) * duration_s
+    return np.minimum(1.0 - (1.0 + turns) * np.exp(-turns), np.nextafter(1.0, 0.0))

@@ -87,7 +87,7 @@ def vote(
     count: int,
 ):
     """Side that the vertex remembers for triangles that touch this one and face the same way."""
-    votes = int(0)
+    votes = wp.int32(0)
     for slot in range(count):
         code = sides[environment, vertex, slot]
         other = faces[wp.abs(code) - 1]
@@ -130,8 +130,8 @@ def find_pairs(
     offset = environment * faces.shape[0]
     point = positions[environment, vertex]
     remembered = old_counts[environment, vertex]
-    found = int(0)
-    index = int(0)
+    found = wp.int32(0)
+    index = wp.int32(0)
     query = wp.hash_grid_query(grid, point, reach, environment)
     while wp.hash_grid_query_next(query, index):
         away = point - centroids[index]
@@ -152,8 +152,8 @@ def find_pairs(
         weights = barycentric(point, a, b, c, normal)
         if wp.min(weights) < -tolerance:
             continue
-        side = int(0)
-        distance = float(-1.0)
+        side = wp.int32(0)
+        distance = wp.float32(-1.0)
         for slot in range(remembered):
             code = old_sides[environment, vertex, slot]
             if wp.abs(code) == face_number + 1:
@@ -220,7 +220,7 @@ def sort_reactions(
     reaction_counts[environment, vertex] = count
     for index in range(1, count):
         code = reactions[environment, vertex, index]
-        place = int(index)
+        place = wp.int32(index)
         while place > 0 and reactions[environment, vertex, place - 1] > code:
             reactions[environment, vertex, place] = reactions[environment, vertex, place - 1]
             place -= 1
@@ -325,7 +325,7 @@ def gather_impulses(
     environment, vertex = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
     stopped = wp.vec3(0.0, 0.0, 0.0)
-    active = int(0)
+    active = wp.int32(0)
     for slot in range(counts[environment, vertex]):
         impulse = impulses[environment, vertex, slot]
         if wp.dot(impulse, impulse) > 0.0:
