@@ -16,6 +16,9 @@ AIRBORNE_LIMIT = wp.constant(5)
 """Substeps after its last touch during which a vertex counts as supported and may sleep."""
 
 
+TINY = wp.constant(1.0e-12)
+"""Keeps a quotient finite when two vertices meet or both are held."""
+
 HELD = wp.constant(-1.0)
 """The pull of a vertex that goes where it is told, whatever it meets."""
 
@@ -25,12 +28,13 @@ HELD = wp.constant(-1.0)
 class Clock:
     """Lengths of time that differ from step to step; in memory, so that one graph serves all.
 
-    `elastic_s` and `substep_s` [s]; `decay`: what the air leaves of a speed in an elastic substep;
+    `elastic_s` and `substep_s` [s]; `inverse_square`: 1 / elastic_s^2 [1/s^2]; `decay`: what the air leaves of a speed in an elastic substep;
     `rebuild_s`: time until the next candidate search [s].
     """
 
     elastic_s: float
     substep_s: float
+    inverse_square: float
     decay: float
     rebuild_s: float
 
@@ -190,27 +194,32 @@ def solve_stretch(
     pairs: wp.array(dtype=wp.vec2i),
     lengths: wp.array(dtype=float),
     first: int,
+    end: int,
+    pairs_per_thread: int,
     compliances: wp.array(dtype=float),
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """One Gauss-Seidel pass over the edges of one colour (XPBD, equation 18)."""
-    environment, number = wp.tid()
-    pair = pairs[first + number]
-    weight_a = inverse_masses[environment, pair[0]]
-    weight_b = inverse_masses[environment, pair[1]]
-    weight = weight_a + weight_b
-    if weight == 0.0:
-        return
-    elastic_s = clocks[0].elastic_s
-    a = positions[environment, pair[0]]
-    b = positions[environment, pair[1]]
-    across = b - a
-    distance = wp.length(across) + 1.0e-12
-    softness = compliances[environment] / (elastic_s * elastic_s)
-    impulse = across * ((distance - lengths[first + number]) / (distance * (weight + softness)))
-    positions[environment, pair[0]] = a + weight_a * impulse
-    positions[environment, pair[1]] = b - weight_b * impulse
+    """One Gauss-Seidel pass over the edges of one colour (XPBD, equation 18).
+
+    A thread solves several pairs of a colour: one on a GPU, all of them on a CPU, where starting a
+    thread costs more than a pair.
+    """
+    environment, thread = wp.tid()
+    softness = compliances[environment] * clocks[0].inverse_square
+    begin = first + thread * pairs_per_thread
+    for number in range(begin, wp.min(begin + pairs_per_thread, end)):
+        pair = pairs[number]
+        weight_a = inverse_masses[environment, pair[0]]
+        weight_b = inverse_masses[environment, pair[1]]
+        a = positions[environment, pair[0]]
+        b = positions[environment, pair[1]]
+        across = b - a
+        distance = wp.length(across)
+        weight = weight_a + weight_b + softness
+        impulse = across * ((distance - lengths[number]) / (distance * weight + TINY))
+        positions[environment, pair[0]] = a + weight_a * impulse
+        positions[environment, pair[1]] = b - weight_b * impulse
 
 
 @no_type_check
@@ -220,32 +229,34 @@ def solve_bend(
     pairs: wp.array(dtype=wp.vec2i),
     lengths: wp.array(dtype=float),
     first: int,
+    end: int,
+    pairs_per_thread: int,
     compliances: wp.array(dtype=float),
     limit: float,
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
     """One pass over the bend pairs of one colour; a sharp crease resists without compliance."""
-    environment, number = wp.tid()
-    pair = pairs[first + number]
-    weight_a = inverse_masses[environment, pair[0]]
-    weight_b = inverse_masses[environment, pair[1]]
-    weight = weight_a + weight_b
-    if weight == 0.0:
-        return
-    elastic_s = clocks[0].elastic_s
-    a = positions[environment, pair[0]]
-    b = positions[environment, pair[1]]
-    across = b - a
-    distance = wp.length(across) + 1.0e-12
-    length = lengths[first + number]
-    softness = compliances[environment] / (elastic_s * elastic_s)
-    change = (distance - length) / (weight + softness)
-    if distance < limit * length:
-        change = (distance - limit * length) / weight
-    impulse = across * (change / distance)
-    positions[environment, pair[0]] = a + weight_a * impulse
-    positions[environment, pair[1]] = b - weight_b * impulse
+    environment, thread = wp.tid()
+    softness = compliances[environment] * clocks[0].inverse_square
+    begin = first + thread * pairs_per_thread
+    for number in range(begin, wp.min(begin + pairs_per_thread, end)):
+        pair = pairs[number]
+        weight_a = inverse_masses[environment, pair[0]]
+        weight_b = inverse_masses[environment, pair[1]]
+        a = positions[environment, pair[0]]
+        b = positions[environment, pair[1]]
+        across = b - a
+        distance = wp.length(across)
+        length = lengths[number]
+        weight = weight_a + weight_b
+        if distance < limit * length:
+            length *= limit
+        else:
+            weight += softness
+        impulse = across * ((distance - length) / (distance * weight + TINY))
+        positions[environment, pair[0]] = a + weight_a * impulse
+        positions[environment, pair[1]] = b - weight_b * impulse
 
 
 @no_type_check

@@ -12,7 +12,7 @@ from jaxtyping import Float, Float32
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation import kernels
-from clothtrack.simulation.buffers import ClothBuffers, allocate
+from clothtrack.simulation.buffers import allocate
 from clothtrack.simulation.constraints import (
     DistanceConstraints,
     bend_constraints,
@@ -93,6 +93,7 @@ class ClothSolver:
         self.set_parameters(parameters or ClothParameters())
         self._contact = self._make_contact()
         self._attached = False
+        self._is_cpu = wp.get_device(device).is_cpu
         self._graphs: tuple[wp.Graph, wp.Graph] | None = None
 
     def _make_contact(self) -> Contact:
@@ -230,6 +231,7 @@ class ClothSolver:
         clock = kernels.Clock()
         clock.substep_s = substep_s
         clock.elastic_s = substep_s / self.config.elastic_substeps
+        clock.inverse_square = 1.0 / clock.elastic_s**2
         clock.decay = math.exp(-self.config.damping * clock.elastic_s)
         clock.rebuild_s = substep_s * between_searches
         self._buffers.clocks.assign([clock])
@@ -313,33 +315,27 @@ class ClothSolver:
         self._launch_end()
 
     def _launch_constraints(self) -> None:
+        stretch, bend = self._material[0], self._material[1]
+        self._launch_sweep(kernels.solve_stretch, self._stretch, [stretch])
+        self._launch_sweep(kernels.solve_bend, self._bend, [bend, self.config.bend_limit])
+
+    def _launch_sweep(
+        self, kernel: wp.Kernel, constraints: _DeviceConstraints, material: list
+    ) -> None:
         buffers = self._buffers
-        for first, count in self._stretch.colours:
+        for first, count in constraints.colours:
+            per_thread = count if self._is_cpu else 1
             wp.launch(
-                kernels.solve_stretch,
-                dim=(self.environments, count),
+                kernel,
+                dim=(self.environments, 1 if self._is_cpu else count),
                 inputs=[
                     buffers.clocks,
-                    self._stretch.pairs,
-                    self._stretch.lengths,
+                    constraints.pairs,
+                    constraints.lengths,
                     first,
-                    self._material[0],
-                    buffers.inverse_masses,
-                    buffers.positions,
-                ],
-                device=self.device,
-            )
-        for first, count in self._bend.colours:
-            wp.launch(
-                kernels.solve_bend,
-                dim=(self.environments, count),
-                inputs=[
-                    buffers.clocks,
-                    self._bend.pairs,
-                    self._bend.lengths,
-                    first,
-                    self._material[1],
-                    self.config.bend_limit,
+                    first + count,
+                    per_thread,
+                    *material,
                     buffers.inverse_masses,
                     buffers.positions,
                 ],

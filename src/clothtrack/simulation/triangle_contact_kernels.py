@@ -14,6 +14,11 @@ from clothtrack.simulation.kernels import Clock
 
 wp.set_module_options({"enable_backward": False})
 
+TRIANGLES_PER_VERTEX = 16
+"""Slots of each vertex for triangles that it may touch."""
+
+SLOTS = wp.constant(TRIANGLES_PER_VERTEX)
+
 
 @no_type_check
 @wp.kernel
@@ -197,13 +202,12 @@ def list_reactions(
 ):
     """Tell every corner of a listed triangle which pairs push it (pair x 3 + corner)."""
     environment, vertex = wp.tid()
-    slots = sides.shape[2]
     for slot in range(counts[environment, vertex]):
         face = faces[wp.abs(sides[environment, vertex, slot]) - 1]
         for corner in range(3):
             place = wp.atomic_add(reaction_counts, environment, face[corner], 1)
             if place < reactions.shape[2]:
-                reactions[environment, face[corner], place] = (vertex * slots + slot) * 3 + corner
+                reactions[environment, face[corner], place] = (vertex * SLOTS + slot) * 3 + corner
             else:
                 wp.atomic_add(overflows, environment, 1)
 
@@ -332,15 +336,14 @@ def gather_impulses(
             total += impulse
             stopped += stopping[environment, vertex, slot]
             active += 1
-    slots = impulses.shape[2]
     for index in range(reaction_counts[environment, vertex]):
         code = reactions[environment, vertex, index]
         pair = code // 3
-        impulse = impulses[environment, pair // slots, pair % slots]
+        impulse = impulses[environment, pair // SLOTS, pair % SLOTS]
         if wp.dot(impulse, impulse) > 0.0:
-            share = weights[environment, pair // slots, pair % slots][code % 3]
+            share = weights[environment, pair // SLOTS, pair % SLOTS][code % 3]
             total -= impulse * share
-            stopped -= stopping[environment, pair // slots, pair % slots] * share
+            stopped -= stopping[environment, pair // SLOTS, pair % SLOTS] * share
             active += 1
     share = inverse_masses[environment, vertex] / float(wp.max(active, 1))
     moves[environment, vertex] = share * total
