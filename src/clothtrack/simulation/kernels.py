@@ -28,8 +28,9 @@ HELD = wp.constant(-1.0)
 class Clock:
     """Lengths of time that differ from step to step; in memory, so that one graph serves all.
 
-    `elastic_s` and `substep_s` [s]; `inverse_square`: 1 / elastic_s^2 [1/s^2]; `decay`: what the air leaves of a speed in an elastic substep;
-    `rebuild_s`: time until the next candidate search [s].
+    `elastic_s` and `substep_s` [s]; `inverse_square`: 1 / elastic_s^2 [1/s^2]; `decay`: what the
+    air leaves of a speed in an elastic substep; `rebuild_s`: time until the next candidate search
+    [s].
     """
 
     elastic_s: float
