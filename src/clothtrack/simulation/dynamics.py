@@ -36,12 +36,12 @@ class HeldMotion:
 
     @property
     def longest_way_m(self) -> float:
-        """Length of the longest way of a vertex [m]."""
+        """Way of a vertex that keeps the pace of the fastest leg throughout [m]."""
         points = np.asarray(self.way_points, dtype=np.float64)
         if points.size == 0 or points.shape[-3] < 2:
             return 0.0
         legs = np.linalg.norm(np.diff(points, axis=-3), axis=-1)
-        return float(legs.max(axis=-2).sum(axis=-1).max())
+        return float(legs.max()) * legs.shape[-2]
 
 
 @dataclass(frozen=True, eq=False)

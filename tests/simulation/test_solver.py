@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.garments import towel
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.solver import ClothSolver
+
+MESH = towel(0.05, 0.05, 0.01)
+FLOOR = Table(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]))
+
+
+def test_a_single_state_is_given_to_all_environments():
+    single, batch = ClothSolver(MESH), ClothSolver(MESH, environments=3)
+    single.step(0.02)
+    state = single.save()
+    batch.restore(state)
+    for index in range(3):
+        np.testing.assert_array_equal(batch.positions[index], state.positions[0])
+        np.testing.assert_array_equal(batch.save().environment(index).velocities, state.velocities)
+
+
+def test_any_duration_uses_the_same_graphs():
+    solver = ClothSolver(MESH, SolverConfig(damping=0.0))
+    for duration in (0.0031, 0.05, 0.0004):
+        solver.step(duration)
+    np.testing.assert_allclose(solver.velocities[0, :, 2], -9.81 * 0.0535, rtol=1e-3)
+
+
+def test_settling_ends_early_on_the_table_and_at_the_limit_in_the_air():
+    lying = MESH.with_vertices(MESH.vertices + np.array([0.0, 0.0, 0.0015]))
+    assert ClothSolver(lying, SolverConfig(table=FLOOR)).settle(limit_s=1.0) < 0.1
+    assert ClothSolver(MESH).settle(limit_s=0.1) == pytest.approx(0.1)
+
+
+def test_placing_keeps_velocities_and_contact_memory():
+    solver = ClothSolver(MESH)
+    solver.step(0.01)
+    before = solver.save()
+    solver.place(MESH.vertices)
+    after = solver.save()
+    np.testing.assert_array_equal(after.velocities, before.velocities)
+    np.testing.assert_array_equal(after.contacts.sides, before.contacts.sides)
+    np.testing.assert_allclose(after.positions[0], MESH.vertices, atol=1e-7)
+
+
+def test_wrong_numbers_of_environments_are_refused():
+    with pytest.raises(InvalidConfigError, match="2 ClothParameters for 3 environments"):
+        ClothSolver(MESH, parameters=[ClothParameters()] * 2, environments=3)
+    with pytest.raises(InvalidConfigError, match="a state of 2 environments for 3"):
+        ClothSolver(MESH, environments=3).restore(ClothSolver(MESH, environments=2).save())
+    other = ClothSolver(towel(0.04, 0.04, 0.01))
+    with pytest.raises(InvalidConfigError, match="vertices"):
+        ClothSolver(MESH).restore(other.save())
+
+
+def test_settings_that_cannot_be_computed_are_refused():
+    with pytest.raises(InvalidConfigError, match=r"ClothParameters\.table_friction"):
+        ClothParameters(table_friction=-0.1)
+    with pytest.raises(InvalidConfigError, match=r"SolverConfig\.substep_s"):
+        SolverConfig(substep_s=0.0)
+    with pytest.raises(InvalidConfigError, match="contact_depth_m"):
+        SolverConfig(thickness_m=0.02)
