@@ -14,7 +14,7 @@ strips' partial dot products itself, in one order.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
-# ruff: noqa: PLR0915, PLR0917, RUF046, UP018
+# ruff: noqa: PLR0917, UP018
 
 from typing import no_type_check
 
@@ -200,13 +200,12 @@ def step_adam(
     slope = _slope(vertex, topology, matches, weights, partners, positions, displacements)
     _record(slope, partners, progress.iteration[0], sums)
     gradient = 2.0 * slope.gradient
-    time = float(progress.iteration[0] + 1)
     first = 0.9 * first_moment[vertex] + 0.1 * gradient
     second = 0.999 * second_moment[vertex] + 0.001 * wp.cw_mul(gradient, gradient)
     first_moment[vertex] = first
     second_moment[vertex] = second
-    scale = step_m / (1.0 - wp.pow(0.9, time))
-    correction = 1.0 / (1.0 - wp.pow(0.999, time))
+    scale = step_m / (1.0 - wp.float32(progress.decays[0]))
+    correction = wp.float32(wp.float64(1.0) / (wp.float64(1.0) - progress.decays[1]))
     displacement = displacements[vertex] - scale * wp.vec3(
         first[0] / (wp.sqrt(second[0] * correction) + 1.0e-8),
         first[1] / (wp.sqrt(second[1] * correction) + 1.0e-8),
