@@ -171,12 +171,15 @@ def hidden_pixels(
     """Pixels where cloth could not have been seen, with two pixels around them.
 
     Those are the blind ones, and those that show neither cloth nor table but something that stands
-    more than 15 mm above the table: the tool.
+    more than 15 mm above the table: the tool. Specks narrower than three pixels hide nothing, for
+    the cloth right beside them was seen. (Real depth is riddled with them: with specks, 99.8 % of
+    the pixels of a well measured hanging cloth would count as hidden.)
     """
     unseen = blind.copy()
     if table is not None:
         unseen |= ~mask & (depth_m > 0) & (height_picture(depth_m, camera, table) > TOOL_HEIGHT_M)
-    return cv2.dilate(unseen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    regions = cv2.morphologyEx(unseen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    return cv2.dilate(regions, np.ones((5, 5), np.uint8)) > 0
 
 
 def thin(
