@@ -119,7 +119,8 @@ class Overlay:
             self.views, self._shaders, self._observations(step), strict=True
         ):
             camera, still = view.camera, shader.render(vertices)
-            image = _toned_down(picture)
+            photographed = has_picture(self.frame(step), camera)
+            image = _toned_down(picture) if photographed else picture.astype(np.float32)
             shaded = still.image[still.cloth]
             image[still.cloth] += self.config.surface * (shaded - image[still.cloth])
             self._draw_wires(image, camera, vertices, visible)
@@ -172,7 +173,7 @@ class View:
     rows: slice
     columns: slice
 
-    def cut(self, picture: Picture) -> Picture:
+    def cut(self, picture: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
         """The window of a picture of the camera."""
         return picture[self.rows, self.columns]
 

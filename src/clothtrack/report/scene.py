@@ -127,7 +127,7 @@ class ClothScene:
 def scene_html(
     tracked: TrackedTrajectory,
     recording: Recording,
-    clouds: Sequence[Float[np.ndarray, "points 3"]],
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
     *,
     steps: Sequence[int] | None = None,
     config: SceneConfig | None = None,
