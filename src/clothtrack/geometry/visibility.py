@@ -165,7 +165,7 @@ def visible_vertices(
     return VisibilityCheck(faces, cameras, tolerance_m=tolerance_m, device=device)(vertices)
 
 
-def _kernel_camera(camera: Camera) -> kernels.RasterCamera:
+def _kernel_camera(camera: Camera) -> object:
     value = kernels.RasterCamera()
     value.width, value.height = camera.width, camera.height
     value.fx, value.fy, value.cx, value.cy = camera.fx, camera.fy, camera.cx, camera.cy

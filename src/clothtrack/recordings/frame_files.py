@@ -65,11 +65,11 @@ def find_frames(
                     "sort the frames by time and drop doubles",
                 )
             )  # fmt: skip
-        paths = {kind: _paths(folder, entry, index, kind, camera_names, found)
+        paths = {kind: _paths(folder, entry, index, kind, camera_names, found=found)
                  for kind in PICTURE_KINDS}  # fmt: skip
         cloud = _cloud(folder, entry, index, found)
         frame = Frame(index, float(entry["time_s"]), **paths, cloud=cloud)
-        if not frame.depth and cloud is None:
+        if not (frame.depth or cloud or entry.keys() & {"depth", "cloud"}):
             found.append(
                 Violation(
                     DOCUMENT, f"frames[{index}]", "", "neither depth nor a cloud shows this frame",
@@ -120,6 +120,7 @@ def _paths(
     index: int,
     kind: PictureKind,
     camera_names: Sequence[str],
+    *,
     found: list[Violation],
 ) -> dict[str, Path]:
     if not entry.keys() & {*PICTURE_KINDS, "cloud"}:

@@ -142,7 +142,9 @@ def _table(recording: Recording) -> str:
 def _actions(recording: Recording) -> str:
     if not recording.actions:
         return "none"
-    spans = [f"{a.first_frame}-{a.last_frame} by {' + '.join(a.pickers)}" for a in recording.actions]
+    spans = [
+        f"{a.first_frame}-{a.last_frame} by {' + '.join(a.pickers)}" for a in recording.actions
+    ]
     return f"{len(spans)}: {_joined(spans, 4)}"
 
 

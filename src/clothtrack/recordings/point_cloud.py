@@ -1,4 +1,4 @@
-"""What the cameras saw of the cloth in one frame: points in the world, and where they were blind."""
+"""What the cameras saw of the cloth in one frame: points, and where they were blind."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +14,8 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import read_cloud, read_color, read_depth
 from clothtrack.recordings.recording import Frame, Recording, Table
 from clothtrack.recordings.segmentation import (
+    HeightSegmenter,
+    MaskFolder,
     Segmenter,
     default_segmenter,
     height_picture,
@@ -22,6 +24,7 @@ from clothtrack.recordings.segmentation import (
 
 CUT_MARGIN_M = 0.012
 TOOL_HEIGHT_M = 0.015
+_COLOR_BLIND = (HeightSegmenter, MaskFolder)
 _HALF_NEIGHBOURS = [
     (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
 ]
@@ -96,8 +99,10 @@ def observe(
     for camera in recording.cameras:
         if camera.name in frame.depth:
             depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
-            color = read_color(frame.color[camera.name]) if camera.name in frame.color else None
             find = segmenter or default_segmenter(recording, frame, camera)
+            # Decoding a picture costs as much as everything else together.
+            looks = camera.name in frame.color and not isinstance(find, _COLOR_BLIND)
+            color = read_color(frame.color[camera.name]) if looks else None
             mask = find(color, depth, camera, recording.table)
             if largest_component:
                 mask = main_components(mask)
@@ -162,10 +167,14 @@ def hidden_pixels(
     """Pixels where cloth could not have been seen, with two pixels around them.
 
     Those are the blind ones, and those that show neither cloth nor table but something that stands
-    more than 15 mm above the table: the tool.
+    more than 15 mm above the table: the tool. A blind spot under 3 x 3 pixels hides nothing: its
+    neighbours were measured. Without a table, what is outside the mask is background, measured or
+    not.
     """
-    unseen = blind.copy()
-    if table is not None:
+    unseen = cv2.morphologyEx(blind.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))) > 0
+    if table is None:
+        unseen &= mask
+    else:
         unseen |= ~mask & (depth_m > 0) & (height_picture(depth_m, camera, table) > TOOL_HEIGHT_M)
     return cv2.dilate(unseen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 

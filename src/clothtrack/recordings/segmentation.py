@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -26,6 +26,7 @@ _OPENING = np.ones((3, 3), np.uint8)
 _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
 
 
+@runtime_checkable
 class Segmenter(Protocol):
     """Anything that finds the cloth in a picture; yours may be a network."""
 
@@ -88,9 +89,10 @@ class ColorSegmenter:
         *,
         rounds: int = 2,
     ) -> "ColorSegmenter":
-        """From a box around the cloth in one picture; background in its corners does no harm.
+        """From a box around the cloth in one picture; what else is at its rim does no harm.
 
-        Colours are learned from inside against outside, then again from the mask that they give.
+        Colours are learned from the middle of the box against what is outside, then again from the
+        mask that they give.
 
         Args:
             color: colour picture, red first.
@@ -108,9 +110,13 @@ class ColorSegmenter:
                 f"the box {box} is not inside the picture of {width} x {height} pixels; "
                 "give left, top, right, bottom"
             )
-        inside = np.zeros((height, width), dtype=bool)
-        inside[top:bottom, left:right] = True
-        return cls._learn(color, inside, ~inside, rounds=rounds)
+        # The middle of the box is cloth; arms and background stand at its rim.
+        rim = (right - left) // 5, (bottom - top) // 5
+        middle = np.zeros((height, width), dtype=bool)
+        middle[top + rim[1] : bottom - rim[1], left + rim[0] : right - rim[0]] = True
+        outside = np.ones((height, width), dtype=bool)
+        outside[top:bottom, left:right] = False
+        return cls._learn(color, middle, outside, rounds=rounds)
 
     @classmethod
     def from_click(
@@ -119,16 +125,19 @@ class ColorSegmenter:
         column: int,
         row: int,
         *,
-        tolerance: float = 14.0,
+        tolerance: float = 9.0,
     ) -> "ColorSegmenter":
-        """From one click on the cloth: the even patch around it, and what looks like it.
+        """From one click on a plain cloth; a printed one needs a box.
+
+        The even patch around the click is learned, and what looks like it.
 
         Args:
             color: colour picture, red first.
             column: column of the click [pixels].
             row: row of the click [pixels].
             tolerance: how far a colour of the patch may be from the clicked one, in each of L, a
-                and b of CIE Lab (a unit is about a visible difference; L counts half).
+                and b of CIE Lab (a unit is about a visible difference; L counts
+                half).
 
         Raises:
             InvalidConfigError: the click is outside the picture.
@@ -220,15 +229,16 @@ class ColorSegmenter:
     ) -> Bool[np.ndarray, "height width"]:
         # Gaps in the colour are prints, shine and the tool. A print lies at the depth of the
         # cloth around it, the tool above.
+        window = _window(closed)
+        whole, closed, colored, depth_m = (closed, closed[window], colored[window], depth_m[window])
         doubtful = closed & ~colored & (depth_m > 0)
-        if not doubtful.any():
-            return closed
         weight = (colored & (depth_m > 0)).astype(np.float32)
         size = (21, 21)
         total = cv2.boxFilter(weight, -1, size, normalize=False)
         around = cv2.boxFilter(weight * depth_m.astype(np.float32), -1, size, normalize=False)
         nearer = depth_m * total < around - self.tool_gap_m * total
-        return closed & ~(doubtful & (nearer | (total == 0)))
+        whole[window] &= ~(doubtful & (nearer | (total == 0)))
+        return whole
 
 
 @dataclass(frozen=True)
@@ -334,11 +344,21 @@ def main_components(
 
     A tool across the cloth cuts its picture into parts of similar size: they all stay.
     """
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    kept = np.zeros_like(mask)
+    window = _window(mask)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        mask[window].view(np.uint8), connectivity=8, ltype=cv2.CV_32S
+    )
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
-    kept = (areas > 0) & (areas >= share * areas.max())
-    return kept[labels]
+    kept[window] = ((areas > 0) & (areas >= share * areas.max()))[labels]
+    return kept
+
+
+def _window(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
+    """Smallest part of the picture that holds the mask; at least one pixel."""
+    column, row, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    return slice(row, row + max(height, 1)), slice(column, column + max(width, 1))
 
 
 def _opened(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:

@@ -1,5 +1,7 @@
 """The first mesh of a recording: a Wavefront OBJ file whose vertex order is kept."""
 
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -40,13 +42,20 @@ def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
                     f"{path}: line {number} is {line.strip()[:60]!r}: {error}; re-export the mesh"
                 ) from error
     positions = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-    coordinates = None if canonical is None else read_canonical(canonical)
     try:
-        mesh = ClothMesh(positions, np.array(faces, dtype=np.int32).reshape(-1, 3), coordinates)
+        mesh = ClothMesh(positions, np.array(faces, dtype=np.int32).reshape(-1, 3))
     except InvalidMeshError as error:
         raise InvalidMeshError(f"{path}: {error}") from error
     _refuse_loose_duplicates(path, positions)
-    return mesh
+    if canonical is None:
+        return mesh
+    coordinates = read_canonical(canonical)
+    if len(coordinates) != len(positions):
+        raise InvalidRecordingError(
+            f"{canonical}: {len(coordinates)} canonical coordinates for {len(positions)} vertices "
+            f"of {path.name}; write one row per vertex, in the same order"
+        )
+    return replace(mesh, canonical=coordinates)
 
 
 def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
@@ -119,7 +128,7 @@ def _fan(words: list[str], count: int) -> list[list[int]]:
     if 0 in named:
         raise ValueError("OBJ vertices are counted from 1, so there is no vertex 0")
     corners = [index - 1 if index > 0 else count + index for index in named]
-    return [[corners[0], b, c] for b, c in zip(corners[1:], corners[2:], strict=False)]
+    return [[corners[0], b, c] for b, c in pairwise(corners[1:])]
 
 
 def _refuse_loose_duplicates(path: Path, positions: Float[np.ndarray, "vertices 3"]) -> None:

@@ -116,13 +116,14 @@ def _cameras(entries: Sequence[Mapping[str, Any]], found: list[Violation]) -> li
 
 
 def _implausible_lens(camera: Camera, field: str) -> list[Violation]:
-    found = []
     for name, focal, side in (("fx", camera.fx, "width"), ("fy", camera.fy, "height")):
         size = getattr(camera, side)
         if not 0.15 * size <= focal <= 20 * size:
             problem = f"implausible for a {side} of {size} pixels ({0.15 * size:g} to {20 * size})"
             remedy = "write the focal length in pixels of this picture size"
-            found.append(Violation(DOCUMENT, f"{field}.{name}", f"{focal:g}", problem, remedy))
+            value = f"{focal:g}"
+            return [Violation(DOCUMENT, f"{field}.{name}", value, problem, remedy)]
+    found = []
     if not 0.75 <= camera.fx / camera.fy <= 4 / 3:
         value, problem = f"{camera.fx / camera.fy:.3g}", "pixels of a camera are nearly square"
         remedy = "were intrinsics of another picture size, or cx and cy, written there?"
@@ -265,9 +266,7 @@ def _cloth(
     )
 
 
-def _template(
-    folder: Path, entry: Mapping[str, Any], found: list[Violation]
-) -> ClothMesh | None:
+def _template(folder: Path, entry: Mapping[str, Any], found: list[Violation]) -> ClothMesh | None:
     files: dict[str, Path] = {}
     for name in ("template", "template_canonical"):
         if entry.get(name) is not None:

@@ -1,0 +1,317 @@
+"""Warp kernels that keep nearest neighbours exact while vertices move a little at a time.
+
+A search remembers the distance of the runner-up. As long as the nearest neighbour is closer than
+the runner-up can have come since (its distance then, less the way that has been moved), it is
+still the nearest, and one distance replaces a search: the triangle inequality as in G. Hamerly,
+"Making k-means even faster" (SDM 2010, doi:10.1137/1.9781611972801.12). Otherwise a uniform grid
+is searched, in a ball around the present neighbour's distance. The grid may hold positions from
+some steps ago: the ball grows by how far any vertex has gone since.
+
+Ties go to the lower index and sums are integers (fixed point), so that the order of threads does
+not matter: CPU and GPU agree on the neighbours and every run repeats.
+"""
+
+# Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
+# ruff: noqa: PLR0915, PLR0917, RUF046, UP018
+
+from typing import no_type_check
+
+import warp as wp
+
+FIXED_POINT_LENGTH = 2.0**32
+"""Units per metre of summed positions."""
+
+FIXED_POINT_SQUARE = 2.0**44
+"""Units per square metre of summed squares."""
+
+_LENGTH = wp.constant(FIXED_POINT_LENGTH)
+_SQUARE = wp.constant(wp.float64(FIXED_POINT_SQUARE))
+_ROUNDING = wp.constant(1.0e-6)
+
+
+@wp.struct
+class Grid:
+    """A box of cubic cells, x fastest; what lies outside belongs to the nearest border cell."""
+
+    origin: wp.vec3
+    cells_per_metre: wp.float32
+    width: wp.int32
+    height: wp.int32
+    depth: wp.int32
+    first: wp.array(dtype=wp.int32)
+    items: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Progress:
+    """Scalars that live on the device while the solver runs (arrays of one).
+
+    `travelled` [m] bounds the way of any vertex since the start, `step` [m] the way in the present
+    iteration, `stale` [m] the distance from where the grid has the vertices.
+    """
+
+    iteration: wp.array(dtype=wp.int32)
+    travelled: wp.array(dtype=wp.float32)
+    step: wp.array(dtype=wp.float32)
+    stale: wp.array(dtype=wp.float32)
+    partners: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Neighbour:
+    """The nearest item (-1: none in reach), its distance and a bound for every other item [m]."""
+
+    item: wp.int32
+    distance: wp.float32
+    others: wp.float32
+
+
+@no_type_check
+@wp.func
+def _cell(grid: Grid, value: wp.float32, axis: wp.int32, count: wp.int32):
+    place = wp.floor((value - grid.origin[axis]) * grid.cells_per_metre)
+    return wp.int32(wp.clamp(place, 0.0, float(count - 1)))
+
+
+@no_type_check
+@wp.func
+def _cell_of(grid: Grid, point: wp.vec3):
+    x = _cell(grid, point[0], 0, grid.width)
+    y = _cell(grid, point[1], 1, grid.height)
+    z = _cell(grid, point[2], 2, grid.depth)
+    return (z * grid.height + y) * grid.width + x
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def count_in_cells(
+    points: wp.array(dtype=wp.vec3),
+    members: wp.array(dtype=wp.int32),
+    grid: Grid,
+    counts: wp.array(dtype=wp.int32),
+):
+    """Count the member points in each cell."""
+    point = points[members[wp.tid()]]
+    wp.atomic_add(counts, _cell_of(grid, point), 1)
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def fill_cells(
+    points: wp.array(dtype=wp.vec3),
+    members: wp.array(dtype=wp.int32),
+    grid: Grid,
+    room: wp.array(dtype=wp.int32),
+    recorded: wp.array(dtype=wp.vec3),
+):
+    """Put each member into its cell, whose free places `room` counts down, and record where."""
+    member = members[wp.tid()]
+    point = points[member]
+    cell = _cell_of(grid, point)
+    place = wp.atomic_sub(room, cell, 1)
+    grid.items[grid.first[cell] + place - 1] = member
+    recorded[member] = point
+
+
+@no_type_check
+@wp.func
+def _search(
+    point: wp.vec3,
+    points: wp.array(dtype=wp.vec3),
+    grid: Grid,
+    radius: wp.float32,
+    stale: wp.float32,
+):
+    """Nearest item within a radius; items beyond it are at least the radius away."""
+    reach = radius + stale
+    x0 = _cell(grid, point[0] - reach, 0, grid.width)
+    x1 = _cell(grid, point[0] + reach, 0, grid.width)
+    y0 = _cell(grid, point[1] - reach, 1, grid.height)
+    y1 = _cell(grid, point[1] + reach, 1, grid.height)
+    z0 = _cell(grid, point[2] - reach, 2, grid.depth)
+    z1 = _cell(grid, point[2] + reach, 2, grid.depth)
+    best = radius * radius
+    second = radius * radius
+    found = int(-1)
+    for z in range(z0, z1 + 1):
+        for y in range(y0, y1 + 1):
+            row = (z * grid.height + y) * grid.width
+            for place in range(grid.first[row + x0], grid.first[row + x1 + 1]):
+                item = grid.items[place]
+                offset = points[item] - point
+                square = wp.dot(offset, offset)
+                if square < best or (square == best and item < found):
+                    second = best
+                    best = square
+                    found = item
+                elif square < second:
+                    second = square
+    result = Neighbour()
+    result.item = found
+    result.distance = wp.sqrt(best)
+    result.others = wp.sqrt(second)
+    return result
+
+
+@no_type_check
+@wp.func
+def _search_everywhere(
+    point: wp.vec3,
+    points: wp.array(dtype=wp.vec3),
+    grid: Grid,
+    radius: wp.float32,
+    stale: wp.float32,
+):
+    """Nearest item at any distance: the ball doubles until it holds one."""
+    result = _search(point, points, grid, radius, stale)
+    ball = float(radius)
+    while result.item < 0 and ball < 1.0e6:
+        ball = 2.0 * ball
+        result = _search(point, points, grid, ball, stale)
+    return result
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def advance(progress: Progress):
+    """Start the next iteration: add up the way, forget the count of partners."""
+    progress.iteration[0] = progress.iteration[0] + 1
+    progress.travelled[0] = progress.travelled[0] + progress.step[0]
+    progress.step[0] = 0.0
+    progress.partners[0] = 0
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def match_points(
+    cloud: wp.array(dtype=wp.vec3),
+    positions: wp.array(dtype=wp.vec3),
+    grid: Grid,
+    progress: Progress,
+    every: wp.int32,
+    reach: wp.float32,
+    vertical_weight: wp.float32,
+    nearest: wp.array(dtype=wp.int32),
+    others: wp.array(dtype=wp.float32),
+    searched_at: wp.array(dtype=wp.float32),
+    pulled_count: wp.array(dtype=wp.int32),
+    pulled_sum: wp.array(dtype=wp.int64),
+    sums: wp.array2d(dtype=wp.int64),
+):
+    """Nearest visible vertex of each cloud point; counts and sums of points per vertex follow.
+
+    Args:
+        cloud: the observed points [m].
+        positions: the vertices now [m].
+        grid: the visible vertices.
+        progress: scalars of the run.
+        every: search only in iterations divisible by this.
+        reach: how far beyond the neighbour a search looks [m].
+        vertical_weight: factor of the vertical part of a squared residual.
+        nearest: vertex per point, -1 before the first search.
+        others: distance of the runner-up when it was searched [m].
+        searched_at: way travelled when it was searched [m].
+        pulled_count: cloud points per vertex.
+        pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
+        sums: row of this iteration, column 0: summed squared residuals, fixed point.
+    """
+    number = wp.tid()
+    point = cloud[number]
+    travelled = progress.travelled[0]
+    before = nearest[number]
+    offset = wp.vec3()
+    search = before < 0
+    distance = float(0.0)
+    if before >= 0:
+        offset = positions[before] - point
+        distance = wp.length(offset)
+        way = travelled - searched_at[number]
+        if distance + way + _ROUNDING > others[number]:
+            search = progress.iteration[0] % every == 0
+    if search:
+        found = Neighbour()
+        if before < 0:
+            found = _search_everywhere(point, positions, grid, 4.0 * reach, progress.stale[0])
+        else:
+            found = _search(point, positions, grid, distance + reach, progress.stale[0])
+        others[number] = found.others
+        searched_at[number] = travelled
+        vertex = found.item
+        if vertex != before and vertex >= 0:
+            x = wp.int64(point[0] * _LENGTH)
+            y = wp.int64(point[1] * _LENGTH)
+            z = wp.int64(point[2] * _LENGTH)
+            if before >= 0:
+                wp.atomic_sub(pulled_count, before, 1)
+                wp.atomic_sub(pulled_sum, 3 * before, x)
+                wp.atomic_sub(pulled_sum, 3 * before + 1, y)
+                wp.atomic_sub(pulled_sum, 3 * before + 2, z)
+            wp.atomic_add(pulled_count, vertex, 1)
+            wp.atomic_add(pulled_sum, 3 * vertex, x)
+            wp.atomic_add(pulled_sum, 3 * vertex + 1, y)
+            wp.atomic_add(pulled_sum, 3 * vertex + 2, z)
+            nearest[number] = vertex
+            offset = positions[vertex] - point
+    square = offset[0] * offset[0] + offset[1] * offset[1] + vertical_weight * offset[2] * offset[2]
+    wp.atomic_add(sums, progress.iteration[0], 0, wp.int64(wp.float64(square) * _SQUARE))
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def match_vertices(
+    vertices: wp.array(dtype=wp.int32),
+    positions: wp.array(dtype=wp.vec3),
+    cloud: wp.array(dtype=wp.vec3),
+    grid: Grid,
+    progress: Progress,
+    every: wp.int32,
+    reach: wp.float32,
+    shortest: wp.float32,
+    longest: wp.float32,
+    nearest: wp.array(dtype=wp.int32),
+    others: wp.array(dtype=wp.float32),
+    searched_from: wp.array(dtype=wp.vec3),
+    partner: wp.array(dtype=wp.int32),
+):
+    """Nearest cloud point of each trusted vertex: its partner if the distance is in range.
+
+    Args:
+        vertices: the trusted vertices.
+        positions: all vertices now [m].
+        cloud: the observed points [m].
+        grid: the observed points' cells.
+        progress: scalars of the run; counts the partners.
+        every: search only in iterations divisible by this.
+        reach: how far beyond the neighbour a search looks [m].
+        shortest: smallest distance of partners [m].
+        longest: largest distance of partners [m].
+        nearest: cloud point per trusted vertex; -1: none was in reach.
+        others: distance of the next point when it was searched [m]; -1 before the first search.
+        searched_from: where the vertex was then [m].
+        partner: cloud point per vertex of the mesh, or -1.
+    """
+    number = wp.tid()
+    vertex = vertices[number]
+    position = positions[vertex]
+    item = nearest[number]
+    moved = wp.length(position - searched_from[number])
+    bound = longest
+    distance = longest + 1.0
+    if item >= 0:
+        distance = wp.length(cloud[item] - position)
+        bound = distance
+    # Without a neighbour in reach, the first that could matter lies at `longest`.
+    if bound + moved + _ROUNDING > others[number] and progress.iteration[0] % every == 0:
+        found = _search(position, cloud, grid, wp.min(bound, longest) + reach, 0.0)
+        item = found.item
+        distance = found.distance
+        if item < 0:
+            distance = longest + 1.0
+        nearest[number] = item
+        others[number] = found.others
+        searched_from[number] = position
+    if item >= 0 and distance >= shortest and distance <= longest:
+        partner[vertex] = item
+        wp.atomic_add(progress.partners, 0, 1)
+    else:
+        partner[vertex] = -1

@@ -1,0 +1,157 @@
+"""Random pick-and-places: where the gripper grasps, and the path of its tip.
+
+A path is cut at the frames of the camera: grasp and release happen exactly when a picture is
+taken, as with a robot that waits for its camera.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.geometry.mesh import ClothMesh
+
+SHARE_OF_EXTREMES = 0.8
+SHARE_INWARD = 0.75
+RAMP = 0.2
+"""Share of a path's time that speeding up takes, and slowing down."""
+
+
+@dataclass(frozen=True)
+class ActionConfig:
+    """Ranges that random pick-and-places are drawn from, and how the gripper moves.
+
+    Attributes:
+        distance_m: least and largest horizontal distance of a place from its pick [m].
+        lift_m: least and largest height of the path over the straight line [m].
+        speed: highest speed of the tip while it holds cloth [m/s].
+        both_layers: share of grasps that take the cloth underneath too.
+        grasp_radius_m: horizontal reach of the gripper [m].
+        reach_m: no place farther from the table's origin than this [m].
+        release_height_m: height of the tip above its grasp height when it opens [m].
+        free_speed: speed of the tool without cloth [m/s].
+        frame_rate: pictures per second [1/s].
+    """
+
+    distance_m: tuple[float, float] = (0.05, 0.2)
+    lift_m: tuple[float, float] = (0.05, 0.1)
+    speed: float = 0.25
+    both_layers: float = 0.5
+    grasp_radius_m: float = 0.01
+    reach_m: float = 0.2
+    release_height_m: float = 0.004
+    free_speed: float = 1.25
+    frame_rate: float = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedAction:
+    """One pick-and-place, planned on the cloth as it lies.
+
+    Attributes:
+        held: vertices of the cloth that the gripper takes.
+        pick: where it closes [m].
+        place: where it opens [m].
+        lift_m: height of the path over the straight line [m].
+    """
+
+    held: Int[np.ndarray, " held"]
+    pick: Float[np.ndarray, " 3"]
+    place: Float[np.ndarray, " 3"]
+    lift_m: float
+
+
+def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator) -> PlannedAction:
+    """A random pick-and-place of the cloth as it lies now.
+
+    Most picks are extreme points of the outline in a random direction (corners, cuffs, hems),
+    and most of those move towards the middle of the cloth, so that it folds.
+
+    Args:
+        cloth: the cloth at its present vertices [m].
+        config: ranges to draw from.
+        rng: source of the choice.
+    """
+    points = cloth.vertices
+    middle = points[:, :2].mean(axis=0)
+    if rng.random() < SHARE_OF_EXTREMES:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        outward = (points[:, :2] - middle) @ np.array([np.cos(angle), np.sin(angle)])
+        chosen = int(np.argmax(outward - rng.exponential(0.01, len(points))))
+    else:
+        chosen = int(rng.integers(len(points)))
+    column = np.linalg.norm(points[:, :2] - points[chosen, :2], axis=1) < config.grasp_radius_m
+    stack = np.flatnonzero(column)
+    top = int(stack[np.argmax(points[stack, 2])])
+    held = [top]
+    if rng.random() < config.both_layers:
+        held += _layers_below(cloth, top, config.grasp_radius_m)
+
+    pick = points[top].copy()
+    for _ in range(100):
+        inward = rng.random() < SHARE_INWARD
+        to_middle = np.arctan2(*(middle - pick[:2])[::-1])
+        spread = np.pi / 4.0 if inward else np.pi
+        heading = to_middle + rng.uniform(-spread, spread)
+        place = pick + rng.uniform(*config.distance_m) * np.array(
+            [np.cos(heading), np.sin(heading), 0.0]
+        )
+        if np.linalg.norm(place[:2]) < config.reach_m:
+            break
+    under = np.linalg.norm(points[:, :2] - place[:2], axis=1) < config.grasp_radius_m
+    under[held] = False
+    ground = points[under, 2].max() if under.any() else points[:, 2].min()
+    place[2] = ground + config.release_height_m
+    return PlannedAction(np.array(held), pick, place, float(rng.uniform(*config.lift_m)))
+
+
+def carrying_path(
+    action: PlannedAction, config: ActionConfig, time_step_s: float
+) -> Float[np.ndarray, "steps 3"]:
+    """Tip positions [m] after each time step from grasp to release; whole pictures long.
+
+    Rises steeply, carries, comes down steeply; speeds up and slows down smoothly.
+    """
+    at = np.linspace(0.0, 1.0, 2001)
+    across = at**2 * (3.0 - 2.0 * at)
+    height = action.lift_m * (1.0 - (2.0 * at - 1.0) ** 4)
+    curve = action.pick + across[:, None] * (action.place - action.pick)
+    curve[:, 2] += height
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    mean_speed = config.speed * (1.0 - RAMP)
+    frames = max(2, int(np.ceil(along[-1] / mean_speed * config.frame_rate)))
+    steps = frames * round(1.0 / (config.frame_rate * time_step_s))
+    time = np.arange(1, steps + 1) / steps
+    wanted = along[-1] * _eased(time)
+    return np.stack([np.interp(wanted, along, axis) for axis in curve.T], axis=1)
+
+
+def free_path(
+    start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"], config: ActionConfig
+) -> Float[np.ndarray, "frames 3"]:
+    """Tip positions [m] at each picture on the straight way between two points, without cloth.
+
+    The start itself is left out; the last position is the end.
+    """
+    way = np.linalg.norm(end - start)
+    frames = max(1, int(np.ceil(way / config.free_speed * config.frame_rate)))
+    return start + np.linspace(0.0, 1.0, frames + 1)[1:, None] * (end - start)
+
+
+def _eased(time: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
+    """Share of the way at each share of the time: a trapezoid of speed."""
+    top = 1.0 / (1.0 - RAMP)
+    rising = 0.5 * top * time**2 / RAMP
+    level = top * (time - 0.5 * RAMP)
+    falling = 1.0 - 0.5 * top * (1.0 - time) ** 2 / RAMP
+    return np.where(time < RAMP, rising, np.where(time < 1.0 - RAMP, level, falling))
+
+
+def _layers_below(cloth: ClothMesh, top: int, radius: float) -> list[int]:
+    """The nearest vertex of the layer right under a vertex; none where the table is."""
+    points = cloth.vertices
+    gap = np.linalg.norm(points[:, :2] - points[top, :2], axis=1)
+    depth = points[top, 2] - points[:, 2]
+    # Cloth of the same layer slopes at most about one to one.
+    below = np.flatnonzero((gap < radius) & (depth > np.maximum(0.0015, gap)) & (depth < 0.02))
+    return [int(below[np.argmin(gap[below] + depth[below])])] if len(below) else []

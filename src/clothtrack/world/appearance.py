@@ -1,0 +1,111 @@
+"""The stand-in camera's colours: woven cloth, a wooden table, a grey tool.
+
+Only meant to look plausible and to be told apart by colour; depth does not depend on it.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from clothtrack.world.scene import CLOTH, TABLE, TOOL, View
+
+CLOTH_COLORS: dict[str, tuple[int, int, int]] = {
+    "blue": (38, 84, 190),
+    "red": (186, 36, 40),
+    "green": (28, 138, 66),
+    "purple": (122, 48, 160),
+}
+"""Cloth colours by name (8-bit sRGB), all far from wood and from grey."""
+
+WOOD_COLOR = (200, 166, 124)
+TOOL_COLOR = (118, 121, 126)
+PLANK_M = 0.12
+LIGHT = np.array([-0.45, 0.55, 0.70]) / np.linalg.norm([-0.45, 0.55, 0.70])
+"""Direction from the table to the lamp."""
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """Colours of a scene.
+
+    Attributes:
+        cloth: name of the cloth's colour, a key of `CLOTH_COLORS`.
+        weave: strength of the woven pattern, as a share of the brightness.
+        weave_period_m: width of a pair of its stripes [m].
+        table_seed: grows the wood.
+    """
+
+    cloth: str = "blue"
+    weave: float = 0.08
+    weave_period_m: float = 0.024
+    table_seed: int = 0
+
+    @classmethod
+    def sample(cls, rng: np.random.Generator) -> "Appearance":
+        """One of the named colours, a weave and a table."""
+        return cls(
+            cloth=str(rng.choice(list(CLOTH_COLORS))),
+            weave=float(rng.uniform(0.04, 0.12)),
+            weave_period_m=float(rng.uniform(0.016, 0.032)),
+            table_seed=int(rng.integers(1 << 31)),
+        )
+
+
+class Painter:
+    """Paints views of one table; its wood is grown once."""
+
+    def __init__(
+        self, appearance: Appearance, table_points: Float[np.ndarray, "height width 3"]
+    ) -> None:
+        """Grow the wood at the table point [m] of every pixel."""
+        self._appearance = appearance
+        wood = _wood(table_points.reshape(-1, 3), appearance.table_seed)
+        self._wood = wood.reshape(table_points.shape).astype(np.float32)
+
+    def paint(self, view: View) -> UInt8[np.ndarray, "height width 3"]:
+        """The shaded colour picture of a view, red first.
+
+        Light is diffuse, from one lamp; the cloth darkens the table around it, and folds are
+        darker where higher cloth stands beside them.
+        """
+        on_table, on_cloth = view.label == TABLE, view.label == CLOTH
+        color = self._wood.copy()
+        color[on_cloth] = _weave(view.material, self._appearance)
+        color[view.label == TOOL] = TOOL_COLOR
+
+        # A face turned away shows the other side of the cloth, lit just as well.
+        toward = view.normals @ LIGHT.astype(np.float32)
+        toward *= np.where(view.normals[..., 2] < 0.0, -1.0, 1.0).astype(np.float32)
+        light = 0.42 + 0.62 * np.clip(toward, 0.0, 1.0) / np.float32(LIGHT[2])
+        covered = cv2.GaussianBlur((~on_table).astype(np.float32), (0, 0), sigmaX=7.0)
+        light[on_table] *= 1.0 - 0.35 * covered[on_table]
+        around = cv2.GaussianBlur(view.height, (0, 0), sigmaX=5.0)
+        sunk = np.clip(around - view.height, 0.0, 0.006)
+        light[on_cloth] *= 1.0 - 60.0 * sunk[on_cloth]
+        color *= light[..., None]
+        return np.clip(cv2.GaussianBlur(color, (3, 3), 0.6) + 0.5, 0.0, 255.0).astype(np.uint8)
+
+
+def _weave(
+    material: Float[np.ndarray, "pixels 3"], appearance: Appearance
+) -> Float[np.ndarray, "pixels 3"]:
+    """Unlit colour (0 to 255) of the cloth: a plaid that is fixed to the material."""
+    wave = np.cos(2.0 * np.pi * material[:, :2] / appearance.weave_period_m).sum(axis=1)
+    plaid = 1.0 + 0.5 * appearance.weave * wave
+    return np.array(CLOTH_COLORS[appearance.cloth]) * plaid[:, None]
+
+
+def _wood(points: Float[np.ndarray, "pixels 3"], seed: int) -> Float[np.ndarray, "pixels 3"]:
+    """Unlit colour (0 to 255) of the table: planks along x with a wavy grain."""
+    rng = np.random.default_rng(seed)
+    x, y = points[:, 0], points[:, 1] + rng.uniform(0.0, PLANK_M)
+    bend = 0.012 * np.sin(7.0 * x + rng.uniform(0.0, 6.0)) + 0.005 * np.sin(19.0 * x + 40.0 * y)
+    tone = np.ones(len(points))
+    for frequency, strength in ((60.0, 0.025), (170.0, 0.025), (410.0, 0.02)):
+        tone += strength * np.sin(frequency * (y + bend) + rng.uniform(0.0, 6.0))
+    plank = np.floor(y / PLANK_M).astype(int)
+    joint = np.abs(y / PLANK_M - plank - 0.5) > 0.49
+    tone += rng.uniform(-0.05, 0.05, 256)[plank % 256] - 0.2 * joint
+    return np.array(WOOD_COLOR) * tone[:, None]

@@ -1,0 +1,358 @@
+"""Recordings from the stand-in world: pick-and-places of a garment, filmed; the truth kept apart.
+
+`OUT/recordings/NAME/` is a recording like any other. `OUT/truth/NAME.npz` holds what no camera
+can know; only evaluation reads it. Nothing of the truth is in the recording but the first mesh,
+and that one has another triangulation, is misplaced, mis-scaled and noisy, as a first mesh
+measured by hand would be.
+"""
+
+import json
+import logging
+import uuid
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.errors import SimulationDivergedError
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
+from clothtrack.recordings.store import RecordingWriter, storage
+from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
+from clothtrack.world.actions import ActionConfig, carrying_path, free_path, plan_action
+from clothtrack.world.appearance import Appearance
+from clothtrack.world.flex import CONTACT_RADIUS_M, TIME_STEP_S, Fabric, FlexWorld
+from clothtrack.world.scene import Scene
+from clothtrack.world.sensor import Sensor, SensorConfig, top_down_camera
+from clothtrack.world.tool import Tool
+
+logger = logging.getLogger(__name__)
+
+PICKER = "gripper"
+
+
+@dataclass(frozen=True)
+class TemplateConfig:
+    """The first mesh that a recording carries, and how wrong it is.
+
+    Attributes:
+        vertex_count: about how many vertices.
+        shift_m: length of its misplacement in the table's plane [m].
+        turn_deg: standard deviation of its turn about the vertical [deg].
+        scale: standard deviation of its relative error of size.
+        noise_m: standard deviation of independent noise of each vertex along x and along y [m].
+    """
+
+    vertex_count: int = 1500
+    shift_m: float = 0.002
+    turn_deg: float = 0.6
+    scale: float = 0.005
+    noise_m: float = 0.0005
+
+
+@dataclass(frozen=True)
+class EpisodeConfig:
+    """What is filmed, and how.
+
+    Attributes:
+        size_m: width and length of the garment [m]; usual for its kind when None.
+        vertex_count: about how many vertices the world's cloth has.
+        actions: number of pick-and-places.
+        settle_speed: rms speed [m/s] of the cloth below which it is at rest.
+        settle_limit_s: longest wait [s] for it after a release.
+        picker_bias_m: standard deviation, per axis, of the constant error [m] of the tip.
+        picker_noise_m: standard deviation, per axis, of its error from sample to sample [m].
+        template: the first mesh, or None for a recording without one.
+        action: how pick-and-places are drawn.
+        sensor: the camera.
+    """
+
+    size_m: tuple[float, float] | None = None
+    vertex_count: int = 1000
+    actions: int = 3
+    settle_speed: float = 0.01
+    settle_limit_s: float = 1.0
+    picker_bias_m: float = 0.0007
+    picker_noise_m: float = 0.0007
+    template: TemplateConfig | None = field(default_factory=TemplateConfig)
+    action: ActionConfig = field(default_factory=ActionConfig)
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+
+
+def simulate(
+    out: Path,
+    kind: GarmentKind,
+    trajectories: int,
+    *,
+    seed: int = 0,
+    config: EpisodeConfig | None = None,
+    processes: int = 1,
+) -> list[Path]:
+    """Film several trajectories, with the seeds `seed`, `seed` + 1 and so on.
+
+    Recordings that exist are left as they are, so a broken run goes on where it stopped.
+    Trajectories whose physics diverges are logged and left out.
+
+    Args:
+        out: folder for `recordings/` and `truth/`.
+        kind: the garment.
+        trajectories: how many.
+        seed: of the first one.
+        config: what is filmed, and how.
+        processes: worker processes.
+
+    Returns:
+        The folders of the recordings that exist now.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    config = config or EpisodeConfig()
+    jobs = [(kind, seed + k, out, config) for k in range(trajectories)]
+    if processes == 1:
+        folders = [_simulate_or_skip(job) for job in jobs]
+    else:
+        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+            folders = list(pool.map(_simulate_or_skip, jobs))
+    return [folder for folder in folders if folder is not None]
+
+
+def simulate_trajectory(
+    kind: GarmentKind, seed: int, out: Path, *, config: EpisodeConfig | None = None
+) -> Path:
+    """Film one trajectory: a flat garment, random pick-and-places, the tool away after each.
+
+    Args:
+        kind: the garment.
+        seed: of everything: fabric, pose, actions, camera, noise.
+        out: folder for `recordings/` and `truth/`.
+        config: what is filmed, and how.
+
+    Returns:
+        The recording's folder.
+
+    Raises:
+        SimulationDivergedError: when the physics does.
+        StorageError: when the recording exists or the disk refuses.
+    """
+    config = config or EpisodeConfig()
+    name = f"{kind}_{seed:04d}"
+    root = np.random.SeedSequence([seed, list(DEFAULT_SIZES_M).index(kind)])
+    of_world, of_actions, of_sensor, of_template, of_picker = map(
+        np.random.default_rng, root.spawn(5)
+    )
+    flat = garment(
+        kind,
+        vertex_count=config.vertex_count,
+        size_m=config.size_m,
+        pattern="random",
+        seed=2 * seed,
+    )
+    pose = _random_pose(of_world)
+    fabric = Fabric.sample(of_world)
+    world = FlexWorld(_laid_down(flat, pose), fabric)
+    camera, tool = top_down_camera(config.sensor, of_sensor), Tool.sample(of_sensor)
+    appearance = Appearance.sample(of_sensor)
+    scene = Scene(flat, tool, camera)
+    sensor = Sensor(scene, config.sensor, appearance, seed=int(of_sensor.integers(1 << 31)))
+    folder = Path(out) / "recordings" / name
+    with RecordingWriter(
+        folder,
+        [camera],
+        {camera.name: config.sensor.step_m},
+        table=Table(np.zeros(3), np.array([0.0, 0.0, 1.0])),
+        cloth=ClothDescription(
+            kind=kind,
+            color=appearance.cloth,
+            size_m=config.size_m or DEFAULT_SIZES_M[kind],
+            template=_template(kind, seed, pose, config, of_template),
+        ),
+        provenance=_provenance(seed, config),
+    ) as writer:
+        film = _Film(world, scene, sensor, writer, config)
+        film.run(ClothMesh(world.positions, flat.faces), tool, of_actions)
+        writer.set_picker_path(PICKER, film.measured_path(of_picker))
+        _write_truth(Path(out) / "truth" / f"{name}.npz", film.positions, flat, fabric)
+    logger.info("%s: %d frames, %.2f s simulated", name, len(film.positions), world.time_s)
+    return folder
+
+
+class _Film:
+    """One trajectory while it happens: moves the tool, steps the world, takes the pictures."""
+
+    def __init__(
+        self,
+        world: FlexWorld,
+        scene: Scene,
+        sensor: Sensor,
+        writer: RecordingWriter,
+        config: EpisodeConfig,
+    ) -> None:
+        self._world, self._scene, self._sensor = world, scene, sensor
+        self._writer, self._config = writer, config
+        self._camera: Camera = scene.camera
+        self._steps_per_frame = round(1.0 / (config.action.frame_rate * TIME_STEP_S))
+        self.positions: list[Float[np.ndarray, "vertices 3"]] = []
+        self._tips: list[Float[np.ndarray, " 3"]] = []
+        self._closed: list[bool] = []
+
+    def run(self, start: ClothMesh, tool: Tool, rng: np.random.Generator) -> None:
+        """Settle the cloth, then film every action; the last frame of each shows no tool."""
+        config = self._config
+        self._world.settle(speed=config.settle_speed, limit_s=config.settle_limit_s)
+        tip = None
+        for _ in range(config.actions):
+            first = len(self.positions)
+            cloth = start.with_vertices(self._world.positions)
+            plan = plan_action(cloth, config.action, rng)
+            if tip is None:
+                tip = self._scene.out_of_picture(plan.pick)
+                self._take(tip)
+            for way_point in free_path(tip, plan.pick, config.action)[:-1]:
+                self._take(way_point)
+            self._take(plan.pick, closed=True)
+            self._world.grasp(plan.held, plan.pick)
+            path = carrying_path(plan, config.action, TIME_STEP_S)
+            for number, tip in enumerate(path, start=1):
+                self._world.move(tip)
+                self._world.step()
+                if number % self._steps_per_frame == 0:
+                    self._take(tip, closed=number < len(path))
+            self._world.release()
+            tip = self._retreat(path[-1])
+            self._writer.add_action(first, len(self.positions) - 1, [PICKER])
+
+    def _retreat(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+        """Draw the tool back while the cloth comes to rest; where the tip ends [m]."""
+        config = self._config
+        away = self._scene.out_of_picture(tip)
+        way = free_path(tip, away, config.action)
+        limit = int(np.ceil(config.settle_limit_s * config.action.frame_rate))
+        resting = False
+        for frame in range(max(len(way), limit)):
+            if not resting and frame < limit:
+                self._world.step(self._steps_per_frame)
+                resting = self._world.speed_rms < config.settle_speed
+            self._take(way[min(frame, len(way) - 1)])
+            if frame >= len(way) - 1 and resting:
+                break
+        return away
+
+    def _take(self, tip: Float[np.ndarray, " 3"], *, closed: bool = False) -> None:
+        """Take one frame of the present moment."""
+        vertices = self._world.positions
+        picture = self._sensor.capture(vertices, tip)
+        self._writer.add_frame(
+            len(self.positions) / self._config.action.frame_rate,
+            color={self._camera.name: picture.color},
+            depth={self._camera.name: picture.depth},
+            mask=None,
+            cloud=None,
+        )
+        self.positions.append(vertices.astype(np.float32))
+        self._tips.append(np.array(tip))
+        self._closed.append(closed)
+
+    def measured_path(self, rng: np.random.Generator) -> PickerPath:
+        """The tip's path as the robot measures it."""
+        config = self._config
+        tips = np.array(self._tips)
+        bias = config.picker_bias_m * rng.standard_normal(3)
+        noise = config.picker_noise_m * rng.standard_normal(tips.shape)
+        times = np.arange(len(tips)) / config.action.frame_rate
+        return PickerPath(times, tips + bias + noise, np.array(self._closed))
+
+
+def _simulate_or_skip(job: tuple[GarmentKind, int, Path, EpisodeConfig]) -> Path | None:
+    kind, seed, out, config = job
+    folder = Path(out) / "recordings" / f"{kind}_{seed:04d}"
+    if folder.exists():
+        return folder
+    try:
+        return simulate_trajectory(kind, seed, out, config=config)
+    except SimulationDivergedError as error:
+        logger.warning("%s left out: %s", folder.name, error)
+        return None
+
+
+def _random_pose(rng: np.random.Generator) -> Float[np.ndarray, "2 3"]:
+    """A turn about the vertical and a place on the table [m], near the middle of the picture."""
+    angle = np.radians(rng.uniform(-12.0, 12.0))
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = rng.uniform(-0.02, 0.02, 2)
+    return np.array([[cosine, -sine, x], [sine, cosine, y]])
+
+
+def _laid_down(mesh: ClothMesh, pose: Float[np.ndarray, "2 3"]) -> ClothMesh:
+    """The flat garment on the table, its lowest vertex at rest there."""
+    vertices = np.empty(mesh.vertices.shape)
+    vertices[:, :2] = mesh.vertices[:, :2] @ pose[:, :2].T + pose[:, 2]
+    vertices[:, 2] = mesh.vertices[:, 2] - mesh.vertices[:, 2].min() + CONTACT_RADIUS_M
+    return mesh.with_vertices(vertices)
+
+
+def _template(
+    kind: GarmentKind,
+    seed: int,
+    pose: Float[np.ndarray, "2 3"],
+    config: EpisodeConfig,
+    rng: np.random.Generator,
+) -> ClothMesh | None:
+    """The tracker's first mesh: another triangulation, wrong as `TemplateConfig` says."""
+    wrong = config.template
+    if wrong is None:
+        return None
+    mesh = garment(
+        kind,
+        vertex_count=wrong.vertex_count,
+        size_m=config.size_m,
+        pattern="alternating",
+        seed=2 * seed + 1,
+    )
+    laid = _laid_down(mesh, pose).vertices
+    angle = np.radians(wrong.turn_deg) * rng.standard_normal()
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    scale = 1.0 + wrong.scale * rng.standard_normal()
+    heading = rng.uniform(0.0, 2.0 * np.pi)
+    shift = wrong.shift_m * np.array([np.cos(heading), np.sin(heading)])
+    middle = laid[:, :2].mean(axis=0)
+    noise = wrong.noise_m * rng.standard_normal((len(laid), 2))
+    laid[:, :2] = scale * (laid[:, :2] - middle) @ turn.T + middle + shift + noise
+    return mesh.with_vertices(laid)
+
+
+def _provenance(seed: int, config: EpisodeConfig) -> dict[str, object]:
+    """How the recording was made; of the physics only what a person at the table could know."""
+    return {
+        "source": "stand-in world (clothtrack simulate)",
+        "physics": f"MuJoCo {mujoco.__version__} flex shell",
+        "seed": seed,
+        "template": None if config.template is None else asdict(config.template),
+    }
+
+
+def _write_truth(
+    path: Path,
+    positions: Sequence[Float[np.ndarray, "vertices 3"]],
+    flat: ClothMesh,
+    fabric: Fabric,
+) -> None:
+    """Write what the camera could not see, under a temporary name first."""
+    partial = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.partial.npz")
+    with storage(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(
+            partial,
+            positions=np.stack(positions),
+            faces=flat.faces.astype(np.int32),
+            canonical=np.asarray(flat.canonical, dtype=np.float64),
+            frames=np.arange(len(positions)),
+            fabric=np.array(json.dumps(asdict(fabric))),
+        )
+        partial.replace(path)

@@ -1,0 +1,161 @@
+"""What lies behind every pixel of the stand-in camera: table, cloth or tool, without any noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.world.tool import Tool
+
+TABLE, CLOTH, TOOL = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The surface that each pixel of one picture shows; all arrays in single precision.
+
+    Attributes:
+        depth: distance along the optical axis [m].
+        label: `TABLE`, `CLOTH` or `TOOL`.
+        height: height of the surface over the table [m].
+        normals: unit normal of the surface; smooth over the cloth, of either sign there.
+        facing: cosine between the surface's normal and the line of sight; 1 seen from the front.
+        material: canonical coordinates [m] of the cloth's pixels, row by row.
+    """
+
+    depth: Float[np.ndarray, "height width"]
+    label: Int[np.ndarray, "height width"]
+    height: Float[np.ndarray, "height width"]
+    normals: Float[np.ndarray, "height width 3"]
+    facing: Float[np.ndarray, "height width"]
+    material: Float[np.ndarray, "cloth_pixels 3"]
+
+
+class Scene:
+    """A cloth and a tool over the table z = 0, seen by one camera."""
+
+    def __init__(self, cloth: ClothMesh, tool: Tool, camera: Camera) -> None:
+        """Prepare the buffers for this cloth's triangles; its vertices come with each view."""
+        self.camera = camera
+        self._cloth = cloth
+        self._canonical = cloth.vertices if cloth.canonical is None else cloth.canonical
+        self._tool = tool
+        self._draw_cloth = Rasteriser(cloth.faces, camera)
+        self._draw_tool = Rasteriser(tool.faces, camera)
+        columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        local = [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy]
+        rays = np.stack([*local, np.ones(columns.shape)], axis=-1)
+        self._rays = (rays @ camera.world_from_camera[:3, :3].T).reshape(-1, 3)
+        self._sight = _unit(self._rays)
+        self._table_depth = -camera.position[2] / self._rays[:, 2]
+
+    @property
+    def table_points(self) -> Float[np.ndarray, "height width 3"]:
+        """The point of the table [m] on the line of sight of every pixel."""
+        points = self.camera.position + self._rays * self._table_depth[:, None]
+        return points.reshape(self.camera.height, self.camera.width, 3)
+
+    def view(
+        self, vertices: Float[np.ndarray, "vertices 3"], tip: Float[np.ndarray, " 3"] | None
+    ) -> View:
+        """The scene with the cloth's vertices and the tool's tip here [m]; None: no tool."""
+        depth = self._table_depth.astype(np.float32)
+        label = np.full(len(depth), TABLE, dtype=np.uint8)
+        height = np.zeros(len(depth), dtype=np.float32)
+        normals = np.zeros((len(depth), 3), dtype=np.float32)
+        normals[:, 2] = 1.0
+        facing = np.abs(self._sight[:, 2]).astype(np.float32)
+        cloth, rod_shown = self._draw_cloth.render(vertices), np.zeros(0, dtype=int)
+        cloth_depth = cloth.depth.ravel()
+        if tip is not None:
+            corners = self._tool.vertices(tip)
+            rod = self._draw_tool.render(corners)
+            rod_depth = rod.depth.ravel()
+            rod_shown = np.flatnonzero(rod_depth < np.minimum(depth, cloth_depth))
+            depth[rod_shown], label[rod_shown] = rod_depth[rod_shown], TOOL
+            rod_normals = _unit(_face_vectors(corners, self._tool.faces))
+            normals[rod_shown] = rod_normals[rod.faces.ravel()[rod_shown]]
+
+        shown = np.flatnonzero(cloth_depth < depth)
+        depth[shown], label[shown] = cloth_depth[shown], CLOTH
+        faces = self._cloth.faces[cloth.faces.ravel()[shown]]
+        points = self.camera.position + self._rays[shown] * depth[shown, None]
+        height[shown] = points[:, 2]
+        weights = _barycentric(points, vertices[faces])
+        material = _blend(weights, self._canonical[faces])
+        corner_normals = _corner_normals(vertices, self._cloth.faces)
+        normals[shown] = _unit(_blend(weights, corner_normals[cloth.faces.ravel()[shown]]))
+        for pixels in (shown, rod_shown):
+            facing[pixels] = np.abs(_dot(normals[pixels], self._sight[pixels]))
+        shape = (self.camera.height, self.camera.width)
+        return View(
+            depth.reshape(shape),
+            label.reshape(shape),
+            height.reshape(shape),
+            normals.reshape(*shape, 3),
+            facing.reshape(shape),
+            material.astype(np.float32),
+        )
+
+    def out_of_picture(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+        """Where the tip [m] goes when the tool draws back along its axis until it is not seen."""
+        away = tip
+        while np.isfinite(self._draw_tool.render(self._tool.vertices(away)).depth).any():
+            away = away + 0.05 * self._tool.axis
+        return away
+
+
+def _barycentric(
+    points: Float[np.ndarray, "points 3"], corners: Float[np.ndarray, "points 3 3"]
+) -> Float[np.ndarray, "points 3"]:
+    """Weights of the three corners at each point, clipped to the triangle."""
+    u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    uu, uv, vv, wu, wv = (_dot(p, q) for p, q in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    area = np.maximum(uu * vv - uv * uv, 1e-18)
+    second, third = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
+    weights = np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
+    return weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+
+
+def _blend(
+    weights: Float[np.ndarray, "points 3"], values: Float[np.ndarray, "points 3 3"]
+) -> Float[np.ndarray, "points 3"]:
+    return np.einsum("pk,pkc->pc", weights, values)
+
+
+def _dot(
+    a: Float[np.ndarray, "points 3"], b: Float[np.ndarray, "points 3"]
+) -> Float[np.ndarray, " points"]:
+    return np.einsum("pc,pc->p", a, b)
+
+
+def _unit(vectors: Float[np.ndarray, "vectors 3"]) -> Float[np.ndarray, "vectors 3"]:
+    return vectors / np.maximum(np.sqrt(_dot(vectors, vectors)), 1e-12)[:, None]
+
+
+def _face_vectors(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Float[np.ndarray, "faces 3"]:
+    """Normal of each face, as long as twice its area."""
+    corners = vertices[faces]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def _corner_normals(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Float[np.ndarray, "faces 3 3"]:
+    """Normal at each corner of each face: that of the smooth surface, or the face's at a crease.
+
+    At a seam of two layers the smooth normals cancel, and the faces' own remain.
+    """
+    weighted = _face_vectors(vertices, faces)
+    smooth = np.zeros((len(vertices), 3))
+    for k in range(3):
+        np.add.at(smooth, faces[:, k], weighted)
+    smooth, flat = _unit(smooth), _unit(weighted)
+    corners = smooth[faces]
+    crease = np.einsum("fkc,fc->fk", corners, flat) < 0.5
+    return np.where(crease[..., None], flat[:, None], corners)

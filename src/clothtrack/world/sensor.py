@@ -1,0 +1,172 @@
+"""The stand-in depth camera: what it measures of a cloth, a table and a tool in the way.
+
+`depth_noise` is the measurement alone, from perfect depth; `Sensor` looks at a scene.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.world.appearance import Appearance, Painter
+from clothtrack.world.scene import Scene
+
+REFERENCE_DEPTH_M = 0.75
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """A depth camera above a table, and how badly it measures.
+
+    The defaults are those of an active stereo camera of the RealSense D400 kind: noise grows with
+    the square of the depth, silhouettes are uncertain, grazing surfaces drop out.
+
+    Attributes:
+        width: image width [pixels].
+        height: image height [pixels].
+        focal: focal length [pixels] at this width.
+        camera_height_m: height above the table [m].
+        tilt_deg: standard deviation of the optical axis from the vertical [deg].
+        white_m: standard deviation of independent noise [m] at 0.75 m.
+        wave_m: standard deviation of slowly varying error [m], the same all through a recording.
+        step_m: quantisation of depth [m]; also the unit of the depth files.
+        dropout: share of pixels without a measurement on a surface seen from the front.
+        grazing_dropout: additional share on a surface seen edge-on.
+        edge_step_m: jump of depth [m] between neighbours that counts as a silhouette.
+        edge_dropout: share of silhouette pixels without a measurement.
+        edge_mixing: share of the other silhouette pixels that mix both depths.
+    """
+
+    width: int = 640
+    height: int = 480
+    focal: float = 600.0
+    camera_height_m: float = 0.75
+    tilt_deg: float = 2.0
+    white_m: float = 0.001
+    wave_m: float = 0.0005
+    step_m: float = 0.0005
+    dropout: float = 0.02
+    grazing_dropout: float = 0.6
+    edge_step_m: float = 0.01
+    edge_dropout: float = 0.4
+    edge_mixing: float = 0.5
+
+    @classmethod
+    def perfect(cls, **changes: float) -> "SensorConfig":
+        """A camera that measures exactly, but for what `changes` says."""
+        exact: dict[str, float] = dict.fromkeys(
+            ("white_m", "wave_m", "dropout", "grazing_dropout", "edge_dropout", "edge_mixing"), 0.0
+        )
+        return cls(**{**exact, "step_m": 1e-6, **changes})  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One moment as the camera saw it.
+
+    Attributes:
+        color: colour picture, red first.
+        depth: distance along the optical axis [m]; 0 where nothing was measured.
+    """
+
+    color: UInt8[np.ndarray, "height width 3"]
+    depth: Float[np.ndarray, "height width"]
+
+
+def top_down_camera(config: SensorConfig, rng: np.random.Generator) -> Camera:
+    """A camera above the origin of the table z = 0, looking down, slightly tilted at random.
+
+    Its image has the world's x to the right and y upwards.
+    """
+    tilt = np.radians(config.tilt_deg) * rng.standard_normal(2)
+    roll = np.radians(config.tilt_deg) * rng.standard_normal()
+    turn, _ = cv2.Rodrigues(np.array([tilt[0], tilt[1], roll]))
+    downwards = np.diag([1.0, -1.0, -1.0])
+    pose = np.eye(4)
+    pose[:3, :3] = downwards @ turn
+    # Stands where its axis meets the table near the origin, so that the tilt moves nothing out.
+    axis = pose[:3, 2]
+    pose[:3, 3] = axis * (config.camera_height_m / axis[2])
+    return Camera(
+        "top",
+        config.width,
+        config.height,
+        config.focal,
+        config.focal,
+        (config.width - 1) / 2.0,
+        (config.height - 1) / 2.0,
+        pose,
+    )
+
+
+def depth_noise(
+    depth: Float[np.ndarray, "height width"],
+    facing: Float[np.ndarray, "height width"],
+    wave: Float[np.ndarray, "height width"],
+    config: SensorConfig,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "height width"]:
+    """What the camera measures [m] of a perfect depth picture; 0 = no measurement.
+
+    Args:
+        depth: true depth [m], positive everywhere.
+        facing: cosine between the surface's normal and the line of sight.
+        wave: the slowly varying error, in standard deviations.
+        config: how badly the camera measures.
+        rng: source of the noise.
+    """
+
+    def uniform() -> Float[np.ndarray, "height width"]:
+        return rng.random(depth.shape, dtype=np.float32)
+
+    kernel = np.ones((3, 3), np.uint8)
+    near, far = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
+    edge = far - near > config.edge_step_m
+    mixed = edge & (uniform() < config.edge_mixing)
+    measured = np.where(mixed, near + uniform() * (far - near), depth)
+    error = config.white_m * rng.standard_normal(depth.shape, dtype=np.float32)
+    error += config.wave_m * wave
+    measured = measured + (depth / REFERENCE_DEPTH_M) ** 2 * error
+    grazing = np.clip((0.4 - facing) / 0.4, 0.0, 1.0)
+    lost = uniform() < config.dropout + config.grazing_dropout * grazing
+    lost |= edge & (uniform() < config.edge_dropout)
+    quantised = np.round(measured / config.step_m) * config.step_m
+    return np.where(lost, 0.0, np.maximum(quantised, 0.0))
+
+
+class Sensor:
+    """A camera above one scene, with its own slowly varying error."""
+
+    def __init__(
+        self, scene: Scene, config: SensorConfig, appearance: Appearance, *, seed: int
+    ) -> None:
+        """Look at a scene.
+
+        Args:
+            scene: cloth, tool and camera.
+            config: how badly the camera measures.
+            appearance: colours of cloth, table and tool.
+            seed: of the noise.
+        """
+        self._scene = scene
+        self._config = config
+        self._painter = Painter(appearance, scene.table_points)
+        self._rng = np.random.default_rng(seed)
+        self._wave = _wave(scene.camera, self._rng)
+
+    def capture(
+        self, vertices: Float[np.ndarray, "vertices 3"], tip: Float[np.ndarray, " 3"] | None
+    ) -> Picture:
+        """Take a picture with the cloth's vertices and the tool's tip here [m]; None: no tool."""
+        view = self._scene.view(vertices, tip)
+        depth = depth_noise(view.depth, view.facing, self._wave, self._config, self._rng)
+        return Picture(self._painter.paint(view), depth)
+
+
+def _wave(camera: Camera, rng: np.random.Generator) -> Float[np.ndarray, "height width"]:
+    """A smooth random field over the image, mean 0 and standard deviation 1."""
+    coarse = rng.standard_normal((5, 6))
+    field = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
+    return (field - field.mean()) / field.std()

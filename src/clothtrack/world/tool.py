@@ -1,0 +1,65 @@
+"""The tool that moves the cloth: a tapered rod that reaches in from outside the picture."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+SIDES = 12
+RADII_M = ((0.0, 0.0015), (0.03, 0.003), (0.12, 0.008), (0.9, 0.012))
+"""Distance from the tip [m] and radius there [m]: tweezers on a rod."""
+
+
+@dataclass(frozen=True)
+class Tool:
+    """A rod that keeps its direction; only its tip moves.
+
+    Attributes:
+        azimuth_rad: direction in which it leaves the tip, seen from above, from the x axis.
+        elevation_rad: how steeply it rises from the table.
+    """
+
+    azimuth_rad: float = np.pi / 2.0
+    elevation_rad: float = np.radians(35.0)
+
+    @classmethod
+    def sample(cls, rng: np.random.Generator) -> "Tool":
+        """A tool that comes from the far side of the table, at a usual slope."""
+        return cls(
+            azimuth_rad=float(np.pi / 2.0 + rng.uniform(-0.7, 0.7)),
+            elevation_rad=float(np.radians(rng.uniform(28.0, 45.0))),
+        )
+
+    @property
+    def axis(self) -> Float[np.ndarray, " 3"]:
+        """Unit vector from the tip along the rod."""
+        flat = np.cos(self.elevation_rad)
+        return np.array(
+            [
+                flat * np.cos(self.azimuth_rad),
+                flat * np.sin(self.azimuth_rad),
+                np.sin(self.elevation_rad),
+            ]
+        )
+
+    @property
+    def faces(self) -> Int[np.ndarray, "faces 3"]:
+        """Triangles of the rod, outward; the far end is open."""
+        faces = []
+        for ring in range(len(RADII_M) - 1):
+            for k in range(SIDES):
+                a, b = ring * SIDES + k, ring * SIDES + (k + 1) % SIDES
+                c, d = a + SIDES, b + SIDES
+                faces += [(a, b, c), (b, d, c)]
+        faces += [(0, k + 1, k) for k in range(1, SIDES - 1)]
+        return np.array(faces, dtype=np.int32)
+
+    def vertices(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "vertices 3"]:
+        """Vertices of the rod [m] when its tip is here."""
+        across = np.cross(self.axis, (0.0, 0.0, 1.0))
+        across /= np.linalg.norm(across)
+        up = np.cross(across, self.axis)
+        turn = 2.0 * np.pi * np.arange(SIDES) / SIDES
+        ring = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
+        rings = [tip + distance * self.axis + radius * ring for distance, radius in RADII_M]
+        return np.concatenate(rings)
