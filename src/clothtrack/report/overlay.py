@@ -239,7 +239,8 @@ def scene_view(
     up = (0.0, 0.0, 1.0)
     azimuth = -60.0
     if recording.table is not None:
-        up = tuple(float(axis) for axis in recording.table.normal)
+        x, y, z = recording.table.normal
+        up = (float(x), float(y), float(z))
     elif recording.cameras:
         up = upright(recording.cameras[0])
         azimuth = _azimuth_of(recording.cameras[0], tracked, up) + 28.0
