@@ -5,6 +5,8 @@ Expected failures of the method (a line search that gives up, an alignment that 
 recorded results, not exceptions.
 """
 
+import errno
+
 
 class ClothTrackError(Exception):
     """The root of all errors that clothtrack raises on purpose; the command line exits with 1."""
@@ -32,3 +34,19 @@ class InvalidConfigError(ClothTrackError):
 
 class StorageError(ClothTrackError):
     """The disk refused: full, read-only or not ours to write."""
+
+    @classmethod
+    def of(cls, error: OSError) -> "StorageError":
+        """An error of the operating system, in words that say what to do."""
+        where = error.filename or "the output"
+        told = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
+        return cls(f"{where}: {told}")
+
+
+_REMEDIES = {
+    errno.ENOSPC: "the disk is full; free some space and run the same command again",
+    errno.EDQUOT: "the quota is used up; free some space and run the same command again",
+    errno.EACCES: "no permission; choose another folder or change its owner",
+    errno.EROFS: "the disk is read-only; choose another folder",
+    errno.ENOENT: "there is no such file or folder; check the name",
+}

@@ -1,6 +1,7 @@
 """What really happened to the cloth, where somebody knows it; only evaluation reads it."""
 
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,43 +44,19 @@ class Truth:
                 f"{path}: cannot be read as a truth file ({error}); give the NPZ file that "
                 "`clothtrack simulate` wrote beside the recordings"
             ) from error
-        missing = [name for name in ("positions", "faces", "frames") if name not in arrays]
-        if missing:
-            raise InvalidResultError(
-                f"{path}: has no array {missing[0]!r} (found {', '.join(sorted(arrays)) or 'none'})"
-            )
-        truth = cls(
-            np.asarray(arrays["positions"], np.float64),
-            np.asarray(arrays["faces"], np.int64),
-            np.asarray(arrays["frames"], np.int64).reshape(-1),
-            None if "canonical" not in arrays else np.asarray(arrays["canonical"], np.float64),
+        _check(arrays, path)
+        canonical = arrays.get("canonical")
+        return cls(
+            arrays["positions"].astype(np.float64),
+            arrays["faces"].astype(np.int64),
+            arrays["frames"].astype(np.int64),
+            None if canonical is None else canonical.astype(np.float64),
         )
-        truth._check(path)
-        return truth
 
     def at(self, frame: int) -> Float[np.ndarray, "vertices 3"] | None:
         """True vertices [m] at a frame of the recording; None when that frame is not known."""
         found = np.flatnonzero(self.frames == frame)
         return None if len(found) == 0 else self.positions[found[0]]
-
-    def _check(self, path: Path) -> None:
-        shape = self.positions.shape
-        expected = (len(self.frames), shape[1] if len(shape) > 1 else 0, 3)
-        if shape != expected:
-            raise InvalidResultError(
-                f"{path}: positions has shape {shape}; expected (frames, vertices, 3) with "
-                f"{len(self.frames)} frames"
-            )
-        if len(self.faces) == 0 or self.faces.min() < 0 or self.faces.max() >= shape[1]:
-            raise InvalidResultError(
-                f"{path}: faces must name vertices 0 to {shape[1] - 1}; write the mesh again"
-            )
-        if self.canonical is not None and self.canonical.shape != (shape[1], 3):
-            raise InvalidResultError(
-                f"{path}: canonical has shape {self.canonical.shape}, expected ({shape[1]}, 3)"
-            )
-        if not np.isfinite(self.positions).all():
-            raise InvalidResultError(f"{path}: positions are not finite; simulate it again")
 
 
 def material_map(
@@ -106,3 +83,28 @@ def material_points(
     """World positions [m] of the material points that `material_map` found."""
     face, weights = where
     return np.einsum("ij,ijk->ik", weights, positions[faces[face]])
+
+
+def _check(arrays: Mapping[str, np.ndarray], path: Path) -> None:
+    missing = [name for name in ("positions", "faces", "frames") if name not in arrays]
+    if missing:
+        raise InvalidResultError(
+            f"{path}: has no array {missing[0]!r} (found {', '.join(sorted(arrays)) or 'none'})"
+        )
+    positions, faces, frames = (arrays[name] for name in ("positions", "faces", "frames"))
+    if frames.ndim != 1 or positions.ndim != 3 or positions.shape[::2] != (len(frames), 3):
+        raise InvalidResultError(
+            f"{path}: positions has shape {positions.shape} and frames {frames.shape}; expected "
+            "(frames, vertices, 3) and (frames,)"
+        )
+    count = positions.shape[1]
+    if faces.ndim != 2 or len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
+        raise InvalidResultError(
+            f"{path}: faces must name vertices 0 to {count - 1}; write the mesh again"
+        )
+    if "canonical" in arrays and arrays["canonical"].shape != (count, 3):
+        raise InvalidResultError(
+            f"{path}: canonical has shape {arrays['canonical'].shape}, expected ({count}, 3)"
+        )
+    if not np.isfinite(positions).all():
+        raise InvalidResultError(f"{path}: positions are not finite; simulate it again")

@@ -28,6 +28,7 @@ _EMPTY = wp.constant(wp.uint64(EMPTY_PIXEL))
 _STRIP = wp.constant(STRIP_PIXELS)
 
 
+@no_type_check
 @wp.struct
 class RasterCamera:
     """A pinhole camera for kernels: image size [pixels], intrinsics [pixels], pose, near [m]."""

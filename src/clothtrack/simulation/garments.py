@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
@@ -214,7 +214,7 @@ def _tshirt_outline(width: float, length: float, neck_depth: float) -> list[Span
 def _sewn_together(
     front: Piece, back: Piece
 ) -> tuple[
-    Float[np.ndarray, "vertices 2"], Float[np.ndarray, "faces 3"], Float[np.ndarray, " vertices"]
+    Float[np.ndarray, "vertices 2"], Int[np.ndarray, "faces 3"], Float[np.ndarray, " vertices"]
 ]:
     """Join two pieces at their sewn vertices, which both list in the same order.
 

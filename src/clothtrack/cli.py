@@ -1,0 +1,408 @@
+"""The command line: one verb per stage, in the order of the method.
+
+Every verb parses, loads, calls one function and saves. The stages are imported when their verb is
+called, so that `--help` is instant. Exit codes: 0 done, 1 bad input (one clear line on standard
+error), 2 wrong usage, 130 interrupted.
+"""
+
+import json as json_module
+import logging
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from clothtrack.errors import (
+    ClothTrackError,
+    InvalidConfigError,
+    InvalidRecordingError,
+    InvalidResultError,
+    StorageError,
+)
+
+if TYPE_CHECKING:
+    from clothtrack.pipeline import Outcome, RunConfig
+    from clothtrack.recordings.recording import Recording
+    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+Mode = Literal[
+    "default",
+    "full_held_paper",
+    "open_loop",
+    "no_pseudo_action",
+    "no_dynamics_initialisation",
+    "no_action_conditioning",
+    "no_final_alignment",
+]
+AsJson = Annotated[bool, arg(name="json", help="write one JSON document to standard output")]
+Device = Annotated[str, arg(help="cpu, or cuda:0")]
+Seed = Annotated[int, arg(help="seed of everything random")]
+Settings = Annotated[
+    tuple[str, ...],
+    arg(name="set", metavar="NAME=VALUE", help="a setting, e.g. tracker.alignment.iterations=50"),
+    UseAppendAction,
+]
+
+SHIPPED = Path(__file__).parent / "shipped"
+VERBS: list[Callable[..., int]] = []
+
+
+def _verb(function: Callable[..., int]) -> Callable[..., int]:
+    VERBS.append(function)
+    return function
+
+
+@_verb
+def demo(
+    *,
+    recording: str = "",
+    output: Path = Path("out/demo"),
+    mode: Mode = "default",
+    device: Device = "cpu",
+) -> int:
+    """Track a recording that comes with clothtrack, and write its report.
+
+    Args:
+        recording: name of a shipped recording; the first one by default.
+        output: folder for the tracked trajectory and the report.
+        mode: the tracker's default, the paper's method, or an ablation of it.
+        device: where to compute.
+    """
+    from clothtrack.recordings.store import read_recording
+    from clothtrack.report.page import write_report
+    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+    folder = _shipped(recording)
+    config = _run_config(mode, (), seed=0)
+    outcome = _track([folder], output, config, device=device)[0]
+    if outcome.result is None:
+        raise InvalidRecordingError(outcome.error)
+    tracked = TrackedTrajectory.load(outcome.result)
+    page = write_report(tracked, read_recording(folder), output / f"{tracked.name}.html")
+    _say(f"tracked  {outcome.result}" + (" (finished before)" if outcome.skipped else ""))
+    _say(f"report   {page}   (open it in a browser; it needs no network)")
+    return 0
+
+
+@_verb
+def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
+    """Is this recording readable? What is in it, what is wrong with it?
+
+    Args:
+        recording: folder with a recording.json.
+        json: machine-readable.
+    """
+    from clothtrack.recordings.inspection import inspect as inspect_recording
+
+    found = inspect_recording(recording)
+    _say(json_module.dumps(found.as_dict(), indent=2) if json else found.text())
+    return 0 if found.valid else 1
+
+
+@_verb
+def simulate(
+    output: Positional[Path],
+    *,
+    garment: Literal["towel", "tshirt"] = "towel",
+    trajectories: int = 1,
+    actions: int = 3,
+    workers: int = 1,
+    seed: Seed = 0,
+) -> int:
+    """Film a stand-in world: OUTPUT/recordings, and the truth kept apart in OUTPUT/truth.
+
+    Args:
+        output: folder for both; recordings that are there are left as they are.
+        garment: what lies on the table.
+        trajectories: how many recordings; they get the seeds SEED, SEED + 1 and so on.
+        actions: pick-and-places per recording.
+        workers: processes.
+        seed: of garment, pose, actions, camera and noise.
+    """
+    from clothtrack.world.episodes import EpisodeConfig
+    from clothtrack.world.episodes import simulate as film
+
+    folders = film(
+        output,
+        garment,
+        trajectories,
+        seed=seed,
+        config=EpisodeConfig(actions=actions),
+        processes=workers,
+    )
+    for folder in folders:
+        _say(str(folder))
+    return 0 if len(folders) == trajectories else 1
+
+
+@_verb
+def track(
+    recordings: Positional[tuple[Path, ...]],
+    *,
+    output: Path,
+    mode: Mode = "default",
+    settings: Settings = (),
+    workers: int = 1,
+    device: Device = "cpu",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> int:
+    """Track recordings: the full mesh at every observation (Algorithm 1).
+
+    Args:
+        recordings: recording folders.
+        output: folder that gets one NAME.zarr per recording; those that are there are skipped,
+            so that an interrupted run goes on when it is started again.
+        mode: the tracker's default, the paper's method, or an ablation of it.
+        settings: changes to the mode.
+        workers: processes; each tracks one recording at a time.
+        device: where to compute.
+        seed: stored with the result.
+        json: machine-readable.
+    """
+    if not recordings:
+        _complain("no recording given; name at least one recording folder")
+        return 2
+    outcomes = _track(
+        recordings, output, _run_config(mode, settings, seed=seed), device=device, workers=workers
+    )
+    if json:
+        _say(json_module.dumps([asdict(one) for one in outcomes], indent=2, default=str))
+    for one in outcomes:
+        if one.result is None:
+            _complain(f"{one.recording}: {one.error}")
+        elif not json:
+            _say(f"{one.result}" + ("   (finished before)" if one.skipped else ""))
+    return 1 if any(one.result is None for one in outcomes) else 0
+
+
+@_verb
+def evaluate(
+    tracked: Positional[tuple[Path, ...]],
+    *,
+    recordings: Path,
+    truth: Path | None = None,
+    output: Path | None = None,
+    device: Device = "cpu",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> int:
+    """Measure tracked trajectories against their clouds, and against the truth where it is known.
+
+    Args:
+        tracked: NAME.zarr folders that `track` wrote.
+        recordings: the recording, or the folder in which recordings lie by name.
+        truth: truth file, or the folder in which NAME.npz lie.
+        output: also write the rows to this JSON file.
+        device: where to compute.
+        seed: of surface samples.
+        json: machine-readable.
+    """
+    from clothtrack.evaluation.results import as_json, save_json, table
+    from clothtrack.evaluation.results import evaluate as measure
+    from clothtrack.evaluation.truth import Truth
+
+    _require_device(device)
+    evaluations = []
+    for path in tracked:
+        result = _load_tracked(path)
+        known = None if truth is None else Truth.load(_inside(truth, f"{result.name}.npz"))
+        recording = _recording_of(result, recordings)
+        evaluations.append(measure(result, recording, known, device=device, seed=seed))
+    if output is not None:
+        save_json(evaluations, output)
+    _say(as_json(evaluations) if json else table(evaluations))
+    return 0
+
+
+@_verb
+def view(
+    artefact: Positional[Path],
+    *,
+    recordings: Path,
+    html: Path | None = None,
+    port: int | None = None,
+) -> int:
+    """Look at a tracked trajectory: in a browser, or as one page that needs no network.
+
+    Args:
+        artefact: NAME.zarr that `track` wrote.
+        recordings: its recording, or the folder in which recordings lie by name.
+        html: write one self-contained page here instead of serving.
+        port: of the local server, which listens on this machine only; any free one by default.
+    """
+    tracked = _load_tracked(artefact)
+    recording = _recording_of(tracked, recordings)
+    if html is not None:
+        from clothtrack.report.page import write_report
+
+        _say(str(write_report(tracked, recording, html)))
+        return 0
+    from clothtrack.report.live import view_live
+
+    # The address is in the log, and here it is what one wants to know.
+    logging.getLogger("clothtrack.report").setLevel(logging.INFO)
+    view_live(tracked, recording, port)
+    return 0
+
+
+@_verb
+def export(
+    artefact: Positional[Path],
+    *,
+    output: Path,
+    format: Literal["obj", "ply", "npz"] = "obj",  # noqa: A002
+) -> int:
+    """Write the tracked meshes in a format that other programs read.
+
+    Args:
+        artefact: NAME.zarr that `track` wrote.
+        output: folder (obj, ply: one file per frame) or file (npz).
+        format: obj, ply or npz.
+    """
+    from clothtrack.report.export import export as export_meshes
+
+    _say(str(export_meshes(_load_tracked(artefact), output, format)))
+    return 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb.
+
+    Args:
+        arguments: the words after `clothtrack`; those of the process by default.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    level = logging.INFO if "--verbose" in words else logging.WARNING
+    words = [word for word in words if word != "--verbose"]
+    logging.basicConfig(level=level, stream=sys.stderr, format="%(levelname)s %(message)s")
+    try:
+        return tyro.extras.subcommand_cli_from_dict(
+            {function.__name__: function for function in VERBS},
+            prog="clothtrack",
+            description=(
+                "Know where every point of a crumpled cloth is, from one depth camera. "
+                "Any verb takes --verbose."
+            ),
+            args=words,
+            config=(FlagCreatePairsOff, OmitArgPrefixes),
+        )
+    except ClothTrackError as error:
+        _complain(str(error))
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`): nothing is wrong, nothing more to say.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        _complain(str(StorageError.of(error)))
+    except KeyboardInterrupt:
+        _complain(
+            "interrupted; what was finished is whole, nothing half-written keeps its name. "
+            "The same command goes on from there"
+        )
+        return 130
+    return 1
+
+
+def _run_config(mode: str, settings: Sequence[str], *, seed: int) -> "RunConfig":
+    from clothtrack.pipeline import RunConfig
+    from clothtrack.tracking.configuration import mode as tracker_mode
+    from clothtrack.tracking.settings import with_settings
+
+    return with_settings(RunConfig(tracker=tracker_mode(mode), seed=seed), settings)
+
+
+def _track(
+    recordings: Sequence[Path],
+    output: Path,
+    config: "RunConfig",
+    *,
+    device: str,
+    workers: int = 1,
+) -> "list[Outcome]":
+    from clothtrack.pipeline import track_recordings
+
+    _require_device(device)
+    outcomes = track_recordings(
+        recordings, output, config, workers=workers, device=device, progress=_progress
+    )
+    _end_progress()
+    return outcomes
+
+
+def _shipped(name: str) -> Path:
+    found = sorted(path.parent for path in SHIPPED.glob("*/recording.json"))
+    if not found:
+        raise InvalidRecordingError(f"{SHIPPED}: no recording comes with this installation")
+    by_name = {path.name: path for path in found}
+    if name and name not in by_name:
+        raise InvalidRecordingError(
+            f"no shipped recording is called {name!r}; there are {', '.join(by_name)}"
+        )
+    return by_name[name] if name else found[0]
+
+
+def _load_tracked(path: Path) -> "TrackedTrajectory":
+    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+    if not path.exists():
+        raise InvalidResultError(f"{path}: there is no such tracked trajectory; check the name")
+    return TrackedTrajectory.load(path)
+
+
+def _recording_of(tracked: "TrackedTrajectory", path: Path) -> "Recording":
+    from clothtrack.recordings.store import read_recording
+
+    if (path / "recording.json").exists():
+        return read_recording(path)
+    return read_recording(_inside(path, tracked.name))
+
+
+def _inside(path: Path, name: str) -> Path:
+    """The entry of a folder, or the path itself when it is a file."""
+    return path / name if path.is_dir() else path
+
+
+def _require_device(device: str) -> None:
+    import warp
+
+    warp.config.quiet = True
+    try:
+        warp.get_device(device)
+    except (ValueError, RuntimeError) as error:
+        known = ", ".join(str(one) for one in warp.get_devices())
+        raise InvalidConfigError(
+            f"device is {device!r}, but this machine has {known}; choose one of these"
+        ) from error
+
+
+def _progress(name: str, done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r{name}  {done}/{total}\x1b[K")
+        sys.stderr.flush()
+
+
+def _end_progress() -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\x1b[K")
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+def _complain(text: str) -> None:
+    _end_progress()
+    sys.stderr.write(f"clothtrack: {text}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

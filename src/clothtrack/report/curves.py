@@ -1,0 +1,205 @@
+"""What happened over time, as small line charts in inline SVG; a page's script adds the cursor."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+from jaxtyping import Float, Int
+
+WIDTH, HEIGHT = 420, 170
+LEFT, RIGHT, TOP, BOTTOM = 46, 10, 8, 22
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One line of a chart.
+
+    Attributes:
+        label: what it is; empty when the chart's title says it.
+        values: one per frame; NaN leaves a gap.
+        tone: which of the page's line colours, 0 the strongest.
+    """
+
+    label: str
+    values: Float[np.ndarray, " frames"]
+    tone: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """A chart over the frames of a trajectory.
+
+    Attributes:
+        title: what is shown.
+        unit: its unit, written beside the title.
+        lines: what is drawn.
+        note: one sentence of help under the title.
+        logarithmic: whether the vertical axis is.
+        least_top: the vertical axis reaches at least this value.
+        marks: frames to mark with a cross at the bottom.
+        marks_label: what a cross means.
+    """
+
+    title: str
+    unit: str
+    lines: tuple[Line, ...]
+    note: str = ""
+    logarithmic: bool = False
+    least_top: float = 0.0
+    marks: tuple[int, ...] = ()
+    marks_label: str = ""
+
+
+def chart_html(
+    chart: Chart, frames: Int[np.ndarray, " frames"], actions: Sequence[tuple[int, int]]
+) -> str:
+    """A figure element: title, legend with the values at the cursor, and the drawing.
+
+    `actions` are (first, last) frames; they are drawn as bands.
+    """
+    axis = _Axis.of(chart)
+    data = {
+        "frames": [int(frame) for frame in frames],
+        "lines": [[_number(value) for value in line.values] for line in chart.lines],
+        "left": LEFT,
+        "right": WIDTH - RIGHT,
+    }
+    legend = "".join(
+        f'<span class="key tone{line.tone}"><i></i>{escape(line.label)} <b class="now"></b></span>'
+        for line in chart.lines
+    )
+    if chart.marks:
+        legend += f'<span class="key mark"><i></i>{escape(chart.marks_label)}</span>'
+    unit = f' <span class="unit">{escape(chart.unit)}</span>' if chart.unit else ""
+    note = f'<p class="note">{escape(chart.note)}</p>' if chart.note else ""
+    return (
+        f"<figure class='chart' data-chart='{escape(json.dumps(data), quote=True)}'>"
+        f"<figcaption><h3>{escape(chart.title)}{unit}</h3>{note}"
+        f'<div class="legend">{legend}</div></figcaption>'
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(chart.title)}">'
+        f"{_bands(frames, actions)}{axis.drawn()}{_frame_ticks(frames)}"
+        f"{''.join(_polyline(line, frames, axis) for line in chart.lines)}"
+        f"{_crosses(chart, frames)}"
+        f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>'
+        "</svg></figure>"
+    )
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """The vertical axis: lowest and highest value, and whether it is logarithmic."""
+
+    low: float
+    high: float
+    logarithmic: bool
+
+    @classmethod
+    def of(cls, chart: Chart) -> "_Axis":
+        """The axis that shows every finite value of a chart."""
+        values = np.concatenate([np.ravel(line.values) for line in chart.lines])
+        values = values[np.isfinite(values)]
+        if chart.logarithmic:
+            values = values[values > 0]
+            if not len(values):
+                return cls(0.1, 1.0, True)
+            low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
+            return cls(10.0**low, 10.0 ** max(high, low + 1), True)
+        low = min(0.0, float(values.min())) if len(values) else 0.0
+        high = max(float(values.max()) if len(values) else 0.0, chart.least_top, low + 1e-9)
+        step = _round_step(high - low)
+        return cls(np.floor(low / step) * step, np.ceil(high / step - 1e-9) * step, False)
+
+    def y(self, values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values"]:
+        """Vertical place of values in the drawing."""
+        if self.logarithmic:
+            values = np.log10(np.maximum(values, self.low * 1e-3))
+            low, high = np.log10(self.low), np.log10(self.high)
+        else:
+            low, high = self.low, self.high
+        share = np.clip((values - low) / (high - low), 0.0, 1.0)
+        return TOP + (1.0 - share) * (HEIGHT - TOP - BOTTOM)
+
+    def drawn(self) -> str:
+        """Horizontal lines with their values."""
+        if self.logarithmic:
+            exponents = range(round(np.log10(self.low)), round(np.log10(self.high)) + 1)
+            stride = 1 + len(exponents) // 6
+            ticks = [10.0**e for e in exponents][::stride]
+            names = [f'10<tspan dy="-4" font-size="8">{e}</tspan>' for e in exponents][::stride]
+        else:
+            step = _round_step(self.high - self.low)
+            ticks = list(np.arange(self.low, self.high + step / 2, step))
+            names = [f"{tick:.6g}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
+        places = self.y(np.asarray(ticks))
+        return "".join(
+            f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
+            f'<text class="tick" x="{LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{name}</text>'
+            for y, name in zip(places, names, strict=True)
+        )
+
+
+def _round_step(span: float) -> float:
+    """A step of 1, 2 or 5 times a power of ten that divides a span into three to six parts."""
+    rough = span / 4
+    power = 10.0 ** np.floor(np.log10(rough))
+    return float(power * min((1, 2, 5, 10), key=lambda factor: abs(factor - rough / power)))
+
+
+def _x(frames: Int[np.ndarray, " frames"], frame: np.ndarray | int) -> np.ndarray:
+    first, last = int(frames[0]), int(frames[-1])
+    return LEFT + (np.asarray(frame) - first) / max(1, last - first) * (WIDTH - LEFT - RIGHT)
+
+
+def _bands(frames: Int[np.ndarray, " frames"], actions: Sequence[tuple[int, int]]) -> str:
+    parts = []
+    for first, last in actions:
+        left, right = _x(frames, first), _x(frames, last)
+        parts.append(
+            f'<rect class="band" x="{left:.1f}" y="{TOP}" width="{max(1.0, right - left):.1f}" '
+            f'height="{HEIGHT - TOP - BOTTOM}"/>'
+        )
+    return "".join(parts)
+
+
+def _frame_ticks(frames: Int[np.ndarray, " frames"]) -> str:
+    first, last = int(frames[0]), int(frames[-1])
+    step = max(1, round(_round_step(max(1, last - first))))
+    ticks = [first, *range(first - first % step + step, last + 1, step)]
+    return "".join(
+        f'<text class="tick" x="{_x(frames, tick):.1f}" y="{HEIGHT - 7}" '
+        f'text-anchor="middle">{tick}</text>'
+        for tick in ticks
+    )
+
+
+def _polyline(line: Line, frames: Int[np.ndarray, " frames"], axis: _Axis) -> str:
+    values = np.asarray(line.values, dtype=np.float64)
+    fine = np.isfinite(values) & ((values > 0) | (not axis.logarithmic))
+    x, y = _x(frames, frames), axis.y(np.where(fine, values, 1.0))
+    command, parts = "M", []
+    alone = []
+    for k in range(len(values)):
+        if not fine[k]:
+            command = "M"
+            continue
+        before, after = k > 0 and fine[k - 1], k + 1 < len(values) and fine[k + 1]
+        if not before and not after:
+            alone.append(f'<circle class="tone{line.tone}" cx="{x[k]:.1f}" cy="{y[k]:.1f}" r="2"/>')
+        parts.append(f"{command}{x[k]:.1f} {y[k]:.1f}")
+        command = "L"
+    return f'<path class="line tone{line.tone}" d="{"".join(parts)}"/>' + "".join(alone)
+
+
+def _crosses(chart: Chart, frames: Int[np.ndarray, " frames"]) -> str:
+    y = HEIGHT - BOTTOM - 5
+    return "".join(
+        f'<path class="cross" d="M{x - 3:.1f} {y - 3}l6 6m0 -6l-6 6"><title>frame {frame}: '
+        f"{escape(chart.marks_label)}</title></path>"
+        for frame, x in ((frame, float(_x(frames, frame))) for frame in chart.marks)
+    )
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.4g}") if np.isfinite(value) else None

@@ -1,0 +1,108 @@
+"""What was observed at a frame, as a picture to draw on and as points.
+
+A view shows the first of these that exists: the colour picture, the depth picture in grey, the
+point cloud projected on plain paper.
+"""
+
+import logging
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from clothtrack.errors import ClothTrackError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.report.palette import OBSERVED, PAPER, rgb255
+
+log = logging.getLogger(__name__)
+
+CloudReader = Callable[[Recording, Frame], Float[np.ndarray, "points 3"]]
+"""Gives the observed cloth of a frame: points in the world [m]."""
+
+
+def observed_points(recording: Recording, frame: Frame) -> Float[np.ndarray, "points 3"]:
+    """The observed cloth of a frame [m, world]; empty, with a warning, when it cannot be had.
+
+    A report is about a run that is over: a frame that cannot be read any more costs the picture,
+    not the report.
+    """
+    try:
+        return observe(recording, frame).points
+    except ClothTrackError as error:
+        log.warning("frame %d of %s: no point cloud (%s)", frame.index, recording.name, error)
+        return np.empty((0, 3))
+
+
+def thinned(
+    points: Float[np.ndarray, "points 3"], count: int, *, seed: int = 0
+) -> Float[np.ndarray, "kept 3"]:
+    """At most `count` of the points, chosen evenly at random."""
+    if len(points) <= count:
+        return points
+    chosen = np.random.default_rng(seed).choice(len(points), count, replace=False)
+    return points[np.sort(chosen)]
+
+
+def has_picture(frame: Frame, camera: Camera) -> bool:
+    """Whether the frame has a colour or a depth picture from this camera."""
+    return camera.name in frame.color or camera.name in frame.depth
+
+
+def view_picture(
+    recording: Recording,
+    frame: Frame,
+    camera: Camera,
+    points: Float[np.ndarray, "points 3"],
+) -> UInt8[np.ndarray, "height width 3"]:
+    """The RGB picture of a frame in the size of `camera`, which may be resized or nobody's.
+
+    `points` [m, world] are drawn when the frame has no picture of that camera's name.
+    """
+    try:
+        if camera.name in frame.color:
+            return _resized(read_color(frame.color[camera.name]), camera)
+        if camera.name in frame.depth:
+            unit = recording.depth_units_m[camera.name]
+            return _resized(_grey_depth(read_depth(frame.depth[camera.name], unit)), camera)
+    except ClothTrackError as error:
+        log.warning("frame %d of %s: no picture (%s)", frame.index, recording.name, error)
+    return cloud_picture(points, camera)
+
+
+def cloud_picture(
+    points: Float[np.ndarray, "points 3"], camera: Camera
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Points [m, world] on plain paper."""
+    image = np.full((camera.height, camera.width, 3), rgb255(PAPER), dtype=np.uint8)
+    pixels, depth = camera.project(np.asarray(points, dtype=np.float64))
+    pixels = np.rint(pixels[depth > 1e-3]).astype(np.int64)
+    for shift in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        columns, rows = (pixels + shift).T
+        inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+        image[rows[inside], columns[inside]] = rgb255(OBSERVED)
+    return image
+
+
+def _resized(
+    image: UInt8[np.ndarray, "height width 3"], camera: Camera
+) -> UInt8[np.ndarray, "rows columns 3"]:
+    if image.shape[:2] == (camera.height, camera.width):
+        return image
+    shrinking = camera.width < image.shape[1]
+    how = cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR
+    return cv2.resize(image, (camera.width, camera.height), interpolation=how)
+
+
+def _grey_depth(depth: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width 3"]:
+    """Near is light, far is dark, nothing measured is black."""
+    measured = depth > 0
+    if not measured.any():
+        return np.zeros((*depth.shape, 3), dtype=np.uint8)
+    near, far = np.percentile(depth[measured], (1, 99))
+    nearness = 1.0 - np.clip((depth - near) / max(far - near, 1e-3), 0.0, 1.0)
+    grey = np.where(measured, 60 + 170 * nearness, 0).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=2)

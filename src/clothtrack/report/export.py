@@ -1,0 +1,96 @@
+"""A tracked trajectory for other programs: one NumPy archive, or one mesh file per frame."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.report.storing import whole_file, whole_folder
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+ExportFormat = Literal["npz", "obj", "ply"]
+
+
+def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:  # noqa: A002
+    """Write a tracked trajectory for other programs and return where it is.
+
+    `npz`: one file with `positions` [m] (frames, vertices, 3), `positions_before_final_alignment`
+    [m] (actions, vertices, 3), `faces`, `frames`, `visible` (frames, vertices) and `time_s` [s].
+
+    `obj`, `ply`: a folder with `frame_000000.obj` and so on, numbered as in the recording, and
+    for each action `action_00_before.obj` and `action_00_after.obj`, the mesh around the final
+    alignment. The vertex order is the same in all of them.
+
+    Raises:
+        InvalidConfigError: when the format is another one.
+        StorageError: when the disk refuses or a folder of that name holds something.
+    """
+    if format not in get_args(ExportFormat):
+        raise InvalidConfigError(
+            f"format is {format!r}; choose one of {', '.join(get_args(ExportFormat))}"
+        )
+    out = Path(out)
+    if format == "npz":
+        with whole_file(out if out.suffix == ".npz" else Path(f"{out}.npz")) as temporary:
+            np.savez_compressed(temporary, **_arrays(tracked))
+        return out if out.suffix == ".npz" else Path(f"{out}.npz")
+    write = _write_obj if format == "obj" else _write_ply
+    with whole_folder(out) as folder:
+        for name, positions in _named_meshes(tracked):
+            write(folder / f"{name}.{format}", positions, tracked.mesh.faces)
+    return out
+
+
+def _arrays(tracked: TrackedTrajectory) -> dict[str, np.ndarray]:
+    before = [action.positions_before_final_alignment for action in tracked.actions]
+    return {
+        "positions": tracked.positions.astype(np.float32),
+        "positions_before_final_alignment": np.reshape(
+            np.asarray(before, dtype=np.float32), (-1, tracked.mesh.vertex_count, 3)
+        ),
+        "faces": tracked.mesh.faces.astype(np.int32),
+        "frames": tracked.frames,
+        "visible": tracked.visible,
+        "time_s": tracked.time_s,
+    }
+
+
+def _named_meshes(
+    tracked: TrackedTrajectory,
+) -> Iterator[tuple[str, Float[np.ndarray, "vertices 3"]]]:
+    for frame, positions in zip(tracked.frames, tracked.positions, strict=True):
+        yield f"frame_{frame:06d}", positions
+    for number, action in enumerate(tracked.actions):
+        yield f"action_{number:02d}_before", action.positions_before_final_alignment
+        yield f"action_{number:02d}_after", action.positions_after_final_alignment
+
+
+def _write_obj(
+    path: Path, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> None:
+    """Wavefront OBJ: metres, vertex indices from 1."""
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in positions]
+    lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _write_ply(
+    path: Path, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> None:
+    """Stanford PLY, binary little endian: metres."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(positions)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", (3,))])
+    rows["count"] = 3
+    rows["corners"] = faces
+    path.write_bytes(
+        header.encode("ascii") + np.ascontiguousarray(positions, "<f4").tobytes() + rows.tobytes()
+    )

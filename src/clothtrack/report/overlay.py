@@ -1,0 +1,340 @@
+"""The tracked mesh drawn over what the cameras saw, as a video and as a contact sheet.
+
+The visible surface is shaded and translucent, its outline bright; what the cameras do not see is
+drawn through it as a wire frame in the hidden hue.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.report.evidence import (
+    CloudReader,
+    has_picture,
+    observed_points,
+    view_picture,
+)
+from clothtrack.report.lettering import caption
+from clothtrack.report.palette import (
+    HIDDEN,
+    INK,
+    OUTSIDE,
+    PAPER,
+    PICKER_CLOSED,
+    PICKER_OPEN,
+    rgb255,
+)
+from clothtrack.report.shading import Shader, ShadingConfig
+from clothtrack.report.storing import whole_file
+from clothtrack.report.video import frame_rate, write_video
+from clothtrack.report.viewpoint import three_quarter_view, upright
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+Picture = UInt8[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True)
+class OverlayConfig:
+    """How the overlay looks.
+
+    Attributes:
+        height: height of each camera's picture [pixels].
+        closest: smallest share of a camera's picture that is shown when the cloth fills little
+            of it; 1 always shows all.
+        cameras: at most this many cameras, side by side.
+        surface: opacity of the shaded surface, 0..1.
+        wires: opacity of the visible wire frame, 0..1.
+        hidden_wires: opacity of the hidden wire frame, 0..1.
+        device: where the z-buffer runs.
+    """
+
+    height: int = 480
+    closest: float = 0.55
+    cameras: int = 2
+    surface: float = 0.38
+    wires: float = 0.30
+    hidden_wires: float = 0.55
+    device: str = "cpu"
+
+
+class Overlay:
+    """Draws any frame of one tracked trajectory over its recording."""
+
+    def __init__(
+        self,
+        tracked: TrackedTrajectory,
+        recording: Recording,
+        *,
+        config: OverlayConfig | None = None,
+        cloud: CloudReader = observed_points,
+    ) -> None:
+        """Prepare the views: the recording's cameras, or one of ours where it has no picture."""
+        self.tracked, self.recording = tracked, recording
+        self.config = config or OverlayConfig()
+        self._cloud = cloud
+        self._frames = {frame.index: frame for frame in recording.frames}
+        self.views = _views(tracked, recording, self._frames, self.config)
+        self._shaders = [
+            Shader(tracked.mesh.faces, view.camera, device=self.config.device)
+            for view in self.views
+        ]
+
+    def frame(self, step: int) -> Frame:
+        """The recording's frame that belongs to a step of the trajectory."""
+        index = int(self.tracked.frames[step])
+        return self._frames.get(index) or Frame(index, float(self.tracked.time_s[step]))
+
+    def observation(self, step: int) -> Picture:
+        """What was seen at a step, all views side by side."""
+        pictures = zip(self.views, self._observations(step), strict=True)
+        return np.hstack([view.cut(picture) for view, picture in pictures])
+
+    def draw(self, step: int) -> Picture:
+        """The tracked mesh over what was seen at a step, all views side by side."""
+        return np.hstack(self._overlays(step))
+
+    def annotated(self, step: int) -> Picture:
+        """`draw` with a line of words over it: frame, time, action, losses, share visible."""
+        picture = self.draw(step)
+        left, right = _words(self.tracked, step)
+        return np.vstack([caption(picture.shape[1], left, right), picture])
+
+    def _observations(self, step: int) -> list[Picture]:
+        frame = self.frame(step)
+        needs_cloud = not all(has_picture(frame, view.camera) for view in self.views)
+        points = self._cloud(self.recording, frame) if needs_cloud else np.empty((0, 3))
+        return [view_picture(self.recording, frame, view.camera, points) for view in self.views]
+
+    def _overlays(self, step: int) -> list[Picture]:
+        vertices = self.tracked.positions[step].astype(np.float64)
+        visible = self.tracked.visible[step]
+        pictures = []
+        for view, shader, picture in zip(
+            self.views, self._shaders, self._observations(step), strict=True
+        ):
+            camera, still = view.camera, shader.render(vertices)
+            image = _toned_down(picture)
+            shaded = still.image[still.cloth]
+            image[still.cloth] += self.config.surface * (shaded - image[still.cloth])
+            self._draw_wires(image, camera, vertices, visible)
+            image = np.clip(image, 0, 255).astype(np.uint8)
+            _outline(image, still.cloth)
+            for path in self.recording.picker_paths.values():
+                time_s = float(self.tracked.time_s[step])
+                _picker(image, camera, path.position_at(time_s), path.closed_at(time_s))
+            pictures.append(view.cut(image))
+        return pictures
+
+    def _draw_wires(
+        self,
+        image: Float[np.ndarray, "height width 3"],
+        camera: Camera,
+        vertices: Float[np.ndarray, "vertices 3"],
+        visible: Bool[np.ndarray, " vertices"],
+    ) -> None:
+        """The edges: dark where they are seen, in the hidden hue where they are believed."""
+        edges = self.tracked.mesh.edges
+        pixels, depth = camera.project(vertices)
+        ends = np.clip(np.nan_to_num(pixels[edges]), -8000, 8000)
+        drawable = (depth[edges] > 1e-3).all(axis=1)
+        length = np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+        fineness = float(np.clip(length / 9.0, 0.35, 1.0))
+        seen = visible[edges].any(axis=1)
+        for chosen, color, opacity in (
+            (seen, INK, self.config.wires),
+            (~seen, HIDDEN, self.config.hidden_wires),
+        ):
+            layer = np.zeros(image.shape[:2], dtype=np.uint8)
+            lines = np.rint(ends[chosen & drawable] * 16).astype(np.int32)
+            cv2.polylines(layer, list(lines), False, 255, 1, cv2.LINE_AA, 4)
+            drawn = layer > 0
+            weight = layer[drawn].astype(np.float32)[:, None] * (opacity * fineness / 255)
+            image[drawn] += weight * (np.asarray(rgb255(color), np.float32) - image[drawn])
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera's picture, enlarged, and the window of it that is shown.
+
+    Attributes:
+        camera: the camera in the enlarged picture.
+        rows: the rows that are shown.
+        columns: the columns that are shown.
+    """
+
+    camera: Camera
+    rows: slice
+    columns: slice
+
+    def cut(self, picture: Picture) -> Picture:
+        """The window of a picture of the camera."""
+        return picture[self.rows, self.columns]
+
+
+def write_overlay_video(
+    overlay: Overlay, path: Path, *, steps: Sequence[int] | None = None
+) -> float:
+    """Write the annotated overlay as H.264 MP4 and return its frames per second.
+
+    `steps` chooses frames of the trajectory (all by default); the video keeps the recording's
+    speed.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    chosen = range(len(overlay.tracked.frames)) if steps is None else steps
+    rate = frame_rate(overlay.tracked.time_s[np.asarray(chosen, dtype=np.int64)])
+    write_video((overlay.annotated(step) for step in chosen), path, frames_per_second=rate)
+    return rate
+
+
+def write_contact_sheet(overlay: Overlay, path: Path, *, rows: int = 6) -> Path:
+    """Write a PNG with `rows` frames: observation, overlay and a shaded 3/4 view in each row.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    count = len(overlay.tracked.frames)
+    steps = np.unique(np.linspace(0, count - 1, min(rows, count)).round().astype(int))
+    sheet = np.vstack(list(_sheet_rows(overlay, steps.tolist())))
+    with whole_file(path) as temporary:
+        cv2.imwrite(str(temporary), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
+    return path
+
+
+def _sheet_rows(overlay: Overlay, steps: Sequence[int]) -> Iterator[Picture]:
+    tracked, height = overlay.tracked, 240
+    view = scene_view(tracked, overlay.recording, width=320, height=height)
+    shader = Shader(
+        tracked.mesh.faces,
+        view,
+        table=overlay.recording.table,
+        config=ShadingConfig(supersampling=2),
+        device=overlay.config.device,
+    )
+    gap = np.full((height, 4, 3), rgb255(PAPER), dtype=np.uint8)
+    for step in steps:
+        seen, drawn = overlay.observation(step), overlay.draw(step)
+        width = round(seen.shape[1] * height / seen.shape[0])
+        small = [
+            cv2.resize(p, (width, height), interpolation=cv2.INTER_AREA) for p in (seen, drawn)
+        ]
+        row = np.hstack(
+            [small[0], gap, small[1], gap, shader.render(tracked.positions[step]).image]
+        )
+        yield np.vstack([row, caption(row.shape[1], *_words(tracked, step), height=26)])
+
+
+def scene_view(
+    tracked: TrackedTrajectory, recording: Recording, *, width: int, height: int
+) -> Camera:
+    """A 3/4 view that holds the cloth through the whole trajectory."""
+    up = (0.0, 0.0, 1.0)
+    azimuth = -60.0
+    if recording.table is not None:
+        up = tuple(float(axis) for axis in recording.table.normal)
+    elif recording.cameras:
+        up = upright(recording.cameras[0])
+        azimuth = _azimuth_of(recording.cameras[0], tracked, up) + 28.0
+    steps = np.unique(np.linspace(0, len(tracked.frames) - 1, 24).round().astype(int))
+    points = tracked.positions[steps].reshape(-1, 3).astype(np.float64)
+    elevation = 38.0 if recording.table is not None else 18.0
+    return three_quarter_view(
+        points, width=width, height=height, up=up, azimuth_deg=azimuth, elevation_deg=elevation
+    )
+
+
+def _azimuth_of(
+    camera: Camera, tracked: TrackedTrajectory, up: tuple[float, float, float]
+) -> float:
+    """Where a camera stands around the cloth, as `three_quarter_view` counts it [degrees]."""
+    upward = np.asarray(up) / np.linalg.norm(up)
+    first = np.eye(3)[0 if abs(upward[0]) < 0.9 else 1]
+    first = first - (first @ upward) * upward
+    towards = camera.position - tracked.positions[0].mean(axis=0)
+    second = np.cross(upward, first / np.linalg.norm(first))
+    return float(np.degrees(np.arctan2(towards @ second, towards @ first)))
+
+
+def _views(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    frames: dict[int, Frame],
+    config: OverlayConfig,
+) -> tuple[View, ...]:
+    """The cameras that have pictures; one of our own when there is no picture at all."""
+    shown = [frames[int(index)] for index in tracked.frames if int(index) in frames]
+    cameras = [c for c in recording.cameras if any(has_picture(frame, c) for frame in shown)]
+    if not cameras:
+        width = 2 * round(config.height * 2 / 3)
+        camera = scene_view(tracked, recording, width=width, height=config.height)
+        return (View(camera, slice(0, camera.height), slice(0, camera.width)),)
+    return tuple(_close_up(camera, tracked, config) for camera in cameras[: config.cameras])
+
+
+def _close_up(camera: Camera, tracked: TrackedTrajectory, config: OverlayConfig) -> View:
+    """The window, shaped like the picture, that holds the cloth through the whole trajectory."""
+    steps = np.unique(np.linspace(0, len(tracked.frames) - 1, 24).round().astype(int))
+    pixels, depth = camera.project(tracked.positions[steps].reshape(-1, 3).astype(np.float64))
+    size = np.array([camera.width, camera.height])
+    pixels = np.clip(pixels[depth > 1e-3], 0, size - 1)
+    share, corner = 1.0, np.zeros(2)
+    if len(pixels):
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        share = float(np.clip(1.25 * ((high - low) / size).max(), config.closest, 1.0))
+        corner = np.clip((low + high) / 2 - share * size / 2, 0, (1 - share) * size)
+    scale = config.height / (share * camera.height)
+    large = camera.resized(round(camera.width * scale))
+    left, top = np.rint(corner * scale).astype(int).tolist()
+    height = min(config.height, large.height)
+    width = min(round(share * large.width), large.width)
+    left, top = min(left, large.width - width), min(top, large.height - height)
+    return View(large, slice(top, top + height), slice(left, left + width))
+
+
+def _words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
+    """The caption of a step: where we are, and how it went."""
+    frame, steps = int(tracked.frames[step]), tracked.steps
+    left = f"frame {frame}   {tracked.time_s[step]:.2f} s"
+    for number, action in enumerate(tracked.actions):
+        if action.first_frame <= frame <= action.last_frame:
+            left += f"   action {number + 1} of {len(tracked.actions)}"
+            break
+    right = []
+    if np.isfinite(steps.loss_before[step]):
+        right.append(f"loss {steps.loss_before[step]:.1e} > {steps.loss_after[step]:.1e} m2")
+    if steps.gave_up[step]:
+        right.append("correction dropped")
+    right.append(f"{100 * tracked.visible[step].mean():.0f} % visible")
+    return left, "   ".join(right)
+
+
+def _toned_down(picture: Picture) -> Float[np.ndarray, "height width 3"]:
+    """A calmer copy: less colour, a little lighter, so that the drawing stands out."""
+    image = picture.astype(np.float32)
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
+    return 0.54 * image + (0.36 * grey + 12.0)
+
+
+def _outline(image: Picture, cloth: Bool[np.ndarray, "height width"]) -> None:
+    contours, _ = cv2.findContours(cloth.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(image, contours, -1, rgb255(PAPER), 2, cv2.LINE_AA)
+    cv2.drawContours(image, contours, -1, rgb255(OUTSIDE), 1, cv2.LINE_AA)
+
+
+def _picker(image: Picture, camera: Camera, tip: Float[np.ndarray, " 3"], closed: bool) -> None:
+    """A ring at the picker's tip, filled while it holds."""
+    pixels, depth = camera.project(tip[None])
+    if not (depth[0] > 1e-3 and np.abs(pixels[0]).max() < 1e4):
+        return
+    centre = (round(float(pixels[0, 0])), round(float(pixels[0, 1])))
+    color = rgb255(PICKER_CLOSED if closed else PICKER_OPEN)
+    cv2.circle(image, centre, 9, rgb255(PAPER), 4, cv2.LINE_AA)
+    cv2.circle(image, centre, 9, color, 2, cv2.LINE_AA)
+    cv2.circle(image, centre, 4 if closed else 2, color, -1, cv2.LINE_AA)

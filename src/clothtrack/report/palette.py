@@ -1,0 +1,60 @@
+"""The colours of every picture and page: one meaning, one hue, the same everywhere.
+
+Colours are RGB in 0..1 (float) for shading; `hexadecimal` writes them for style sheets.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+OUTSIDE = (0.290, 0.490, 0.690)
+"""The outer side of the cloth (its front faces)."""
+INSIDE = (0.878, 0.643, 0.345)
+"""The inner side: where it shows inside an outer region, one layer was pushed through another."""
+HIDDEN = (0.765, 0.318, 0.498)
+"""What no camera sees: the tracker's belief."""
+OBSERVED = (0.110, 0.478, 0.427)
+"""The measured points."""
+PICKER_CLOSED = (0.851, 0.275, 0.196)
+"""A picker that holds cloth."""
+PICKER_OPEN = (0.431, 0.604, 0.424)
+"""A picker that is open."""
+PAPER = (0.965, 0.957, 0.941)
+"""Background of the stills."""
+TABLE = (0.902, 0.886, 0.859)
+"""The table."""
+INK = (0.149, 0.157, 0.180)
+"""Text and lines."""
+
+_HEAT = np.array(
+    [
+        [0.267, 0.412, 0.580],
+        [0.373, 0.620, 0.659],
+        [0.741, 0.796, 0.584],
+        [0.933, 0.780, 0.416],
+        [0.890, 0.510, 0.286],
+        [0.690, 0.204, 0.220],
+    ]
+)
+
+
+def heat(values: Float[np.ndarray, " values"], limit: float) -> Float[np.ndarray, "values 3"]:
+    """A colour for each value between 0 (calm blue) and `limit` (red); more stays red."""
+    place = np.clip(np.nan_to_num(values / limit, nan=0.0), 0.0, 1.0) * (len(_HEAT) - 1)
+    stops = np.arange(len(_HEAT))
+    return np.stack([np.interp(place, stops, channel) for channel in _HEAT.T], axis=-1)
+
+
+def visibility_colors(visible: Bool[np.ndarray, " vertices"]) -> Float[np.ndarray, "vertices 3"]:
+    """The outside hue where a vertex is seen, the hidden hue where it is believed."""
+    return np.where(visible[:, None], OUTSIDE, HIDDEN)
+
+
+def rgb255(color: tuple[float, float, float]) -> tuple[int, int, int]:
+    """A colour as three numbers from 0 to 255."""
+    red, green, blue = (round(255 * channel) for channel in color)
+    return red, green, blue
+
+
+def hexadecimal(color: tuple[float, float, float]) -> str:
+    """A colour as a style sheet writes it (`#4a7db0`)."""
+    return "#{:02x}{:02x}{:02x}".format(*rgb255(color))

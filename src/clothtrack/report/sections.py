@@ -1,0 +1,223 @@
+"""The parts of the page, each a piece of HTML: facts, actions with their calibration, settings."""
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from clothtrack.errors import StorageError
+from clothtrack.recordings.recording import Recording
+from clothtrack.report.lettering import heat_legend
+from clothtrack.report.overlay import scene_view
+from clothtrack.report.palette import heat
+from clothtrack.report.shading import Shader, ShadingConfig
+from clothtrack.tracking.tracked_trajectory import Calibration, TrackedAction, TrackedTrajectory
+
+
+def lead_line(tracked: TrackedTrajectory, recording: Recording) -> str:
+    """What was recorded, in one line."""
+    cameras = len(recording.cameras)
+    duration = float(tracked.time_s[-1] - tracked.time_s[0])
+    parts = [
+        f"{len(tracked.frames)} frames in {duration:.1f} s",
+        _count(len(tracked.actions), "action"),
+        _count(cameras, "camera") if cameras else "point clouds only",
+        recording.cloth.kind if recording.cloth.kind != "other" else "",
+        f"{tracked.mesh.vertex_count:,} vertices, {len(tracked.mesh.faces):,} triangles",
+        "on a table" if recording.table is not None else "no table",
+    ]
+    return f'<p class="lead">{escape(" · ".join(part for part in parts if part))}</p>'
+
+
+def key_figures(figures: Sequence[tuple[str, str, str]]) -> str:
+    """A row of (name, value, unit); names without a value are left out."""
+    items = "".join(
+        f"<div><dt>{escape(name)}</dt><dd>{escape(value)} <small>{escape(unit)}</small></dd></div>"
+        for name, value, unit in figures
+        if value
+    )
+    return f'<dl class="figures">{items}</dl>'
+
+
+def figures_of(
+    tracked: TrackedTrajectory,
+    rms_mm: Float[np.ndarray, " frames"],
+    strains: Float[np.ndarray, " frames"],
+) -> list[tuple[str, str, str]]:
+    """The numbers that a reader wants first."""
+    steps = tracked.steps
+    stepped = int((np.asarray(steps.trials) > 0).sum())
+    cpu = np.nansum([steps.predict_s, steps.align_s, steps.correct_s])
+    return [
+        ("Distance to cloud, median", _finite(np.nanmedian(rms_mm), ".1f") if _any(rms_mm) else "",
+         "mm RMS"),
+        ("Edge strain, mean", f"{100 * strains.mean():.2f}", "%"),
+        ("Visible, mean", f"{100 * tracked.visible.mean():.0f}", "% of vertices"),
+        ("Corrections dropped", str(int(np.sum(steps.gave_up))), f"of {stepped}"),
+        ("Computing time", f"{cpu / max(1, len(tracked.frames)):.2f}", "s of CPU per frame"),
+    ]  # fmt: skip
+
+
+def actions_html(tracked: TrackedTrajectory, recording: Recording, *, device: str = "cpu") -> str:
+    """One card per action: the mesh around the final alignment, parameters, calibration scores."""
+    if not tracked.actions:
+        return "<p class='lead'>The recording has no action.</p>"
+    camera = scene_view(tracked, recording, width=480, height=360)
+    shader = Shader(
+        tracked.mesh.faces,
+        camera,
+        table=recording.table,
+        config=ShadingConfig(supersampling=2),
+        device=device,
+    )
+    return "".join(
+        _action_card(number, action, shader) for number, action in enumerate(tracked.actions, 1)
+    )
+
+
+def settings_html(tracked: TrackedTrajectory, recording: Recording) -> str:
+    """Configuration, versions, seed and the recording's own provenance, folded away."""
+    blocks = (
+        ("Configuration", tracked.config),
+        ("Versions, seed, device", tracked.provenance),
+        ("Where the recording comes from", recording.provenance),
+    )
+    parts = "".join(
+        f"<div><h3>{escape(title)}</h3><pre>{escape(_pretty(content))}</pre></div>"
+        for title, content in blocks
+        if content
+    )
+    if not parts:
+        return ""
+    return (
+        "<details><summary>Configuration, versions and seed</summary>"
+        f'<div class="settings">{parts}</div></details>'
+    )
+
+
+def jpeg_uri(image: UInt8[np.ndarray, "height width 3"], *, quality: int = 86) -> str:
+    """An RGB picture as a data address.
+
+    Raises:
+        StorageError: when the picture cannot be encoded.
+    """
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise StorageError(f"a picture of {image.shape} could not be encoded as JPEG")
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
+def _action_card(number: int, action: TrackedAction, shader: Shader) -> str:
+    before = action.positions_before_final_alignment.astype(np.float64)
+    after = action.positions_after_final_alignment.astype(np.float64)
+    moved_mm = 1000 * np.linalg.norm(after - before, axis=1)
+    limit = max(1.0, float(np.ceil(np.percentile(moved_mm, 99))))
+    change = shader.render(after, colors=heat(moved_mm, limit)).image
+    heat_legend(change, "mm", limit)
+    losses = action.final_alignment_losses
+    objective = (
+        f"; objective {losses[0]:.1e} → {losses[1]:.1e} m²" if np.isfinite(losses).all() else ""
+    )
+    stills = (
+        (shader.render(before).image, "Before the final alignment"),
+        (shader.render(after).image, f"After the final alignment{objective}"),
+        (change, f"How far it moved: median {np.median(moved_mm):.1f} mm, "
+         f"largest {moved_mm.max():.1f} mm"),
+    )  # fmt: skip
+    pictures = "".join(
+        f'<figure><img alt="{escape(words)}" src="{jpeg_uri(image)}">'
+        f"<figcaption>{escape(words)}</figcaption></figure>"
+        for image, words in stills
+    )
+    held = ", ".join(
+        f"{name} held {_count(len(vertices), 'vertex', 'vertices')}"
+        for name, vertices in action.held_vertices.items()
+    )
+    return (
+        f'<article class="card action"><h3>Action {number}'
+        f"<span>frames {action.first_frame} to {action.last_frame}"
+        f"{'; ' + escape(held) if held else ''}</span></h3>"
+        f'<div class="stills">{pictures}</div>'
+        f'<div class="tuned"><div>{_parameter_table(action.parameters)}</div>'
+        f"<div>{_calibration_html(action.calibration)}</div></div></article>"
+    )
+
+
+def _parameter_table(parameters: Mapping[str, float]) -> str:
+    rows = "".join(
+        f"<tr><th>{escape(name.replace('_', ' '))}</th><td>{value:.4g}</td></tr>"
+        for name, value in parameters.items()
+    )
+    return f"<table><tbody>{rows}</tbody></table>" if rows else ""
+
+
+def _calibration_html(calibration: Calibration) -> str:
+    """The score of every candidate as dots, best first, and the five best in a table."""
+    scores = np.asarray(calibration.scores, dtype=np.float64)
+    fine = np.flatnonzero(np.isfinite(scores))
+    if calibration.best < 0 or not len(fine):
+        return '<p class="note">Not calibrated for this action.</p>'
+    order = fine[np.argsort(scores[fine], kind="stable")]
+    words = (
+        f"{_count(len(scores), 'candidate')} by {calibration.method}, "
+        f"{calibration.roll_outs:.4g} roll-outs. Each dot is one candidate's distance to the "
+        "action's last cloud [mm], best first; the chosen one is red."
+    )
+    heads = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in calibration.names)
+    rows = "".join(
+        "<tr>"
+        + "".join(f"<td>{value:.4g}</td>" for value in calibration.candidates[k])
+        + f"<td>{1000 * np.sqrt(scores[k] / 2):.2f}</td></tr>"
+        for k in order[:5]
+    )
+    return (
+        f'<p class="note">{escape(words)}</p>{_dots(scores, order, calibration.best)}'
+        "<details><summary>The five best</summary><table>"
+        f"<thead><tr>{heads}<th>distance [mm]</th></tr></thead><tbody>{rows}</tbody>"
+        "</table></details>"
+    )
+
+
+def _dots(scores: Float[np.ndarray, " candidates"], order: np.ndarray, best: int) -> str:
+    width, height, left, foot = 640, 120, 40, 8
+    values = 1000 * np.sqrt(scores[order] / 2)
+    low, high = float(values.min()), float(values.max())
+    span = max(high - low, 1e-6)
+    places = left + (np.arange(len(order)) + 0.5) / len(order) * (width - left - 8)
+    heights = 10 + (1 - (values - low) / span) * (height - foot - 18)
+    circles = "".join(
+        f'<circle class="{"best" if k == best else "rest"}" cx="{x:.1f}" cy="{y:.1f}" '
+        f'r="{4 if k == best else 2.6}"/>'
+        for k, x, y in zip(order, places, heights, strict=True)
+    )
+    labels = "".join(
+        f'<line class="grid" x1="{left}" x2="{width}" y1="{y}" y2="{y}"/>'
+        f'<text class="tick" x="{left - 6}" y="{y + 3.5}" text-anchor="end">{value:.1f}</text>'
+        for value, y in ((high, 10), (low, height - foot - 8))
+    )
+    return (
+        f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="Calibration scores">'
+        f"{labels}{circles}</svg>"
+    )
+
+
+def _pretty(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, indent=2, default=str, ensure_ascii=False)
+
+
+def _count(number: int, noun: str, plural: str = "") -> str:
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def _any(values: Float[np.ndarray, " frames"]) -> bool:
+    return bool(np.isfinite(values).any())
+
+
+def _finite(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else ""

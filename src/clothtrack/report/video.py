@@ -1,0 +1,68 @@
+"""H.264 in MP4, as every browser plays it."""
+
+import itertools
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.report.storing import whole_file
+
+
+def write_video(
+    pictures: Iterable[UInt8[np.ndarray, "height width 3"]],
+    path: Path,
+    *,
+    frames_per_second: float,
+    quality: int = 25,
+) -> int:
+    """Encode RGB pictures of one size and return how many there were.
+
+    Sizes are made even by repeating the last row or column (4:2:0 needs it). `quality` is x264's
+    rate factor: 18 cannot be told from the source, 30 is rough.
+
+    Raises:
+        InvalidConfigError: when there is no picture.
+        StorageError: when the disk refuses.
+    """
+    pictures = iter(pictures)
+    first = next(pictures, None)
+    if first is None:
+        raise InvalidConfigError(f"{path}: there is no frame to show; track at least one frame")
+    height, width = (side + side % 2 for side in first.shape[:2])
+    count = 0
+    with whole_file(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+        stream = container.add_stream(
+            "libx264", rate=Fraction(frames_per_second).limit_denominator(1000)
+        )
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        # Key frames twice a second: the page jumps about in the video.
+        stream.options = {
+            "crf": str(quality),
+            "preset": "veryfast",
+            "g": str(max(1, round(frames_per_second / 2))),
+            "threads": "1",
+        }
+        for picture in itertools.chain([first], pictures):
+            even = np.pad(
+                picture,
+                ((0, height - picture.shape[0]), (0, width - picture.shape[1]), (0, 0)),
+                mode="edge",
+            )
+            for packet in stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")):
+                container.mux(packet)
+            count += 1
+        for packet in stream.encode():
+            container.mux(packet)
+    return count
+
+
+def frame_rate(time_s: Float[np.ndarray, " frames"]) -> float:
+    """Frames per second at which a video runs in the recording's own time, kept within 2..60."""
+    steps = np.diff(time_s)
+    steps = steps[steps > 0]
+    return float(np.clip(1.0 / np.median(steps), 2.0, 60.0)) if len(steps) else 10.0

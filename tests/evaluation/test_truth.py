@@ -1,0 +1,76 @@
+"""Truth files are read or refused, and material points are found across triangulations."""
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidResultError
+from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.simulation.garments import towel, tshirt
+
+
+@pytest.mark.parametrize("sewn", [towel(0.2, 0.3, 0.02), tshirt(spacing_m=0.025)])
+def test_a_mesh_maps_to_itself(sewn):
+    where = material_map(sewn.canonical, sewn.faces, sewn.canonical)
+    moved = sewn.vertices + np.sin(7 * sewn.vertices[:, [1, 2, 0]])
+    np.testing.assert_allclose(material_points(moved, sewn.faces, where), moved, atol=1e-9)
+
+
+def test_an_affine_motion_is_found_exactly_on_another_triangulation(rng):
+    coarse, fine = towel(0.3, 0.2, 0.03), towel(0.3, 0.2, 0.011, pattern="random")
+    matrix, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
+    where = material_map(fine.canonical, fine.faces, coarse.canonical)
+    found = material_points(fine.vertices @ matrix + shift, fine.faces, where)
+    np.testing.assert_allclose(found, coarse.vertices @ matrix + shift, atol=1e-3)
+
+
+def test_the_layers_of_a_shirt_are_not_confused():
+    coarse, fine = tshirt(spacing_m=0.03, seed=1), tshirt(spacing_m=0.014, seed=2)
+    where = material_map(fine.canonical, fine.faces, coarse.canonical)
+    side = material_points(np.sign(fine.canonical), fine.faces, where)[:, 2]
+    inside = np.abs(coarse.canonical[:, 2]) > 0.02
+    assert inside.sum() > 50
+    np.testing.assert_array_equal(np.sign(coarse.canonical[inside, 2]), np.sign(side[inside]))
+
+
+def arrays():
+    sheet = towel(0.1, 0.1, 0.02)
+    return {
+        "positions": np.stack([sheet.vertices, sheet.vertices + 1.0]),
+        "faces": sheet.faces,
+        "canonical": sheet.canonical,
+        "frames": np.array([0, 7]),
+    }
+
+
+def test_truth_is_asked_by_frame_of_the_recording(tmp_path):
+    known = arrays()
+    np.savez(tmp_path / "fold.npz", **known)
+    truth = Truth.load(tmp_path / "fold.npz")
+    np.testing.assert_array_equal(truth.at(7), known["positions"][1])
+    assert truth.at(3) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"faces": None}, "no array 'faces'"),
+        ({"frames": np.array([0])}, "positions has shape"),
+        ({"faces": np.array([[0, 1, 999]])}, "faces must name"),
+        ({"canonical": np.zeros((3, 3))}, "canonical has shape"),
+        ({"positions": np.full((2, 36, 3), np.nan)}, "not finite"),
+        ({"frames": np.array([None, None])}, "cannot be read"),
+    ],
+)
+def test_a_bad_truth_file_is_refused_by_name(tmp_path, change, told):
+    content = {k: v for k, v in (arrays() | change).items() if v is not None}
+    np.savez(tmp_path / "bad.npz", **content)
+    with pytest.raises(InvalidResultError, match=told):
+        Truth.load(tmp_path / "bad.npz")
+
+
+def test_a_file_that_is_no_archive_is_refused(tmp_path):
+    (tmp_path / "fold.npz").write_text("hello")
+    with pytest.raises(InvalidResultError, match=r"fold\.npz"):
+        Truth.load(tmp_path / "fold.npz")
+    with pytest.raises(InvalidResultError, match="other"):
+        Truth.load(tmp_path / "other.npz")

@@ -1,0 +1,131 @@
+"""The command line: quick help, the right exit code, one clear line when something is wrong."""
+
+import errno
+import json
+import resource
+import subprocess
+import sys
+
+import pytest
+
+from clothtrack import cli
+from clothtrack.errors import InvalidRecordingError
+
+
+def run(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "clothtrack.cli", *words],
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+
+
+def children_cpu_s():
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def test_help_is_quick_and_lists_the_verbs_in_order():
+    seconds = []
+    for _ in range(3):
+        before = children_cpu_s()
+        shown = run("--help")
+        seconds.append(children_cpu_s() - before)
+    assert shown.returncode == 0
+    places = [
+        shown.stdout.index(f"• {verb}")
+        for verb in ("demo", "inspect", "simulate", "track", "evaluate", "view", "export")
+    ]
+    assert places == sorted(places)
+    assert min(seconds) < 0.3
+
+
+def test_help_loads_no_stage():
+    code = (
+        "import sys\nfrom clothtrack.cli import main\n"
+        "try:\n    main(['track', '--help'])\nexcept SystemExit:\n    pass\n"
+        "sys.exit(len({'warp', 'scipy', 'cv2', 'zarr', 'mujoco'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["trak"], ["track", "folder"], ["track", "--output", "out"], ["demo", "--mode", "best"]],
+)
+def test_wrong_usage_exits_with_2(words):
+    assert run(*words).returncode == 2
+
+
+def test_bad_input_is_one_line_on_standard_error(tmp_path):
+    told = run("export", str(tmp_path / "nothing.zarr"), "--output", str(tmp_path / "out"))
+    assert told.returncode == 1
+    assert told.stdout == ""
+    assert told.stderr.count("\n") == 1
+    assert "nothing.zarr" in told.stderr
+
+
+def test_an_unusable_recording_is_inspected_with_exit_code_1(tmp_path, capsys):
+    assert cli.main(["inspect", str(tmp_path), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["valid"] is False
+    assert found["violations"]
+
+
+def raising(error):
+    def verb() -> int:
+        """Fail."""
+        raise error
+
+    return verb
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (InvalidRecordingError("recording.json: no frames"), 1, "recording.json: no frames"),
+        (OSError(errno.ENOSPC, "No space left on device", "out/a.zarr"), 1, "out/a.zarr: the disk"),
+        (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: no permission"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_what_can_go_wrong_is_said_in_one_line(monkeypatch, capsys, error, code, told):
+    fail = raising(error)
+    fail.__name__ = "fail"
+    monkeypatch.setattr(cli, "VERBS", [fail, cli.inspect])
+    assert cli.main(["fail"]) == code
+    shown = capsys.readouterr()
+    assert told in shown.err
+    assert shown.err.count("\n") == 1
+    assert shown.out == ""
+
+
+def test_a_defect_of_ours_is_not_hidden(monkeypatch):
+    fail = raising(ZeroDivisionError())
+    fail.__name__ = "fail"
+    monkeypatch.setattr(cli, "VERBS", [fail, cli.inspect])
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["fail"])
+
+
+def test_a_device_that_is_not_there_is_named_with_those_that_are():
+    with pytest.raises(cli.InvalidConfigError, match=r"'cuda:77'.*cpu"):
+        cli._require_device("cuda:77")
+
+
+def test_every_mode_of_the_tracker_is_offered():
+    from clothtrack.tracking.configuration import MODES
+
+    assert set(cli.Mode.__args__) == set(MODES)
+
+
+def test_shipped_recordings_are_found_by_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(cli, "SHIPPED", tmp_path)
+    with pytest.raises(InvalidRecordingError, match="no recording comes"):
+        cli._shipped("")
+    for name in ("b_shirt", "a_towel"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "recording.json").write_text("{}")
+    assert cli._shipped("").name == "a_towel"
+    assert cli._shipped("b_shirt").name == "b_shirt"
+    with pytest.raises(InvalidRecordingError, match="there are a_towel, b_shirt"):
+        cli._shipped("c")
