@@ -147,15 +147,26 @@ def test_a_steep_surface_does_not_fly():
 def test_hidden_is_what_was_not_measured_and_the_tool_with_two_pixels_around():
     camera = looking_at_origin("a", [0.0, 0.001, 0.6])
     depth = plane_depth(camera, 0.0)
-    depth[50, 60] = 0.0
+    depth[50:53, 60:63] = 0.0
     depth[80, 100] = 0.5
     hidden = hidden_pixels(depth, ~EVERYTHING, depth == 0, camera, TABLE)
     expected = np.zeros_like(hidden)
-    expected[48:53, 58:63] = True
+    expected[48:55, 58:65] = True
     expected[78:83, 98:103] = True
     np.testing.assert_array_equal(hidden, expected)
     # What the mask calls cloth is no tool, however high.
-    assert hidden_pixels(depth, EVERYTHING, depth == 0, camera, TABLE).sum() == 25
+    assert hidden_pixels(depth, EVERYTHING, depth == 0, camera, TABLE).sum() == 49
+
+
+def test_scattered_missing_pixels_hide_nothing_nor_does_an_unmeasured_background():
+    camera = looking_at_origin("a", [0.0, 0.001, 0.6])
+    depth = plane_depth(camera, 0.0)
+    depth[::3, ::2] = 0.0
+    assert not hidden_pixels(depth, EVERYTHING, depth == 0, camera, None).any()
+    left = EVERYTHING.copy()
+    left[:, 80:] = False
+    depth[~left] = 0.0
+    assert not hidden_pixels(depth, left, depth == 0, camera, None).any()
 
 
 def test_silence_means_nothing_only_where_nothing_could_be_seen():
