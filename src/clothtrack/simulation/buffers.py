@@ -1,0 +1,82 @@
+"""Memory of the solver on the device, shared by its kernels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation.kernels import Clock
+
+
+@dataclass(frozen=True, eq=False)
+class ClothBuffers:
+    """Warp arrays of (environments, vertices) unless said otherwise.
+
+    Attributes:
+        positions, velocities: the state.
+        start: positions at the beginning of the substep, after a soft pull.
+        previous: positions at the beginning of the elastic substep.
+        moves: what contact wants to add to the positions.
+        inverse_masses: 0 for held vertices [1/kg].
+        pull: share of the way to the goal per substep; 1 is held.
+        goals: where attached vertices go.
+        airborne: substeps since the last touch.
+        rest: positions of the rest shape (vertices).
+        masses: mass of each vertex [kg] (vertices).
+        faces: corners of each triangle (faces).
+        clocks: one Clock.
+        substeps_left: how many substeps the step still has, one number.
+        highest_speed: per environment, since the step began.
+    """
+
+    positions: wp.array
+    velocities: wp.array
+    start: wp.array
+    previous: wp.array
+    moves: wp.array
+    inverse_masses: wp.array
+    pull: wp.array
+    goals: wp.array
+    airborne: wp.array
+    rest: wp.array
+    masses: wp.array
+    faces: wp.array
+    clocks: wp.array
+    substeps_left: wp.array
+    highest_speed: wp.array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Environments and vertices."""
+        return self.positions.shape
+
+
+def allocate(mesh: ClothMesh, area_density: float, environments: int, device: str) -> ClothBuffers:
+    """Reserve the memory of a cloth that rests at the mesh's vertices."""
+    shape = (environments, mesh.vertex_count)
+    masses = (mesh.vertex_areas * area_density).astype(np.float32)
+    rest = np.asarray(mesh.vertices, dtype=np.float32)
+
+    def vectors() -> wp.array:
+        return wp.zeros(shape, dtype=wp.vec3, device=device)
+
+    everywhere = np.ascontiguousarray(np.broadcast_to(rest, (environments, *rest.shape)))
+    weights = np.ascontiguousarray(np.broadcast_to(1.0 / masses, shape))
+    return ClothBuffers(
+        positions=wp.array(everywhere, dtype=wp.vec3, device=device),
+        velocities=vectors(),
+        start=vectors(),
+        previous=vectors(),
+        moves=vectors(),
+        inverse_masses=wp.array(weights, dtype=float, device=device),
+        pull=wp.zeros(shape, dtype=float, device=device),
+        goals=vectors(),
+        airborne=wp.full(shape, 1000, dtype=int, device=device),
+        rest=wp.array(rest, dtype=wp.vec3, device=device),
+        masses=wp.array(masses, dtype=float, device=device),
+        faces=wp.array(mesh.faces.astype(np.int32), dtype=wp.vec3i, device=device),
+        clocks=wp.zeros(1, dtype=Clock, device=device),
+        substeps_left=wp.zeros(1, dtype=int, device=device),
+        highest_speed=wp.zeros(environments, dtype=float, device=device),
+    )

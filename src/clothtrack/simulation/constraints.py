@@ -1,0 +1,66 @@
+"""The distances that hold a cloth together, ordered so that they can be solved in parallel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int, Int32
+
+from clothtrack.geometry.mesh import ClothMesh
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceConstraints:
+    """Pairs of vertices with their rest distance, sorted by colour.
+
+    Attributes:
+        pairs: the two vertices of each constraint.
+        lengths: rest distances [m].
+        first: where each colour begins, and the end; no two pairs of one colour share a vertex.
+    """
+
+    pairs: Int32[np.ndarray, "pairs 2"]
+    lengths: Float32[np.ndarray, " pairs"]
+    first: tuple[int, ...]
+
+    @property
+    def colours(self) -> list[tuple[int, int]]:
+        """First pair and number of pairs of each colour."""
+        return [
+            (start, end - start) for start, end in zip(self.first[:-1], self.first[1:], strict=True)
+        ]
+
+
+def stretch_constraints(mesh: ClothMesh) -> DistanceConstraints:
+    """The edges of the mesh at the length they have in it."""
+    return _coloured(mesh, mesh.edges)
+
+
+def bend_constraints(mesh: ClothMesh) -> DistanceConstraints:
+    """The pairs of vertices that face each other across an edge, at their distance in the mesh."""
+    pairs = np.sort(mesh.opposite_pairs, axis=1)
+    pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
+    return _coloured(mesh, pairs.reshape(-1, 2))
+
+
+def colour_pairs(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, " pairs"]:
+    """The lowest colour that no earlier pair with a common vertex has (greedy colouring)."""
+    used: dict[int, int] = {}
+    colours = np.zeros(len(pairs), dtype=np.int64)
+    for index, (first, second) in enumerate(pairs.tolist()):
+        taken = used.get(first, 0) | used.get(second, 0)
+        free = ~taken & (taken + 1)
+        colours[index] = free.bit_length() - 1
+        used[first] = used.get(first, 0) | free
+        used[second] = used.get(second, 0) | free
+    return colours
+
+
+def _coloured(mesh: ClothMesh, pairs: Int[np.ndarray, "pairs 2"]) -> DistanceConstraints:
+    colours = colour_pairs(pairs)
+    order = np.argsort(colours, kind="stable")
+    pairs = np.ascontiguousarray(pairs[order], dtype=np.int32)
+    counts = np.bincount(colours) if len(colours) else np.zeros(0, dtype=np.int64)
+    first = (0, *np.cumsum(counts).tolist())
+    ends = np.asarray(mesh.vertices, dtype=np.float64)[pairs]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).astype(np.float32)
+    return DistanceConstraints(pairs, lengths, first)

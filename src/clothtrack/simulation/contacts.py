@@ -1,0 +1,284 @@
+"""How cloth keeps clear of cloth: by triangles that remember their side, by balls, or not at all.
+
+Each class lists candidates (`find`) once in a while and computes from them, in every substep, what
+contact adds to the positions (`push`). Both only launch kernels, so that a graph can hold them.
+"""
+
+from typing import Protocol
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float32, Int32
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation import particle_contact_kernels as particles
+from clothtrack.simulation import triangle_contact_kernels as triangles
+from clothtrack.simulation.buffers import ClothBuffers
+from clothtrack.simulation.parameters import SolverConfig
+
+TRIANGLES_PER_VERTEX = 16
+REACTIONS_PER_VERTEX = 48
+NEIGHBOURS_PER_VERTEX = 48
+GRID_CELLS = 32
+
+
+class Contact(Protocol):
+    """What the solver needs of a contact model."""
+
+    overflows: wp.array
+
+    def find(self) -> None:
+        """List what may touch until the next call."""
+
+    def push(self) -> None:
+        """Compute from the lists what contact adds to the positions."""
+
+    def memory(
+        self,
+    ) -> tuple[
+        Int32[np.ndarray, "environments vertices slots"],
+        Float32[np.ndarray, "environments vertices slots"],
+        Int32[np.ndarray, "environments vertices"],
+    ]:
+        """Sides, distances and counts, as ContactMemory has them."""
+
+    def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:
+        """Take the memory back."""
+
+
+class NoContact:
+    """Layers pass through each other."""
+
+    def __init__(self, buffers: ClothBuffers) -> None:
+        self._shape = buffers.shape
+        self.overflows = wp.zeros(self._shape[0], dtype=int, device=buffers.positions.device)
+
+    def find(self) -> None:
+        """List nothing."""
+
+    def push(self) -> None:
+        """Add nothing."""
+
+    def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """No side is remembered."""
+        environments, vertices = self._shape
+        return (
+            np.zeros((environments, vertices, 0), dtype=np.int32),
+            np.zeros((environments, vertices, 0), dtype=np.float32),
+            np.zeros((environments, vertices), dtype=np.int32),
+        )
+
+    def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:
+        """Nothing to restore."""
+
+
+class ParticleContact(NoContact):
+    """Every vertex is a ball; cheap, and right when the spacing is near the thickness."""
+
+    def __init__(
+        self, buffers: ClothBuffers, config: SolverConfig, particle_friction: wp.array
+    ) -> None:
+        super().__init__(buffers)
+        self._buffers = buffers
+        self._config = config
+        self._friction = particle_friction
+        device = buffers.positions.device
+        environments, vertices = buffers.shape
+        self._reach = config.thickness_m + config.contact_margin_m
+        self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=device)
+        owners = np.repeat(np.arange(environments, dtype=np.int32), vertices)
+        self._owners = wp.array(owners, dtype=int, device=device)
+        self.neighbours = wp.zeros(
+            (environments, vertices, NEIGHBOURS_PER_VERTEX), dtype=int, device=device
+        )
+        self.counts = wp.zeros((environments, vertices), dtype=int, device=device)
+
+    def find(self) -> None:
+        """List the neighbours of each vertex."""
+        buffers = self._buffers
+        self._grid.build(buffers.positions.flatten(), self._reach, self._owners)
+        wp.launch(
+            particles.find_neighbours,
+            dim=buffers.shape,
+            inputs=[self._grid.id, self._reach, buffers.positions],
+            outputs=[self.neighbours, self.counts, self.overflows],
+            device=buffers.positions.device,
+        )
+
+    def push(self) -> None:
+        """Push overlapping balls apart."""
+        buffers = self._buffers
+        wp.launch(
+            particles.push_particles,
+            dim=buffers.shape,
+            inputs=[
+                self._config.thickness_m,
+                buffers.rest,
+                self._friction,
+                self.neighbours,
+                self.counts,
+                buffers.inverse_masses,
+                buffers.positions,
+                buffers.start,
+            ],
+            outputs=[buffers.moves],
+            device=buffers.positions.device,
+        )
+
+
+class TriangleContact:
+    """Vertices against triangles; each pair remembers its side."""
+
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        buffers: ClothBuffers,
+        config: SolverConfig,
+        particle_friction: wp.array,
+    ) -> None:
+        self._buffers = buffers
+        self._config = config
+        self._friction = particle_friction
+        self._device = device = buffers.positions.device
+        environments, vertices = buffers.shape
+        faces = len(mesh.faces)
+        reach = _face_reach(mesh, config)
+        self._reach = float(reach.max())
+        self._face_reach = wp.array(np.square(reach).astype(np.float32), dtype=float, device=device)
+        self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=device)
+        owners = np.repeat(np.arange(environments, dtype=np.int32), faces)
+        self._owners = wp.array(owners, dtype=int, device=device)
+        self._centroids = wp.zeros(environments * faces, dtype=wp.vec3, device=device)
+        slots = (environments, vertices, TRIANGLES_PER_VERTEX)
+        self.sides = wp.zeros(slots, dtype=int, device=device)
+        self.distances = wp.zeros(slots, dtype=float, device=device)
+        self.counts = wp.zeros((environments, vertices), dtype=int, device=device)
+        self._old_sides = wp.zeros_like(self.sides)
+        self._old_distances = wp.zeros_like(self.distances)
+        self._old_counts = wp.zeros_like(self.counts)
+        self._impulses = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._weights = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._reactions = wp.zeros(
+            (environments, vertices, REACTIONS_PER_VERTEX), dtype=int, device=device
+        )
+        self._reaction_counts = wp.zeros((environments, vertices), dtype=int, device=device)
+        self.overflows = wp.zeros(environments, dtype=int, device=device)
+
+    def find(self) -> None:
+        """List vertex-triangle pairs with their sides, and the reactions of each corner."""
+        buffers, config, device = self._buffers, self._config, self._device
+        wp.copy(self._old_sides, self.sides)
+        wp.copy(self._old_distances, self.distances)
+        wp.copy(self._old_counts, self.counts)
+        wp.launch(
+            triangles.find_centroids,
+            dim=(buffers.shape[0], len(buffers.faces)),
+            inputs=[buffers.faces, buffers.positions],
+            outputs=[self._centroids],
+            device=device,
+        )
+        self._grid.build(self._centroids, self._reach, self._owners)
+        wp.launch(
+            triangles.find_pairs,
+            dim=buffers.shape,
+            inputs=[
+                buffers.clocks,
+                self._grid.id,
+                self._reach,
+                config.thickness_m,
+                config.contact_margin_m,
+                config.contact_depth_m,
+                config.contact_tolerance,
+                buffers.faces,
+                self._face_reach,
+                self._centroids,
+                buffers.rest,
+                buffers.positions,
+                buffers.velocities,
+                self._old_sides,
+                self._old_distances,
+                self._old_counts,
+            ],
+            outputs=[self.sides, self.distances, self.counts, self.overflows],
+            device=device,
+        )
+        self._reaction_counts.zero_()
+        wp.launch(
+            triangles.list_reactions,
+            dim=buffers.shape,
+            inputs=[buffers.faces, self.sides, self.counts],
+            outputs=[self._reactions, self._reaction_counts, self.overflows],
+            device=device,
+        )
+        wp.launch(
+            triangles.sort_reactions,
+            dim=buffers.shape,
+            inputs=[self._reactions, self._reaction_counts],
+            device=device,
+        )
+
+    def push(self) -> None:
+        """Compute the impulse of each pair, then what each vertex makes of its own."""
+        buffers, config = self._buffers, self._config
+        wp.launch(
+            triangles.find_impulses,
+            dim=buffers.shape,
+            inputs=[
+                buffers.clocks,
+                config.contact_tolerance,
+                config.push_out_speed,
+                self._friction,
+                buffers.faces,
+                self.sides,
+                self.distances,
+                self.counts,
+                buffers.inverse_masses,
+                buffers.positions,
+                buffers.start,
+            ],
+            outputs=[self._impulses, self._weights],
+            device=self._device,
+        )
+        wp.launch(
+            triangles.gather_impulses,
+            dim=buffers.shape,
+            inputs=[
+                self.counts,
+                self._reactions,
+                self._reaction_counts,
+                self._impulses,
+                self._weights,
+                buffers.inverse_masses,
+            ],
+            outputs=[buffers.moves],
+            device=self._device,
+        )
+
+    def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The lists; slots beyond the count are cleared, so that equal states have equal bits."""
+        counts = self.counts.numpy().copy()
+        filled = np.arange(TRIANGLES_PER_VERTEX) < counts[..., None]
+        sides = np.where(filled, self.sides.numpy(), 0).astype(np.int32)
+        distances = np.where(filled, self.distances.numpy(), 0).astype(np.float32)
+        return sides, distances, counts
+
+    def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:
+        """Take the lists back; a state without memory (other contact) starts afresh."""
+        if sides.shape[2] != TRIANGLES_PER_VERTEX:
+            self.counts.zero_()
+            return
+        self.sides.assign(sides)
+        self.distances.assign(distances)
+        self.counts.assign(counts)
+
+
+def _face_reach(mesh: ClothMesh, config: SolverConfig) -> np.ndarray:
+    """Radius around each triangle's centre within which a vertex may touch it [m].
+
+    A barycentric tolerance t widens a triangle by 1 + 3 t about its centre; 5 % more is for
+    stretch.
+    """
+    corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]
+    radius = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+    flat = 1.05 * (1.0 + 3.0 * config.contact_tolerance) * radius
+    return np.hypot(flat, config.contact_depth_m)

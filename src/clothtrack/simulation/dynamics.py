@@ -1,0 +1,151 @@
+"""dyn(x, a): what the cloth does while a picker moves, the dynamics of the tracker."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import Attachment, ClothState
+
+
+@dataclass(frozen=True, eq=False)
+class HeldMotion:
+    """The way of held vertices during a roll-out.
+
+    Attributes:
+        vertices: which vertices are held.
+        way_points: where they are to be [m], at times equally spaced over the roll-out, the first
+            at its start; with an environments axis when the ways differ.
+    """
+
+    vertices: Int[np.ndarray, " held"]
+    way_points: Float[np.ndarray, "knots held 3"] | Float[np.ndarray, "environments knots held 3"]
+
+    def at(self, share: float) -> Float[np.ndarray, "environments held 3"]:
+        """Where the vertices are after this share of the roll-out (0 to 1), linear between."""
+        points = np.asarray(self.way_points, dtype=np.float64)
+        if points.ndim == 3:
+            points = points[None]
+        place = share * (points.shape[1] - 1)
+        knot = min(int(place), max(points.shape[1] - 2, 0))
+        after = min(knot + 1, points.shape[1] - 1)
+        blend = place - knot
+        return (1.0 - blend) * points[:, knot] + blend * points[:, after]
+
+    @property
+    def longest_way_m(self) -> float:
+        """Length of the longest way of a vertex [m]."""
+        points = np.asarray(self.way_points, dtype=np.float64)
+        if points.size == 0 or points.shape[-3] < 2:
+            return 0.0
+        legs = np.linalg.norm(np.diff(points, axis=-3), axis=-1)
+        return float(legs.max(axis=-2).sum(axis=-1).max())
+
+
+@dataclass(frozen=True, eq=False)
+class RollOut:
+    """What a roll-out ends with.
+
+    Attributes:
+        state: the state, to go on from.
+        positions: the vertices [m].
+        highest_speed: highest speed of a free vertex on the way, before the limit [m/s].
+    """
+
+    state: ClothState
+    positions: Float32[np.ndarray, "environments vertices 3"]
+    highest_speed: Float[np.ndarray, " environments"]
+
+
+@dataclass(frozen=True, eq=False)
+class ClothDynamics:
+    """The solver as a function of state and action.
+
+    Attributes:
+        solver: steps the cloth; its own state is overwritten by every roll-out.
+        picker_step_m: no step moves a held vertex further than this [m].
+        longest_step_s: no step lasts longer [s].
+        whole_frame_velocities: after a pseudo-action every vertex gets the mean velocity of the
+            roll-out, (x_new - x_old) / duration, instead of that of the last substep, which the
+            pull has made too fast.
+    """
+
+    solver: ClothSolver
+    picker_step_m: float = 0.005
+    longest_step_s: float = 0.05
+    whole_frame_velocities: bool = True
+
+    def roll_out(
+        self,
+        state: ClothState,
+        motion: HeldMotion | None,
+        duration_s: float,
+        pseudo: Attachment | None = None,
+    ) -> RollOut:
+        """Move the cloth for a while.
+
+        Args:
+            state: where to start; one environment is given to all.
+            motion: held vertices and their way; None holds none.
+            duration_s: how long [s].
+            pseudo: where the observation wants vertices at the end. Targets of held vertices
+                (strength 1) are approached in a straight line, softer ones pull from the start.
+                A picker's vertices obey the picker.
+
+        Returns:
+            The end of the motion.
+        """
+        solver = self.solver
+        solver.restore(state)
+        before = solver.positions
+        steps = self._steps(motion, duration_s)
+        highest = np.zeros(solver.environments)
+        for index in range(1, steps + 1):
+            attachment = _attachment(before, motion, pseudo, index, steps)
+            highest = np.maximum(highest, solver.step(duration_s / steps, attachment))
+        positions = solver.positions
+        if pseudo is not None and self.whole_frame_velocities:
+            solver.set_velocities((positions - before) / duration_s)
+        return RollOut(solver.save(), positions, highest)
+
+    def _steps(self, motion: HeldMotion | None, duration_s: float) -> int:
+        way = motion.longest_way_m if motion is not None else 0.0
+        return max(
+            1,
+            math.ceil(duration_s / self.longest_step_s - 1e-6),
+            math.ceil(way / self.picker_step_m - 1e-6),
+        )
+
+
+def _attachment(
+    before: Float32[np.ndarray, "environments vertices 3"],
+    motion: HeldMotion | None,
+    pseudo: Attachment | None,
+    index: int,
+    steps: int,
+) -> Attachment | None:
+    """What pulls during step `index` of `steps`, counted from 1."""
+    if motion is None and pseudo is None:
+        return None
+    held = motion.at(index / steps) if motion is not None else None
+    sources = [len(pseudo.targets), len(pseudo.strength)] if pseudo is not None else [1]
+    # A held target is approached from where the vertex was, so it needs every environment.
+    placed = pseudo is not None and steps > 1 and bool((np.asarray(pseudo.strength) >= 1).any())
+    environments = max(*sources, len(held) if held is not None else 1, len(before) if placed else 1)
+    vertices = before.shape[1]
+    targets = np.zeros((environments, vertices, 3))
+    strength = np.zeros((environments, vertices))
+    if pseudo is not None:
+        strength[:] = pseudo.strength
+        targets[:] = pseudo.targets
+        if placed:
+            way = before + (targets - before) * (index / steps)
+            targets = np.where(strength[..., None] >= 1.0, way, targets)
+        soft = (strength > 0.0) & (strength < 1.0)
+        strength[soft] = 1.0 - (1.0 - strength[soft]) ** (1.0 / steps)
+    if motion is not None:
+        targets[:, motion.vertices] = held
+        strength[:, motion.vertices] = 1.0
+    return Attachment(targets, strength)

@@ -1,0 +1,270 @@
+"""Kernels that move the cloth: integration, stretch, bend, attachment, table.
+
+Extended position-based dynamics with small steps: Macklin, Müller, Chentanez, "XPBD" (MIG 2016,
+doi:10.1145/2994258.2994272), and Macklin et al., "Small Steps in Physics Simulation" (SCA 2019,
+doi:10.1145/3309486.3340247). Arrays are (environments, vertices); a thread is one vertex or one
+constraint of one environment.
+"""
+
+from typing import no_type_check
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+AIRBORNE_LIMIT = wp.constant(5)
+"""Substeps after its last touch during which a vertex counts as supported and may sleep."""
+
+
+@wp.struct
+class Clock:
+    """Lengths of time that differ from step to step; in memory, so that one graph serves all.
+
+    `elastic_s` and `substep_s` [s]; `decay`: what the air leaves of a speed in an elastic substep;
+    `rebuild_s`: time until the next candidate search [s].
+    """
+
+    elastic_s: float
+    substep_s: float
+    decay: float
+    rebuild_s: float
+
+
+@no_type_check
+@wp.kernel
+def attach(
+    targets: wp.array2d(dtype=wp.vec3),
+    strength: wp.array2d(dtype=float),
+    masses: wp.array(dtype=float),
+    substeps: int,
+    table_point: wp.vec3,
+    table_normal: wp.vec3,
+    resting_height: float,
+    pull: wp.array2d(dtype=float),
+    goals: wp.array2d(dtype=wp.vec3),
+    inverse_masses: wp.array2d(dtype=float),
+):
+    """Spread an attachment over the environments; no target lies inside the table."""
+    environment, vertex = wp.tid()
+    source = wp.min(environment, targets.shape[0] - 1)
+    wish = strength[source, vertex]
+    share = float(0.0)
+    inverse = 1.0 / masses[vertex]
+    if wish >= 1.0:
+        share = 1.0
+        inverse = 0.0
+    elif wish > 0.0:
+        share = 1.0 - wp.pow(1.0 - wish, 1.0 / float(substeps))
+    goal = targets[source, vertex]
+    inside = resting_height - wp.dot(goal - table_point, table_normal)
+    if inside > 0.0:
+        goal += inside * table_normal
+    pull[environment, vertex] = share
+    goals[environment, vertex] = goal
+    inverse_masses[environment, vertex] = inverse
+
+
+@no_type_check
+@wp.func
+def fall(position: wp.vec3, velocity: wp.vec3, gravity: wp.vec3, clock: Clock):
+    """Velocity after one elastic substep of free flight with drag."""
+    return (velocity + gravity * clock.elastic_s) * clock.decay
+
+
+@no_type_check
+@wp.kernel
+def begin_substep(
+    clocks: wp.array(dtype=Clock),
+    substeps_left: wp.array(dtype=int),
+    elastic_substeps: int,
+    gravity: wp.vec3,
+    pull: wp.array2d(dtype=float),
+    goals: wp.array2d(dtype=wp.vec3),
+    positions: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+    start: wp.array2d(dtype=wp.vec3),
+    previous: wp.array2d(dtype=wp.vec3),
+):
+    """Move what is attached, then predict where the vertices fly.
+
+    A soft pull shifts the position and takes the same share of the velocity: it is a critically
+    damped spring whatever the number of substeps, and stores no energy.
+    """
+    environment, vertex = wp.tid()
+    share = pull[environment, vertex]
+    position = positions[environment, vertex]
+    velocity = velocities[environment, vertex]
+    if share == 1.0:
+        left = float(substeps_left[0] * elastic_substeps)
+        start[environment, vertex] = position
+        previous[environment, vertex] = position
+        positions[environment, vertex] = position + (goals[environment, vertex] - position) / left
+        return
+    if share > 0.0:
+        position += share * (goals[environment, vertex] - position)
+        velocity *= 1.0 - share
+    start[environment, vertex] = position
+    previous[environment, vertex] = position
+    clock = clocks[0]
+    positions[environment, vertex] = position + clock.elastic_s * fall(
+        position, velocity, gravity, clock
+    )
+
+
+@no_type_check
+@wp.kernel
+def continue_substep(
+    clocks: wp.array(dtype=Clock),
+    substeps_left: wp.array(dtype=int),
+    elastic_substeps: int,
+    elastic_substep: int,
+    gravity: wp.vec3,
+    pull: wp.array2d(dtype=float),
+    goals: wp.array2d(dtype=wp.vec3),
+    positions: wp.array2d(dtype=wp.vec3),
+    previous: wp.array2d(dtype=wp.vec3),
+):
+    """Take the velocity from the last elastic substep and predict the next one."""
+    environment, vertex = wp.tid()
+    position = positions[environment, vertex]
+    if pull[environment, vertex] == 1.0:
+        left = float(substeps_left[0] * elastic_substeps - elastic_substep)
+        previous[environment, vertex] = position
+        positions[environment, vertex] = position + (goals[environment, vertex] - position) / left
+        return
+    clock = clocks[0]
+    velocity = (position - previous[environment, vertex]) / clock.elastic_s
+    previous[environment, vertex] = position
+    positions[environment, vertex] = position + clock.elastic_s * fall(
+        position, velocity, gravity, clock
+    )
+
+
+@no_type_check
+@wp.kernel
+def solve_stretch(
+    clocks: wp.array(dtype=Clock),
+    pairs: wp.array(dtype=wp.vec2i),
+    lengths: wp.array(dtype=float),
+    first: int,
+    compliances: wp.array(dtype=float),
+    inverse_masses: wp.array2d(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+):
+    """One Gauss-Seidel pass over the edges of one colour (XPBD, equation 18)."""
+    environment, number = wp.tid()
+    pair = pairs[first + number]
+    weight_a = inverse_masses[environment, pair[0]]
+    weight_b = inverse_masses[environment, pair[1]]
+    weight = weight_a + weight_b
+    if weight == 0.0:
+        return
+    elastic_s = clocks[0].elastic_s
+    a = positions[environment, pair[0]]
+    b = positions[environment, pair[1]]
+    across = b - a
+    distance = wp.length(across) + 1.0e-12
+    softness = compliances[environment] / (elastic_s * elastic_s)
+    impulse = across * ((distance - lengths[first + number]) / (distance * (weight + softness)))
+    positions[environment, pair[0]] = a + weight_a * impulse
+    positions[environment, pair[1]] = b - weight_b * impulse
+
+
+@no_type_check
+@wp.kernel
+def solve_bend(
+    clocks: wp.array(dtype=Clock),
+    pairs: wp.array(dtype=wp.vec2i),
+    lengths: wp.array(dtype=float),
+    first: int,
+    compliances: wp.array(dtype=float),
+    limit: float,
+    inverse_masses: wp.array2d(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+):
+    """One pass over the bend pairs of one colour; a sharp crease resists without compliance."""
+    environment, number = wp.tid()
+    pair = pairs[first + number]
+    weight_a = inverse_masses[environment, pair[0]]
+    weight_b = inverse_masses[environment, pair[1]]
+    weight = weight_a + weight_b
+    if weight == 0.0:
+        return
+    elastic_s = clocks[0].elastic_s
+    a = positions[environment, pair[0]]
+    b = positions[environment, pair[1]]
+    across = b - a
+    distance = wp.length(across) + 1.0e-12
+    length = lengths[first + number]
+    softness = compliances[environment] / (elastic_s * elastic_s)
+    change = (distance - length) / (weight + softness)
+    if distance < limit * length:
+        change = (distance - limit * length) / weight
+    impulse = across * (change / distance)
+    positions[environment, pair[0]] = a + weight_a * impulse
+    positions[environment, pair[1]] = b - weight_b * impulse
+
+
+@no_type_check
+@wp.kernel
+def end_substep(
+    clocks: wp.array(dtype=Clock),
+    inverse_masses: wp.array2d(dtype=float),
+    start: wp.array2d(dtype=wp.vec3),
+    previous: wp.array2d(dtype=wp.vec3),
+    contact_moves: wp.array2d(dtype=wp.vec3),
+    has_table: int,
+    table_point: wp.vec3,
+    table_normal: wp.vec3,
+    resting_height: float,
+    table_friction: wp.array(dtype=float),
+    sleep_speed: float,
+    speed_limit: float,
+    positions: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+    airborne: wp.array2d(dtype=int),
+    highest_speed: wp.array(dtype=float),
+    substeps_left: wp.array(dtype=int),
+):
+    """Apply contact and table, take the velocities, let supported slow vertices sleep."""
+    environment, vertex = wp.tid()
+    if environment == 0 and vertex == 0:
+        substeps_left[0] = substeps_left[0] - 1
+    clock = clocks[0]
+    solved = positions[environment, vertex]
+    velocity = (solved - previous[environment, vertex]) / clock.elastic_s
+    if inverse_masses[environment, vertex] == 0.0:
+        velocities[environment, vertex] = velocity
+        airborne[environment, vertex] = 0
+        return
+    position = solved
+    origin = start[environment, vertex]
+    moved = contact_moves[environment, vertex]
+    still_airborne = airborne[environment, vertex] + 1
+    if wp.dot(moved, moved) > 0.0:
+        position += moved
+        still_airborne = 0
+    if has_table == 1:
+        depth = resting_height - wp.dot(position - table_point, table_normal)
+        if depth >= 0.0:
+            still_airborne = 0
+            position += depth * table_normal
+            slip = position - origin
+            slip -= wp.dot(slip, table_normal) * table_normal
+            slipped = wp.length(slip) + 1.0e-12
+            position -= slip * wp.min(1.0, table_friction[environment] * depth / slipped)
+    velocity += (position - solved) / clock.substep_s
+    speed = wp.length(velocity)
+    if not speed < 1.0e30:
+        speed = wp.inf
+    if speed > highest_speed[environment]:
+        wp.atomic_max(highest_speed, environment, speed)
+    if speed > speed_limit:
+        velocity *= speed_limit / speed
+    if still_airborne <= AIRBORNE_LIMIT:
+        if wp.length(position - origin) < sleep_speed * clock.substep_s:
+            position = origin
+            velocity = wp.vec3(0.0, 0.0, 0.0)
+    positions[environment, vertex] = position
+    velocities[environment, vertex] = velocity
+    airborne[environment, vertex] = wp.min(still_airborne, 1000)

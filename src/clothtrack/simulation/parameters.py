@@ -1,0 +1,109 @@
+"""What a cloth is made of, and how its motion is computed."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.recordings.recording import Table
+
+
+@dataclass(frozen=True)
+class ClothParameters:
+    """Material of one cloth: what a calibration searches, one value per environment.
+
+    Attributes:
+        stretch_compliance: inverse stiffness of an edge [m/N]; 0 does not stretch.
+        bend_compliance: inverse stiffness between the two vertices that face each other across an
+            edge [m/N].
+        table_friction: Coulomb coefficient between cloth and table.
+        particle_friction: Coulomb coefficient between cloth and cloth.
+    """
+
+    stretch_compliance: float = 0.0
+    bend_compliance: float = 10.0
+    table_friction: float = 0.75
+    particle_friction: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse negative values.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        for name, value in vars(self).items():
+            if not value >= 0.0:
+                raise InvalidConfigError(f"ClothParameters.{name} is {value}; it must be >= 0")
+
+
+@dataclass(frozen=True, eq=False)
+class SolverConfig:
+    """How the motion is computed; the same for all environments.
+
+    Attributes:
+        contact: "vertex-triangle" remembers on which side of a triangle a vertex is and holds thin
+            layers at any spacing; "particle" is about half as dear but needs a spacing near the
+            thickness; "none" lets layers pass.
+        thickness_m: distance that layers keep [m]; a vertex rests half of it above the table.
+        substep_s: longest substep [s]; contacts and the table are solved once per substep.
+        elastic_substeps: parts of a substep; stretch and bend are solved once in each. The sag of
+            a hanging cloth falls with the square of their number.
+        area_density: mass per area [kg/m^2].
+        gravity: acceleration of the whole scene [m/s^2]; add a draught or a tilted camera here.
+        damping: rate at which a free vertex loses speed to the air [1/s].
+        sleep_speed: a vertex that touched something lately and is slower [m/s] stays where it is
+            (FleX's sleep threshold, only for vertices that are supported).
+        speed_limit: highest speed a vertex keeps after a substep [m/s].
+        table: the plane under the cloth, or None.
+        rebuild_s: time between two searches for contact candidates [s].
+        contact_margin_m: candidates are kept this far beyond the contact distance [m].
+        contact_depth_m: deepest crossing that a contact still knows how to undo [m].
+        contact_tolerance: how far outside a triangle a vertex still touches it, in barycentric
+            units.
+        push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; twice as much
+            while it is still on its own side.
+        bend_limit: share of the rest length under which a bend pair resists without compliance.
+    """
+
+    contact: Literal["vertex-triangle", "particle", "none"] = "vertex-triangle"
+    thickness_m: float = 0.003
+    substep_s: float = 1.1e-3
+    elastic_substeps: int = 3
+    area_density: float = 0.2
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    damping: float = 1.0
+    sleep_speed: float = 0.02
+    speed_limit: float = 3.0
+    table: Table | None = None
+    rebuild_s: float = 0.01
+    contact_margin_m: float = 0.0025
+    contact_depth_m: float = 0.007
+    contact_tolerance: float = 0.15
+    push_out_speed: float = 0.6
+    bend_limit: float = 0.55
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be computed.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        if self.contact not in ("vertex-triangle", "particle", "none"):
+            raise InvalidConfigError(
+                f'SolverConfig.contact is "{self.contact}"; '
+                'choose "vertex-triangle", "particle" or "none"'
+            )
+        for name in ("thickness_m", "substep_s", "elastic_substeps", "area_density", "rebuild_s"):
+            if not getattr(self, name) > 0:
+                raise InvalidConfigError(
+                    f"SolverConfig.{name} is {getattr(self, name)}; it must be above 0"
+                )
+        if self.contact_depth_m < self.thickness_m:
+            raise InvalidConfigError(
+                f"SolverConfig.contact_depth_m is {self.contact_depth_m}; it must be at least "
+                f"thickness_m ({self.thickness_m})"
+            )
+
+    @property
+    def resting_height_m(self) -> float:
+        """Height of a vertex above the table when the cloth lies on it [m]."""
+        return 0.5 * self.thickness_m

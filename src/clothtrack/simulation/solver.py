@@ -1,0 +1,386 @@
+"""The cloth solver: many copies of one cloth, each with its own material, stepped together."""
+
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float, Float32
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation import kernels
+from clothtrack.simulation.buffers import ClothBuffers, allocate
+from clothtrack.simulation.constraints import (
+    DistanceConstraints,
+    bend_constraints,
+    stretch_constraints,
+)
+from clothtrack.simulation.contacts import (
+    Contact,
+    NoContact,
+    ParticleContact,
+    TriangleContact,
+)
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.state import Attachment, ClothState, ContactMemory
+
+logger = logging.getLogger(__name__)
+
+SETTLE_STEP_S = 0.02
+"""Length of a step while waiting for rest [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _DeviceConstraints:
+    pairs: wp.array
+    lengths: wp.array
+    colours: list[tuple[int, int]]
+
+    @classmethod
+    def upload(cls, constraints: DistanceConstraints, device: str) -> "_DeviceConstraints":
+        return cls(
+            wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
+            wp.array(constraints.lengths, dtype=float, device=device),
+            constraints.colours,
+        )
+
+
+class ClothSolver:
+    """Position-based cloth with contact, friction and a table (XPBD, small steps).
+
+    A substep is captured once as a graph; a step launches it as often as its duration asks.
+    Environment i of a batch has the same bits as a single run with its parameters, and a restored
+    state replays bit for bit on the same device.
+
+    Limitations: contact is between vertices and triangles only, so an edge may cut through an
+    edge at a sharp crease; contact averages its impulses, which conserves momentum exactly only
+    where the touching vertices have the same number of pairs.
+
+    Attributes:
+        mesh: the cloth; its vertices are the rest shape.
+        config: how the motion is computed.
+        environments: number of copies.
+        device: Warp device, "cpu" or "cuda:0".
+    """
+
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        config: SolverConfig | None = None,
+        *,
+        parameters: ClothParameters | Sequence[ClothParameters] | None = None,
+        environments: int = 1,
+        device: str = "cpu",
+    ) -> None:
+        """Put every environment at rest in the mesh's own shape.
+
+        Raises:
+            InvalidConfigError: when the number of parameters is not the number of environments.
+        """
+        wp.config.quiet = True
+        self.mesh = mesh
+        self.config = config or SolverConfig()
+        self.environments = environments
+        self.device = device
+        self._buffers = allocate(mesh, self.config.area_density, environments, device)
+        self._stretch = _DeviceConstraints.upload(stretch_constraints(mesh), device)
+        self._bend = _DeviceConstraints.upload(bend_constraints(mesh), device)
+        self._material = wp.zeros((4, environments), dtype=float, device=device)
+        self.set_parameters(parameters or ClothParameters())
+        self._contact = self._make_contact()
+        self._attached = False
+        self._graphs: tuple[wp.Graph, wp.Graph] | None = None
+
+    def _make_contact(self) -> Contact:
+        if self.config.contact == "vertex-triangle":
+            return TriangleContact(self.mesh, self._buffers, self.config, self._material[3])
+        if self.config.contact == "particle":
+            return ParticleContact(self._buffers, self.config, self._material[3])
+        return NoContact(self._buffers)
+
+    # State
+
+    @property
+    def positions(self) -> Float32[np.ndarray, "environments vertices 3"]:
+        """Vertices of every environment [m], a copy."""
+        return self._buffers.positions.numpy().copy()
+
+    @property
+    def velocities(self) -> Float32[np.ndarray, "environments vertices 3"]:
+        """Velocities of every environment [m/s], a copy."""
+        return self._buffers.velocities.numpy().copy()
+
+    @property
+    def contact_overflows(self) -> np.ndarray:
+        """How often a contact found no free slot, per environment, since the solver began."""
+        return self._contact.overflows.numpy().copy()
+
+    def set_parameters(self, parameters: ClothParameters | Sequence[ClothParameters]) -> None:
+        """Give every environment its material; one for all, or one each.
+
+        Raises:
+            InvalidConfigError: when the number of parameters is not the number of environments.
+        """
+        if isinstance(parameters, ClothParameters):
+            parameters = [parameters] * self.environments
+        if len(parameters) != self.environments:
+            raise InvalidConfigError(
+                f"{len(parameters)} ClothParameters for {self.environments} environments; "
+                "give one for all or one for each"
+            )
+        rows = [
+            (p.stretch_compliance, p.bend_compliance, p.table_friction, p.particle_friction)
+            for p in parameters
+        ]
+        self.parameters = tuple(parameters)
+        self._material.assign(np.ascontiguousarray(np.array(rows, dtype=np.float32).T))
+
+    def save(self) -> ClothState:
+        """Everything that the next step depends on, copied to the host."""
+        memory = ContactMemory(*self._contact.memory(), self._buffers.airborne.numpy().copy())
+        return ClothState(self.positions, self.velocities, memory)
+
+    def restore(self, state: ClothState) -> None:
+        """Go back to a saved state; a state of one environment is given to all.
+
+        Raises:
+            InvalidConfigError: when the state is of another cloth or number of environments.
+        """
+        if state.environments not in (1, self.environments):
+            raise InvalidConfigError(
+                f"a state of {state.environments} environments for {self.environments}; "
+                "take one of its environments"
+            )
+        if state.positions.shape[1] != self.mesh.vertex_count:
+            raise InvalidConfigError(
+                f"a state of {state.positions.shape[1]} vertices for a cloth of "
+                f"{self.mesh.vertex_count}"
+            )
+        self._buffers.positions.assign(self._everywhere(state.positions))
+        self._buffers.velocities.assign(self._everywhere(state.velocities))
+        memory = state.contacts
+        self._buffers.airborne.assign(self._everywhere(memory.airborne))
+        self._contact.restore(
+            self._everywhere(memory.sides),
+            self._everywhere(memory.distances),
+            self._everywhere(memory.counts),
+        )
+
+    def place(self, positions: Float[np.ndarray, "environments vertices 3"]) -> None:
+        """Move the vertices [m] without forgetting on which side of each other they were.
+
+        One environment (or no environment axis) is given to all; velocities stay.
+        """
+        positions = np.asarray(positions, dtype=np.float32).reshape(-1, self.mesh.vertex_count, 3)
+        self._buffers.positions.assign(self._everywhere(positions))
+
+    def set_velocities(self, velocities: Float[np.ndarray, "environments vertices 3"]) -> None:
+        """Set the velocities [m/s]; one environment is given to all."""
+        shaped = np.asarray(velocities, dtype=np.float32).reshape(-1, self.mesh.vertex_count, 3)
+        self._buffers.velocities.assign(self._everywhere(shaped))
+
+    def _everywhere(self, array: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.broadcast_to(array, (self.environments, *array.shape[1:])))
+
+    # Motion
+
+    def step(
+        self, duration_s: float, attachment: Attachment | None = None
+    ) -> Float[np.ndarray, " environments"]:
+        """Advance all environments.
+
+        Args:
+            duration_s: how long [s]; any length, cut into equal substeps.
+            attachment: what is pulled where; None leaves everything free.
+
+        Returns:
+            The highest speed [m/s] that a free vertex had after any substep, before the speed
+            limit: the sign of an explosion. Infinite when the cloth left the finite numbers.
+        """
+        search, substep = self._graphs or self._capture()
+        substeps = max(1, math.ceil(duration_s / self.config.substep_s - 1e-6))
+        between_searches = self._set_clock(duration_s / substeps, substeps)
+        self._set_attachment(attachment, substeps)
+        self._buffers.highest_speed.zero_()
+        for index in range(substeps):
+            if index % between_searches == 0:
+                wp.capture_launch(search)
+            wp.capture_launch(substep)
+        return self._buffers.highest_speed.numpy().astype(np.float64)
+
+    def settle(self, *, speed: float = 0.1, limit_s: float = 2.0) -> float:
+        """Let the cloth move freely until no vertex exceeds a speed [m/s], or a limit [s].
+
+        Returns:
+            The simulated time that it took [s].
+        """
+        used = 0.0
+        while used < limit_s:
+            used += SETTLE_STEP_S
+            if self.step(SETTLE_STEP_S).max() < speed:
+                break
+        return used
+
+    def _set_clock(self, substep_s: float, substeps: int) -> int:
+        between_searches = max(1, round(self.config.rebuild_s / substep_s))
+        clock = kernels.Clock()
+        clock.substep_s = substep_s
+        clock.elastic_s = substep_s / self.config.elastic_substeps
+        clock.decay = math.exp(-self.config.damping * clock.elastic_s)
+        clock.rebuild_s = substep_s * between_searches
+        self._buffers.clocks.assign([clock])
+        self._buffers.substeps_left.fill_(substeps)
+        return between_searches
+
+    def _set_attachment(self, attachment: Attachment | None, substeps: int) -> None:
+        if attachment is None and not self._attached:
+            return
+        buffers = self._buffers
+        vertices = self.mesh.vertex_count
+        if attachment is None:
+            attachment = Attachment(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
+            self._attached = False
+        else:
+            self._attached = True
+        point, normal, table = self._table()
+        wp.launch(
+            kernels.attach,
+            dim=buffers.shape,
+            inputs=[
+                wp.array(
+                    np.broadcast_to(
+                        attachment.targets, (len(attachment.targets), vertices, 3)
+                    ).astype(np.float32),
+                    dtype=wp.vec3,
+                    device=self.device,
+                ),
+                wp.array(
+                    np.broadcast_to(
+                        attachment.strength, (len(attachment.targets), vertices)
+                    ).astype(np.float32),
+                    dtype=float,
+                    device=self.device,
+                ),
+                buffers.masses,
+                substeps,
+                point,
+                normal,
+                self.config.resting_height_m if table else -math.inf,
+            ],
+            outputs=[buffers.pull, buffers.goals, buffers.inverse_masses],
+            device=self.device,
+        )
+
+    def _table(self) -> tuple[wp.vec3, wp.vec3, int]:
+        if self.config.table is None:
+            return wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 1.0), 0
+        return wp.vec3(*self.config.table.point), wp.vec3(*self.config.table.normal), 1
+
+    # Graphs
+
+    def _capture(self) -> tuple[wp.Graph, wp.Graph]:
+        # The first launches compile and reserve memory, which a capture on CUDA must not do.
+        state = self.save()
+        self._set_clock(self.config.substep_s, 1)
+        self._contact.find()
+        self._launch_substep()
+        self.restore(state)
+        with wp.ScopedCapture(device=self.device) as search:
+            self._contact.find()
+        with wp.ScopedCapture(device=self.device) as substep:
+            self._launch_substep()
+        self._graphs = search.graph, substep.graph
+        return self._graphs
+
+    def _launch_substep(self) -> None:
+        buffers, config = self._buffers, self.config
+        gravity = wp.vec3(*config.gravity)
+        attached = [buffers.pull, buffers.goals, buffers.positions]
+        time = [buffers.clocks, buffers.substeps_left, config.elastic_substeps]
+        for part in range(config.elastic_substeps):
+            if part == 0:
+                wp.launch(
+                    kernels.begin_substep,
+                    dim=buffers.shape,
+                    inputs=[*time, gravity, *attached],
+                    outputs=[buffers.velocities, buffers.start, buffers.previous],
+                    device=self.device,
+                )
+            else:
+                wp.launch(
+                    kernels.continue_substep,
+                    dim=buffers.shape,
+                    inputs=[*time, part, gravity, *attached],
+                    outputs=[buffers.previous],
+                    device=self.device,
+                )
+            self._launch_constraints()
+        self._contact.push()
+        self._launch_end()
+
+    def _launch_constraints(self) -> None:
+        buffers = self._buffers
+        for first, count in self._stretch.colours:
+            wp.launch(
+                kernels.solve_stretch,
+                dim=(self.environments, count),
+                inputs=[
+                    buffers.clocks,
+                    self._stretch.pairs,
+                    self._stretch.lengths,
+                    first,
+                    self._material[0],
+                    buffers.inverse_masses,
+                    buffers.positions,
+                ],
+                device=self.device,
+            )
+        for first, count in self._bend.colours:
+            wp.launch(
+                kernels.solve_bend,
+                dim=(self.environments, count),
+                inputs=[
+                    buffers.clocks,
+                    self._bend.pairs,
+                    self._bend.lengths,
+                    first,
+                    self._material[1],
+                    self.config.bend_limit,
+                    buffers.inverse_masses,
+                    buffers.positions,
+                ],
+                device=self.device,
+            )
+
+    def _launch_end(self) -> None:
+        buffers, config = self._buffers, self.config
+        point, normal, table = self._table()
+        wp.launch(
+            kernels.end_substep,
+            dim=buffers.shape,
+            inputs=[
+                buffers.clocks,
+                buffers.inverse_masses,
+                buffers.start,
+                buffers.previous,
+                buffers.moves,
+                table,
+                point,
+                normal,
+                config.resting_height_m,
+                self._material[2],
+                config.sleep_speed,
+                config.speed_limit,
+            ],
+            outputs=[
+                buffers.positions,
+                buffers.velocities,
+                buffers.airborne,
+                buffers.highest_speed,
+                buffers.substeps_left,
+            ],
+            device=self.device,
+        )
