@@ -86,8 +86,8 @@ class Scene:
         height[shown] = points[:, 2]
         weights = _barycentric(points, vertices[faces])
         material = _blend(weights, self._canonical[faces])
-        smooth = _vertex_normals(vertices, self._cloth.faces)
-        normals[shown] = _unit(_blend(weights, smooth[faces]))
+        corner_normals = _corner_normals(vertices, self._cloth.faces)
+        normals[shown] = _unit(_blend(weights, corner_normals[cloth.faces.ravel()[shown]]))
         for pixels in (shown, rod_shown):
             facing[pixels] = np.abs(_dot(normals[pixels], self._sight[pixels]))
         shape = (self.camera.height, self.camera.width)
@@ -144,11 +144,18 @@ def _face_vectors(
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def _vertex_normals(
+def _corner_normals(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
-) -> Float[np.ndarray, "vertices 3"]:
+) -> Float[np.ndarray, "faces 3 3"]:
+    """Normal at each corner of each face: that of the smooth surface, or the face's at a crease.
+
+    At a seam of two layers the smooth normals cancel, and the faces' own remain.
+    """
     weighted = _face_vectors(vertices, faces)
-    normals = np.zeros((len(vertices), 3))
+    smooth = np.zeros((len(vertices), 3))
     for k in range(3):
-        np.add.at(normals, faces[:, k], weighted)
-    return _unit(normals)
+        np.add.at(smooth, faces[:, k], weighted)
+    smooth, flat = _unit(smooth), _unit(weighted)
+    corners = smooth[faces]
+    crease = np.einsum("fkc,fc->fk", corners, flat) < 0.5
+    return np.where(crease[..., None], flat[:, None], corners)

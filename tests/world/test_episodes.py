@@ -1,0 +1,111 @@
+"""A tiny world, filmed end to end: a valid recording, a repeatable truth, and a wall between."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothtrack.recordings.pictures import read_depth
+from clothtrack.recordings.store import read_recording
+from clothtrack.world.episodes import PICKER, EpisodeConfig, TemplateConfig, simulate
+from clothtrack.world.sensor import SensorConfig
+
+TINY = EpisodeConfig(
+    size_m=(0.2, 0.2),
+    vertex_count=150,
+    actions=1,
+    template=TemplateConfig(vertex_count=100),
+    sensor=SensorConfig(width=80, height=60, focal=75.0),
+)
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("world")
+    simulate(folder, "towel", 1, seed=3, config=TINY)
+    return folder
+
+
+def test_recording_is_valid_and_complete(out: Path) -> None:
+    recording = read_recording(out / "recordings" / "towel_0003")
+    assert recording.cloth.kind == "towel"
+    assert recording.cloth.size_m == (0.2, 0.2)
+    assert recording.cloth.template is not None
+    assert recording.cloth.template.canonical is not None
+    assert recording.table is not None
+    (action,) = recording.actions
+    assert (action.first_frame, action.last_frame) == (0, len(recording.frames) - 1)
+    assert np.allclose(np.diff([frame.time_s for frame in recording.frames]), 0.05)
+
+
+def test_truth_matches_the_frames_and_shows_an_action(out: Path) -> None:
+    recording = read_recording(out / "recordings" / "towel_0003")
+    truth = np.load(out / "truth" / "towel_0003.npz")
+    positions = truth["positions"]
+    assert positions.dtype == np.float32
+    assert positions.shape == (len(recording.frames), len(truth["canonical"]), 3)
+    assert np.array_equal(truth["frames"], np.arange(len(positions)))
+    assert json.loads(str(truth["fabric"]))["young_pa"] > 0
+    assert np.linalg.norm(positions[-1] - positions[0], axis=1).max() > 0.03
+    assert np.linalg.norm(positions[-1] - positions[-2], axis=1).max() < 0.002
+
+
+def test_picker_path_is_near_the_moved_cloth_while_closed(out: Path) -> None:
+    recording = read_recording(out / "recordings" / "towel_0003")
+    positions = np.load(out / "truth" / "towel_0003.npz")["positions"]
+    path = recording.picker_paths[PICKER]
+    closed = np.flatnonzero(path.closed)
+    assert len(closed) > 5
+    assert (np.diff(closed) == 1).all()
+    gaps = [
+        np.linalg.norm(positions[frame] - path.positions[frame], axis=1).min() for frame in closed
+    ]
+    assert max(gaps) < 0.01
+    assert np.linalg.norm(path.positions[-1] - path.positions[closed[-1]]) > 0.2
+
+
+def test_last_frame_shows_what_the_truth_says(out: Path) -> None:
+    recording = read_recording(out / "recordings" / "towel_0003")
+    positions = np.load(out / "truth" / "towel_0003.npz")["positions"][-1]
+    (camera,) = recording.cameras
+    depth = read_depth(recording.frames[-1].depth[camera.name], 0.0005)
+    pixels, true_depth = camera.project(positions.astype(float))
+    columns, rows = np.round(pixels).astype(int).T
+    seen = depth[rows, columns]
+    error = (seen - true_depth)[seen > 0]
+    assert np.median(np.abs(error)) < 0.003
+
+
+def test_nothing_of_the_truth_is_in_the_recording(out: Path) -> None:
+    folder = out / "recordings" / "towel_0003"
+    allowed = {"recording.json", "picker.csv", "template.obj", "template_canonical.csv"}
+    for path in folder.rglob("*"):
+        inside = path.relative_to(folder)
+        assert path.is_dir() or str(inside) in allowed or inside.parts[0] in {"color", "depth"}
+    text = (folder / "recording.json").read_text()
+    truth = np.load(out / "truth" / "towel_0003.npz")
+    fabric = json.loads(str(truth["fabric"]))
+    assert not any(name in text for name in fabric)
+    assert repr(fabric["table_friction"]) not in text
+    template = read_recording(folder).cloth.template
+    assert template is not None
+    assert len(template.vertices) != truth["positions"].shape[1]
+    apart = np.linalg.norm(template.vertices[:, None] - truth["positions"][0][None], axis=2)
+    assert apart.min() > 1e-6
+
+
+def test_same_seed_gives_the_same_bytes(out: Path, tmp_path: Path) -> None:
+    simulate(tmp_path, "towel", 1, seed=3, config=TINY)
+    for name in ("truth/towel_0003.npz", "recordings/towel_0003/picker.csv"):
+        assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
+    last = sorted((out / "recordings/towel_0003/depth").iterdir())[-1].name
+    again = tmp_path / "recordings/towel_0003/depth" / last
+    assert again.read_bytes() == (out / "recordings/towel_0003/depth" / last).read_bytes()
+
+
+def test_finished_recordings_are_left_alone(out: Path) -> None:
+    document = out / "recordings" / "towel_0003" / "recording.json"
+    before = document.stat().st_mtime_ns
+    assert simulate(out, "towel", 1, seed=3, config=TINY) == [document.parent]
+    assert document.stat().st_mtime_ns == before

@@ -1,0 +1,62 @@
+"""The stand-in physics: rest, free fall, and a grip that follows the tip."""
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.simulation.garments import towel
+from clothtrack.world.flex import CONTACT_RADIUS_M, TIME_STEP_S, Fabric, FlexWorld
+
+
+def lifted_towel(height: float) -> FlexWorld:
+    mesh = towel(0.12, 0.12, 0.02)
+    return FlexWorld(mesh.with_vertices(mesh.vertices + np.array([0.0, 0.0, height])), Fabric())
+
+
+def test_cloth_falls_freely() -> None:
+    world = lifted_towel(0.3)
+    world.step(20)
+    time = 20 * TIME_STEP_S
+    assert world.time_s == pytest.approx(time)
+    # A first-order integrator is off by at most one step of the final speed.
+    fallen = 0.3 - world.positions[:, 2]
+    assert np.abs(fallen - 0.5 * 9.81 * time**2).max() < 9.81 * time * TIME_STEP_S
+
+
+def test_cloth_rests_on_the_table_and_stays() -> None:
+    world = lifted_towel(CONTACT_RADIUS_M)
+    start = world.positions
+    world.settle(speed=0.002, limit_s=0.5)
+    world.step(20)
+    assert world.speed_rms < 0.002
+    assert world.kinetic_energy < 1e-6
+    assert np.abs(world.positions[:, :2] - start[:, :2]).max() < 1e-4
+    assert (world.positions[:, 2] > 0.0).all()
+
+
+def test_held_vertex_follows_the_tip_and_is_let_go() -> None:
+    world = lifted_towel(CONTACT_RADIUS_M)
+    world.settle()
+    tip = world.positions[0]
+    world.grasp(np.array([0]), tip)
+    for _ in range(60):
+        tip = tip + np.array([0.0, 0.0, 0.2 * TIME_STEP_S])
+        world.move(tip)
+        world.step()
+    assert np.linalg.norm(world.positions[0] - tip) < 0.004
+    assert world.positions[-1, 2] < 0.03
+    world.release()
+    world.step(100)
+    assert world.positions[0, 2] < 0.03
+
+
+def test_cloth_under_the_table_is_refused() -> None:
+    with pytest.raises(InvalidConfigError, match="under the table"):
+        lifted_towel(-0.01)
+
+
+def test_fabrics_differ_by_seed_and_stay_in_range() -> None:
+    fabrics = [Fabric.sample(np.random.default_rng(seed)) for seed in range(20)]
+    assert fabrics[0] == Fabric.sample(np.random.default_rng(0))
+    assert len({fabric.young_pa for fabric in fabrics}) == 20
+    assert all(2.5e4 <= fabric.young_pa <= 6e4 for fabric in fabrics)
