@@ -7,6 +7,7 @@ pick-and-place: the action is to hold still.
 
 import csv
 from dataclasses import dataclass
+from itertools import pairwise
 from math import isqrt
 from pathlib import Path
 
@@ -93,11 +94,10 @@ def template(folder: Path) -> ClothMesh:
             f"{sorted({len(quad) for quad in quads})} corners; expected a square grid of quads"
         )
     faces = []
-    for a, b, c, d in quads:
-        odd = sum(divmod(min(a, b, c, d), side)) % 2
+    for quad in quads:
         # Which corner comes first differs from quad to quad: start at the lowest vertex.
-        shift = int(np.argmin((a, b, c, d)))
-        a, b, c, d = np.roll((a, b, c, d), -shift).tolist()
+        a, b, c, d = np.roll(quad, -int(np.argmin(quad))).tolist()
+        odd = sum(divmod(a, side)) % 2
         faces += [(a, b, c), (a, c, d)] if odd else [(a, b, d), (b, c, d)]
     grid = upright(vertices).reshape(side, side, 3)
     steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).mean() for axis in (0, 1)]
@@ -110,7 +110,7 @@ def measured_points(folder: Path) -> list[Float[np.ndarray, "points 3"]]:
     """The measured cloth of every frame, in the world [m]; for scoring only."""
     with np.load(folder / "points.npz") as stored:
         points, offsets = upright(stored["points_mm"] * 1e-3), stored["offsets"]
-    return [points[a:b] for a, b in zip(offsets[:-1], offsets[1:], strict=True)]
+    return [points[a:b] for a, b in pairwise(offsets)]
 
 
 def convert(folder: Path, output: Path, *, frames: int | None = None) -> Path:

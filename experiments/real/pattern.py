@@ -124,7 +124,7 @@ def pattern_drift(
             scores = cv2.matchTemplate(around, window, cv2.TM_CCOEFF_NORMED)
             scores = np.nan_to_num(scores, nan=0.0, posinf=0.0, neginf=0.0)
             best = np.unravel_index(int(scores.argmax()), scores.shape)
-            found = _peak(scores, best) + (top, left) - (row, column)
+            found = _peak(scores, best) + np.array([top - row, left - column])
             slides.append(float(np.hypot(*found)) * config.texel_m)
             correlations.append(float(scores[best]))
     return PatternDrift(np.array(slides), np.array(correlations), config.correlation)

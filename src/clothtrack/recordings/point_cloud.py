@@ -167,10 +167,14 @@ def hidden_pixels(
     """Pixels where cloth could not have been seen, with two pixels around them.
 
     Those are the blind ones, and those that show neither cloth nor table but something that stands
-    more than 15 mm above the table: the tool.
+    more than 15 mm above the table: the tool. A blind spot under 3 x 3 pixels hides nothing: its
+    neighbours were measured. Without a table, what is outside the mask is background, measured or
+    not.
     """
-    unseen = blind.copy()
-    if table is not None:
+    unseen = cv2.morphologyEx(blind.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))) > 0
+    if table is None:
+        unseen &= mask
+    else:
         unseen |= ~mask & (depth_m > 0) & (height_picture(depth_m, camera, table) > TOOL_HEIGHT_M)
     return cv2.dilate(unseen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 

@@ -1,7 +1,7 @@
 """dyn(x, a): what the cloth does while a picker moves, the dynamics of the tracker."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
@@ -59,12 +59,11 @@ class RollOut:
     highest_speed: Float[np.ndarray, " environments"]
 
 
-@dataclass(frozen=True, eq=False)
-class ClothDynamics:
-    """The solver as a function of state and action.
+@dataclass(frozen=True)
+class DynamicsConfig:
+    """How a roll-out is cut into steps of the solver.
 
     Attributes:
-        solver: steps the cloth; its own state is overwritten by every roll-out.
         picker_step_m: no step moves a held vertex further than this [m].
         longest_step_s: no step lasts longer [s].
         whole_frame_velocities: after a pseudo-action every vertex gets the mean velocity of the
@@ -72,14 +71,26 @@ class ClothDynamics:
             pull has made too fast.
     """
 
-    solver: ClothSolver
     picker_step_m: float = 0.005
     longest_step_s: float = 0.05
     whole_frame_velocities: bool = True
 
+
+@dataclass(frozen=True, eq=False)
+class ClothDynamics:
+    """The solver as a function of state and action.
+
+    Attributes:
+        solver: steps the cloth; its own state is overwritten by every roll-out.
+        config: how a roll-out is cut into steps.
+    """
+
+    solver: ClothSolver
+    config: DynamicsConfig = field(default_factory=DynamicsConfig)
+
     def roll_out(
         self,
-        state: ClothState,
+        state: ClothState | None,
         motion: HeldMotion | None,
         duration_s: float,
         pseudo: Attachment | None = None,
@@ -87,7 +98,8 @@ class ClothDynamics:
         """Move the cloth for a while.
 
         Args:
-            state: where to start; one environment is given to all.
+            state: where to start; one environment is given to all. None goes on from where the last
+                roll-out ended.
             motion: held vertices and their way; None holds none.
             duration_s: how long [s].
             pseudo: where the observation wants vertices at the end. Targets of held vertices
@@ -98,24 +110,34 @@ class ClothDynamics:
             The end of the motion.
         """
         solver = self.solver
-        solver.restore(state)
+        if state is not None:
+            solver.restore(state)
         before = solver.positions
-        steps = self._steps(motion, duration_s)
+        steps = self._steps(before, motion, duration_s)
         highest = np.zeros(solver.environments)
         for index in range(1, steps + 1):
             attachment = _attachment(before, motion, pseudo, index, steps)
             highest = np.maximum(highest, solver.step(duration_s / steps, attachment))
         positions = solver.positions
-        if pseudo is not None and self.whole_frame_velocities:
+        if pseudo is not None and self.config.whole_frame_velocities:
             solver.set_velocities((positions - before) / duration_s)
         return RollOut(solver.save(), positions, highest)
 
-    def _steps(self, motion: HeldMotion | None, duration_s: float) -> int:
-        way = motion.longest_way_m if motion is not None else 0.0
+    def _steps(
+        self,
+        before: Float32[np.ndarray, "environments vertices 3"],
+        motion: HeldMotion | None,
+        duration_s: float,
+    ) -> int:
+        way = 0.0
+        if motion is not None and len(motion.vertices):
+            # A held vertex may first have to come to where its way starts.
+            gap = np.linalg.norm(before[:, motion.vertices] - motion.at(0.0), axis=-1).max()
+            way = motion.longest_way_m + float(gap)
         return max(
             1,
-            math.ceil(duration_s / self.longest_step_s - 1e-6),
-            math.ceil(way / self.picker_step_m - 1e-6),
+            math.ceil(duration_s / self.config.longest_step_s - 1e-6),
+            math.ceil(way / self.config.picker_step_m - 1e-6),
         )
 
 

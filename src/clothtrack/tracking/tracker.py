@@ -84,7 +84,7 @@ class Tracker:
         """Run Algorithm 1 over every action of the recording."""
         frames = self._recording.frames
         parameters = dict(self._config.parameters)
-        state = self._dynamics.save()
+        state = self._dynamics.solver.save()
         positions = np.repeat(state.positions, len(frames), axis=0)
         records = StepRecords.empty(len(frames))
         actions = []
@@ -228,7 +228,7 @@ class Tracker:
         self._dynamics.solver.restore(state)
         self._dynamics.solver.place(state.positions + final.corrections[None])
         self._dynamics.solver.set_velocities(np.zeros_like(state.velocities))
-        return self._dynamics.save()
+        return self._dynamics.solver.save()
 
     def _calibrated(self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]):  # noqa: ANN202
         grasps = find_grasps(self._recording, action, state.positions[0], self._config.picking)
