@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import SimulationDivergedError
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter, storage
@@ -118,7 +119,7 @@ def simulate(
     if processes == 1:
         folders = [_simulate_or_skip(job) for job in jobs]
     else:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(processes, get_context("spawn"), quiet_warp) as pool:
             folders = list(pool.map(_simulate_or_skip, jobs))
     return [folder for folder in folders if folder is not None]
 
