@@ -16,6 +16,7 @@ AIRBORNE_LIMIT = wp.constant(5)
 """Substeps after its last touch during which a vertex counts as supported and may sleep."""
 
 
+@no_type_check
 @wp.struct
 class Clock:
     """Lengths of time that differ from step to step; in memory, so that one graph serves all.

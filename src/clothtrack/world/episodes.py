@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import SimulationDivergedError
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter, storage
@@ -120,7 +121,7 @@ def simulate(
     if processes == 1:
         folders = [film(each) for each in seeds]
     else:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(processes, get_context("spawn"), quiet_warp) as pool:
             folders = list(pool.map(film, seeds))
     return [folder for folder in folders if folder is not None]
 
