@@ -100,6 +100,8 @@ class _Newton:
         builder.add_ground_plane()
         self._before_finalize(builder)
         self._model = builder.finalize(device="cpu")
+        self._model.soft_contact_ke = 10.0  # as in Newton's own example of a garment
+        self._model.soft_contact_kd = 1e-5
         self._model.soft_contact_mu = FRICTION
         flags = self._model.particle_flags.numpy()
         flags[held] &= ~int(newton.ParticleFlags.ACTIVE)
