@@ -199,8 +199,12 @@ class NewtonStyle3D(_Newton):
         )
 
     def _make_solver(self, newton):
-        solver = newton.solvers.SolverStyle3D
-        return solver(self._model, config=solver.Config(iterations=5, linear_iterations=10))
+        kind = newton.solvers.SolverStyle3D
+        solver = kind(self._model, config=kind.Config(iterations=5, linear_iterations=10))
+        # Both sides have this radius; the built-in 3 mm would blast layers 3 mm apart off each
+        # other.
+        solver.collision.radius = 0.5 * CONTACT_M
+        return solver
 
 
 OURS = ("vertex-triangle", "particle")
