@@ -18,6 +18,7 @@ class ClothBuffers:
         start: positions at the beginning of the substep, after a soft pull.
         previous: positions at the beginning of the elastic substep.
         moves: what contact wants to add to the positions.
+        stops: the part of it that ends an approach and changes the velocity.
         inverse_masses: 0 for held vertices [1/kg].
         pull: share of the way to the goal per substep; 1 is held.
         goals: where attached vertices go.
@@ -35,6 +36,7 @@ class ClothBuffers:
     start: wp.array
     previous: wp.array
     moves: wp.array
+    stops: wp.array
     inverse_masses: wp.array
     pull: wp.array
     goals: wp.array
@@ -69,6 +71,7 @@ def allocate(mesh: ClothMesh, area_density: float, environments: int, device: st
         start=vectors(),
         previous=vectors(),
         moves=vectors(),
+        stops=vectors(),
         inverse_masses=wp.array(weights, dtype=float, device=device),
         pull=wp.zeros(shape, dtype=float, device=device),
         goals=vectors(),

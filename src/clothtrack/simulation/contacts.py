@@ -121,7 +121,7 @@ class ParticleContact(NoContact):
                 buffers.positions,
                 buffers.start,
             ],
-            outputs=[buffers.moves],
+            outputs=[buffers.moves, buffers.stops],
             device=buffers.positions.device,
         )
 
@@ -157,6 +157,7 @@ class TriangleContact:
         self._old_distances = wp.zeros_like(self.distances)
         self._old_counts = wp.zeros_like(self.counts)
         self._impulses = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._stopping = wp.zeros(slots, dtype=wp.vec3, device=device)
         self._weights = wp.zeros(slots, dtype=wp.vec3, device=device)
         self._reactions = wp.zeros(
             (environments, vertices, REACTIONS_PER_VERTEX), dtype=int, device=device
@@ -236,7 +237,7 @@ class TriangleContact:
                 buffers.positions,
                 buffers.start,
             ],
-            outputs=[self._impulses, self._weights],
+            outputs=[self._impulses, self._stopping, self._weights],
             device=self._device,
         )
         wp.launch(
@@ -247,10 +248,11 @@ class TriangleContact:
                 self._reactions,
                 self._reaction_counts,
                 self._impulses,
+                self._stopping,
                 self._weights,
                 buffers.inverse_masses,
             ],
-            outputs=[buffers.moves],
+            outputs=[buffers.moves, buffers.stops],
             device=self._device,
         )
 

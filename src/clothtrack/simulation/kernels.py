@@ -213,7 +213,8 @@ def end_substep(
     inverse_masses: wp.array2d(dtype=float),
     start: wp.array2d(dtype=wp.vec3),
     previous: wp.array2d(dtype=wp.vec3),
-    contact_moves: wp.array2d(dtype=wp.vec3),
+    moves: wp.array2d(dtype=wp.vec3),
+    stops: wp.array2d(dtype=wp.vec3),
     has_table: int,
     table_point: wp.vec3,
     table_normal: wp.vec3,
@@ -227,7 +228,11 @@ def end_substep(
     highest_speed: wp.array(dtype=float),
     substeps_left: wp.array(dtype=int),
 ):
-    """Apply contact and table, take the velocities, let supported slow vertices sleep."""
+    """Apply contact and table, take the velocities, let supported slow vertices sleep.
+
+    Contact and table stop what approaches; undoing an older crossing moves a vertex but gives it
+    no speed, so that a layer that was placed inside another is not flung away.
+    """
     environment, vertex = wp.tid()
     if environment == 0 and vertex == 0:
         substeps_left[0] = substeps_left[0] - 1
@@ -240,7 +245,8 @@ def end_substep(
         return
     position = solved
     origin = start[environment, vertex]
-    moved = contact_moves[environment, vertex]
+    moved = moves[environment, vertex]
+    stopped = stops[environment, vertex]
     still_airborne = airborne[environment, vertex] + 1
     if wp.dot(moved, moved) > 0.0:
         position += moved
@@ -249,12 +255,16 @@ def end_substep(
         depth = resting_height - wp.dot(position - table_point, table_normal)
         if depth >= 0.0:
             still_airborne = 0
-            position += depth * table_normal
             slip = position - origin
-            slip -= wp.dot(slip, table_normal) * table_normal
+            sinking = -wp.dot(slip, table_normal)
+            slip += sinking * table_normal
+            position += depth * table_normal
+            stopped += wp.clamp(sinking, 0.0, depth) * table_normal
             slipped = wp.length(slip) + 1.0e-12
-            position -= slip * wp.min(1.0, table_friction[environment] * depth / slipped)
-    velocity += (position - solved) / clock.substep_s
+            cut = slip * wp.min(1.0, table_friction[environment] * depth / slipped)
+            position -= cut
+            stopped -= cut
+    velocity += stopped / clock.substep_s
     speed = wp.length(velocity)
     if not speed < 1.0e30:
         speed = wp.inf

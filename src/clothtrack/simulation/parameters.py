@@ -78,7 +78,7 @@ class SolverConfig:
     contact_margin_m: float = 0.0025
     contact_depth_m: float = 0.007
     contact_tolerance: float = 0.15
-    push_out_speed: float = 0.6
+    push_out_speed: float = 0.3
     bend_limit: float = 0.55
 
     def __post_init__(self) -> None:

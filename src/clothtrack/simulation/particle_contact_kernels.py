@@ -52,10 +52,15 @@ def push_particles(
     positions: wp.array2d(dtype=wp.vec3),
     start: wp.array2d(dtype=wp.vec3),
     moves: wp.array2d(dtype=wp.vec3),
+    stops: wp.array2d(dtype=wp.vec3),
 ):
-    """Average over the touching pairs of what each wants to move this vertex (Jacobi)."""
+    """Average over the touching pairs of what each wants to move this vertex (Jacobi).
+
+    `stops` is the part that ends an approach and so changes the velocity too.
+    """
     environment, vertex = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
+    stopped = wp.vec3(0.0, 0.0, 0.0)
     weight = inverse_masses[environment, vertex]
     touching = int(0)
     if weight > 0.0:
@@ -71,9 +76,12 @@ def push_particles(
                     normal = across / distance
                     slip = position - start[environment, vertex]
                     slip -= positions[environment, other] - start[environment, other]
-                    slip -= wp.dot(slip, normal) * normal
+                    nearing = -wp.dot(slip, normal)
+                    slip += nearing * normal
                     cut = wp.min(1.0, friction[environment] * depth / (wp.length(slip) + 1.0e-12))
                     share = weight / (weight + inverse_masses[environment, other])
                     total += share * (depth * normal - cut * slip)
+                    stopped += share * (wp.clamp(nearing, 0.0, depth) * normal - cut * slip)
                     touching += 1
     moves[environment, vertex] = total / float(wp.max(touching, 1))
+    stops[environment, vertex] = stopped / float(wp.max(touching, 1))

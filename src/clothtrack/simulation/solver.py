@@ -366,6 +366,7 @@ class ClothSolver:
                 buffers.start,
                 buffers.previous,
                 buffers.moves,
+                buffers.stops,
                 table,
                 point,
                 normal,

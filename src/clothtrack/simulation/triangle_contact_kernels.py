@@ -228,6 +228,17 @@ def sort_reactions(
 
 
 @no_type_check
+@wp.func
+def holds_a_corner(environment: int, face: wp.vec3i, inverse_masses: wp.array2d(dtype=float)):
+    """Whether a corner of the triangle is held."""
+    return (
+        inverse_masses[environment, face[0]] == 0.0
+        or inverse_masses[environment, face[1]] == 0.0
+        or inverse_masses[environment, face[2]] == 0.0
+    )
+
+
+@no_type_check
 @wp.kernel
 def find_impulses(
     clocks: wp.array(dtype=Clock),
@@ -242,6 +253,7 @@ def find_impulses(
     positions: wp.array2d(dtype=wp.vec3),
     start: wp.array2d(dtype=wp.vec3),
     impulses: wp.array3d(dtype=wp.vec3),
+    stopping: wp.array3d(dtype=wp.vec3),
     weights: wp.array3d(dtype=wp.vec3),
 ):
     """Impulse [kg m] of each listed pair that is nearer than its distance or on the wrong side."""
@@ -272,6 +284,8 @@ def find_impulses(
             continue
         push = wp.min(push, longest * wp.where(height > 0.0, 2.0, 1.0))
         weight = inverse_masses[environment, vertex]
+        if weight == 0.0 and holds_a_corner(environment, face, inverse_masses):
+            continue  # what one hand holds together stays as it was grasped
         slip = point - start[environment, vertex]
         for corner in range(3):
             share = foot[corner]
@@ -281,9 +295,13 @@ def find_impulses(
             )
         if weight == 0.0:
             continue
-        slip -= wp.dot(slip, outward) * outward
+        nearing = -wp.dot(slip, outward)
+        slip += nearing * outward
         cut = wp.min(1.0, friction[environment] * push / (wp.length(slip) + 1.0e-12))
         impulses[environment, vertex, slot] = (push * outward - cut * slip) / weight
+        stopping[environment, vertex, slot] = (
+            wp.clamp(nearing, 0.0, push) * outward - cut * slip
+        ) / weight
         weights[environment, vertex, slot] = foot
 
 
@@ -294,18 +312,25 @@ def gather_impulses(
     reactions: wp.array3d(dtype=int),
     reaction_counts: wp.array2d(dtype=int),
     impulses: wp.array3d(dtype=wp.vec3),
+    stopping: wp.array3d(dtype=wp.vec3),
     weights: wp.array3d(dtype=wp.vec3),
     inverse_masses: wp.array2d(dtype=float),
     moves: wp.array2d(dtype=wp.vec3),
+    stops: wp.array2d(dtype=wp.vec3),
 ):
-    """Average over the active pairs of what each wants to move this vertex (Jacobi) [m]."""
+    """Average over the active pairs of what each wants to move this vertex (Jacobi) [m].
+
+    `stops` is the part that ends an approach and so changes the velocity too.
+    """
     environment, vertex = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
+    stopped = wp.vec3(0.0, 0.0, 0.0)
     active = int(0)
     for slot in range(counts[environment, vertex]):
         impulse = impulses[environment, vertex, slot]
         if wp.dot(impulse, impulse) > 0.0:
             total += impulse
+            stopped += stopping[environment, vertex, slot]
             active += 1
     slots = impulses.shape[2]
     for index in range(reaction_counts[environment, vertex]):
@@ -313,9 +338,10 @@ def gather_impulses(
         pair = code // 3
         impulse = impulses[environment, pair // slots, pair % slots]
         if wp.dot(impulse, impulse) > 0.0:
-            foot = weights[environment, pair // slots, pair % slots]
-            total -= impulse * foot[code % 3]
+            share = weights[environment, pair // slots, pair % slots][code % 3]
+            total -= impulse * share
+            stopped -= stopping[environment, pair // slots, pair % slots] * share
             active += 1
-    moves[environment, vertex] = total * (
-        inverse_masses[environment, vertex] / float(wp.max(active, 1))
-    )
+    share = inverse_masses[environment, vertex] / float(wp.max(active, 1))
+    moves[environment, vertex] = share * total
+    stops[environment, vertex] = share * stopped

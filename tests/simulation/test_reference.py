@@ -1,0 +1,117 @@
+"""The kernels against plain NumPy, substep by substep."""
+
+import numpy as np
+import pytest
+from simulation.cloths import FLOOR, sheet, two_layers
+
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.reference import ReferenceCloth
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import Attachment
+
+SUBSTEP_S = 1e-3
+PARAMETERS = ClothParameters(1e-5, 3.0, 0.4, 0.3)
+
+
+def config(**changes):
+    return SolverConfig(
+        **{
+            "table": FLOOR,
+            "contact": "none",
+            "sleep_speed": 0.0,
+            "speed_limit": 1e3,
+            "substep_s": SUBSTEP_S,
+            **changes,
+        }
+    )
+
+
+def shaken(mesh, seed, amplitude=0.0006, speed=0.5):
+    rng = np.random.default_rng(seed)
+    positions = mesh.vertices + rng.normal(0.0, amplitude, mesh.vertices.shape)
+    return positions, rng.normal(0.0, speed, mesh.vertices.shape)
+
+
+def reference(mesh, settings, positions, velocities, **attached):
+    return ReferenceCloth(
+        mesh,
+        settings,
+        PARAMETERS,
+        positions.astype(np.float32).astype(float),
+        velocities.astype(np.float32).astype(float),
+        attached.get("pull", np.zeros(len(positions))),
+        attached.get("goals", np.zeros_like(positions)),
+    )
+
+
+def test_stretch_bend_table_and_attachment():
+    mesh = sheet(6, 5, 0.01, 0.0012)
+    positions, velocities = shaken(mesh, seed=1)
+    strength = np.zeros(mesh.vertex_count)
+    strength[[0, 1]] = 1.0
+    strength[[10, 17]] = 0.7
+    goals = positions + np.array([0.001, 0.0, 0.004])
+    settings = config()
+    solver = ClothSolver(mesh, settings, parameters=PARAMETERS)
+    solver.place(positions)
+    solver.set_velocities(velocities)
+    solver.step(2 * SUBSTEP_S, Attachment(goals[None], strength[None]))
+    pull = np.where(strength < 1, 1 - np.sqrt(1 - np.minimum(strength, 0.999999)), 1.0)
+    oracle = reference(mesh, settings, positions, velocities, pull=pull, goals=goals)
+    oracle.substep(SUBSTEP_S, 2)
+    oracle.substep(SUBSTEP_S, 1)
+    np.testing.assert_allclose(solver.positions[0], oracle.positions, atol=1e-7)
+    np.testing.assert_allclose(solver.velocities[0], oracle.velocities, atol=1e-3)
+    np.testing.assert_allclose(solver.positions[0, :2], goals[:2], atol=1e-7)
+
+
+def test_sharp_creases_resist():
+    mesh = sheet(3, 2, 0.01, 1.0)
+    positions = mesh.vertices.copy()
+    positions[4:, 0] = 0.004
+    settings = config(table=None)
+    solver = ClothSolver(mesh, settings, parameters=PARAMETERS)
+    solver.place(positions)
+    solver.step(SUBSTEP_S)
+    oracle = reference(mesh, settings, positions, np.zeros_like(positions))
+    oracle.substep(SUBSTEP_S, 1)
+    np.testing.assert_allclose(solver.positions[0], oracle.positions, atol=1e-6)
+
+
+@pytest.mark.parametrize("push_out_speed", [0.05, 5.0])
+def test_vertex_triangle_contact(push_out_speed):
+    mesh = two_layers(5, gap=0.0025)
+    positions, velocities = shaken(mesh, seed=2)
+    settings = config(contact="vertex-triangle", push_out_speed=push_out_speed)
+    solver = ClothSolver(mesh, settings, parameters=PARAMETERS)
+    solver.place(positions)
+    solver.set_velocities(velocities)
+    solver.step(SUBSTEP_S)
+    memory = solver.save().contacts
+    assert memory.counts.sum() > 20
+    oracle = reference(mesh, settings, positions, velocities)
+    oracle.pairs = [
+        list(zip(sides[:count].tolist(), kept[:count].tolist(), strict=True))
+        for sides, kept, count in zip(
+            memory.sides[0], memory.distances[0], memory.counts[0], strict=True
+        )
+    ]
+    oracle.substep(SUBSTEP_S, 1)
+    np.testing.assert_allclose(solver.positions[0], oracle.positions, atol=2e-7)
+    np.testing.assert_allclose(solver.velocities[0], oracle.velocities, atol=1e-3)
+
+
+def test_particle_contact():
+    mesh = two_layers(5, gap=0.004)
+    positions, velocities = shaken(mesh, seed=3)
+    settings = config(contact="particle", thickness_m=0.006, contact_depth_m=0.007)
+    solver = ClothSolver(mesh, settings, parameters=PARAMETERS)
+    solver.place(positions)
+    solver.set_velocities(velocities)
+    solver.step(SUBSTEP_S)
+    oracle = reference(mesh, settings, positions, velocities)
+    everyone = range(mesh.vertex_count)
+    oracle.neighbours = [[j for j in everyone if j != i] for i in everyone]
+    oracle.substep(SUBSTEP_S, 1)
+    np.testing.assert_allclose(solver.positions[0], oracle.positions, atol=2e-7)
+    np.testing.assert_allclose(solver.velocities[0], oracle.velocities, atol=1e-3)
