@@ -100,6 +100,8 @@ class _Newton:
         builder.add_ground_plane()
         self._before_finalize(builder)
         self._model = builder.finalize(device="cpu")
+        self._model.soft_contact_ke = 10.0  # as in Newton's own example of a garment
+        self._model.soft_contact_kd = 1e-5
         self._model.soft_contact_mu = FRICTION
         flags = self._model.particle_flags.numpy()
         flags[held] &= ~int(newton.ParticleFlags.ACTIVE)
@@ -197,8 +199,12 @@ class NewtonStyle3D(_Newton):
         )
 
     def _make_solver(self, newton):
-        solver = newton.solvers.SolverStyle3D
-        return solver(self._model, config=solver.Config(iterations=5, linear_iterations=10))
+        kind = newton.solvers.SolverStyle3D
+        solver = kind(self._model, config=kind.Config(iterations=5, linear_iterations=10))
+        # Both sides have this radius; the built-in 3 mm would blast layers 3 mm apart off each
+        # other.
+        solver.collision.radius = 0.5 * CONTACT_M
+        return solver
 
 
 OURS = ("vertex-triangle", "particle")
