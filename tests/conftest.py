@@ -7,9 +7,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
-import warp as wp
 
-wp.config.quiet = True
+from clothtrack.geometry.devices import quiet_warp
+
+quiet_warp()
 
 
 @pytest.fixture(autouse=True)

@@ -107,11 +107,6 @@ def test_a_defect_of_ours_is_not_hidden(monkeypatch):
         cli.main(["fail"])
 
 
-def test_a_device_that_is_not_there_is_named_with_those_that_are():
-    with pytest.raises(cli.InvalidConfigError, match=r"'cuda:77'.*cpu"):
-        cli._require_device("cuda:77")
-
-
 def test_every_mode_of_the_tracker_is_offered():
     from clothtrack.tracking.configuration import MODES
 

@@ -11,15 +11,15 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from clothtrack.errors import (
     ClothTrackError,
-    InvalidConfigError,
     InvalidRecordingError,
     InvalidResultError,
     StorageError,
@@ -53,8 +53,17 @@ VERBS: list[Callable[..., int]] = []
 
 
 def _verb(function: Callable[..., int]) -> Callable[..., int]:
-    VERBS.append(function)
-    return function
+    """List a verb; Warp greets on standard output, where our results go, unless it is told."""
+
+    @wraps(function)
+    def quietly(*arguments: Any, **options: Any) -> int:
+        from clothtrack.geometry.devices import quiet_warp
+
+        quiet_warp()
+        return function(*arguments, **options)
+
+    VERBS.append(quietly)
+    return quietly
 
 
 @_verb
@@ -127,14 +136,8 @@ def simulate(
     from clothtrack.world.episodes import EpisodeConfig
     from clothtrack.world.episodes import simulate as film
 
-    folders = film(
-        output,
-        garment,
-        trajectories,
-        seed=seed,
-        config=EpisodeConfig(actions=actions),
-        processes=workers,
-    )
+    config = EpisodeConfig(actions=actions)
+    folders = film(output, garment, trajectories, seed=seed, config=config, processes=workers)
     for folder in folders:
         _say(str(folder))
     return 0 if len(folders) == trajectories else 1
@@ -206,8 +209,9 @@ def evaluate(
     from clothtrack.evaluation.results import as_json, save_json, table
     from clothtrack.evaluation.results import evaluate as measure
     from clothtrack.evaluation.truth import Truth
+    from clothtrack.geometry.devices import require_device
 
-    _require_device(device)
+    require_device(device)
     evaluations = []
     for path in tracked:
         result = _load_tracked(path)
@@ -328,9 +332,10 @@ def _track(
     device: str,
     workers: int = 1,
 ) -> "list[Outcome]":
+    from clothtrack.geometry.devices import require_device
     from clothtrack.pipeline import track_recordings
 
-    _require_device(device)
+    require_device(device)
     outcomes = track_recordings(
         recordings, output, config, workers=workers, device=device, progress=_progress
     )
@@ -369,19 +374,6 @@ def _recording_of(tracked: "TrackedTrajectory", path: Path) -> "Recording":
 def _inside(path: Path, name: str) -> Path:
     """The entry of a folder, or the path itself when it is a file."""
     return path / name if path.is_dir() else path
-
-
-def _require_device(device: str) -> None:
-    import warp
-
-    warp.config.quiet = True
-    try:
-        warp.get_device(device)
-    except (ValueError, RuntimeError) as error:
-        known = ", ".join(str(one) for one in warp.get_devices())
-        raise InvalidConfigError(
-            f"device is {device!r}, but this machine has {known}; choose one of these"
-        ) from error
 
 
 def _progress(name: str, done: int, total: int) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
@@ -130,7 +131,7 @@ def track_recordings(
     if workers <= 1 or len(folders) == 1:
         return [_track_folder(folder, output, config, device, progress) for folder in folders]
     outcomes: dict[Path, Outcome] = {}
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), quiet_warp) as pool:
         jobs = {
             pool.submit(_track_folder, folder, output, config, device, None): folder
             for folder in folders

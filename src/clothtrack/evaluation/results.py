@@ -2,7 +2,6 @@
 
 import json
 import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -231,15 +230,15 @@ def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
     Raises:
         StorageError: when the disk refuses.
     """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            "w", dir=path.parent, prefix=f".{path.name}.", delete=False, encoding="utf-8"
-        ) as file:
-            file.write(as_json(evaluations) + "\n")
-        os.replace(file.name, path)
+        temporary.write_text(as_json(evaluations) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
     except OSError as error:
-        raise StorageError(f"{path}: cannot write the results ({error})") from error
+        raise StorageError.of(error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def table(evaluations: Iterable[Evaluation]) -> str:

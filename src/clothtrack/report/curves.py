@@ -62,7 +62,7 @@ def chart_html(
     axis = _Axis.of(chart)
     data = {
         "frames": [int(frame) for frame in frames],
-        "lines": [[_number(value) for value in line.values] for line in chart.lines],
+        "lines": [[_number(float(value)) for value in line.values] for line in chart.lines],
         "left": LEFT,
         "right": WIDTH - RIGHT,
     }
@@ -98,7 +98,7 @@ class _Axis:
     @classmethod
     def of(cls, chart: Chart) -> "_Axis":
         """The axis that shows every finite value of a chart."""
-        values = np.concatenate([np.ravel(line.values) for line in chart.lines])
+        values = np.concatenate([np.ravel(line.values) for line in chart.lines]).astype(np.float64)
         values = values[np.isfinite(values)]
         if chart.logarithmic:
             values = values[values > 0]
@@ -147,9 +147,10 @@ def _round_step(span: float) -> float:
     return float(power * min((1, 2, 5, 10), key=lambda factor: abs(factor - rough / power)))
 
 
-def _x(frames: Int[np.ndarray, " frames"], frame: np.ndarray | int) -> np.ndarray:
+def _x(frames: Int[np.ndarray, " frames"], frame: int) -> float:
+    """Horizontal place of a frame in the drawing."""
     first, last = int(frames[0]), int(frames[-1])
-    return LEFT + (np.asarray(frame) - first) / max(1, last - first) * (WIDTH - LEFT - RIGHT)
+    return LEFT + (float(frame) - first) / max(1, last - first) * (WIDTH - LEFT - RIGHT)
 
 
 def _bands(frames: Int[np.ndarray, " frames"], actions: Sequence[tuple[int, int]]) -> str:
@@ -165,7 +166,7 @@ def _bands(frames: Int[np.ndarray, " frames"], actions: Sequence[tuple[int, int]
 
 def _frame_ticks(frames: Int[np.ndarray, " frames"]) -> str:
     first, last = int(frames[0]), int(frames[-1])
-    step = max(1, round(_round_step(max(1, last - first))))
+    step = max(1, round(_round_step(float(max(1, last - first)))))
     ticks = [first, *range(first - first % step + step, last + 1, step)]
     return "".join(
         f'<text class="tick" x="{_x(frames, tick):.1f}" y="{HEIGHT - 7}" '
@@ -177,7 +178,7 @@ def _frame_ticks(frames: Int[np.ndarray, " frames"]) -> str:
 def _polyline(line: Line, frames: Int[np.ndarray, " frames"], axis: _Axis) -> str:
     values = np.asarray(line.values, dtype=np.float64)
     fine = np.isfinite(values) & ((values > 0) | (not axis.logarithmic))
-    x, y = _x(frames, frames), axis.y(np.where(fine, values, 1.0))
+    x, y = [_x(frames, frame) for frame in frames.tolist()], axis.y(np.where(fine, values, 1.0))
     command, parts = "M", []
     alone = []
     for k in range(len(values)):
@@ -197,7 +198,7 @@ def _crosses(chart: Chart, frames: Int[np.ndarray, " frames"]) -> str:
     return "".join(
         f'<path class="cross" d="M{x - 3:.1f} {y - 3}l6 6m0 -6l-6 6"><title>frame {frame}: '
         f"{escape(chart.marks_label)}</title></path>"
-        for frame, x in ((frame, float(_x(frames, frame))) for frame in chart.marks)
+        for frame, x in ((frame, _x(frames, frame)) for frame in chart.marks)
     )
 
 

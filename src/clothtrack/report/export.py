@@ -35,7 +35,7 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
     out = Path(out)
     if format == "npz":
         with whole_file(out if out.suffix == ".npz" else Path(f"{out}.npz")) as temporary:
-            np.savez_compressed(temporary, **_arrays(tracked))
+            np.savez_compressed(temporary, allow_pickle=False, **_arrays(tracked))
         return out if out.suffix == ".npz" else Path(f"{out}.npz")
     write = _write_obj if format == "obj" else _write_ply
     with whole_folder(out) as folder:

@@ -52,8 +52,8 @@ def heat_legend(image: Picture, label: str, limit: float) -> None:
     colors = heat(np.linspace(0.0, 1.0, bar_width), 1.0)
     bar = image[top : top + bar_height, left : left + bar_width]
     bar[:] = np.rint(255 * colors).astype(np.uint8)[None, : bar.shape[1]]
-    write(image, label, (left, top - 6), height_px=10)
-    write(image, "0", (left, top + bar_height + 14), height_px=9)
+    write(image, label, (left, top - 6), height_px=10.0)
+    write(image, "0", (left, top + bar_height + 14), height_px=9.0)
     end = f"{limit:g}+"
-    right = left + bar_width - text_width(end, height_px=9)
-    write(image, end, (right, top + bar_height + 14), height_px=9)
+    right = left + bar_width - text_width(end, height_px=9.0)
+    write(image, end, (right, top + bar_height + 14), height_px=9.0)

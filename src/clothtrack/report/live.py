@@ -36,8 +36,7 @@ def view_live(
         opacity = server.gui.add_slider("Opacity of the cloth", 0.1, 1.0, 0.05, 1.0)
         words = server.gui.add_markdown("")
 
-        @frame_slider.on_update
-        def show(_: object = None) -> None:
+        def show() -> None:
             step = int(frame_slider.value)
             index = int(tracked.frames[step])
             points = cloud(recording, frames[index]) if index in frames else np.empty((0, 3))
@@ -45,6 +44,8 @@ def view_live(
             unseen = tracked.positions[step][~tracked.visible[step]]
             hidden.points = unseen if len(unseen) else np.full((1, 3), -1e3)
             words.content = f"frame {index}, {tracked.time_s[step]:.2f} s"
+
+        frame_slider.on_update(lambda _: show())
 
         @opacity.on_update
         def fade(_: object) -> None:

@@ -12,7 +12,7 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 
 def chamfer_rms_mm(
-    tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "points 3"]]
+    tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_ 3"]]
 ) -> Float[np.ndarray, " frames"]:
     """Root of half the two-way Chamfer distance [mm] of visible vertices and observed points."""
     steps = zip(tracked.positions, tracked.visible, clouds, strict=True)

@@ -119,7 +119,8 @@ class Overlay:
             self.views, self._shaders, self._observations(step), strict=True
         ):
             camera, still = view.camera, shader.render(vertices)
-            image = _toned_down(picture)
+            photographed = has_picture(self.frame(step), camera)
+            image = _toned_down(picture) if photographed else picture.astype(np.float32)
             shaded = still.image[still.cloth]
             image[still.cloth] += self.config.surface * (shaded - image[still.cloth])
             self._draw_wires(image, camera, vertices, visible)
@@ -172,7 +173,7 @@ class View:
     rows: slice
     columns: slice
 
-    def cut(self, picture: Picture) -> Picture:
+    def cut(self, picture: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
         """The window of a picture of the camera."""
         return picture[self.rows, self.columns]
 
@@ -238,7 +239,8 @@ def scene_view(
     up = (0.0, 0.0, 1.0)
     azimuth = -60.0
     if recording.table is not None:
-        up = tuple(float(axis) for axis in recording.table.normal)
+        x, y, z = recording.table.normal
+        up = (float(x), float(y), float(z))
     elif recording.cameras:
         up = upright(recording.cameras[0])
         azimuth = _azimuth_of(recording.cameras[0], tracked, up) + 28.0

@@ -12,6 +12,9 @@
   const nearest = (list, value) =>
     list.reduce((best, item, at) => Math.abs(item - value) < Math.abs(list[best] - value) ? at : best, 0);
 
+  const worded = (value) => value === null ? "\u2013"
+    : value !== 0 && Math.abs(value) < 1e-3 ? value.toExponential(2) : String(value);
+
   function point(frame) {
     for (const chart of charts) {
       const first = chart.frames[0], last = chart.frames[chart.frames.length - 1];
@@ -21,8 +24,7 @@
       chart.cursor.setAttribute("x2", x);
       const at = nearest(chart.frames, frame);
       chart.now.forEach((slot, line) => {
-        const value = chart.lines[line][at];
-        slot.textContent = value === null ? "\u2013" : String(value);
+        slot.textContent = worded(chart.lines[line][at]);
       });
     }
   }

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
 from clothtrack.report.curves import chart_html
 from clothtrack.report.evidence import CloudReader, observed_points
 from clothtrack.report.measures import chamfer_rms_mm, charts, edge_strains
@@ -82,11 +83,29 @@ def write_report(
     return Path(path)
 
 
+def report(
+    tracked: Path, recording: Path, path: Path | None = None, *, config: ReportConfig | None = None
+) -> Path:
+    """Write the page of a stored trajectory and return its path: `tracked`.html by default.
+
+    Raises:
+        InvalidResultError: when the trajectory cannot be read.
+        InvalidRecordingError: when the recording cannot be read.
+        StorageError: when the disk refuses.
+    """
+    return write_report(
+        TrackedTrajectory.load(tracked),
+        read_recording(recording),
+        path or tracked.parent / f"{tracked.stem}.html",
+        config=config,
+    )
+
+
 def _page(
     tracked: TrackedTrajectory,
     recording: Recording,
     overlay: Overlay,
-    clouds: Sequence[Float[np.ndarray, "points 3"]],
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
     config: ReportConfig,
 ) -> str:
     rms_mm = chamfer_rms_mm(tracked, clouds)
@@ -147,7 +166,7 @@ def _video_card(tracked: TrackedTrajectory, overlay: Overlay, config: ReportConf
 def _scene_card(
     tracked: TrackedTrajectory,
     recording: Recording,
-    clouds: Sequence[Float[np.ndarray, "points 3"]],
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
     config: ReportConfig,
 ) -> str:
     most = max(2, config.scene_vertices // tracked.mesh.vertex_count)

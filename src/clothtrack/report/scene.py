@@ -9,6 +9,7 @@ import socket
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import rich
@@ -32,6 +33,11 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 log = logging.getLogger(__name__)
 
 LOOP_BACK = "127.0.0.1"
+
+SIDES: tuple[tuple[str, tuple[float, float, float], Literal["front", "back"]], ...] = (
+    ("outside", OUTSIDE, "front"),
+    ("inside", INSIDE, "back"),
+)
 
 
 @dataclass(frozen=True)
@@ -80,7 +86,7 @@ class ClothScene:
                 side=side,
                 position=tuple(self._origin),
             )
-            for name, color, side in (("outside", OUTSIDE, "front"), ("inside", INSIDE, "back"))
+            for name, color, side in SIDES
         )
         self.cloud = scene.add_point_cloud(
             "/observed",
@@ -127,7 +133,7 @@ class ClothScene:
 def scene_html(
     tracked: TrackedTrajectory,
     recording: Recording,
-    clouds: Sequence[Float[np.ndarray, "points 3"]],
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
     *,
     steps: Sequence[int] | None = None,
     config: SceneConfig | None = None,
@@ -157,10 +163,7 @@ def scene_html(
 @contextmanager
 def local_server(port: int | None = None) -> Iterator[viser.ViserServer]:
     """A quiet viser server on the loop-back interface, stopped at the end; any free port."""
-    if port is None:
-        with socket.socket() as probe:
-            probe.bind((LOOP_BACK, 0))
-            port = probe.getsockname()[1]
+    port = port or _free_port()
     with _silent_console():
         server = viser.ViserServer(host=LOOP_BACK, port=port, verbose=False)
     log.info("viser listens on http://%s:%d", LOOP_BACK, server.get_port())
@@ -169,6 +172,12 @@ def local_server(port: int | None = None) -> Iterator[viser.ViserServer]:
     finally:
         with _silent_console():
             server.stop()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((LOOP_BACK, 0))
+        return int(probe.getsockname()[1])
 
 
 @contextmanager

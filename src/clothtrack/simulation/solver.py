@@ -81,7 +81,6 @@ class ClothSolver:
         Raises:
             InvalidConfigError: when the number of parameters is not the number of environments.
         """
-        wp.config.quiet = True
         self.mesh = mesh
         self.config = config or SolverConfig()
         self.environments = environments

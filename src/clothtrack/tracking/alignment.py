@@ -44,7 +44,7 @@ class AlignmentConfig:
         neighbours_every: renew the neighbours every so many iterations.
         icp_outer: how often the icp solver renews matches and linearisation.
         icp_inner: conjugate gradient steps in between.
-        icp_relaxation: factor on the icp solver's steps but the last.
+        icp_momentum: part of the last outer step that is added to the next.
     """
 
     solver: Literal["adam", "icp"] = "adam"
@@ -60,7 +60,7 @@ class AlignmentConfig:
     neighbours_every: int = 1
     icp_outer: int = 8
     icp_inner: int = 12
-    icp_relaxation: float = 1.5
+    icp_momentum: float = 0.8
 
     def __post_init__(self) -> None:
         """Refuse values that cannot be meant.
@@ -159,9 +159,6 @@ class Aligner:
             return self._nothing(reason)
         if not (np.isfinite(positions).all() and np.isfinite(observation_points).all()):
             return self._nothing("not finite")
-        trusted = visible if trusted is None else trusted & visible
-        if self._config.two_way_weight == 0:
-            trusted = np.zeros_like(visible)
         problem = self._problem(positions, observation_points, visible, trusted)
         problem.weights = self._weights(problem, table, rest_height_m)
         solve = _solve_adam if self._config.solver == "adam" else _solve_icp
@@ -177,6 +174,31 @@ class Aligner:
             reason="iterations",
         )
 
+    def gradient(
+        self,
+        positions: Float[np.ndarray, "vertices 3"],
+        displacements: Float[np.ndarray, "vertices 3"],
+        observation_points: Float[np.ndarray, "points 3"],
+        visible: Bool[np.ndarray, " vertices"],
+        *,
+        trusted: Bool[np.ndarray, " vertices"] | None = None,
+        table: Table | None = None,
+        rest_height_m: float = 0.0,
+    ) -> tuple[float, Float[np.ndarray, "vertices 3"]]:
+        """The objective [m^2] and its gradient [m] at a displacement [m], matches held fixed.
+
+        The arguments are those of `align`; the matches are the ones at the displaced vertices.
+        """
+        problem = self._problem(positions, observation_points, visible, trusted)
+        problem.weights = self._weights(problem, table, rest_height_m)
+        displaced = self._array(displacements.astype(np.float32), wp.vec3)
+        moved = self._array(problem.initial.numpy() + displaced.numpy(), wp.vec3)
+        problem.matcher.rebuild(moved)
+        sums = problem.sums(1)
+        gradient = problem.measure(moved, displaced, sums)
+        terms = self._terms(sums.numpy(), problem.point_count)
+        return float(sum(term[0] for term in terms.values())), gradient.numpy()
+
     def _array(self, values: np.ndarray, dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device)
 
@@ -186,8 +208,15 @@ class Aligner:
         )
 
     def _problem(
-        self, positions: np.ndarray, points: np.ndarray, visible: np.ndarray, trusted: np.ndarray
+        self,
+        positions: np.ndarray,
+        points: np.ndarray,
+        visible: np.ndarray,
+        trusted: np.ndarray | None,
     ) -> "_Problem":
+        trusted = visible if trusted is None else trusted & visible
+        if self._config.two_way_weight == 0:
+            trusted = np.zeros_like(visible)
         # Single precision keeps micrometres only near the origin.
         centre = positions.mean(axis=0, dtype=np.float64)
         config = self._config
@@ -324,6 +353,7 @@ def _solve_icp(problem: _Problem, config: AlignmentConfig) -> tuple[np.ndarray, 
     positions, displacements = wp.clone(initial), problem.vectors()
     sums = problem.sums(config.icp_outer + 1)
     conjugate, strips = _conjugate(problem)
+    solved = problem.vectors()
 
     def descend() -> None:
         inputs = [problem.topology, problem.weights, conjugate]
@@ -351,8 +381,9 @@ def _solve_icp(problem: _Problem, config: AlignmentConfig) -> tuple[np.ndarray, 
             kernels.apply_solution,
             dim=len(initial),
             inputs=[
-                matcher.progress, 1.0 if last else config.icp_relaxation, matcher.searched,
-                matcher.grid.recorded, initial, conjugate, positions, displacements,
+                problem.weights, matcher.progress, sums, 0.0 if last else config.icp_momentum,
+                matcher.searched, matcher.grid.recorded, initial, conjugate,
+                solved, positions, displacements,
             ],
             device=device,
         )  # fmt: skip

@@ -14,7 +14,7 @@ strips' partial dot products itself, in one order.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
-# ruff: noqa: PLR0915, PLR0917, RUF046, UP018
+# ruff: noqa: PLR0917, UP018
 
 from typing import no_type_check
 
@@ -200,13 +200,12 @@ def step_adam(
     slope = _slope(vertex, topology, matches, weights, partners, positions, displacements)
     _record(slope, partners, progress.iteration[0], sums)
     gradient = 2.0 * slope.gradient
-    time = float(progress.iteration[0] + 1)
     first = 0.9 * first_moment[vertex] + 0.1 * gradient
     second = 0.999 * second_moment[vertex] + 0.001 * wp.cw_mul(gradient, gradient)
     first_moment[vertex] = first
     second_moment[vertex] = second
-    scale = step_m / (1.0 - wp.pow(0.9, time))
-    correction = 1.0 / (1.0 - wp.pow(0.999, time))
+    scale = step_m / (1.0 - wp.float32(progress.decays[0]))
+    correction = wp.float32(wp.float64(1.0) / (wp.float64(1.0) - progress.decays[1]))
     displacement = displacements[vertex] - scale * wp.vec3(
         first[0] / (wp.sqrt(second[0] * correction) + 1.0e-8),
         first[1] / (wp.sqrt(second[1] * correction) + 1.0e-8),
@@ -363,20 +362,46 @@ def turn(conjugate: Conjugate):
 
 
 @no_type_check
+@wp.func
+def _objective(weights: Weights, sums: wp.array2d(dtype=wp.int64), row: wp.int32):
+    partners = wp.max(sums[row, 5], wp.int64(1))
+    return (
+        wp.float64(weights.data) * wp.float64(sums[row, 0])
+        + wp.float64(weights.rigidity) * wp.float64(sums[row, 1])
+        + wp.float64(weights.two_way) * wp.float64(sums[row, 2]) / wp.float64(partners)
+        + wp.float64(weights.length) * wp.float64(sums[row, 3])
+        + wp.float64(weights.table) * wp.float64(sums[row, 4])
+    )
+
+
+@no_type_check
 @wp.kernel(enable_backward=False)
 def apply_solution(
+    weights: Weights,
     progress: Progress,
-    relaxation: wp.float32,
+    sums: wp.array2d(dtype=wp.int64),
+    momentum: wp.float32,
     searched: wp.array(dtype=wp.bool),
     recorded: wp.array(dtype=wp.vec3),
     initial: wp.array(dtype=wp.vec3),
     conjugate: Conjugate,
+    solved: wp.array(dtype=wp.vec3),
     positions: wp.array(dtype=wp.vec3),
     displacements: wp.array(dtype=wp.vec3),
 ):
-    """Add the (over-relaxed) solution to the displacement."""
+    """Add the solution to the displacement, and go on in the direction of the last two.
+
+    Not if the objective has risen: the way on is then no longer the way down (B. O'Donoghue and
+    E. Candes, "Adaptive restart for accelerated gradient schemes", doi:10.1007/s10208-013-9150-3).
+    """
     vertex = wp.tid()
-    displacement = displacements[vertex] + relaxation * conjugate.solution[vertex]
+    row = progress.iteration[0]
+    ahead = momentum
+    if row > 0 and _objective(weights, sums, row) > _objective(weights, sums, row - 1):
+        ahead = 0.0
+    solution = displacements[vertex] + conjugate.solution[vertex]
+    displacement = solution + ahead * (solution - solved[vertex])
+    solved[vertex] = solution
     position = initial[vertex] + displacement
     _note_step(progress, searched[vertex], positions[vertex], position, recorded[vertex])
     displacements[vertex] = displacement

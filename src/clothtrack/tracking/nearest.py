@@ -123,6 +123,7 @@ class Matcher:
         self.progress.step = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.stale = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.partners = wp.zeros(1, dtype=wp.int32, device=device)
+        self.progress.decays = wp.ones(2, dtype=wp.float64, device=device)
         self.rebuild(positions)
 
     def rebuild(self, positions: wp.array) -> None:

@@ -12,7 +12,7 @@ not matter: CPU and GPU agree on the neighbours and every run repeats.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
-# ruff: noqa: PLR0915, PLR0917, RUF046, UP018
+# ruff: noqa: PLR0917, RUF046, UP018
 
 from typing import no_type_check
 
@@ -47,7 +47,8 @@ class Progress:
     """Scalars that live on the device while the solver runs (arrays of one).
 
     `travelled` [m] bounds the way of any vertex since the start, `step` [m] the way in the present
-    iteration, `stale` [m] the distance from where the grid has the vertices.
+    iteration, `stale` [m] the distance from where the grid has the vertices. `decays` holds 0.9
+    and 0.999 to the power of the number of iterations begun (Adam's start-up correction).
     """
 
     iteration: wp.array(dtype=wp.int32)
@@ -55,6 +56,7 @@ class Progress:
     step: wp.array(dtype=wp.float32)
     stale: wp.array(dtype=wp.float32)
     partners: wp.array(dtype=wp.int32)
+    decays: wp.array(dtype=wp.float64)
 
 
 @wp.struct
@@ -179,6 +181,8 @@ def advance(progress: Progress):
     progress.travelled[0] = progress.travelled[0] + progress.step[0]
     progress.step[0] = 0.0
     progress.partners[0] = 0
+    progress.decays[0] = progress.decays[0] * wp.float64(0.9)
+    progress.decays[1] = progress.decays[1] * wp.float64(0.999)
 
 
 @no_type_check

@@ -1,0 +1,34 @@
+"""Chamfer distances against all pairs, and their laws."""
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.chamfer import one_way, two_way
+
+
+def test_one_way_is_the_mean_over_all_pairs_minima():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(70, 3)), rng.normal(size=(50, 3))
+    squares = ((a[:, None] - b[None]) ** 2).sum(-1)
+    assert one_way(a, b) == pytest.approx(squares.min(1).mean(), rel=1e-12)
+    assert two_way(a, b) == pytest.approx(squares.min(1).mean() + squares.min(0).mean(), rel=1e-12)
+
+
+def test_a_small_shift_of_a_sparse_set_gives_its_square_in_each_direction():
+    x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
+    points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1)
+    shift = np.array([0.03, 0.0, 0.04])
+    assert one_way(points, points + shift) == pytest.approx(0.0025, rel=1e-9)
+    assert two_way(points, points + shift) == pytest.approx(0.005, rel=1e-9)
+
+
+def test_a_subset_is_free_one_way_only():
+    points = np.random.default_rng(1).normal(size=(40, 3))
+    assert one_way(points[:10], points) == 0
+    assert one_way(points, points[:10]) > 0
+
+
+def test_an_empty_set_is_refused():
+    with pytest.raises(InvalidConfigError, match="at least one"):
+        one_way(np.zeros((0, 3)), np.zeros((4, 3)))

@@ -1,0 +1,107 @@
+"""A headless browser without network, driven through the DevTools protocol."""
+
+import contextlib
+import itertools
+import json
+import re
+import shutil
+import subprocess
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+SWITCHES = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--no-first-run", "--remote-debugging-port=0", "--window-size=1366,900",
+)  # fmt: skip
+
+
+def find_chromium() -> str | None:
+    """The browser's program, if this machine has one."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    return next(filter(None, map(shutil.which, names)), None)
+
+
+class Page:
+    """One open page: what it asked for, what it complained about, what it answers."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket, self._numbers = socket, itertools.count(1)
+        self.events: list[dict[str, Any]] = []
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Send one DevTools command and return its result."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=60))
+            if answer.get("id") == number:
+                assert "error" not in answer, answer
+                return answer["result"]
+            self.events.append(answer)
+
+    def ask(self, expression: str) -> Any:
+        """The value of a JavaScript expression; promises are awaited."""
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def wait_for(self, expression: str, *, limit_s: float = 60.0) -> None:
+        """Return when a JavaScript expression becomes true."""
+        end = time.monotonic() + limit_s
+        while not self.ask(expression):
+            assert time.monotonic() < end, f"never true: {expression}"
+            time.sleep(0.25)
+
+    def requests(self) -> list[str]:
+        """Every address that was asked for."""
+        sent = [e for e in self.events if e.get("method") == "Network.requestWillBeSent"]
+        return [event["params"]["request"]["url"] for event in sent]
+
+    def complaints(self) -> list[str]:
+        """Uncaught exceptions and errors in the log."""
+        thrown = [str(e) for e in self.events if e.get("method") == "Runtime.exceptionThrown"]
+        entries = [e["params"]["entry"] for e in self.events if e.get("method") == "Log.entryAdded"]
+        return thrown + [entry["text"] for entry in entries if entry["level"] == "error"]
+
+
+@contextlib.contextmanager
+def opened(program: str, file: Path, profile: Path) -> Iterator[Page]:
+    """Open a file in a browser that has no network."""
+    command = [program, *SWITCHES, f"--user-data-dir={profile}", "about:blank"]
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            port = next(
+                found.group(1)
+                for line in process.stderr
+                if (found := re.search(r"DevTools listening on ws://127\.0\.0\.1:(\d+)/", line))
+            )
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=20) as answer:
+                tabs = json.load(answer)
+            address = next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
+            with connect(address, max_size=None) as socket:
+                page = Page(socket)
+                for domain in ("Page", "Network", "Log", "Runtime"):
+                    page.call(f"{domain}.enable")
+                page.call(
+                    "Network.emulateNetworkConditions",
+                    offline=True,
+                    latency=0,
+                    downloadThroughput=-1,
+                    uploadThroughput=-1,
+                )
+                page.call("Page.navigate", url=file.as_uri())
+                page.wait_for("document.readyState === 'complete'")
+                yield page
+        finally:
+            process.terminate()
+            process.wait(timeout=20)

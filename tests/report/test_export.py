@@ -1,0 +1,62 @@
+import inspect
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from clothtrack.errors import InvalidConfigError, StorageError
+from clothtrack.report.export import export
+
+
+def test_the_archive_holds_the_trajectory(tracked, tmp_path):
+    path = export(tracked, tmp_path / "fold", "npz")
+    assert path == tmp_path / "fold.npz"
+    with np.load(path, allow_pickle=False) as archive:
+        assert set(archive) == {
+            "positions",
+            "positions_before_final_alignment",
+            "faces",
+            "frames",
+            "visible",
+            "time_s",
+        }
+        np.testing.assert_array_equal(archive["positions"], tracked.positions)
+        np.testing.assert_array_equal(archive["visible"], tracked.visible)
+        np.testing.assert_array_equal(
+            archive["positions_before_final_alignment"][1],
+            tracked.actions[1].positions_before_final_alignment,
+        )
+
+
+def test_an_archive_without_actions_keeps_its_axes(tracked, tmp_path):
+    path = export(replace(tracked, actions=()), tmp_path / "none.npz", "npz")
+    with np.load(path, allow_pickle=False) as archive:
+        shape = archive["positions_before_final_alignment"].shape
+    assert shape == (0, tracked.mesh.vertex_count, 3)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+def test_another_program_reads_the_same_mesh(tracked, tmp_path, kind):
+    folder = export(tracked, tmp_path / kind, kind)
+    assert len(list(folder.iterdir())) == len(tracked.frames) + 2 * len(tracked.actions)
+    mesh = trimesh.load(folder / f"frame_000003.{kind}", process=False)
+    np.testing.assert_allclose(mesh.vertices, tracked.positions[3], atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, tracked.mesh.faces)
+    after = trimesh.load(folder / f"action_01_after.{kind}", process=False)
+    np.testing.assert_allclose(after.vertices, tracked.positions[5], atol=1e-6)
+
+
+def test_an_unknown_format_is_named(tracked, tmp_path):
+    unchecked = inspect.unwrap(export)  # the type check of the tests would be first
+    with pytest.raises(InvalidConfigError, match="stl"):
+        unchecked(tracked, tmp_path / "fold", "stl")
+
+
+def test_a_full_folder_is_not_overwritten(tracked, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("work of years")
+    with pytest.raises(StorageError, match="not empty"):
+        export(tracked, tmp_path / "mine", "obj")
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    assert (tmp_path / "mine" / "thesis.tex").read_text() == "work of years"

@@ -1,0 +1,81 @@
+from dataclasses import replace
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from clothtrack.report.overlay import (
+    Overlay,
+    OverlayConfig,
+    scene_view,
+    write_contact_sheet,
+    write_overlay_video,
+)
+
+SMALL = OverlayConfig(height=120)
+
+
+def test_both_cameras_stand_side_by_side(tracked, two_cameras):
+    overlay = Overlay(tracked, two_cameras, config=SMALL)
+    assert overlay.draw(0).shape == overlay.observation(0).shape == (120, 320, 3)
+    assert Overlay(tracked, two_cameras, config=replace(SMALL, cameras=1)).draw(0).shape[1] == 160
+
+
+def test_a_close_up_holds_the_cloth_in_every_frame(tracked, two_cameras):
+    overlay = Overlay(tracked, two_cameras, config=replace(SMALL, closest=0.3))
+    for view in overlay.views:
+        pixels, _ = view.camera.project(tracked.positions.reshape(-1, 3).astype(float))
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        assert (low > (view.columns.start - 0.5, view.rows.start - 0.5)).all()
+        assert (high < (view.columns.stop - 0.5, view.rows.stop - 0.5)).all()
+    assert overlay.views[1].camera.width > 160
+
+
+def test_only_the_hidden_part_is_drawn_in_the_hidden_hue(tracked, two_cameras):
+    bare = replace(two_cameras, picker_paths={})
+    config = replace(SMALL, cameras=1, wires=0.0)
+    all_seen = replace(tracked, visible=np.ones_like(tracked.visible))
+    with_hidden = Overlay(tracked, bare, config=config).draw(5).astype(int)
+    without = Overlay(all_seen, bare, config=config).draw(5).astype(int)
+    changed = (with_hidden != without).any(axis=2)
+    view = Overlay(tracked, bare, config=config).views[0]
+    pixels, _ = view.camera.project(tracked.positions[5][~tracked.visible[5]].astype(float))
+    rows, columns = np.nonzero(changed)
+    assert len(rows) > 50
+    assert columns.max() <= pixels[:, 0].max() - view.columns.start + 12
+    assert columns.min() >= pixels[:, 0].min() - view.columns.start - 12
+
+
+def test_a_recording_without_pictures_is_drawn_on_paper(tracked, clouds_only):
+    overlay = Overlay(tracked, clouds_only, config=SMALL)
+    seen = overlay.observation(0)
+    dots = (seen != seen[0, 0]).any(axis=2)
+    assert 100 < dots.sum() < 0.5 * dots.size
+    drawn = overlay.draw(0)
+    assert (drawn[0, 0] == seen[0, 0]).all()
+    assert (drawn[dots] != seen[dots]).any()
+
+
+@pytest.mark.parametrize("recording", ["two_cameras", "clouds_only"])
+def test_the_video_has_the_chosen_frames(tracked, recording, request, tmp_path):
+    overlay = Overlay(tracked, request.getfixturevalue(recording), config=SMALL)
+    rate = write_overlay_video(overlay, tmp_path / "v.mp4", steps=[0, 2, 4])
+    assert rate == pytest.approx(5.0)
+    with av.open(str(tmp_path / "v.mp4")) as container:
+        assert len(list(container.decode(video=0))) == 3
+
+
+def test_the_contact_sheet_has_a_row_per_frame(tracked, two_cameras, tmp_path):
+    overlay = Overlay(tracked, two_cameras, config=SMALL)
+    path = write_contact_sheet(overlay, tmp_path / "sheet.png", rows=3)
+    sheet = cv2.imread(str(path))
+    assert sheet.shape == (3 * (240 + 26), 640 + 4 + 640 + 4 + 320, 3)
+
+
+def test_a_hanging_cloth_is_seen_from_the_camera_s_side(tracked, two_cameras):
+    hanging = replace(two_cameras, table=None, cameras=two_cameras.cameras[1:])
+    view = scene_view(tracked, hanging, width=160, height=120)
+    middle = tracked.positions.reshape(-1, 3).mean(axis=0)
+    towards = two_cameras.cameras[1].position - middle
+    assert (view.position - middle) @ towards > 0

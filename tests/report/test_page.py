@@ -1,0 +1,75 @@
+import re
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import StorageError
+from clothtrack.report.overlay import OverlayConfig
+from clothtrack.report.page import ReportConfig, write_report
+from clothtrack.tracking.tracked_trajectory import StepRecords
+
+SMALL = ReportConfig(overlay=OverlayConfig(height=120))
+
+
+@pytest.fixture(scope="module")
+def page(tracked, two_cameras, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "fold.html"
+    assert write_report(tracked, two_cameras, path, config=SMALL) == path
+    return path.read_text(encoding="utf-8")
+
+
+def test_nothing_in_the_page_points_outside(page):
+    scene = unescape(re.search(r'srcdoc="([^"]*)"', page).group(1))
+    for document in (page, scene):
+        markup = re.sub(r"(?s)<script.*?</script>", "", document)
+        sources = re.findall(r"(?:src|href|action|poster)\s*=\s*[\"']([^\"']{0,40})", markup)
+        assert all(source.startswith("data:") for source in sources)
+        assert not re.search(r"url\(\s*[\"']?(?!data:)(?:https?:)?//", markup)
+    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', page).group(1)
+    assert policy.startswith("default-src 'none'")
+    assert "http" not in policy
+    assert "*" not in policy
+
+
+def test_the_name_cannot_break_out_of_the_page(page):
+    assert "<h1>fold &lt;in&gt; half</h1>" in page
+
+
+def test_the_video_lists_its_frames(page, tracked):
+    listed = re.search(r'data-frames="\[([\d, ]+)\]"', page).group(1)
+    assert [int(frame) for frame in listed.split(",")] == tracked.frames.tolist()
+    assert "data:video/mp4;base64," in page
+
+
+def test_many_frames_are_thinned(tracked, clouds_only, tmp_path):
+    config = ReportConfig(video_frames=3, scene_vertices=2 * 169, overlay=SMALL.overlay)
+    path = write_report(tracked, clouds_only, tmp_path / "thin.html", config=config)
+    assert 'data-frames="[0, 2, 5]"' in path.read_text(encoding="utf-8")
+
+
+def test_one_frame_without_actions_or_observation_is_a_page(tracked, clouds_only, tmp_path):
+    single = replace(
+        tracked,
+        frames=tracked.frames[:1],
+        time_s=tracked.time_s[:1],
+        positions=tracked.positions[:1],
+        visible=tracked.visible[:1],
+        actions=(),
+        steps=StepRecords.empty(1),
+    )
+    path = write_report(
+        single,
+        clouds_only,
+        tmp_path / "one.html",
+        config=SMALL,
+        cloud=lambda recording, frame: np.empty((0, 3)),
+    )
+    assert "no action" in path.read_text(encoding="utf-8")
+
+
+def test_a_place_that_cannot_be_written_to_is_named(tracked, clouds_only, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(StorageError, match=r"file/page\.html"):
+        write_report(tracked, clouds_only, tmp_path / "file" / "page.html", config=SMALL)

@@ -1,0 +1,43 @@
+import pytest
+
+from clothtrack.errors import StorageError
+from clothtrack.report.storing import whole_file, whole_folder
+
+
+def _break_off(opened, path):
+    with opened(path) as temporary:
+        target = temporary / "part" if temporary.is_dir() else temporary
+        target.write_text("half")
+        raise RuntimeError("power cut")
+
+
+@pytest.mark.parametrize("opened", [whole_file, whole_folder])
+def test_nothing_appears_when_the_writer_fails(opened, tmp_path):
+    with pytest.raises(RuntimeError):
+        _break_off(opened, tmp_path / "result")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_there_stays_when_the_writer_fails(tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text("yesterday")
+    with pytest.raises(RuntimeError):
+        _break_off(whole_file, path)
+    assert path.read_text() == "yesterday"
+
+
+def test_a_finished_file_replaces_the_one_before(tmp_path):
+    path = tmp_path / "deep" / "page.html"
+    for words in ("yesterday", "today"):
+        with whole_file(path) as temporary:
+            temporary.write_text(words)
+    assert path.read_text() == "today"
+    assert [found.name for found in path.parent.iterdir()] == ["page.html"]
+
+
+@pytest.mark.parametrize("opened", [whole_file, whole_folder])
+def test_a_place_that_cannot_be_written_to_is_named(opened, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    path = tmp_path / "file" / "result"
+    with pytest.raises(StorageError, match="file/result"), opened(path):
+        pass

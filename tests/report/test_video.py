@@ -1,0 +1,33 @@
+import av
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.report.video import frame_rate, write_video
+
+
+def test_a_browser_gets_what_was_drawn(tmp_path):
+    greys = [40, 90, 140, 190, 240]
+    pictures = (np.full((61, 83, 3), grey, dtype=np.uint8) for grey in greys)
+    assert write_video(pictures, tmp_path / "v.mp4", frames_per_second=12.5) == 5
+    with av.open(str(tmp_path / "v.mp4")) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        assert (stream.width, stream.height) == (84, 62)
+        assert float(stream.average_rate) == 12.5
+        shown = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+    np.testing.assert_allclose([picture.mean() for picture in shown], greys, atol=4)
+
+
+def test_no_picture_is_no_video(tmp_path):
+    with pytest.raises(InvalidConfigError, match=r"v\.mp4"):
+        write_video([], tmp_path / "v.mp4", frames_per_second=10.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("times", "rate"),
+    [(np.arange(9) / 30, 30.0), (np.arange(9) * 5.0, 2.0), (np.array([0.0]), 10.0)],
+)
+def test_the_video_runs_as_fast_as_the_recording(times, rate):
+    assert frame_rate(times) == pytest.approx(rate)
