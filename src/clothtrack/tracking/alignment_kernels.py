@@ -111,16 +111,19 @@ def _slope(
             slope.two_way = miss[0] * miss[0] + miss[1] * miss[1] + miss[2] * miss_z
     difference_sum = wp.vec3()
     stretch_sum = wp.vec3()
-    for place in range(topology.first[vertex], topology.first[vertex + 1]):
-        other = topology.neighbour[place]
-        difference = displacement - displacements[other]
+    first = topology.first[vertex]
+    end = topology.first[vertex + 1]
+    for place in range(first, end):
+        difference = displacement - displacements[topology.neighbour[place]]
         difference_sum += difference
         slope.rigidity += 0.5 * wp.dot(difference, difference)
-        edge = position - positions[other]
-        length = wp.max(wp.length(edge), 1.0e-9)
-        stretch = length - topology.rest_length[place]
-        stretch_sum += (stretch / length) * edge
-        slope.length += 0.5 * stretch * stretch
+    if weights.length > 0.0:
+        for place in range(first, end):
+            edge = position - positions[topology.neighbour[place]]
+            length = wp.max(wp.length(edge), 1.0e-9)
+            stretch = length - topology.rest_length[place]
+            stretch_sum += (stretch / length) * edge
+            slope.length += 0.5 * stretch * stretch
     gradient += weights.rigidity * difference_sum + weights.length * stretch_sum
     depth = weights.lowest - wp.dot(weights.table_normal, position)
     if depth > 0.0:
@@ -277,11 +280,15 @@ def linearise(
         diagonal = own_part
         if below:
             diagonal += weights.table * wp.cw_mul(normal, normal)
-        for place in range(topology.first[vertex], topology.first[vertex + 1]):
-            edge = positions[vertex] - positions[topology.neighbour[place]]
-            unit = edge / wp.max(wp.length(edge), 1.0e-9)
-            conjugate.unit[place] = unit
-            diagonal += wp.vec3(weights.rigidity) + weights.length * wp.cw_mul(unit, unit)
+        first = topology.first[vertex]
+        last = topology.first[vertex + 1]
+        diagonal += wp.vec3(weights.rigidity * float(last - first))
+        if weights.length > 0.0:
+            for place in range(first, last):
+                edge = positions[vertex] - positions[topology.neighbour[place]]
+                unit = edge / wp.max(wp.length(edge), 1.0e-9)
+                conjugate.unit[place] = unit
+                diagonal += weights.length * wp.cw_mul(unit, unit)
         # Without rigidity and length a hidden vertex has no equation: it stays where it is.
         inverse = wp.vec3(
             1.0 / wp.max(diagonal[0], 1.0e-12),
@@ -314,11 +321,19 @@ def multiply(topology: Topology, weights: Weights, conjugate: Conjugate):
         if conjugate.below[vertex]:
             normal = weights.table_normal
             product += weights.table * wp.dot(normal, here) * normal
-        for place in range(topology.first[vertex], topology.first[vertex + 1]):
-            difference = here - conjugate.direction[topology.neighbour[place]]
-            unit = conjugate.unit[place]
-            along = weights.length * wp.dot(unit, difference)
-            product += weights.rigidity * difference + along * unit
+        first = topology.first[vertex]
+        last = topology.first[vertex + 1]
+        if weights.length > 0.0:
+            for place in range(first, last):
+                difference = here - conjugate.direction[topology.neighbour[place]]
+                unit = conjugate.unit[place]
+                along = weights.length * wp.dot(unit, difference)
+                product += weights.rigidity * difference + along * unit
+        else:
+            differences = wp.vec3()
+            for place in range(first, last):
+                differences += here - conjugate.direction[topology.neighbour[place]]
+            product += weights.rigidity * differences
         conjugate.product[vertex] = product
         dots += wp.float64(wp.dot(here, product))
     conjugate.curvature_dots[strip] = dots
