@@ -175,7 +175,7 @@ def _note_step(
     # Only vertices that a search can return count: how far hidden ones go is of no interest.
     if moves:
         wp.atomic_max(progress.step, 0, wp.length(after - before))
-        wp.atomic_max(progress.stale, 0, wp.length(after - recorded))
+        wp.atomic_max(progress.next_stale, 0, wp.length(after - recorded))
 
 
 @no_type_check

@@ -46,15 +46,20 @@ class Grid:
 class Progress:
     """Scalars that live on the device while the solver runs (arrays of one).
 
-    `travelled` [m] bounds the way of any vertex since the start, `step` [m] the way in the present
-    iteration, `stale` [m] the distance from where the grid has the vertices. `decays` holds 0.9
-    and 0.999 to the power of the number of iterations begun (Adam's start-up correction).
+    Two bounds for how far any vertex has come between two iterations [m]. The way: `travelled`
+    sums the longest step of every iteration, `step` being the present one. The displacement:
+    `stale` is how far any vertex now is from where the grid has it, `next_stale` the same after
+    the present step, `epochs` sums it over the grids before. Vertices that swing go a long way
+    and are not displaced. `decays` holds 0.9 and 0.999 to the power of the number of iterations
+    begun (Adam's start-up correction).
     """
 
     iteration: wp.array(dtype=wp.int32)
     travelled: wp.array(dtype=wp.float32)
     step: wp.array(dtype=wp.float32)
     stale: wp.array(dtype=wp.float32)
+    next_stale: wp.array(dtype=wp.float32)
+    epochs: wp.array(dtype=wp.float32)
     partners: wp.array(dtype=wp.int32)
     decays: wp.array(dtype=wp.float64)
 
@@ -180,9 +185,19 @@ def advance(progress: Progress):
     progress.iteration[0] = progress.iteration[0] + 1
     progress.travelled[0] = progress.travelled[0] + progress.step[0]
     progress.step[0] = 0.0
+    progress.stale[0] = progress.next_stale[0]
+    progress.next_stale[0] = 0.0
     progress.partners[0] = 0
     progress.decays[0] = progress.decays[0] * wp.float64(0.9)
     progress.decays[1] = progress.decays[1] * wp.float64(0.999)
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def begin_epoch(progress: Progress):
+    """The grid has just been built from the present positions."""
+    progress.epochs[0] = progress.epochs[0] + progress.next_stale[0]
+    progress.next_stale[0] = 0.0
 
 
 @no_type_check
@@ -197,7 +212,7 @@ def match_points(
     vertical_weight: wp.float32,
     nearest: wp.array(dtype=wp.int32),
     others: wp.array(dtype=wp.float32),
-    searched_at: wp.array(dtype=wp.float32),
+    searched_at: wp.array(dtype=wp.vec2),
     pulled_count: wp.array(dtype=wp.int32),
     pulled_sum: wp.array(dtype=wp.int64),
     sums: wp.array2d(dtype=wp.int64),
@@ -214,7 +229,7 @@ def match_points(
         vertical_weight: factor of the vertical part of a squared residual.
         nearest: vertex per point, -1 before the first search.
         others: distance of the runner-up when it was searched [m].
-        searched_at: way travelled when it was searched [m].
+        searched_at: what `travelled` and the displacement were when it was searched [m].
         pulled_count: cloud points per vertex.
         pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
         sums: row of this iteration, column 0: summed squared residuals, fixed point.
@@ -222,6 +237,7 @@ def match_points(
     number = wp.tid()
     point = cloud[number]
     travelled = progress.travelled[0]
+    stale = progress.stale[0]
     before = nearest[number]
     offset = wp.vec3()
     search = before < 0
@@ -229,17 +245,19 @@ def match_points(
     if before >= 0:
         offset = positions[before] - point
         distance = wp.length(offset)
-        way = travelled - searched_at[number]
+        then = searched_at[number]
+        way = wp.min(travelled - then[0], progress.epochs[0] + stale - then[1])
         if distance + way + _ROUNDING > others[number]:
             search = progress.iteration[0] % every == 0
     if search:
         found = Neighbour()
         if before < 0:
-            found = _search_everywhere(point, positions, grid, 4.0 * reach, progress.stale[0])
+            found = _search_everywhere(point, positions, grid, 4.0 * reach, stale)
         else:
-            found = _search(point, positions, grid, distance + reach, progress.stale[0])
+            found = _search(point, positions, grid, distance + reach, stale)
         others[number] = found.others
-        searched_at[number] = travelled
+        # From here to the grid's positions and on from there: stale now plus stale then.
+        searched_at[number] = wp.vec2(travelled, progress.epochs[0] - stale)
         vertex = found.item
         if vertex != before and vertex >= 0:
             x = wp.int64(point[0] * _LENGTH)
