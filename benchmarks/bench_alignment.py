@@ -10,7 +10,6 @@ gap says by how much its final objective lies above the peer's (negative: below)
 import argparse
 import json
 import logging
-import os
 import platform
 import time
 from collections.abc import Callable
@@ -172,7 +171,7 @@ def main() -> None:
     text = json.dumps({"benchmark": "alignment", "machine": machine, "rows": rows}, indent=2)
     part = arguments.json.with_name(arguments.json.name + ".part")
     part.write_text(text + "\n")
-    os.replace(part, arguments.json)
+    part.replace(arguments.json)
 
 
 if __name__ == "__main__":

@@ -95,6 +95,7 @@ class Matcher:
     ) -> None:
         device, vertices = positions.device, len(positions)
         self._device, self._every, self._vertical = device, every, vertical_weight
+        self._strip = 64 if device.is_cpu else 1
         self._range, self._reach = range_m, 0.3 * spacing_m
         members, seekers = np.flatnonzero(visible), np.flatnonzero(trusted)
         seen, points = positions.numpy()[members], cloud.numpy()
@@ -138,7 +139,7 @@ class Matcher:
         wp.launch(kernels.advance, dim=1, inputs=[self.progress], device=self._device)
         wp.launch(
             kernels.match_points,
-            dim=len(self._cloud),
+            dim=-(-len(self._cloud) // self._strip),
             inputs=[
                 self._cloud,
                 positions,
@@ -153,6 +154,7 @@ class Matcher:
                 self.pulled_count,
                 self.pulled_sum,
                 sums,
+                self._strip,
             ],
             device=self._device,
         )

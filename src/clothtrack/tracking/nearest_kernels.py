@@ -201,40 +201,21 @@ def begin_epoch(progress: Progress):
 
 
 @no_type_check
-@wp.kernel(enable_backward=False)
-def match_points(
+@wp.func
+def _match_point(
+    number: wp.int32,
     cloud: wp.array(dtype=wp.vec3),
     positions: wp.array(dtype=wp.vec3),
     grid: Grid,
     progress: Progress,
     every: wp.int32,
     reach: wp.float32,
-    vertical_weight: wp.float32,
     nearest: wp.array(dtype=wp.int32),
     others: wp.array(dtype=wp.float32),
     searched_at: wp.array(dtype=wp.vec2),
     pulled_count: wp.array(dtype=wp.int32),
     pulled_sum: wp.array(dtype=wp.int64),
-    sums: wp.array2d(dtype=wp.int64),
 ):
-    """Nearest visible vertex of each cloud point; counts and sums of points per vertex follow.
-
-    Args:
-        cloud: the observed points [m].
-        positions: the vertices now [m].
-        grid: the visible vertices.
-        progress: scalars of the run.
-        every: search only in iterations divisible by this.
-        reach: how far beyond the neighbour a search looks [m].
-        vertical_weight: factor of the vertical part of a squared residual.
-        nearest: vertex per point, -1 before the first search.
-        others: distance of the runner-up when it was searched [m].
-        searched_at: what `travelled` and the displacement were when it was searched [m].
-        pulled_count: cloud points per vertex.
-        pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
-        sums: row of this iteration, column 0: summed squared residuals, fixed point.
-    """
-    number = wp.tid()
     point = cloud[number]
     travelled = progress.travelled[0]
     stale = progress.stale[0]
@@ -274,8 +255,65 @@ def match_points(
             wp.atomic_add(pulled_sum, 3 * vertex + 2, z)
             nearest[number] = vertex
             offset = positions[vertex] - point
-    square = offset[0] * offset[0] + offset[1] * offset[1] + vertical_weight * offset[2] * offset[2]
-    wp.atomic_add(sums, progress.iteration[0], 0, wp.int64(wp.float64(square) * _SQUARE))
+    return offset
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def match_points(
+    cloud: wp.array(dtype=wp.vec3),
+    positions: wp.array(dtype=wp.vec3),
+    grid: Grid,
+    progress: Progress,
+    every: wp.int32,
+    reach: wp.float32,
+    vertical_weight: wp.float32,
+    nearest: wp.array(dtype=wp.int32),
+    others: wp.array(dtype=wp.float32),
+    searched_at: wp.array(dtype=wp.vec2),
+    pulled_count: wp.array(dtype=wp.int32),
+    pulled_sum: wp.array(dtype=wp.int64),
+    sums: wp.array2d(dtype=wp.int64),
+    strip: wp.int32,
+):
+    """Nearest visible vertex of each cloud point; counts and sums of points per vertex follow.
+
+    Args:
+        cloud: the observed points [m].
+        positions: the vertices now [m].
+        grid: the visible vertices.
+        progress: scalars of the run.
+        every: search only in iterations divisible by this.
+        reach: how far beyond the neighbour a search looks [m].
+        vertical_weight: factor of the vertical part of a squared residual.
+        nearest: vertex per point, -1 before the first search.
+        others: distance of the runner-up when it was searched [m].
+        searched_at: what `travelled` and the displacement were when it was searched [m].
+        pulled_count: cloud points per vertex.
+        pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
+        sums: row of this iteration, column 0: summed squared residuals, fixed point.
+        strip: points per thread: on a CPU, atomic additions are dear and threads are not many.
+    """
+    start = wp.tid() * strip
+    total = wp.float64(0.0)
+    for number in range(start, wp.min(start + strip, cloud.shape[0])):
+        offset = _match_point(
+            number,
+            cloud,
+            positions,
+            grid,
+            progress,
+            every,
+            reach,
+            nearest,
+            others,
+            searched_at,
+            pulled_count,
+            pulled_sum,
+        )
+        square = offset[0] * offset[0] + offset[1] * offset[1]
+        total += wp.float64(square + vertical_weight * offset[2] * offset[2])
+    wp.atomic_add(sums, progress.iteration[0], 0, wp.int64(total * _SQUARE))
 
 
 @no_type_check
