@@ -110,7 +110,7 @@ class Matcher:
         self._cloud, self.searched = cloud, wp.array(visible, dtype=wp.bool, device=device)
         self._nearest = wp.full(len(points), -1, dtype=wp.int32, device=device)
         self._others = wp.zeros(len(points), dtype=wp.float32, device=device)
-        self._searched_at = wp.zeros(len(points), dtype=wp.vec2, device=device)
+        self._searched_at = wp.zeros(len(points), dtype=wp.float32, device=device)
         self.pulled_count = wp.zeros(vertices, dtype=wp.int32, device=device)
         self.pulled_sum = wp.zeros(3 * vertices, dtype=wp.int64, device=device)
         self._seekers = wp.array(seekers.astype(np.int32), dtype=wp.int32, device=device)
@@ -124,7 +124,6 @@ class Matcher:
         self.progress.step = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.stale = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.next_stale = wp.zeros(1, dtype=wp.float32, device=device)
-        self.progress.epochs = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.partners = wp.zeros(1, dtype=wp.int32, device=device)
         self.progress.decays = wp.ones(2, dtype=wp.float64, device=device)
         self.rebuild(positions)
@@ -132,7 +131,7 @@ class Matcher:
     def rebuild(self, positions: wp.array) -> None:
         """Sort the visible vertices anew; never needed for the result, but for speed."""
         self.grid.build(positions)
-        wp.launch(kernels.begin_epoch, dim=1, inputs=[self.progress], device=self._device)
+        self.progress.next_stale.zero_()
 
     def launch(self, positions: wp.array, sums: wp.array) -> None:
         """Begin an iteration: match at these positions [m], add data residuals to the sums."""

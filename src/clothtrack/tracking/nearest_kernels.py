@@ -46,12 +46,10 @@ class Grid:
 class Progress:
     """Scalars that live on the device while the solver runs (arrays of one).
 
-    Two bounds for how far any vertex has come between two iterations [m]. The way: `travelled`
-    sums the longest step of every iteration, `step` being the present one. The displacement:
-    `stale` is how far any vertex now is from where the grid has it, `next_stale` the same after
-    the present step, `epochs` sums it over the grids before. Vertices that swing go a long way
-    and are not displaced. `decays` holds 0.9 and 0.999 to the power of the number of iterations
-    begun (Adam's start-up correction).
+    `travelled` [m] bounds the way of any vertex since the start: the sum over the iterations of the
+    longest step, `step` being the present one. `stale` [m] is how far any vertex is from where the
+    grid has it, `next_stale` the same after the present step. `decays` holds 0.9 and 0.999 to the
+    power of the number of iterations begun (Adam's start-up correction).
     """
 
     iteration: wp.array(dtype=wp.int32)
@@ -59,7 +57,6 @@ class Progress:
     step: wp.array(dtype=wp.float32)
     stale: wp.array(dtype=wp.float32)
     next_stale: wp.array(dtype=wp.float32)
-    epochs: wp.array(dtype=wp.float32)
     partners: wp.array(dtype=wp.int32)
     decays: wp.array(dtype=wp.float64)
 
@@ -193,14 +190,6 @@ def advance(progress: Progress):
 
 
 @no_type_check
-@wp.kernel(enable_backward=False)
-def begin_epoch(progress: Progress):
-    """The grid has just been built from the present positions."""
-    progress.epochs[0] = progress.epochs[0] + progress.next_stale[0]
-    progress.next_stale[0] = 0.0
-
-
-@no_type_check
 @wp.func
 def _match_point(
     number: wp.int32,
@@ -212,7 +201,7 @@ def _match_point(
     reach: wp.float32,
     nearest: wp.array(dtype=wp.int32),
     others: wp.array(dtype=wp.float32),
-    searched_at: wp.array(dtype=wp.vec2),
+    searched_at: wp.array(dtype=wp.float32),
     pulled_count: wp.array(dtype=wp.int32),
     pulled_sum: wp.array(dtype=wp.int64),
 ):
@@ -226,8 +215,7 @@ def _match_point(
     if before >= 0:
         offset = positions[before] - point
         distance = wp.length(offset)
-        then = searched_at[number]
-        way = wp.min(travelled - then[0], progress.epochs[0] + stale - then[1])
+        way = travelled - searched_at[number]
         if distance + way + _ROUNDING > others[number]:
             search = progress.iteration[0] % every == 0
     if search:
@@ -237,8 +225,7 @@ def _match_point(
         else:
             found = _search(point, positions, grid, distance + reach, stale)
         others[number] = found.others
-        # From here to the grid's positions and on from there: stale now plus stale then.
-        searched_at[number] = wp.vec2(travelled, progress.epochs[0] - stale)
+        searched_at[number] = travelled
         vertex = found.item
         if vertex != before and vertex >= 0:
             x = wp.int64(point[0] * _LENGTH)
@@ -270,7 +257,7 @@ def match_points(
     vertical_weight: wp.float32,
     nearest: wp.array(dtype=wp.int32),
     others: wp.array(dtype=wp.float32),
-    searched_at: wp.array(dtype=wp.vec2),
+    searched_at: wp.array(dtype=wp.float32),
     pulled_count: wp.array(dtype=wp.int32),
     pulled_sum: wp.array(dtype=wp.int64),
     sums: wp.array2d(dtype=wp.int64),
@@ -288,7 +275,7 @@ def match_points(
         vertical_weight: factor of the vertical part of a squared residual.
         nearest: vertex per point, -1 before the first search.
         others: distance of the runner-up when it was searched [m].
-        searched_at: what `travelled` and the displacement were when it was searched [m].
+        searched_at: what `travelled` was when it was searched [m].
         pulled_count: cloud points per vertex.
         pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
         sums: row of this iteration, column 0: summed squared residuals, fixed point.
