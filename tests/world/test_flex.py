@@ -64,6 +64,24 @@ def test_held_vertex_follows_the_tip_and_is_let_go() -> None:
     assert world.positions[0, 2] < 0.03
 
 
+def test_grip_does_not_slip_when_the_whole_cloth_is_dragged() -> None:
+    mesh = garment("towel", vertex_count=400, size_m=(0.25, 0.25))
+    raised = mesh.vertices + np.array([0.0, 0.0, CONTACT_RADIUS_M])
+    world = FlexWorld(mesh.with_vertices(raised), Fabric(table_friction=0.8, area_density=0.28))
+    world.settle()
+    start = tip = world.positions[0]
+    world.grasp(np.array([0]), tip)
+    slips = []
+    for _ in range(80):
+        tip = tip + np.array([-0.15, -0.15, 0.05]) * TIME_STEP_S
+        world.move(tip)
+        world.step()
+        slips.append(np.linalg.norm(world.positions[0] - tip))
+    assert max(slips) < 0.003
+    far_corner = np.linalg.norm(world.positions[-1] - raised[-1])
+    assert far_corner > 0.5 * np.linalg.norm((tip - start)[:2])
+
+
 def test_cloth_under_the_table_is_refused() -> None:
     with pytest.raises(InvalidConfigError, match="under the table"):
         lifted_towel(-0.01)
