@@ -102,7 +102,7 @@ def rows_of(task: Task) -> list[dict[str, object]]:
 
 
 def summarise(rows: Iterable[dict[str, object]], modes: Sequence[str]) -> list[dict[str, object]]:
-    """Means per mode, stage, kind of garment and action (None: all), paired with open loop.
+    """Means per mode, stage, kind and action (None: all of several), paired with open loop.
 
     `against_open_loop_mm` is the mean difference of the error over all vertices on the same
     recordings and actions, `better_than_open_loop` in how many of the pairs it is negative.
@@ -114,11 +114,12 @@ def summarise(rows: Iterable[dict[str, object]], modes: Sequence[str]) -> list[d
         if row["mode"] == "open_loop" and row["stage"] == STAGES["before"]
     }
     actions = sorted({row["action"] for row in good})
+    kinds = [kind for kind in KINDS if any(row["recording"].startswith(kind) for row in good)]
     summary = []
     for mode in modes:
         for stage in STAGES.values():
-            for kind in (*KINDS, None):
-                for action in (*actions, None):
+            for kind in (*kinds, None) if len(kinds) > 1 else kinds:
+                for action in (*actions, None) if len(actions) > 1 else actions:
                     chosen = [
                         row
                         for row in good
