@@ -64,7 +64,7 @@ def write(camera, table, square):
                 recording.add_frame(
                     0.5 * frame,
                     color={"top": rng.integers(0, 256, (48, 64, 3), dtype=np.uint8)},
-                    depth={"top": rng.integers(400, 600, (48, 64)) / 1000.0},
+                    depth={"top": rng.integers(490, 511, (48, 64)) / 1000.0},
                     mask={"top": mask},
                 )
             recording.set_picker_path(

@@ -149,11 +149,11 @@ def several(*changes):
 DOCUMENT = {
     "unit": (
         camera_field("depth_unit_m", 1),
-        ["depth/000000.png", "median depth is 497 m", "depth_unit_m = 1", "0.001 for millimetres"],
+        ["depth/000000.png", "median depth is 500 m", "depth_unit_m = 1", "0.001 for millimetres"],
     ),
     "unit of tenths": (
         camera_field("depth_unit_m", 1e-5),
-        ["depth/000000.png", "median depth is 0.00497 m", "correct depth_unit_m"],
+        ["depth/000000.png", "median depth is 0.005 m", "correct depth_unit_m"],
     ),
     "no unit": (
         lambda document: document["cameras"][0].pop("depth_unit_m"),

@@ -55,7 +55,7 @@ def schema() -> dict[str, Any]:
     return json.loads(text)
 
 
-def _errors(document: object) -> list[ValidationError]:
+def _errors(document: Any) -> list[ValidationError]:
     validator = jsonschema.Draft202012Validator(schema())
     return sorted(validator.iter_errors(document), key=lambda error: list(map(str, error.path)))
 
@@ -75,19 +75,22 @@ def _explain(error: ValidationError) -> Violation:
     for step in error.absolute_path:
         place += f"[{step}]" if isinstance(step, int) else f".{step}"
     place = place.removeprefix(".")
-    rule, limit, value = error.validator, error.validator_value, error.instance
+    rule: str = str(error.validator)
+    limit: Any = error.validator_value
+    value: Any = error.instance
     if rule == "required":
         missing = next(name for name in limit if name not in value)
         field = f"{place}.{missing}".removeprefix(".")
         return Violation(DOCUMENT, field, "", "the field is missing", "add it")
     if rule == "additionalProperties":
-        known = list(error.schema["properties"])
+        surrounding: Any = error.schema
+        known = list(surrounding["properties"])
         unknown = next(name for name in value if name not in known)
         near = difflib.get_close_matches(unknown, known, n=1)
         remedy = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
         field = f"{place}.{unknown}".removeprefix(".")
         return Violation(DOCUMENT, field, shown(value[unknown]), "unknown field", remedy)
-    problem, remedy = _rule_in_words(str(rule), limit)
+    problem, remedy = _rule_in_words(rule, limit)
     return Violation(DOCUMENT, place or "the document", shown(value), problem, remedy)
 
 

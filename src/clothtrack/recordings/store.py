@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, UInt8
 from clothtrack.errors import InvalidRecordingError, StorageError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.document import DOCUMENT, VERSION
-from clothtrack.recordings.frame_files import conventional_name
+from clothtrack.recordings.frame_files import PictureKind, conventional_name
 from clothtrack.recordings.picker_table import picker_text
 from clothtrack.recordings.pictures import (
     encode_png,
@@ -197,9 +197,14 @@ class RecordingWriter:
             raise InvalidRecordingError(f"frame {index}: time_s is {time_s}; write seconds")
         entry: dict[str, Any] = {"index": index, "time_s": float(time_s)}
         files: dict[str, bytes] = {}
-        for kind, shown in (("color", color), ("depth", depth), ("mask", mask)):
+        shown_by: dict[PictureKind, Mapping[str, np.ndarray]] = {
+            "color": color or {},
+            "depth": depth or {},
+            "mask": mask or {},
+        }
+        for kind, shown in shown_by.items():
             names: dict[str, str] = {}
-            for name, picture in (shown or {}).items():
+            for name, picture in shown.items():
                 self._check_size(index, name, picture)
                 single = len(self._cameras) == 1
                 file = conventional_name(kind, index, None if single else name)
@@ -243,7 +248,7 @@ class RecordingWriter:
                 f"{camera.width} x {camera.height}; resize the picture or correct the camera"
             )
 
-    def _stored(self, kind: str, name: str, picture: np.ndarray) -> np.ndarray:
+    def _stored(self, kind: PictureKind, name: str, picture: np.ndarray) -> np.ndarray:
         if kind == "mask":
             return picture.astype(np.uint8) * 255
         if kind == "color":

@@ -104,9 +104,17 @@ def _cameras(entries: Sequence[Mapping[str, Any]], found: list[Violation]) -> li
             )
             continue
         pose = np.array(entry.get("world_from_camera", np.eye(4)), dtype=np.float64)
-        lens = [float(entry[name]) for name in ("fx", "fy", "cx", "cy")]
         try:
-            camera = Camera(entry["name"], entry["width"], entry["height"], *lens, pose)
+            camera = Camera(
+                name=entry["name"],
+                width=entry["width"],
+                height=entry["height"],
+                fx=float(entry["fx"]),
+                fy=float(entry["fy"]),
+                cx=float(entry["cx"]),
+                cy=float(entry["cy"]),
+                world_from_camera=pose,
+            )
         except InvalidRecordingError as error:
             found.append(violation_of(error, Path(), DOCUMENT, field))
         else:

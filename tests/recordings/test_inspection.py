@@ -1,0 +1,50 @@
+"""What `inspect` says of a good and of a broken recording."""
+
+import json
+
+from clothtrack.recordings.inspection import inspect
+
+
+def test_a_valid_recording_is_described(write, tmp_path):
+    write(tmp_path / "fold")
+    inspection = inspect(tmp_path / "fold")
+    assert inspection.valid
+    text = inspection.text()
+    for words in (
+        "a valid recording",
+        "5, from 0 to 2 s",
+        "colour, depth, masks",
+        "64 x 48, fx 60.0, at (0.000 0.000 0.600) m",
+        "2: 0-2 by arm, 2-4 by arm",
+        "towel, blue, 0.1 x 0.1 m, template of 4 vertices, held by arm",
+        "frame 0 shows",
+    ):
+        assert words in text
+    json.dumps(inspection.as_dict(), allow_nan=False)
+
+
+def test_every_violation_is_listed_for_people_and_programs(write, tmp_path):
+    write(tmp_path / "fold")
+    for frame in (1, 3):
+        (tmp_path / f"fold/depth/{frame:06d}.png").unlink()
+    inspection = inspect(tmp_path / "fold")
+    assert not inspection.valid
+    assert "2 things to correct" in inspection.text()
+    content = json.loads(json.dumps(inspection.as_dict()))
+    assert [found["file"] for found in content["violations"]] == [
+        "depth/000001.png",
+        "depth/000003.png",
+    ]
+    assert all(found["problem"] and found["remedy"] for found in content["violations"])
+
+
+def test_a_thousand_violations_do_not_flood_the_screen(write, edit, tmp_path):
+    write(tmp_path / "fold")
+    edit(
+        tmp_path / "fold",
+        lambda document: document.update(frames=[{"time_s": 0.0, "depth": "x"}] * 30),
+    )
+    inspection = inspect(tmp_path / "fold")
+    assert len(inspection.violations) > 50
+    assert len(inspection.text().splitlines()) == 22
+    assert "more" in inspection.text().splitlines()[-1]
