@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.simulation.garments import towel
+from clothtrack.simulation.garments import garment, towel
 from clothtrack.world.flex import CONTACT_RADIUS_M, TIME_STEP_S, Fabric, FlexWorld
 
 
@@ -32,6 +32,20 @@ def test_cloth_rests_on_the_table_and_stays() -> None:
     assert world.kinetic_energy < 1e-6
     assert np.abs(world.positions[:, :2] - start[:, :2]).max() < 1e-4
     assert (world.positions[:, 2] > 0.0).all()
+
+
+def test_layers_of_a_tshirt_lie_on_each_other_without_crossing() -> None:
+    mesh = garment("tshirt", vertex_count=250, size_m=(0.25, 0.225))
+    raised = mesh.vertices + np.array([0.0, 0.0, CONTACT_RADIUS_M - mesh.vertices[:, 2].min()])
+    world = FlexWorld(mesh.with_vertices(raised), Fabric())
+    used = world.settle(speed=0.005, limit_s=1.0)
+    assert used < 1.0
+    depth = mesh.canonical[:, 2]
+    front, back = (world.positions[side * depth > 0.01] for side in (1.0, -1.0))
+    gap = np.linalg.norm(front[:, None, :2] - back[None, :, :2], axis=2)
+    rise = front[:, 2] - back[gap.argmin(axis=1), 2]
+    assert (rise > CONTACT_RADIUS_M).all()
+    assert np.linalg.norm(world.positions - raised, axis=1).max() < 0.003
 
 
 def test_held_vertex_follows_the_tip_and_is_let_go() -> None:

@@ -173,10 +173,13 @@ def hidden_pixels(
     Those are the blind ones, and those that show neither cloth nor table but something that stands
     more than 15 mm above the table: the tool. Specks narrower than three pixels hide nothing, for
     the cloth right beside them was seen. (Real depth is riddled with them: with specks, 99.8 % of
-    the pixels of a well measured hanging cloth would count as hidden.)
+    the pixels of a well measured hanging cloth would count as hidden.) Without a table, what is
+    outside the mask is background, measured or not.
     """
     unseen = blind.copy()
-    if table is not None:
+    if table is None:
+        unseen &= mask
+    else:
         unseen |= ~mask & (depth_m > 0) & (height_picture(depth_m, camera, table) > TOOL_HEIGHT_M)
     regions = cv2.morphologyEx(unseen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     return cv2.dilate(regions, np.ones((5, 5), np.uint8)) > 0

@@ -4,7 +4,6 @@ Canonical coordinates do not depend on the triangulation: two meshes of one garm
 material point is which, however many vertices each of them has.
 """
 
-from collections.abc import Callable
 from itertools import pairwise
 from typing import Literal
 
@@ -118,7 +117,7 @@ def tshirt(
 
 
 def garment(
-    kind: GarmentKind,
+    kind: str,
     *,
     vertex_count: int = 1000,
     size_m: tuple[float, float] | None = None,
@@ -142,18 +141,14 @@ def garment(
             f"kind is {kind!r}; known garments are {', '.join(DEFAULT_SIZES_M)}"
         )
     width, length = size_m or DEFAULT_SIZES_M[kind]
-    make: Callable[[float], ClothMesh]
-    if kind == "towel":
-        layers = 1.0
+    is_towel = kind == "towel"
 
-        def make(spacing: float) -> ClothMesh:
+    def make(spacing: float) -> ClothMesh:
+        if is_towel:
             return towel(width, length, spacing, pattern=pattern, seed=seed)
-    else:
-        layers = 1.2
+        return tshirt(width, length, spacing, seed=seed)
 
-        def make(spacing: float) -> ClothMesh:
-            return tshirt(width, length, spacing, seed=seed)
-
+    layers = 1.0 if is_towel else 1.2
     spacing = float(np.sqrt(layers * width * length / vertex_count))
     best = make(spacing)
     for _ in range(6):

@@ -12,7 +12,7 @@ from jaxtyping import Float, Float32
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation import kernels
-from clothtrack.simulation.buffers import ClothBuffers, allocate
+from clothtrack.simulation.buffers import allocate
 from clothtrack.simulation.constraints import (
     DistanceConstraints,
     bend_constraints,

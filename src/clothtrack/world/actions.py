@@ -88,21 +88,32 @@ def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator
         held += _layers_below(cloth, top, config.grasp_radius_m)
 
     pick = points[top].copy()
-    for _ in range(100):
-        inward = rng.random() < SHARE_INWARD
-        to_middle = np.arctan2(*(middle - pick[:2])[::-1])
-        spread = np.pi / 4.0 if inward else np.pi
-        heading = to_middle + rng.uniform(-spread, spread)
-        place = pick + rng.uniform(*config.distance_m) * np.array(
-            [np.cos(heading), np.sin(heading), 0.0]
-        )
-        if np.linalg.norm(place[:2]) < config.reach_m:
-            break
+    place = _place(pick, middle, config, rng)
     under = np.linalg.norm(points[:, :2] - place[:2], axis=1) < config.grasp_radius_m
     under[held] = False
     ground = points[under, 2].max() if under.any() else points[:, 2].min()
     place[2] = ground + config.release_height_m
     return PlannedAction(np.array(held), pick, place, float(rng.uniform(*config.lift_m)))
+
+
+def _place(
+    pick: Float[np.ndarray, " 3"],
+    middle: Float[np.ndarray, " 2"],
+    config: ActionConfig,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, " 3"]:
+    """A random place within reach [m], at the height of the pick."""
+    to_middle = np.arctan2(middle[1] - pick[1], middle[0] - pick[0])
+    for _ in range(100):
+        spread = np.pi / 4.0 if rng.random() < SHARE_INWARD else np.pi
+        heading = to_middle + rng.uniform(-spread, spread)
+        way = rng.uniform(*config.distance_m)
+        place = pick + way * np.array([np.cos(heading), np.sin(heading), 0.0])
+        if np.linalg.norm(place[:2]) < config.reach_m:
+            return place
+    # The pick is out of reach itself: bring the cloth back.
+    home = pick * [1.0, 1.0, 0.0]
+    return pick - config.distance_m[1] * home / np.linalg.norm(home)
 
 
 def carrying_path(

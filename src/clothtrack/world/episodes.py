@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -115,12 +116,13 @@ def simulate(
         StorageError: when the disk refuses.
     """
     config = config or EpisodeConfig()
-    jobs = [(kind, seed + k, out, config) for k in range(trajectories)]
+    film = partial(_simulate_or_skip, kind, out=Path(out), config=config)
+    seeds = range(seed, seed + trajectories)
     if processes == 1:
-        folders = [_simulate_or_skip(job) for job in jobs]
+        folders = [film(each) for each in seeds]
     else:
         with ProcessPoolExecutor(processes, get_context("spawn"), quiet_warp) as pool:
-            folders = list(pool.map(_simulate_or_skip, jobs))
+            folders = list(pool.map(film, seeds))
     return [folder for folder in folders if folder is not None]
 
 
@@ -270,9 +272,10 @@ class _Film:
         return PickerPath(times, tips + bias + noise, np.array(self._closed))
 
 
-def _simulate_or_skip(job: tuple[GarmentKind, int, Path, EpisodeConfig]) -> Path | None:
-    kind, seed, out, config = job
-    folder = Path(out) / "recordings" / f"{kind}_{seed:04d}"
+def _simulate_or_skip(
+    kind: GarmentKind, seed: int, *, out: Path, config: EpisodeConfig
+) -> Path | None:
+    folder = out / "recordings" / f"{kind}_{seed:04d}"
     if folder.exists():
         return folder
     try:
@@ -345,15 +348,15 @@ def _write_truth(
     fabric: Fabric,
 ) -> None:
     """Write what the camera could not see, under a temporary name first."""
-    partial = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.partial.npz")
+    unfinished = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.partial.npz")
     with storage(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(
-            partial,
+            unfinished,
             positions=np.stack(positions),
             faces=flat.faces.astype(np.int32),
             canonical=np.asarray(flat.canonical, dtype=np.float64),
             frames=np.arange(len(positions)),
             fabric=np.array(json.dumps(asdict(fabric))),
         )
-        partial.replace(path)
+        unfinished.replace(path)

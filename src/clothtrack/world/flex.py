@@ -5,6 +5,9 @@ bending, contact is between thin faces with friction cones, time stepping is imp
 tracker cannot calibrate away here, it could not calibrate away in reality either.
 """
 
+# MuJoCo's compiled module has no stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from dataclasses import dataclass
 
 import mujoco

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
@@ -27,7 +27,7 @@ class View:
     """
 
     depth: Float[np.ndarray, "height width"]
-    label: Int[np.ndarray, "height width"]
+    label: UInt8[np.ndarray, "height width"]
     height: Float[np.ndarray, "height width"]
     normals: Float[np.ndarray, "height width 3"]
     facing: Float[np.ndarray, "height width"]

@@ -4,6 +4,7 @@
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -54,12 +55,12 @@ class SensorConfig:
     edge_mixing: float = 0.5
 
     @classmethod
-    def perfect(cls, **changes: float) -> "SensorConfig":
+    def perfect(cls, **changes: Any) -> "SensorConfig":
         """A camera that measures exactly, but for what `changes` says."""
-        exact: dict[str, float] = dict.fromkeys(
+        exact: dict[str, Any] = dict.fromkeys(
             ("white_m", "wave_m", "dropout", "grazing_dropout", "edge_dropout", "edge_mixing"), 0.0
         )
-        return cls(**{**exact, "step_m": 1e-6, **changes})  # type: ignore[arg-type]
+        return cls(**{**exact, "step_m": 1e-6, **changes})
 
 
 @dataclass(frozen=True, eq=False)
