@@ -14,7 +14,6 @@ everything runs; its figures mean nothing.
 """
 
 import argparse
-import json
 import logging
 import os
 import sys
@@ -27,6 +26,7 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+from figures import say, write_json
 from real import hanging_cloth, robot_clouds, tshirt_pair
 from run_tracker import MODE_NAMES, before_final_alignment, track
 
@@ -265,20 +265,6 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--smoke", action="store_true", help="a few frames, under a minute")
     parser.add_argument("--verbose", action="store_true", help="log what happens")
     return parser.parse_args(arguments)
-
-
-def write_json(file: Path, report: dict[str, object]) -> None:
-    """Write the figures; the file is whole or absent."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(f".{file.name}.partial")
-    temporary.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n")
-    temporary.replace(file)
-
-
-def say(text: str) -> None:
-    """Write to the terminal at once."""
-    sys.stdout.write(text)
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

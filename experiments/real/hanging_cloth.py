@@ -14,8 +14,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
-from real.pattern import PatternConfig, PatternDrift, Unwrapper, pattern_drift
-from real.upright import level_camera, upright
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.chamfer import two_way
@@ -24,6 +22,8 @@ from clothtrack.geometry.quality import edge_strain
 from clothtrack.geometry.sampling import sample_surface
 from clothtrack.recordings.recording import ClothDescription, PickerPath
 from clothtrack.recordings.store import RecordingWriter
+from real.pattern import PatternConfig, PatternDrift, Unwrapper, pattern_drift
+from real.upright import level_camera, upright
 
 NAME = "hanging-cloth-rgbd"
 FRAME_TIME_S = 1.0 / 30.0

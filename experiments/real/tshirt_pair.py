@@ -12,8 +12,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from real.hanging_cloth import read_picture
-from real.upright import level_camera, upright
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -25,6 +23,8 @@ from clothtrack.recordings.colors import learned_set
 from clothtrack.recordings.recording import ClothDescription, PickerPath
 from clothtrack.recordings.segmentation import ColorSegmenter, main_components
 from clothtrack.recordings.store import RecordingWriter
+from real.hanging_cloth import read_picture
+from real.upright import level_camera, upright
 
 NAME = "tshirt-pair-rgbd"
 CAMERA = "camera"

@@ -159,6 +159,15 @@ def test_hidden_is_what_was_not_measured_and_the_tool_with_two_pixels_around():
     assert hidden_pixels(depth, EVERYTHING, depth == 0, camera, TABLE).sum() == 49
 
 
+def test_without_a_table_an_unmeasured_background_hides_nothing():
+    camera = looking_at_origin("a", [0.0, 0.001, 0.6])
+    depth = plane_depth(camera, 0.0)
+    mask = EVERYTHING.copy()
+    mask[:, 80:] = False
+    depth[~mask] = 0.0
+    assert not hidden_pixels(depth, mask, depth == 0, camera, None).any()
+
+
 def test_silence_means_nothing_only_where_nothing_could_be_seen():
     camera = looking_at_origin("a", [0.0, 0.001, 0.6])
     hidden = ~EVERYTHING

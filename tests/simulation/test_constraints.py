@@ -1,7 +1,7 @@
 import numpy as np
-from simulation.cloths import sheet
 
 from clothtrack.simulation.constraints import bend_constraints, stretch_constraints
+from simulation.cloths import sheet
 
 
 def test_no_two_pairs_of_one_colour_share_a_vertex():

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from simulation.cloths import FLOOR, sheet, two_layers
 
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.reference import ReferenceCloth
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
+from simulation.cloths import FLOOR, sheet, two_layers
 
 SUBSTEP_S = 1e-3
 PARAMETERS = ClothParameters(1e-5, 3.0, 0.4, 0.3)

@@ -176,11 +176,11 @@ def hidden_pixels(
     the pixels of a well measured hanging cloth would count as hidden.) Without a table, what is
     outside the mask is background, measured or not.
     """
-    unseen = blind.copy()
     if table is None:
-        unseen &= mask
+        unseen = blind & mask
     else:
-        unseen |= ~mask & (depth_m > 0) & (height_picture(depth_m, camera, table) > TOOL_HEIGHT_M)
+        stands_out = (depth_m > 0) & (height_picture(depth_m, camera, table) > TOOL_HEIGHT_M)
+        unseen = blind | (stands_out & ~mask)
     regions = cv2.morphologyEx(unseen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     return cv2.dilate(regions, np.ones((5, 5), np.uint8)) > 0
 

@@ -66,14 +66,15 @@ class DynamicsConfig:
     Attributes:
         picker_step_m: no step moves a held vertex further than this [m].
         longest_step_s: no step lasts longer [s].
-        whole_frame_velocities: after a pseudo-action every vertex gets the mean velocity of the
-            roll-out, (x_new - x_old) / duration, instead of that of the last substep, which the
-            pull has made too fast.
+        velocity_kept: after a pseudo-action every vertex gets this share of its mean velocity over
+            the roll-out, (x_new - x_old) / duration; the velocity of the last substep would hold
+            the energy of the pull. Less than 1 also keeps the noise of the observation from
+            becoming momentum.
     """
 
     picker_step_m: float = 0.005
     longest_step_s: float = 0.05
-    whole_frame_velocities: bool = True
+    velocity_kept: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +120,8 @@ class ClothDynamics:
             attachment = _attachment(before, motion, pseudo, index, steps)
             highest = np.maximum(highest, solver.step(duration_s / steps, attachment))
         positions = solver.positions
-        if pseudo is not None and self.config.whole_frame_velocities:
-            solver.set_velocities((positions - before) / duration_s)
+        if pseudo is not None:
+            solver.set_velocities(self.config.velocity_kept / duration_s * (positions - before))
         return RollOut(solver.save(), positions, highest)
 
     def _steps(

@@ -291,8 +291,9 @@ class ClothSolver:
             self._contact.find()
         with wp.ScopedCapture(device=self.device) as substep:
             self._launch_substep()
-        self._graphs = search.graph, substep.graph
-        return self._graphs
+        graphs = search.graph, substep.graph
+        self._graphs = graphs
+        return graphs
 
     def _launch_substep(self) -> None:
         buffers, config = self._buffers, self.config

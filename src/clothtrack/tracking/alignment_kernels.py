@@ -14,7 +14,6 @@ strips' partial dot products itself, in one order.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
-# ruff: noqa: PLR0917, UP018
 
 from typing import no_type_check
 

@@ -12,7 +12,6 @@ not matter: CPU and GPU agree on the neighbours and every run repeats.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
-# ruff: noqa: PLR0917, RUF046, UP018
 
 from typing import no_type_check
 

@@ -1,0 +1,30 @@
+"""Where an experiment's figures go: to the terminal, and to a file that a program can read."""
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+
+def say(text: str) -> None:
+    """Write to the terminal at once."""
+    sys.stdout.write(text)
+    sys.stdout.flush()
+
+
+def write_json(file: Path, figures: Mapping[str, object]) -> None:
+    """Write figures as JSON, what is not finite as null; the file is whole or absent."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    temporary = file.with_name(f".{file.name}.partial")
+    temporary.write_text(json.dumps(_finite(figures), indent=1, allow_nan=False) + "\n")
+    temporary.replace(file)
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
