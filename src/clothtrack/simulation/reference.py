@@ -90,7 +90,7 @@ class ReferenceCloth:
             return _particle_contact(self, positions, start, inverse)
         return np.zeros_like(positions), np.zeros_like(positions)
 
-    def _finish(self, positions, velocities, start, inverse, moves, stops, substep_s) -> None:
+    def _finish(self, positions, velocities, start, inverse, moves, stops, substep_s):  # noqa: PLR0917
         table = self.config.table
         solved = positions.copy()
         for vertex in np.flatnonzero(inverse > 0.0):

@@ -291,9 +291,10 @@ class ClothSolver:
             self._contact.find()
         with wp.ScopedCapture(device=self.device) as substep:
             self._launch_substep()
-        graphs = search.graph, substep.graph
-        self._graphs = graphs
-        return graphs
+        assert search.graph is not None
+        assert substep.graph is not None
+        self._graphs = search.graph, substep.graph
+        return search.graph, substep.graph
 
     def _launch_substep(self) -> None:
         buffers, config = self._buffers, self.config

@@ -31,7 +31,7 @@ PARAMETERS = (
 Score = Callable[
     [Float[np.ndarray, "candidates parameters"], float], Float[np.ndarray, " candidates"]
 ]
-"""Chamfer [m^2] of candidates, columns as PARAMETERS, rolled through a share (0, 1] of the action."""
+"""Chamfer [m^2] of candidates, columns as PARAMETERS, rolled through a share of the action."""
 
 
 def _default_axes() -> dict[str, tuple[float, ...]]:

@@ -32,7 +32,7 @@ def grasp_offset(values: Mapping[str, float]) -> Float[np.ndarray, " 3"]:
 class OpenLoopScore:
     """Rolls batches of candidates through an action; the batch solver is built once."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0917
         self,
         recording: Recording,
         mesh: ClothMesh,

@@ -167,7 +167,7 @@ class Tracker:
         records.highest_speed[frame.index] = result.roll_out.highest_speed.max()
         return result.roll_out.state
 
-    def _line_search(
+    def _line_search(  # noqa: PLR0917
         self,
         state: ClothState,
         motion: HeldMotion | None,

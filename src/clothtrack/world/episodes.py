@@ -179,7 +179,7 @@ def simulate_trajectory(
         provenance=_provenance(seed, config),
     ) as writer:
         film = _Film(world, scene, sensor, writer, config)
-        film.run(ClothMesh(world.positions, flat.faces), tool, of_actions)
+        film.run(ClothMesh(world.positions, flat.faces), of_actions)
         writer.set_picker_path(PICKER, film.measured_path(of_picker))
         _write_truth(Path(out) / "truth" / f"{name}.npz", film.positions, flat, fabric)
     logger.info("%s: %d frames, %.2f s simulated", name, len(film.positions), world.time_s)
@@ -205,7 +205,7 @@ class _Film:
         self._tips: list[Float[np.ndarray, " 3"]] = []
         self._closed: list[bool] = []
 
-    def run(self, start: ClothMesh, tool: Tool, rng: np.random.Generator) -> None:
+    def run(self, start: ClothMesh, rng: np.random.Generator) -> None:
         """Settle the cloth, then film every action; the last frame of each shows no tool."""
         config = self._config
         self._world.settle(speed=config.settle_speed, limit_s=config.settle_limit_s)
