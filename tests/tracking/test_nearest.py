@@ -18,7 +18,7 @@ def place(
 ):
     i = wp.tid()
     wp.atomic_max(progress.step, 0, wp.length(target[i] - positions[i]))
-    wp.atomic_max(progress.stale, 0, wp.length(target[i] - recorded[i]))
+    wp.atomic_max(progress.next_stale, 0, wp.length(target[i] - recorded[i]))
     positions[i] = target[i]
 
 

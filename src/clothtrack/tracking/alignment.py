@@ -309,6 +309,7 @@ def _solve_adam(problem: _Problem, config: AlignmentConfig) -> tuple[np.ndarray,
     """Adam with matches renewed in every iteration: displacement [m] and sums per evaluation."""
     initial, matcher = problem.initial, problem.matcher
     moments = problem.vectors(), problem.vectors()
+    strip = 64 if initial.device.is_cpu else 1
     sums = problem.sums(config.iterations + 1)
     here = wp.clone(initial), problem.vectors()
     there = wp.clone(initial), problem.vectors()
@@ -317,10 +318,10 @@ def _solve_adam(problem: _Problem, config: AlignmentConfig) -> tuple[np.ndarray,
         matcher.launch(source[0], sums)
         wp.launch(
             kernels.step_adam,
-            dim=len(initial),
+            dim=-(-len(initial) // strip),
             inputs=[
                 *problem.objective, config.step_m, matcher.searched, matcher.grid.recorded,
-                initial, *source, sums, *moments, *target,
+                initial, *source, sums, *moments, *target, strip,
             ],
             device=initial.device,
         )  # fmt: skip

@@ -110,16 +110,19 @@ def _slope(
             slope.two_way = miss[0] * miss[0] + miss[1] * miss[1] + miss[2] * miss_z
     difference_sum = wp.vec3()
     stretch_sum = wp.vec3()
-    for place in range(topology.first[vertex], topology.first[vertex + 1]):
-        other = topology.neighbour[place]
-        difference = displacement - displacements[other]
+    first = topology.first[vertex]
+    end = topology.first[vertex + 1]
+    for place in range(first, end):
+        difference = displacement - displacements[topology.neighbour[place]]
         difference_sum += difference
         slope.rigidity += 0.5 * wp.dot(difference, difference)
-        edge = position - positions[other]
-        length = wp.max(wp.length(edge), 1.0e-9)
-        stretch = length - topology.rest_length[place]
-        stretch_sum += (stretch / length) * edge
-        slope.length += 0.5 * stretch * stretch
+    if weights.length > 0.0:
+        for place in range(first, end):
+            edge = position - positions[topology.neighbour[place]]
+            length = wp.max(wp.length(edge), 1.0e-9)
+            stretch = length - topology.rest_length[place]
+            stretch_sum += (stretch / length) * edge
+            slope.length += 0.5 * stretch * stretch
     gradient += weights.rigidity * difference_sum + weights.length * stretch_sum
     depth = weights.lowest - wp.dot(weights.table_normal, position)
     if depth > 0.0:
@@ -129,14 +132,39 @@ def _slope(
     return slope
 
 
+@wp.struct
+class Tally:
+    """Squares and longest ways of the vertices that one thread looks after."""
+
+    rigidity: wp.float64
+    two_way: wp.float64
+    length: wp.float64
+    table: wp.float64
+    step: wp.float32
+    stale: wp.float32
+
+
 @no_type_check
 @wp.func
-def _record(slope: Slope, partners: wp.int32, row: wp.int32, sums: wp.array2d(dtype=wp.int64)):
-    wp.atomic_add(sums, row, 1, wp.int64(wp.float64(slope.rigidity) * _SQUARE_UNIT))
-    wp.atomic_add(sums, row, 2, wp.int64(wp.float64(slope.two_way) * _SQUARE_UNIT))
-    wp.atomic_add(sums, row, 3, wp.int64(wp.float64(slope.length) * _SQUARE_UNIT))
-    wp.atomic_add(sums, row, 4, wp.int64(wp.float64(slope.table) * _SQUARE_UNIT))
-    sums[row, 5] = wp.int64(partners)
+def _add(tally: Tally, slope: Slope):
+    tally.rigidity += wp.float64(slope.rigidity)
+    tally.two_way += wp.float64(slope.two_way)
+    tally.length += wp.float64(slope.length)
+    tally.table += wp.float64(slope.table)
+    return tally
+
+
+@no_type_check
+@wp.func
+def _record(tally: Tally, progress: Progress, sums: wp.array2d(dtype=wp.int64)):
+    row = progress.iteration[0]
+    wp.atomic_add(sums, row, 1, wp.int64(tally.rigidity * _SQUARE_UNIT))
+    wp.atomic_add(sums, row, 2, wp.int64(tally.two_way * _SQUARE_UNIT))
+    wp.atomic_add(sums, row, 3, wp.int64(tally.length * _SQUARE_UNIT))
+    wp.atomic_add(sums, row, 4, wp.int64(tally.table * _SQUARE_UNIT))
+    sums[row, 5] = wp.int64(progress.partners[0])
+    wp.atomic_max(progress.step, 0, tally.step)
+    wp.atomic_max(progress.next_stale, 0, tally.stale)
 
 
 @no_type_check
@@ -155,23 +183,8 @@ def measure(
     vertex = wp.tid()
     partners = progress.partners[0]
     slope = _slope(vertex, topology, matches, weights, partners, positions, displacements)
-    _record(slope, partners, progress.iteration[0], sums)
+    _record(_add(Tally(), slope), progress, sums)
     gradient[vertex] = 2.0 * slope.gradient
-
-
-@no_type_check
-@wp.func
-def _note_step(
-    progress: Progress,
-    moves: wp.bool,
-    before: wp.vec3,
-    after: wp.vec3,
-    recorded: wp.vec3,
-):
-    # Only vertices that a search can return count: how far hidden ones go is of no interest.
-    if moves:
-        wp.atomic_max(progress.step, 0, wp.length(after - before))
-        wp.atomic_max(progress.stale, 0, wp.length(after - recorded))
 
 
 @no_type_check
@@ -192,28 +205,35 @@ def step_adam(
     second_moment: wp.array(dtype=wp.vec3),
     new_positions: wp.array(dtype=wp.vec3),
     new_displacements: wp.array(dtype=wp.vec3),
+    strip: wp.int32,
 ):
     """One step of Adam (D. P. Kingma and J. Ba, arXiv 1412.6980; decays 0.9 and 0.999)."""
-    vertex = wp.tid()
     partners = progress.partners[0]
-    slope = _slope(vertex, topology, matches, weights, partners, positions, displacements)
-    _record(slope, partners, progress.iteration[0], sums)
-    gradient = 2.0 * slope.gradient
-    first = 0.9 * first_moment[vertex] + 0.1 * gradient
-    second = 0.999 * second_moment[vertex] + 0.001 * wp.cw_mul(gradient, gradient)
-    first_moment[vertex] = first
-    second_moment[vertex] = second
     scale = step_m / (1.0 - wp.float32(progress.decays[0]))
     correction = wp.float32(wp.float64(1.0) / (wp.float64(1.0) - progress.decays[1]))
-    displacement = displacements[vertex] - scale * wp.vec3(
-        first[0] / (wp.sqrt(second[0] * correction) + 1.0e-8),
-        first[1] / (wp.sqrt(second[1] * correction) + 1.0e-8),
-        first[2] / (wp.sqrt(second[2] * correction) + 1.0e-8),
-    )
-    position = initial[vertex] + displacement
-    new_displacements[vertex] = displacement
-    new_positions[vertex] = position
-    _note_step(progress, searched[vertex], positions[vertex], position, recorded[vertex])
+    tally = Tally()
+    start = wp.tid() * strip
+    for vertex in range(start, wp.min(start + strip, positions.shape[0])):
+        slope = _slope(vertex, topology, matches, weights, partners, positions, displacements)
+        tally = _add(tally, slope)
+        gradient = 2.0 * slope.gradient
+        first = 0.9 * first_moment[vertex] + 0.1 * gradient
+        second = 0.999 * second_moment[vertex] + 0.001 * wp.cw_mul(gradient, gradient)
+        first_moment[vertex] = first
+        second_moment[vertex] = second
+        displacement = displacements[vertex] - scale * wp.vec3(
+            first[0] / (wp.sqrt(second[0] * correction) + 1.0e-8),
+            first[1] / (wp.sqrt(second[1] * correction) + 1.0e-8),
+            first[2] / (wp.sqrt(second[2] * correction) + 1.0e-8),
+        )
+        position = initial[vertex] + displacement
+        new_displacements[vertex] = displacement
+        new_positions[vertex] = position
+        # Only vertices that a search can return count: how far others go is of no interest.
+        if searched[vertex]:
+            tally.step = wp.max(tally.step, wp.length(position - positions[vertex]))
+            tally.stale = wp.max(tally.stale, wp.length(position - recorded[vertex]))
+    _record(tally, progress, sums)
 
 
 @wp.struct
@@ -261,12 +281,13 @@ def linearise(
     gradient, the matrix is the Gauss-Newton approximation of half of the Hessian.
     """
     strip = wp.tid()
+    tally = Tally()
     partners = progress.partners[0]
     dots = wp.float64(0.0)
     end = wp.min((strip + 1) * conjugate.strip, positions.shape[0])
     for vertex in range(strip * conjugate.strip, end):
         slope = _slope(vertex, topology, matches, weights, partners, positions, displacements)
-        _record(slope, partners, progress.iteration[0], sums)
+        tally = _add(tally, slope)
         own = weights.data * float(matches.pulled_count[vertex])
         if partners > 0 and matches.partner[vertex] >= 0:
             own += weights.two_way / float(partners)
@@ -276,11 +297,15 @@ def linearise(
         diagonal = own_part
         if below:
             diagonal += weights.table * wp.cw_mul(normal, normal)
-        for place in range(topology.first[vertex], topology.first[vertex + 1]):
-            edge = positions[vertex] - positions[topology.neighbour[place]]
-            unit = edge / wp.max(wp.length(edge), 1.0e-9)
-            conjugate.unit[place] = unit
-            diagonal += wp.vec3(weights.rigidity) + weights.length * wp.cw_mul(unit, unit)
+        first = topology.first[vertex]
+        last = topology.first[vertex + 1]
+        diagonal += wp.vec3(weights.rigidity * float(last - first))
+        if weights.length > 0.0:
+            for place in range(first, last):
+                edge = positions[vertex] - positions[topology.neighbour[place]]
+                unit = edge / wp.max(wp.length(edge), 1.0e-9)
+                conjugate.unit[place] = unit
+                diagonal += weights.length * wp.cw_mul(unit, unit)
         # Without rigidity and length a hidden vertex has no equation: it stays where it is.
         inverse = wp.vec3(
             1.0 / wp.max(diagonal[0], 1.0e-12),
@@ -297,6 +322,7 @@ def linearise(
         conjugate.direction[vertex] = preconditioned
         dots += wp.float64(wp.dot(residual, preconditioned))
     conjugate.new_residual_dots[strip] = dots
+    _record(tally, progress, sums)
 
 
 @no_type_check
@@ -313,11 +339,19 @@ def multiply(topology: Topology, weights: Weights, conjugate: Conjugate):
         if conjugate.below[vertex]:
             normal = weights.table_normal
             product += weights.table * wp.dot(normal, here) * normal
-        for place in range(topology.first[vertex], topology.first[vertex + 1]):
-            difference = here - conjugate.direction[topology.neighbour[place]]
-            unit = conjugate.unit[place]
-            along = weights.length * wp.dot(unit, difference)
-            product += weights.rigidity * difference + along * unit
+        first = topology.first[vertex]
+        last = topology.first[vertex + 1]
+        if weights.length > 0.0:
+            for place in range(first, last):
+                difference = here - conjugate.direction[topology.neighbour[place]]
+                unit = conjugate.unit[place]
+                along = weights.length * wp.dot(unit, difference)
+                product += weights.rigidity * difference + along * unit
+        else:
+            differences = wp.vec3()
+            for place in range(first, last):
+                differences += here - conjugate.direction[topology.neighbour[place]]
+            product += weights.rigidity * differences
         conjugate.product[vertex] = product
         dots += wp.float64(wp.dot(here, product))
     conjugate.curvature_dots[strip] = dots
@@ -402,6 +436,8 @@ def apply_solution(
     displacement = solution + ahead * (solution - solved[vertex])
     solved[vertex] = solution
     position = initial[vertex] + displacement
-    _note_step(progress, searched[vertex], positions[vertex], position, recorded[vertex])
+    if searched[vertex]:
+        wp.atomic_max(progress.step, 0, wp.length(position - positions[vertex]))
+        wp.atomic_max(progress.next_stale, 0, wp.length(position - recorded[vertex]))
     displacements[vertex] = displacement
     positions[vertex] = position

@@ -95,6 +95,7 @@ class Matcher:
     ) -> None:
         device, vertices = positions.device, len(positions)
         self._device, self._every, self._vertical = device, every, vertical_weight
+        self._strip = 64 if device.is_cpu else 1
         self._range, self._reach = range_m, 0.3 * spacing_m
         members, seekers = np.flatnonzero(visible), np.flatnonzero(trusted)
         seen, points = positions.numpy()[members], cloud.numpy()
@@ -122,6 +123,7 @@ class Matcher:
         self.progress.travelled = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.step = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.stale = wp.zeros(1, dtype=wp.float32, device=device)
+        self.progress.next_stale = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.partners = wp.zeros(1, dtype=wp.int32, device=device)
         self.progress.decays = wp.ones(2, dtype=wp.float64, device=device)
         self.rebuild(positions)
@@ -129,14 +131,14 @@ class Matcher:
     def rebuild(self, positions: wp.array) -> None:
         """Sort the visible vertices anew; never needed for the result, but for speed."""
         self.grid.build(positions)
-        self.progress.stale.zero_()
+        self.progress.next_stale.zero_()
 
     def launch(self, positions: wp.array, sums: wp.array) -> None:
         """Begin an iteration: match at these positions [m], add data residuals to the sums."""
         wp.launch(kernels.advance, dim=1, inputs=[self.progress], device=self._device)
         wp.launch(
             kernels.match_points,
-            dim=len(self._cloud),
+            dim=-(-len(self._cloud) // self._strip),
             inputs=[
                 self._cloud,
                 positions,
@@ -151,6 +153,7 @@ class Matcher:
                 self.pulled_count,
                 self.pulled_sum,
                 sums,
+                self._strip,
             ],
             device=self._device,
         )

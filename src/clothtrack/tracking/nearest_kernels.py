@@ -45,15 +45,17 @@ class Grid:
 class Progress:
     """Scalars that live on the device while the solver runs (arrays of one).
 
-    `travelled` [m] bounds the way of any vertex since the start, `step` [m] the way in the present
-    iteration, `stale` [m] the distance from where the grid has the vertices. `decays` holds 0.9
-    and 0.999 to the power of the number of iterations begun (Adam's start-up correction).
+    `travelled` [m] bounds the way of any vertex since the start: the sum over the iterations of the
+    longest step, `step` being the present one. `stale` [m] is how far any vertex is from where the
+    grid has it, `next_stale` the same after the present step. `decays` holds 0.9 and 0.999 to the
+    power of the number of iterations begun (Adam's start-up correction).
     """
 
     iteration: wp.array(dtype=wp.int32)
     travelled: wp.array(dtype=wp.float32)
     step: wp.array(dtype=wp.float32)
     stale: wp.array(dtype=wp.float32)
+    next_stale: wp.array(dtype=wp.float32)
     partners: wp.array(dtype=wp.int32)
     decays: wp.array(dtype=wp.float64)
 
@@ -179,48 +181,32 @@ def advance(progress: Progress):
     progress.iteration[0] = progress.iteration[0] + 1
     progress.travelled[0] = progress.travelled[0] + progress.step[0]
     progress.step[0] = 0.0
+    progress.stale[0] = progress.next_stale[0]
+    progress.next_stale[0] = 0.0
     progress.partners[0] = 0
     progress.decays[0] = progress.decays[0] * wp.float64(0.9)
     progress.decays[1] = progress.decays[1] * wp.float64(0.999)
 
 
 @no_type_check
-@wp.kernel(enable_backward=False)
-def match_points(
+@wp.func
+def _match_point(
+    number: wp.int32,
     cloud: wp.array(dtype=wp.vec3),
     positions: wp.array(dtype=wp.vec3),
     grid: Grid,
     progress: Progress,
     every: wp.int32,
     reach: wp.float32,
-    vertical_weight: wp.float32,
     nearest: wp.array(dtype=wp.int32),
     others: wp.array(dtype=wp.float32),
     searched_at: wp.array(dtype=wp.float32),
     pulled_count: wp.array(dtype=wp.int32),
     pulled_sum: wp.array(dtype=wp.int64),
-    sums: wp.array2d(dtype=wp.int64),
 ):
-    """Nearest visible vertex of each cloud point; counts and sums of points per vertex follow.
-
-    Args:
-        cloud: the observed points [m].
-        positions: the vertices now [m].
-        grid: the visible vertices.
-        progress: scalars of the run.
-        every: search only in iterations divisible by this.
-        reach: how far beyond the neighbour a search looks [m].
-        vertical_weight: factor of the vertical part of a squared residual.
-        nearest: vertex per point, -1 before the first search.
-        others: distance of the runner-up when it was searched [m].
-        searched_at: way travelled when it was searched [m].
-        pulled_count: cloud points per vertex.
-        pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
-        sums: row of this iteration, column 0: summed squared residuals, fixed point.
-    """
-    number = wp.tid()
     point = cloud[number]
     travelled = progress.travelled[0]
+    stale = progress.stale[0]
     before = nearest[number]
     offset = wp.vec3()
     search = before < 0
@@ -234,9 +220,9 @@ def match_points(
     if search:
         found = Neighbour()
         if before < 0:
-            found = _search_everywhere(point, positions, grid, 4.0 * reach, progress.stale[0])
+            found = _search_everywhere(point, positions, grid, 4.0 * reach, stale)
         else:
-            found = _search(point, positions, grid, distance + reach, progress.stale[0])
+            found = _search(point, positions, grid, distance + reach, stale)
         others[number] = found.others
         searched_at[number] = travelled
         vertex = found.item
@@ -255,8 +241,65 @@ def match_points(
             wp.atomic_add(pulled_sum, 3 * vertex + 2, z)
             nearest[number] = vertex
             offset = positions[vertex] - point
-    square = offset[0] * offset[0] + offset[1] * offset[1] + vertical_weight * offset[2] * offset[2]
-    wp.atomic_add(sums, progress.iteration[0], 0, wp.int64(wp.float64(square) * _SQUARE))
+    return offset
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def match_points(
+    cloud: wp.array(dtype=wp.vec3),
+    positions: wp.array(dtype=wp.vec3),
+    grid: Grid,
+    progress: Progress,
+    every: wp.int32,
+    reach: wp.float32,
+    vertical_weight: wp.float32,
+    nearest: wp.array(dtype=wp.int32),
+    others: wp.array(dtype=wp.float32),
+    searched_at: wp.array(dtype=wp.float32),
+    pulled_count: wp.array(dtype=wp.int32),
+    pulled_sum: wp.array(dtype=wp.int64),
+    sums: wp.array2d(dtype=wp.int64),
+    strip: wp.int32,
+):
+    """Nearest visible vertex of each cloud point; counts and sums of points per vertex follow.
+
+    Args:
+        cloud: the observed points [m].
+        positions: the vertices now [m].
+        grid: the visible vertices.
+        progress: scalars of the run.
+        every: search only in iterations divisible by this.
+        reach: how far beyond the neighbour a search looks [m].
+        vertical_weight: factor of the vertical part of a squared residual.
+        nearest: vertex per point, -1 before the first search.
+        others: distance of the runner-up when it was searched [m].
+        searched_at: what `travelled` was when it was searched [m].
+        pulled_count: cloud points per vertex.
+        pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
+        sums: row of this iteration, column 0: summed squared residuals, fixed point.
+        strip: points per thread: on a CPU, atomic additions are dear and threads are not many.
+    """
+    start = wp.tid() * strip
+    total = wp.float64(0.0)
+    for number in range(start, wp.min(start + strip, cloud.shape[0])):
+        offset = _match_point(
+            number,
+            cloud,
+            positions,
+            grid,
+            progress,
+            every,
+            reach,
+            nearest,
+            others,
+            searched_at,
+            pulled_count,
+            pulled_sum,
+        )
+        square = offset[0] * offset[0] + offset[1] * offset[1]
+        total += wp.float64(square + vertical_weight * offset[2] * offset[2])
+    wp.atomic_add(sums, progress.iteration[0], 0, wp.int64(total * _SQUARE))
 
 
 @no_type_check
