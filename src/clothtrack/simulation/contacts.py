@@ -4,7 +4,7 @@ Each class lists candidates (`find`) once in a while and computes from them, in 
 contact adds to the positions (`push`). Both only launch kernels, so that a graph can hold them.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import warp as wp
@@ -22,6 +22,7 @@ NEIGHBOURS_PER_VERTEX = 48
 GRID_CELLS = 32
 
 
+@runtime_checkable
 class Contact(Protocol):
     """What the solver needs of a contact model."""
 

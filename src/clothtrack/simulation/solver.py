@@ -41,6 +41,7 @@ class _DeviceConstraints:
 
     @classmethod
     def upload(cls, constraints: DistanceConstraints, device: str) -> "_DeviceConstraints":
+        """Copy constraints to a device."""
         return cls(
             wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
             wp.array(constraints.lengths, dtype=float, device=device),

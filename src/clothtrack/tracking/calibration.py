@@ -119,7 +119,9 @@ class _Counted:
         self.scores: dict[tuple[float, ...], float] = {}
         self.roll_outs = 0.0
 
-    def __call__(self, candidates: Sequence[tuple[float, ...]], share: float = 1.0) -> np.ndarray:
+    def __call__(
+        self, candidates: Sequence[tuple[float, ...]], share: float | int = 1.0
+    ) -> np.ndarray:
         fresh = [c for c in dict.fromkeys(candidates) if share < 1.0 or c not in self.scores]
         results = {}
         for first in range(0, len(fresh), self._batch):
