@@ -124,7 +124,7 @@ def track_recordings(
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InvalidConfigError(
-            f"two recordings are called {sorted(twice)[0]!r}, their results would overwrite each "
+            f"two recordings are called {min(twice)!r}, their results would overwrite each "
             "other; rename one folder"
         )
     output.mkdir(parents=True, exist_ok=True)

@@ -1,25 +1,27 @@
 """The line search takes the largest calm part of a correction, or says that there is none."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.simulation.dynamics import RollOut
+from clothtrack.simulation.state import ClothState, ContactMemory
 from clothtrack.tracking.line_search import LineSearchConfig, is_calm, search_line
 
 
-def roll_out(speed: float, position: float = 0.0) -> SimpleNamespace:
-    return SimpleNamespace(
-        highest_speed=np.array([speed]), positions=np.full((1, 2, 3), position), state=None
-    )
+def roll_out(speed: float, position: float = 0.0) -> RollOut:
+    points = np.full((1, 2, 3), position, np.float32)
+    slots, counts = np.zeros((1, 2, 1), np.int32), np.zeros((1, 2), np.int32)
+    memory = ContactMemory(slots, slots.astype(np.float32), counts, counts)
+    state = ClothState(points, np.zeros_like(points), memory)
+    return RollOut(state=state, positions=points, highest_speed=np.array([speed]))
 
 
 @pytest.mark.parametrize(("limit", "trials"), [(1.0, 1), (0.7, 2), (0.69, 3), (0.05, 10)])
 def test_takes_the_largest_power_of_the_decay_that_is_calm(limit: float, trials: int) -> None:
     tried = []
 
-    def roll(scale: float) -> SimpleNamespace:
+    def roll(scale: float) -> RollOut:
         tried.append(scale)
         return roll_out(1.0 if scale <= limit else 9.0)
 

@@ -101,7 +101,8 @@ def _covered(
         first, last = _clip(start[edge], end[edge], corners[face])
         inside = last > first
         parts.append((edge[inside], first[inside], last[inside]))
-    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+    edge, first, last = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return edge, first, last
 
 
 def _clip(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

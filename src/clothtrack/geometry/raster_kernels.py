@@ -12,7 +12,6 @@ whatever the order of the threads, so that CPU and GPU agree and repeat.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
-# ruff: noqa: PLR0915, PLR0917, RUF046, UP018
 
 from typing import no_type_check
 

@@ -44,6 +44,7 @@ class Contact(Protocol):
         Int32[np.ndarray, "environments vertices"],
     ]:
         """Sides, distances and counts, as ContactMemory has them."""
+        ...
 
     def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:
         """Take the memory back."""

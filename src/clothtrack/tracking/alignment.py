@@ -396,7 +396,7 @@ def _conjugate(problem: _Problem) -> tuple[object, int]:
     device, vertices = problem.initial.device, len(problem.initial)
     conjugate = kernels.Conjugate()
     # Long strips waste nothing on one core; a GPU needs many threads.
-    conjugate.strip = 64 if device.is_cpu else 8
+    conjugate.strip = 64 if device is None or device.is_cpu else 8
     strips = -(-vertices // conjugate.strip)
     edges = len(problem.topology.neighbour)
     conjugate.unit = wp.zeros(edges, dtype=wp.vec3, device=device)

@@ -14,7 +14,6 @@ strips' partial dot products itself, in one order.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
-# ruff: noqa: PLR0917, UP018
 
 from typing import no_type_check
 
@@ -29,6 +28,7 @@ _LENGTH_UNIT = wp.constant(wp.float64(FIXED_POINT_LENGTH))
 _SQUARE_UNIT = wp.constant(wp.float64(FIXED_POINT_SQUARE))
 
 
+@no_type_check
 @wp.struct
 class Weights:
     """Weights of the terms, divided by the counts of their means, and the table's plane."""
@@ -43,6 +43,7 @@ class Weights:
     lowest: wp.float32
 
 
+@no_type_check
 @wp.struct
 class Topology:
     """Neighbours of each vertex along edges, with rest lengths [m], in compressed rows."""
@@ -52,6 +53,7 @@ class Topology:
     rest_length: wp.array(dtype=wp.float32)
 
 
+@no_type_check
 @wp.struct
 class Matches:
     """What the cloud wants: points per vertex with their sum, partner of each vertex."""
@@ -62,6 +64,7 @@ class Matches:
     partner: wp.array(dtype=wp.int32)
 
 
+@no_type_check
 @wp.struct
 class Slope:
     """Half of the objective's gradient at one vertex and the squares seen from it."""
@@ -133,6 +136,7 @@ def _slope(
     return slope
 
 
+@no_type_check
 @wp.struct
 class Tally:
     """Squares and longest ways of the vertices that one thread looks after."""
@@ -237,6 +241,7 @@ def step_adam(
     _record(tally, progress, sums)
 
 
+@no_type_check
 @wp.struct
 class Conjugate:
     """Arrays of the conjugate gradients, one entry per vertex, and partial dot products."""

@@ -31,7 +31,7 @@ PARAMETERS = (
 Score = Callable[
     [Float[np.ndarray, "candidates parameters"], float], Float[np.ndarray, " candidates"]
 ]
-"""Chamfer [m^2] of candidates, columns as PARAMETERS, rolled through a share (0, 1] of the action."""
+"""Chamfer [m^2] of candidates, columns as PARAMETERS, rolled through a share of the action."""
 
 
 def _default_axes() -> dict[str, tuple[float, ...]]:
@@ -119,7 +119,9 @@ class _Counted:
         self.scores: dict[tuple[float, ...], float] = {}
         self.roll_outs = 0.0
 
-    def __call__(self, candidates: Sequence[tuple[float, ...]], share: float = 1.0) -> np.ndarray:
+    def __call__(
+        self, candidates: Sequence[tuple[float, ...]], share: float | int = 1.0
+    ) -> np.ndarray:
         fresh = [c for c in dict.fromkeys(candidates) if share < 1.0 or c not in self.scores]
         results = {}
         for first in range(0, len(fresh), self._batch):

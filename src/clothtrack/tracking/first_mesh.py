@@ -6,6 +6,7 @@ cannot tell a shirt's front from its back nor one corner of a towel from another
 taken to face up.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -67,8 +68,8 @@ def first_mesh(
         )
     if len(observation.points) < 100:
         raise InvalidRecordingError(
-            f"{recording.folder}: the first cloud has {len(observation.points)} points, a fit needs "
-            "at least 100; check the mask of frame 0 with: clothtrack inspect"
+            f"{recording.folder}: the first cloud has {len(observation.points)} points, a fit "
+            "needs at least 100; check the mask of frame 0 with: clothtrack inspect"
         )
     return _fitted(recording, recording.table, observation.points, config)
 
@@ -83,7 +84,7 @@ def _fitted(
     flat = (points - table.point) @ axes[:2].T
     kind, stated = recording.cloth.kind, recording.cloth.size_m
     (center, extent, angle_deg) = cv2.minAreaRect(flat.astype(np.float32))
-    best = None
+    best: tuple[float, np.ndarray, Sequence[float]] = (np.inf, np.zeros(5), (0.0, 0.0))
     for quarter in range(4):
         size = stated or (extent if quarter % 2 == 0 else extent[::-1])
         coarse = garment(kind, vertex_count=500, size_m=size).vertices[:, :2]
@@ -99,7 +100,7 @@ def _fitted(
                 "maxiter": 600,
             },
         )
-        if best is None or fit.fun < best[0]:
+        if fit.fun < best[0]:
             best = (fit.fun, fit.x, size)
     _, (x, y, angle, *stretch), size = best
     scale = (1.0, 1.0) if stated else tuple(np.exp(stretch))

@@ -29,7 +29,7 @@ class MovingGrid:
         *,
         cell_m: float,
         points: int,
-        device: str,
+        device: str | wp.Device,
     ) -> None:
         extent = np.asarray(upper, np.float64) - lower
         counts = np.floor(extent / cell_m).astype(np.int64) + 1

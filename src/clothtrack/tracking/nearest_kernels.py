@@ -12,7 +12,6 @@ not matter: CPU and GPU agree on the neighbours and every run repeats.
 """
 
 # Warp needs `float(0.0)` for a variable that changes in a loop, and kernels take many arrays.
-# ruff: noqa: PLR0917, RUF046, UP018
 
 from typing import no_type_check
 
@@ -29,6 +28,7 @@ _SQUARE = wp.constant(wp.float64(FIXED_POINT_SQUARE))
 _ROUNDING = wp.constant(1.0e-6)
 
 
+@no_type_check
 @wp.struct
 class Grid:
     """A box of cubic cells, x fastest; what lies outside belongs to the nearest border cell."""
@@ -42,6 +42,7 @@ class Grid:
     items: wp.array(dtype=wp.int32)
 
 
+@no_type_check
 @wp.struct
 class Progress:
     """Scalars that live on the device while the solver runs (arrays of one).
@@ -61,6 +62,7 @@ class Progress:
     decays: wp.array(dtype=wp.float64)
 
 
+@no_type_check
 @wp.struct
 class Neighbour:
     """The nearest item (-1: none in reach), its distance and a bound for every other item [m]."""

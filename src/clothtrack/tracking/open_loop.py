@@ -32,7 +32,7 @@ def grasp_offset(values: Mapping[str, float]) -> Float[np.ndarray, " 3"]:
 class OpenLoopScore:
     """Rolls batches of candidates through an action; the batch solver is built once."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0917
         self,
         recording: Recording,
         mesh: ClothMesh,
@@ -56,7 +56,7 @@ class OpenLoopScore:
     def of(self, state: ClothState, action: PickAndPlace, grasps: tuple[Grasp, ...]) -> Score:
         """The score of candidates for this action, started from this state."""
 
-        def score(candidates: Float[np.ndarray, "candidates parameters"], share: float):  # noqa: ANN202
+        def score(candidates: Float[np.ndarray, "candidates parameters"], share: float):
             last = action.first_frame + max(
                 1, round(share * (action.last_frame - action.first_frame))
             )

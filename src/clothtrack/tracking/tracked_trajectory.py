@@ -278,5 +278,5 @@ def _read_action(part: zarr.Group) -> TrackedAction:
             calibration["best"],
             calibration["roll_outs"],
         ),
-        held_vertices={k: tuple(v) for k, v in part.attrs["held_vertices"].items()},
+        held_vertices={k: tuple(v) for k, v in dict(part.attrs["held_vertices"]).items()},
     )

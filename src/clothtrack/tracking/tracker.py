@@ -167,7 +167,7 @@ class Tracker:
         records.highest_speed[frame.index] = result.roll_out.highest_speed.max()
         return result.roll_out.state
 
-    def _line_search(
+    def _line_search(  # noqa: PLR0917
         self,
         state: ClothState,
         motion: HeldMotion | None,
@@ -230,7 +230,7 @@ class Tracker:
         self._dynamics.solver.set_velocities(np.zeros_like(state.velocities))
         return self._dynamics.solver.save()
 
-    def _calibrated(self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]):  # noqa: ANN202
+    def _calibrated(self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]):
         grasps = find_grasps(self._recording, action, state.positions[0], self._config.picking)
         config = self._config.calibration
         if not self._config.use_action:
