@@ -84,12 +84,13 @@ class CalibrationConfig:
 
 
 def calibrate(
-    score: Score, start: Mapping[str, float], config: CalibrationConfig
+    score: Score | None, start: Mapping[str, float], config: CalibrationConfig
 ) -> tuple[dict[str, float], Calibration]:
     """Find the parameters whose open-loop roll-out ends nearest to the last cloud.
 
     Args:
-        score: rolls candidates out and returns their Chamfer distance [m^2].
+        score: rolls candidates out and returns their Chamfer distance [m^2]; None will do for the
+            method "none", which asks nobody.
         start: value of every parameter before the search; the previous action's optimum.
         config: axes and method.
 
@@ -97,8 +98,11 @@ def calibrate(
         The chosen value of every parameter, and the record of all candidates.
     """
     names = tuple(config.axes)
+    if config.method == "none" or score is None:
+        nothing = np.zeros((0, len(names)))
+        return dict(start), Calibration("none", names, nothing, np.zeros(0), -1, 0.0)
     counted = _Counted(score, start, names, config.batch)
-    if config.method != "none" and names:
+    if names:
         {"grid": _grid, "halving": _halving, "descent": _descent}[config.method](counted, config)
     candidates = np.array(list(counted.scores), float).reshape(-1, len(names))
     scores = np.array(list(counted.scores.values()), float)
