@@ -322,7 +322,11 @@ class ClothSolver:
         self, kernel: wp.Kernel, constraints: _DeviceConstraints, material: list
     ) -> None:
         buffers = self._buffers
-        for first, count in constraints.colours:
+        colours = constraints.colours
+        if self._is_cpu:
+            # One thread goes through all colours in their order: the same as one after the other.
+            colours = [(0, sum(count for _, count in colours))]
+        for first, count in colours:
             per_thread = count if self._is_cpu else 1
             wp.launch(
                 kernel,
