@@ -107,9 +107,9 @@ def calibrate(
     Returns:
         The chosen value of every parameter, and the record of all candidates.
     """
-    if score is None:
-        config = replace(config, method="none")
-    names = tuple(config.axes) if config.method != "none" else ()
+    if score is None or config.method == "none":
+        return dict(start), Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+    names = tuple(config.axes)
     counted = _Counted(score, start, names, config.batch)
     if names:
         {"grid": _grid, "halving": _halving, "descent": _descent}[config.method](counted, config)
@@ -126,7 +126,7 @@ class _Counted:
     """Scores by candidate, each rolled out once; counts what was spent."""
 
     def __init__(
-        self, score: Score | None, start: Mapping[str, float], names: tuple[str, ...], batch: int
+        self, score: Score, start: Mapping[str, float], names: tuple[str, ...], batch: int
     ) -> None:
         self._score, self._start, self._names, self._batch = score, start, names, batch
         self.scores: dict[tuple[float, ...], float] = {}
