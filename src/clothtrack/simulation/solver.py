@@ -93,7 +93,7 @@ class ClothSolver:
         self._contact = self._make_contact()
         self._attached = False
         self._is_cpu = wp.get_device(device).is_cpu
-        self._graphs: tuple[wp.Graph, wp.Graph] | None = None
+        self._graphs: tuple[wp.Graph | None, wp.Graph | None] | None = None
 
     def _make_contact(self) -> Contact:
         if self.config.contact == "vertex-triangle":
@@ -274,7 +274,7 @@ class ClothSolver:
 
     # Graphs
 
-    def _capture(self) -> tuple[wp.Graph, wp.Graph]:
+    def _capture(self) -> tuple[wp.Graph | None, wp.Graph | None]:
         # The first launches compile and reserve memory, which a capture on CUDA must not do.
         state = self.save()
         self._set_clock(self.config.substep_s, 1)

@@ -38,7 +38,7 @@ class AlignmentConfig:
     chamfer_weight: float = 1.0
     rigidity_weight: float = 10.0
     two_way_weight: float = 1.0
-    two_way_range_m: tuple[float, float] = (0.004, 0.03)
+    two_way_range_m: tuple[float, float] = (0.004, 0.08)
     length_weight: float = 300.0
     table_weight: float = 10.0
     vertical_weight: float = 1.0
