@@ -38,6 +38,7 @@ RESTING_HEIGHT_M = 0.0015
 FIRST_SCORED_FRAME = 6
 BAND_M = 0.012
 TOOL_CLEARANCE_M = 0.045
+GRASP_UNCERTAINTY_M = 0.03
 VISIBILITY_TOLERANCE_M = 0.004
 LINK_M = 0.012
 LEAST_CLUSTER = 0.04
@@ -114,26 +115,31 @@ def load(file: Path) -> RobotSequence:
             f"{file}: task {task!r} has no start square in meta.json; known are "
             f"{', '.join(meta['initial_cloth'])}"
         )
-    start = meta["initial_cloth"][task]
     with np.load(file) as stored:
         points = stored["points_tenth_mm"].astype(np.float64) * 1e-4
         offsets, gripper, time_s = stored["offsets"], stored["gripper_m"], stored["time_s"]
+    start = meta["initial_cloth"][task]
+    lowest_z_m = float(facts.get("lowest_z_m", points[:, 2].min()))
+    # The square's height is where the source's authors put it in their simulation. Cloth was
+    # measured below it in the lifts, and cloth is never inside a table: the square goes down with
+    # the table, as far as the measured points demand.
+    sunk = max(0.0, float(start["table_height_m"]) - lowest_z_m)
     return RobotSequence(
         name=file.stem,
         task=task,
         clouds=tuple(points[a:b] for a, b in pairwise(offsets)),
         gripper=gripper.astype(np.float64),
         time_s=time_s.astype(np.float64),
-        lowest_z_m=float(facts.get("lowest_z_m", points[:, 2].min())),
+        lowest_z_m=lowest_z_m,
         cameras=tuple(_camera(name, values) for name, values in meta["cameras"].items()),
-        square=np.array(start["corners_m"], dtype=np.float64),
-        picked=np.array(start["picked_corner_m"], dtype=np.float64),
-        table_height_m=float(start["table_height_m"]),
+        square=np.array(start["corners_m"], dtype=np.float64) - (0.0, 0.0, sunk),
+        picked=np.array(start["picked_corner_m"], dtype=np.float64) - (0.0, 0.0, sunk),
+        table_height_m=float(start["table_height_m"]) - sunk,
     )
 
 
 def start_mesh(sequence: RobotSequence) -> ClothMesh:
-    """The stored start square as a grid of 33 x 33 vertices, resting on the table [m]."""
+    """The start square as a grid of 33 x 33 vertices, resting on the table [m]."""
     side = float(np.linalg.norm(sequence.square[1] - sequence.square[0]))
     flat = towel(width_m=side, length_m=side, spacing_m=side / CELLS)
     u, v = (flat.canonical[:, :2] / side + 0.5).T
@@ -159,7 +165,10 @@ def convert(file: Path, output: Path, *, frames: int | None = None) -> Path:
         depth_units_m={camera.name: 0.001 for camera in sequence.cameras},
         table=Table(np.array([0.0, 0.0, sequence.table_height_m]), np.array([0.0, 0.0, 1.0])),
         cloth=ClothDescription(
-            kind="towel", template=mesh, held_vertices={PICKER: np.array([held], dtype=np.int32)}
+            kind="towel",
+            template=mesh,
+            held_vertices={PICKER: np.array([held], dtype=np.int32)},
+            grasp_uncertainty_m=GRASP_UNCERTAINTY_M,
         ),
         observed=ObservedRegion(sequence.lowest_z_m, TOOL_CLEARANCE_M),
         provenance={"source": NAME, "sequence": sequence.name, "picker_path": "commanded"},

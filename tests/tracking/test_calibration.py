@@ -10,7 +10,7 @@ from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, calib
 from clothtrack.tracking.configuration import TrackerConfig
 
 START = TrackerConfig().parameters
-BEST = {"bend_compliance": 10.0, "table_friction": 0.5, "particle_friction": 1.0}
+BEST = {"bend_compliance": 1e-2, "table_friction": 3.0, "particle_friction": 0.3}
 COLUMNS = [PARAMETERS.index(name) for name in BEST]
 
 
@@ -70,8 +70,22 @@ def test_descent_starts_at_the_previous_optimum() -> None:
         first.append(candidates[:, PARAMETERS.index("table_friction")].copy())
         return bowl(candidates, share)
 
-    calibrate(score, {**START, "table_friction": 1.9}, CalibrationConfig(method="descent"))
-    assert (first[0] == 2.0).all()
+    calibrate(score, {**START, "table_friction": 2.9}, CalibrationConfig(method="descent"))
+    assert (first[0] == 3.0).all()
+
+
+def test_an_uncertain_grasp_adds_its_offset_to_the_search() -> None:
+    config = CalibrationConfig()
+    assert config.with_grasp_offset(0.0) is config
+    wider = config.with_grasp_offset(0.02)
+    assert wider.axes["grasp_offset_x_m"] == pytest.approx((-0.02, -0.01, 0.0, 0.01, 0.02))
+    assert wider.size == config.size * 5**3
+
+
+def test_without_anything_to_score_the_start_is_kept() -> None:
+    chosen, record = calibrate(None, START, CalibrationConfig())
+    assert chosen == START
+    assert record.method == "none"
 
 
 def test_unknown_and_empty_axes_are_refused() -> None:

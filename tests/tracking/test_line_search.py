@@ -45,10 +45,12 @@ def test_non_finite_is_never_calm() -> None:
     assert is_calm(roll_out(2.0), 2.0)
 
 
-def test_threshold_grows_with_the_picker() -> None:
-    config = LineSearchConfig(explosion_speed=3.0, explosion_ratio=15.0)
-    assert config.threshold(0.1) == 3.0
-    assert config.threshold(1.0) == 15.0
+def test_threshold_grows_with_the_picker_and_with_what_the_cloth_does_by_itself() -> None:
+    config = LineSearchConfig(explosion_speed=3.0, explosion_ratio=15.0, prediction_ratio=1.5)
+    assert config.threshold(0.1, 0.5) == 3.0
+    assert config.threshold(1.0, 0.5) == 15.0
+    assert config.threshold(0.1, 4.0) == 6.0
+    assert config.threshold(0.1, np.inf) == 3.0
 
 
 @pytest.mark.parametrize("settings", [{"decay": 1.0}, {"decay": 0.0}, {"trials": 0}])

@@ -87,6 +87,8 @@ class ClothDescription:
         size_m: side lengths (width, length) of the flat cloth [m] when measured.
         template: the first mesh, in the world frame, when the recording carries one.
         held_vertices: template vertices that each picker holds, when known.
+        grasp_uncertainty_m: how far the held cloth may be from the recorded tip [m]: 0 when the
+            path was measured, a few centimetres when it is only what the robot was told.
     """
 
     kind: str = "other"
@@ -94,6 +96,7 @@ class ClothDescription:
     size_m: tuple[float, float] | None = None
     template: ClothMesh | None = None
     held_vertices: Mapping[str, Int[np.ndarray, " held"]] = field(default_factory=dict)
+    grasp_uncertainty_m: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -335,6 +335,8 @@ def _cloth_entry(cloth: ClothDescription) -> dict[str, Any]:
         entry["color"] = cloth.color
     if cloth.size_m is not None:
         entry["size_m"] = list(cloth.size_m)
+    if cloth.grasp_uncertainty_m:
+        entry["grasp_uncertainty_m"] = cloth.grasp_uncertainty_m
     if cloth.template is not None:
         entry["template"] = TEMPLATE_FILE
         if cloth.template.canonical is not None:

@@ -271,6 +271,7 @@ def _cloth(
         size_m=None if size is None else (float(size[0]), float(size[1])),
         template=template,
         held_vertices=held,
+        grasp_uncertainty_m=float(entry.get("grasp_uncertainty_m", 0.0)),
     )
 
 

@@ -20,8 +20,8 @@ from clothtrack.simulation.triangle_contact_kernels import TRIANGLES_PER_VERTEX
 REACTIONS_PER_VERTEX = 48
 NEIGHBOURS_PER_VERTEX = 48
 GRID_CELLS = 32
-CELL_PER_REACH = 1.5
-"""Size of a grid cell over the radius of a query; the fastest of 1/3 to 2 on a CPU."""
+CELL_PER_REACH = 1.0
+"""Size of a cell of triangles over the radius of a query."""
 
 
 @runtime_checkable
@@ -149,10 +149,18 @@ class TriangleContact:
         reach = _face_reach(mesh, config)
         self._reach = float(reach.max())
         self._face_reach = wp.array(np.square(reach).astype(np.float32), dtype=float, device=device)
-        self._grid = wp.HashGrid(GRID_CELLS, GRID_CELLS, GRID_CELLS, device=device)
-        owners = np.repeat(np.arange(environments, dtype=np.int32), faces)
-        self._owners = wp.array(owners, dtype=int, device=device)
-        self._centroids = wp.zeros(environments * faces, dtype=wp.vec3, device=device)
+        self._cells_per_metre = 1.0 / (CELL_PER_REACH * self._reach)
+        cells = environments * triangles.CELLS_PER_ENVIRONMENT
+        # One more than there are cells: the scan's last entry is the end of the last cell.
+        self._cell_counts = wp.zeros(cells + 1, dtype=int, device=device)
+        self._cell_first = wp.zeros(cells + 1, dtype=int, device=device)
+        self._face_cells = wp.zeros((environments, faces), dtype=int, device=device)
+        self._face_ranks = wp.zeros((environments, faces), dtype=int, device=device)
+        self._balls = wp.zeros((environments, faces), dtype=wp.vec4, device=device)
+        self._discs = wp.zeros((environments, faces), dtype=wp.vec4, device=device)
+        self._sorted_faces = wp.zeros(environments * faces, dtype=int, device=device)
+        self._sorted_balls = wp.zeros(environments * faces, dtype=wp.vec4, device=device)
+        self._sorted_discs = wp.zeros(environments * faces, dtype=wp.vec4, device=device)
         slots = (environments, vertices, TRIANGLES_PER_VERTEX)
         self.sides = wp.zeros(slots, dtype=int, device=device)
         self.distances = wp.zeros(slots, dtype=float, device=device)
@@ -175,28 +183,23 @@ class TriangleContact:
         wp.copy(self._old_sides, self.sides)
         wp.copy(self._old_distances, self.distances)
         wp.copy(self._old_counts, self.counts)
-        wp.launch(
-            triangles.find_centroids,
-            dim=(buffers.shape[0], len(buffers.faces)),
-            inputs=[buffers.faces, buffers.positions],
-            outputs=[self._centroids],
-            device=device,
-        )
-        self._grid.build(self._centroids, CELL_PER_REACH * self._reach, self._owners)
+        self._sort_faces()
         wp.launch(
             triangles.find_pairs,
             dim=buffers.shape,
             inputs=[
                 buffers.clocks,
-                self._grid.id,
+                self._cells_per_metre,
+                self._cell_first,
+                self._sorted_faces,
+                self._sorted_balls,
+                self._sorted_discs,
                 self._reach,
                 config.thickness_m,
                 config.contact_margin_m,
                 config.contact_depth_m,
                 config.contact_tolerance,
                 buffers.faces,
-                self._face_reach,
-                self._centroids,
                 buffers.rest,
                 buffers.positions,
                 buffers.velocities,
@@ -219,6 +222,45 @@ class TriangleContact:
             triangles.sort_reactions,
             dim=buffers.shape,
             inputs=[self._reactions, self._reaction_counts],
+            device=device,
+        )
+
+    def _sort_faces(self) -> None:
+        """Sort the triangles into cells by where they are now."""
+        buffers, device = self._buffers, self._device
+        shape = (buffers.shape[0], len(buffers.faces))
+        self._cell_counts.zero_()
+        wp.launch(
+            triangles.count_faces,
+            dim=shape,
+            inputs=[
+                self._cells_per_metre,
+                self._config.contact_tolerance,
+                buffers.faces,
+                self._face_reach,
+                buffers.positions,
+            ],
+            outputs=[
+                self._cell_counts,
+                self._face_cells,
+                self._face_ranks,
+                self._balls,
+                self._discs,
+            ],
+            device=device,
+        )
+        wp.utils.array_scan(self._cell_counts, self._cell_first, inclusive=False)
+        wp.launch(
+            triangles.sort_faces,
+            dim=shape,
+            inputs=[
+                self._cell_first,
+                self._face_cells,
+                self._face_ranks,
+                self._balls,
+                self._discs,
+            ],
+            outputs=[self._sorted_faces, self._sorted_balls, self._sorted_discs],
             device=device,
         )
 

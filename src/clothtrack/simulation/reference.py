@@ -111,7 +111,7 @@ class ReferenceCloth:
 
 
 def _cut(slip: Float[np.ndarray, " 3"], most: float) -> float:
-    return min(1.0, most / (np.linalg.norm(slip) + 1e-12))
+    return min(1.0, most / (float(np.linalg.norm(slip)) + 1e-12))
 
 
 def _solve(

@@ -93,7 +93,7 @@ class ClothSolver:
         self._contact = self._make_contact()
         self._attached = False
         self._is_cpu = wp.get_device(device).is_cpu
-        self._graphs: tuple[wp.Graph, wp.Graph] | None = None
+        self._graphs: tuple[wp.Graph | None, wp.Graph | None] | None = None
 
     def _make_contact(self) -> Contact:
         if self.config.contact == "vertex-triangle":
@@ -274,7 +274,7 @@ class ClothSolver:
 
     # Graphs
 
-    def _capture(self) -> tuple[wp.Graph, wp.Graph]:
+    def _capture(self) -> tuple[wp.Graph | None, wp.Graph | None]:
         # The first launches compile and reserve memory, which a capture on CUDA must not do.
         state = self.save()
         self._set_clock(self.config.substep_s, 1)
@@ -322,7 +322,11 @@ class ClothSolver:
         self, kernel: wp.Kernel, constraints: _DeviceConstraints, material: list
     ) -> None:
         buffers = self._buffers
-        for first, count in constraints.colours:
+        colours = constraints.colours
+        if self._is_cpu:
+            # One thread goes through all colours in their order: the same as one after the other.
+            colours = [(0, sum(count for _, count in colours))]
+        for first, count in colours:
             per_thread = count if self._is_cpu else 1
             wp.launch(
                 kernel,

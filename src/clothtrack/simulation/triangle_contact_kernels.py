@@ -20,20 +20,95 @@ TRIANGLES_PER_VERTEX = 16
 SLOTS = wp.constant(TRIANGLES_PER_VERTEX)
 
 
+CELLS_X, CELLS_Y, CELLS_Z = 32, 32, 16
+"""Cells of each environment; space repeats beyond them, which costs time but no contact."""
+
+CELLS_PER_ENVIRONMENT = CELLS_X * CELLS_Y * CELLS_Z
+
+_MASK_X = wp.constant(CELLS_X - 1)
+_MASK_Y = wp.constant(CELLS_Y - 1)
+_MASK_Z = wp.constant(CELLS_Z - 1)
+_WIDTH = wp.constant(CELLS_X)
+_LAYER = wp.constant(CELLS_X * CELLS_Y)
+_CELLS = wp.constant(CELLS_PER_ENVIRONMENT)
+_HALF = wp.constant(CELLS_X // 2)
+_FARTHEST = wp.constant(1.0e6)
+
+
+@no_type_check
+@wp.func
+def cell_along(value: wp.float32, cells_per_metre: wp.float32):
+    """Number of the cell along one axis, before space repeats; finite for whatever exploded.
+
+    The origin, around which cloths tend to lie, is in the middle of what repeats along x.
+    """
+    return int(wp.floor(wp.clamp(value * cells_per_metre, -_FARTHEST, _FARTHEST))) + _HALF
+
+
 @no_type_check
 @wp.kernel
-def find_centroids(
+def count_faces(
+    cells_per_metre: float,
+    tolerance: float,
     faces: wp.array(dtype=wp.vec3i),
+    face_reach: wp.array(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
-    centroids: wp.array(dtype=wp.vec3),
+    counts: wp.array(dtype=int),
+    cells: wp.array2d(dtype=int),
+    ranks: wp.array2d(dtype=int),
+    balls: wp.array2d(dtype=wp.vec4),
+    discs: wp.array2d(dtype=wp.vec4),
 ):
-    """Centre of each triangle [m]."""
+    """Where each triangle may be touched, and its cell; count per cell.
+
+    That is inside a ball (centre [m], squared reach [m^2]) and, seen along the triangle's unit
+    normal, inside a disc (normal, squared radius [m^2]): a foot whose weights are at least -t is
+    no farther from the centre than 1 + 3 t times the farthest corner.
+    """
     environment, face = wp.tid()
     corners = faces[face]
-    total = positions[environment, corners[0]]
-    total += positions[environment, corners[1]]
-    total += positions[environment, corners[2]]
-    centroids[environment * faces.shape[0] + face] = total / 3.0
+    a = positions[environment, corners[0]]
+    b = positions[environment, corners[1]]
+    c = positions[environment, corners[2]]
+    centre = (a + b + c) / 3.0
+    normal = wp.cross(b - a, c - a)
+    doubled_area = wp.length(normal)
+    farthest = wp.max(
+        wp.length_sq(a - centre), wp.max(wp.length_sq(b - centre), wp.length_sq(c - centre))
+    )
+    widened = 1.001 * (1.0 + 3.0 * tolerance)
+    radius = widened * widened * farthest
+    if doubled_area < 1.0e-9:
+        radius = face_reach[face]  # no plane to look along
+    x = cell_along(centre[0], cells_per_metre) & _MASK_X
+    y = cell_along(centre[1], cells_per_metre) & _MASK_Y
+    z = cell_along(centre[2], cells_per_metre) & _MASK_Z
+    cell = environment * _CELLS + z * _LAYER + y * _WIDTH + x
+    cells[environment, face] = cell
+    ranks[environment, face] = wp.atomic_add(counts, cell, 1)
+    balls[environment, face] = wp.vec4(centre[0], centre[1], centre[2], face_reach[face])
+    normal = normal / (doubled_area + 1.0e-15)
+    discs[environment, face] = wp.vec4(normal[0], normal[1], normal[2], radius)
+
+
+@no_type_check
+@wp.kernel
+def sort_faces(
+    first: wp.array(dtype=int),
+    cells: wp.array2d(dtype=int),
+    ranks: wp.array2d(dtype=int),
+    balls: wp.array2d(dtype=wp.vec4),
+    discs: wp.array2d(dtype=wp.vec4),
+    sorted_faces: wp.array(dtype=int),
+    sorted_balls: wp.array(dtype=wp.vec4),
+    sorted_discs: wp.array(dtype=wp.vec4),
+):
+    """Put the triangles and their balls in the order of their cells."""
+    environment, face = wp.tid()
+    place = first[cells[environment, face]] + ranks[environment, face]
+    sorted_faces[place] = face
+    sorted_balls[place] = balls[environment, face]
+    sorted_discs[place] = discs[environment, face]
 
 
 @no_type_check
@@ -107,18 +182,124 @@ def vote(
 
 
 @no_type_check
+@wp.struct
+class Pair:
+    """Side of a triangle on which a vertex is (0: they cannot touch) and distance to keep [m]."""
+
+    side: wp.int32
+    distance: wp.float32
+
+
+@no_type_check
+@wp.func
+def examine_pair(
+    environment: int,
+    vertex: int,
+    face_number: int,
+    thickness: float,
+    margin: float,
+    depth: float,
+    tolerance: float,
+    rebuild_s: float,
+    faces: wp.array(dtype=wp.vec3i),
+    rest: wp.array(dtype=wp.vec3),
+    positions: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+    old_sides: wp.array3d(dtype=int),
+    old_distances: wp.array3d(dtype=float),
+    old_counts: wp.array2d(dtype=int),
+):
+    """Whether a vertex may touch a triangle before the next search, and from which side."""
+    pair = Pair()
+    face = faces[face_number]
+    if face[0] == vertex or face[1] == vertex or face[2] == vertex:
+        return pair
+    point = positions[environment, vertex]
+    a = positions[environment, face[0]]
+    b = positions[environment, face[1]]
+    c = positions[environment, face[2]]
+    normal = wp.cross(b - a, c - a)
+    doubled_area = wp.length(normal)
+    height = wp.dot(point - a, normal) / (doubled_area + 1.0e-15)
+    if wp.abs(height) > depth:
+        return pair
+    weights = barycentric(point, a, b, c, normal)
+    if wp.min(weights) < -tolerance:
+        return pair
+    remembered = old_counts[environment, vertex]
+    side = wp.int32(0)
+    distance = wp.float32(-1.0)
+    for slot in range(remembered):
+        code = old_sides[environment, vertex, slot]
+        if wp.abs(code) == face_number + 1:
+            side = wp.where(code > 0, 1, -1)
+            distance = old_distances[environment, vertex, slot]
+    if side == 0 and remembered > 0:
+        votes = vote(environment, vertex, face, normal, faces, positions, old_sides, remembered)
+        side = wp.where(votes > 0, 1, wp.where(votes < 0, -1, 0))
+    if side == 0:
+        side = wp.where(height >= 0.0, 1, -1)
+    approach = velocities[environment, vertex]
+    for corner in range(3):
+        approach -= weights[corner] * velocities[environment, face[corner]]
+    nearing = -float(side) * wp.dot(approach, normal) / (doubled_area + 1.0e-15)
+    allowed = thickness + margin + wp.max(nearing, 0.0) * rebuild_s
+    if float(side) * height > allowed:
+        return pair
+    if distance < 0.0:
+        distance = wp.min(
+            thickness,
+            triangle_distance(rest[vertex], rest[face[0]], rest[face[1]], rest[face[2]]),
+        )
+    pair.side = side
+    pair.distance = distance
+    return pair
+
+
+@no_type_check
+@wp.func
+def insert_pair(
+    environment: int,
+    vertex: int,
+    found: int,
+    code: int,
+    distance: float,
+    sides: wp.array3d(dtype=int),
+    distances: wp.array3d(dtype=float),
+    overflows: wp.array(dtype=int),
+):
+    """Put a pair where its triangle's number wants it; the number of pairs then."""
+    count = int(found)
+    if count == sides.shape[2]:
+        wp.atomic_add(overflows, environment, 1)
+        if wp.abs(code) > wp.abs(sides[environment, vertex, count - 1]):
+            return count
+        count -= 1
+    slot = int(count)
+    while slot > 0 and wp.abs(sides[environment, vertex, slot - 1]) > wp.abs(code):
+        sides[environment, vertex, slot] = sides[environment, vertex, slot - 1]
+        distances[environment, vertex, slot] = distances[environment, vertex, slot - 1]
+        slot -= 1
+    sides[environment, vertex, slot] = code
+    distances[environment, vertex, slot] = distance
+    return count + 1
+
+
+@no_type_check
 @wp.kernel
 def find_pairs(
     clocks: wp.array(dtype=Clock),
-    grid: wp.uint64,
+    cells_per_metre: float,
+    first: wp.array(dtype=int),
+    sorted_faces: wp.array(dtype=int),
+    sorted_balls: wp.array(dtype=wp.vec4),
+    sorted_discs: wp.array(dtype=wp.vec4),
     reach: float,
     thickness: float,
     margin: float,
     depth: float,
     tolerance: float,
     faces: wp.array(dtype=wp.vec3i),
-    face_reach: wp.array(dtype=float),
-    centroids: wp.array(dtype=wp.vec3),
     rest: wp.array(dtype=wp.vec3),
     positions: wp.array2d(dtype=wp.vec3),
     velocities: wp.array2d(dtype=wp.vec3),
@@ -130,63 +311,51 @@ def find_pairs(
     counts: wp.array2d(dtype=int),
     overflows: wp.array(dtype=int),
 ):
-    """List the triangles that each vertex may touch before the next search, with its side."""
+    """List the triangles that each vertex may touch before the next search, with its side.
+
+    They are listed by their number, so that no sum depends on how they were found.
+    """
     environment, vertex = wp.tid()
-    offset = environment * faces.shape[0]
     point = positions[environment, vertex]
-    remembered = old_counts[environment, vertex]
+    rebuild_s = clocks[0].rebuild_s
     found = wp.int32(0)
-    index = wp.int32(0)
-    query = wp.hash_grid_query(grid, point, reach, environment)
-    while wp.hash_grid_query_next(query, index):
-        away = point - centroids[index]
-        face_number = index - offset
-        if not wp.dot(away, away) <= face_reach[face_number]:  # also refuses what is not a number
-            continue
-        face = faces[face_number]
-        if face[0] == vertex or face[1] == vertex or face[2] == vertex:
-            continue
-        a = positions[environment, face[0]]
-        b = positions[environment, face[1]]
-        c = positions[environment, face[2]]
-        normal = wp.cross(b - a, c - a)
-        doubled_area = wp.length(normal)
-        height = wp.dot(point - a, normal) / (doubled_area + 1.0e-15)
-        if wp.abs(height) > depth:
-            continue
-        weights = barycentric(point, a, b, c, normal)
-        if wp.min(weights) < -tolerance:
-            continue
-        side = wp.int32(0)
-        distance = wp.float32(-1.0)
-        for slot in range(remembered):
-            code = old_sides[environment, vertex, slot]
-            if wp.abs(code) == face_number + 1:
-                side = wp.where(code > 0, 1, -1)
-                distance = old_distances[environment, vertex, slot]
-        if side == 0 and remembered > 0:
-            votes = vote(environment, vertex, face, normal, faces, positions, old_sides, remembered)
-            side = wp.where(votes > 0, 1, wp.where(votes < 0, -1, 0))
-        if side == 0:
-            side = wp.where(height >= 0.0, 1, -1)
-        approach = velocities[environment, vertex]
-        for corner in range(3):
-            approach -= weights[corner] * velocities[environment, face[corner]]
-        nearing = -float(side) * wp.dot(approach, normal) / (doubled_area + 1.0e-15)
-        allowed = thickness + margin + wp.max(nearing, 0.0) * clocks[0].rebuild_s
-        if float(side) * height > allowed:
-            continue
-        if distance < 0.0:
-            distance = wp.min(
-                thickness,
-                triangle_distance(rest[vertex], rest[face[0]], rest[face[1]], rest[face[2]]),
-            )
-        if found < sides.shape[2]:
-            sides[environment, vertex, found] = side * (face_number + 1)
-            distances[environment, vertex, found] = distance
-            found += 1
-        else:
-            wp.atomic_add(overflows, environment, 1)
+    x0 = cell_along(point[0] - reach, cells_per_metre)
+    x1 = wp.min(cell_along(point[0] + reach, cells_per_metre), x0 + _MASK_X)
+    y0 = cell_along(point[1] - reach, cells_per_metre)
+    y1 = wp.min(cell_along(point[1] + reach, cells_per_metre), y0 + _MASK_Y)
+    z0 = cell_along(point[2] - reach, cells_per_metre)
+    z1 = wp.min(cell_along(point[2] + reach, cells_per_metre), z0 + _MASK_Z)
+    # Cells side by side are one run of triangles; where space repeats between them, the whole row.
+    left = x0 & _MASK_X
+    right = x1 & _MASK_X
+    if right < left:
+        left = int(0)
+        right = int(_MASK_X)
+    for z in range(z0, z1 + 1):
+        for y in range(y0, y1 + 1):
+            row = environment * _CELLS + (z & _MASK_Z) * _LAYER + (y & _MASK_Y) * _WIDTH
+            for place in range(first[row + left], first[row + right + 1]):
+                ball = sorted_balls[place]
+                away = point - wp.vec3(ball[0], ball[1], ball[2])
+                square = wp.dot(away, away)
+                # Not ">": what is not a number must not touch either.
+                if not square <= ball[3]:
+                    continue
+                disc = sorted_discs[place]
+                height = wp.dot(away, wp.vec3(disc[0], disc[1], disc[2]))
+                if wp.abs(height) > 1.001 * depth or square - height * height > disc[3]:
+                    continue
+                face = sorted_faces[place]
+                pair = examine_pair(
+                    environment, vertex, face, thickness, margin, depth, tolerance,
+                    rebuild_s, faces, rest, positions, velocities,
+                    old_sides, old_distances, old_counts,
+                )  # fmt: skip
+                if pair.side != 0:
+                    found = insert_pair(
+                        environment, vertex, found, pair.side * (face + 1), pair.distance,
+                        sides, distances, overflows,
+                    )  # fmt: skip
     counts[environment, vertex] = found
 
 

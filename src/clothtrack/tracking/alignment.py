@@ -6,85 +6,21 @@ to the visible vertices plus a rigidity that carries hidden vertices along. Two 
 visible vertices look for the cloud as well, and edges keep the rest length of the first mesh.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float
 
-from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table
 from clothtrack.tracking import alignment_kernels as kernels
+from clothtrack.tracking.alignment_config import AlignmentConfig
+from clothtrack.tracking.alignment_solvers import Problem, solve_adam, solve_icp
 from clothtrack.tracking.nearest import Matcher
 
-_REBUILD_AT = frozenset((2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768))
-
-
-@dataclass(frozen=True)
-class AlignmentConfig:
-    """The objective and how it is minimised. Every term is a mean of squares [m^2].
-
-    Attributes:
-        solver: "adam" follows the paper; "icp" (fixed matches, Gauss-Newton, conjugate gradients)
-            is several times faster and ends a few percent higher.
-        iterations: steps of Adam (the paper: 200).
-        step_m: step of Adam [m].
-        chamfer_weight: cloud point to nearest visible vertex (the paper: 1).
-        rigidity_weight: difference of the displacements along edges (the paper: 10).
-        two_way_weight: trusted visible vertex to nearest cloud point; 0 is the paper.
-        two_way_range_m: only vertices whose nearest cloud point is that far away count [m]: nearer
-            is the cloud's spacing, farther is what the camera missed.
-        length_weight: stretch of edges against the first mesh; 0 is the paper.
-        table_weight: depth under the resting height (the reference implementation: 10).
-        vertical_weight: factor of the vertical part of squared residuals against the cloud; below
-            1 while the thickness of the layers is not known.
-        neighbours_every: renew the neighbours every so many iterations.
-        icp_outer: how often the icp solver renews matches and linearisation.
-        icp_inner: conjugate gradient steps in between.
-        icp_momentum: part of the last outer step that is added to the next.
-    """
-
-    solver: Literal["adam", "icp"] = "adam"
-    iterations: int = 200
-    step_m: float = 1e-3
-    chamfer_weight: float = 1.0
-    rigidity_weight: float = 10.0
-    two_way_weight: float = 1.0
-    two_way_range_m: tuple[float, float] = (0.004, 0.03)
-    length_weight: float = 300.0
-    table_weight: float = 10.0
-    vertical_weight: float = 1.0
-    neighbours_every: int = 1
-    icp_outer: int = 8
-    icp_inner: int = 12
-    icp_momentum: float = 0.8
-
-    def __post_init__(self) -> None:
-        """Refuse values that cannot be meant.
-
-        Raises:
-            InvalidConfigError: with the field, its value and the limit.
-        """
-        if self.solver not in ("adam", "icp"):
-            raise InvalidConfigError(f"alignment solver is {self.solver!r}; use 'adam' or 'icp'")
-        for name in ("iterations", "neighbours_every", "icp_outer", "icp_inner"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
-        for name in ("chamfer", "rigidity", "two_way", "length", "table", "vertical"):
-            value = getattr(self, f"{name}_weight")
-            if not (np.isfinite(value) and value >= 0):
-                raise InvalidConfigError(f"{name}_weight is {value}; it must be 0 or more")
-        if not self.step_m > 0:
-            raise InvalidConfigError(f"step_m is {self.step_m}; it must be positive [m]")
-        low, high = self.two_way_range_m
-        if not 0 <= low < high < np.inf:
-            raise InvalidConfigError(
-                f"two_way_range_m is {self.two_way_range_m}; it must be (low, high) in metres with "
-                "0 <= low < high"
-            )
+__all__ = ["Aligner", "Alignment", "AlignmentConfig"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +97,7 @@ class Aligner:
             return self._nothing("not finite")
         problem = self._problem(positions, observation_points, visible, trusted)
         problem.weights = self._weights(problem, table, rest_height_m)
-        solve = _solve_adam if self._config.solver == "adam" else _solve_icp
+        solve = solve_adam if self._config.solver == "adam" else solve_icp
         corrections, sums = solve(problem, self._config)
         if not np.isfinite(corrections).all():
             return self._nothing("not finite")
@@ -213,7 +149,7 @@ class Aligner:
         points: np.ndarray,
         visible: np.ndarray,
         trusted: np.ndarray | None,
-    ) -> "_Problem":
+    ) -> Problem:
         trusted = visible if trusted is None else trusted & visible
         if self._config.two_way_weight == 0:
             trusted = np.zeros_like(visible)
@@ -230,9 +166,9 @@ class Aligner:
         matches = kernels.Matches()
         matches.cloud, matches.partner = cloud, matcher.partner
         matches.pulled_count, matches.pulled_sum = matcher.pulled_count, matcher.pulled_sum
-        return _Problem(centre, initial, matcher, matches, self._topology, len(points))
+        return Problem(centre, initial, matcher, matches, self._topology, len(points))
 
-    def _weights(self, problem: "_Problem", table: Table | None, rest_height_m: float) -> object:
+    def _weights(self, problem: Problem, table: Table | None, rest_height_m: float) -> object:
         config = self._config
         weights = kernels.Weights()
         weights.data = config.chamfer_weight / problem.point_count
@@ -258,151 +194,3 @@ class Aligner:
             "length": config.length_weight / self._edges * squares[:, kernels.LENGTH],
             "table": config.table_weight / self._vertices * squares[:, kernels.TABLE],
         }
-
-
-@dataclass(eq=False)
-class _Problem:
-    """One alignment on the device."""
-
-    centre: np.ndarray
-    initial: wp.array
-    matcher: Matcher
-    matches: object
-    topology: object
-    point_count: int
-    weights: object = None
-
-    def vectors(self) -> wp.array:
-        """A vector per vertex, zero."""
-        return wp.zeros(len(self.initial), dtype=wp.vec3, device=self.initial.device)
-
-    def sums(self, rows: int) -> wp.array:
-        """Room for the sums of so many evaluations."""
-        return wp.zeros((rows, 6), dtype=wp.int64, device=self.initial.device)
-
-    @property
-    def objective(self) -> list[object]:
-        """What every kernel that looks at the objective takes first."""
-        return [self.topology, self.matches, self.weights, self.matcher.progress]
-
-    def measure(self, positions: wp.array, displacements: wp.array, sums: wp.array) -> wp.array:
-        """Match and record the objective; its gradient [m^2 per m]."""
-        self.matcher.launch(positions, sums)
-        gradient = self.vectors()
-        wp.launch(
-            kernels.measure,
-            dim=len(positions),
-            inputs=[*self.objective, positions, displacements, sums, gradient],
-            device=positions.device,
-        )
-        return gradient
-
-
-def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]:
-    """Record launches as a graph, so that repeating them costs next to nothing in Python."""
-    with wp.ScopedCapture(device=device) as capture:
-        work()
-    return lambda: wp.capture_launch(capture.graph)
-
-
-def _solve_adam(problem: _Problem, config: AlignmentConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Adam with matches renewed in every iteration: displacement [m] and sums per evaluation."""
-    initial, matcher = problem.initial, problem.matcher
-    moments = problem.vectors(), problem.vectors()
-    strip = 64 if initial.device.is_cpu else 1
-    sums = problem.sums(config.iterations + 1)
-    here = wp.clone(initial), problem.vectors()
-    there = wp.clone(initial), problem.vectors()
-
-    def iterate(source: tuple[wp.array, wp.array], target: tuple[wp.array, wp.array]) -> None:
-        matcher.launch(source[0], sums)
-        wp.launch(
-            kernels.step_adam,
-            dim=-(-len(initial) // strip),
-            inputs=[
-                *problem.objective, config.step_m, matcher.searched, matcher.grid.recorded,
-                initial, *source, sums, *moments, *target, strip,
-            ],
-            device=initial.device,
-        )  # fmt: skip
-
-    def iterate_twice() -> None:
-        iterate(here, there)
-        iterate(there, here)
-
-    # Kernels must be loaded before a capture; the first two iterations do that.
-    repeat = None
-    for iteration in range(0, config.iterations - 1, 2):
-        if iteration in _REBUILD_AT:
-            matcher.rebuild(here[0])
-        if repeat is None:
-            iterate_twice()
-            repeat = _captured(iterate_twice, initial.device)
-        else:
-            repeat()
-    if config.iterations % 2:
-        iterate(here, there)
-        here = there
-    problem.measure(*here, sums)
-    return here[1].numpy(), sums.numpy()
-
-
-def _solve_icp(problem: _Problem, config: AlignmentConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Matches fixed, stretch linearised, conjugate gradients; then again."""
-    initial, matcher = problem.initial, problem.matcher
-    device = initial.device
-    positions, displacements = wp.clone(initial), problem.vectors()
-    sums = problem.sums(config.icp_outer + 1)
-    conjugate, strips = _conjugate(problem)
-    solved = problem.vectors()
-
-    def descend() -> None:
-        inputs = [problem.topology, problem.weights, conjugate]
-        wp.launch(kernels.multiply, dim=strips, inputs=inputs, device=device)
-        wp.launch(kernels.descend, dim=strips, inputs=[conjugate], device=device)
-        wp.launch(kernels.turn, dim=strips, inputs=[conjugate], device=device)
-
-    repeat = None
-    for outer in range(config.icp_outer):
-        if outer in _REBUILD_AT:
-            matcher.rebuild(positions)
-        matcher.launch(positions, sums)
-        wp.launch(
-            kernels.linearise,
-            dim=strips,
-            inputs=[*problem.objective, positions, displacements, sums, conjugate],
-            device=device,
-        )
-        for step in range(config.icp_inner):
-            if repeat is None and step == 1:
-                repeat = _captured(descend, device)
-            (repeat or descend)()
-        last = outer == config.icp_outer - 1
-        wp.launch(
-            kernels.apply_solution,
-            dim=len(initial),
-            inputs=[
-                problem.weights, matcher.progress, sums, 0.0 if last else config.icp_momentum,
-                matcher.searched, matcher.grid.recorded, initial, conjugate,
-                solved, positions, displacements,
-            ],
-            device=device,
-        )  # fmt: skip
-    problem.measure(positions, displacements, sums)
-    return displacements.numpy(), sums.numpy()
-
-
-def _conjugate(problem: _Problem) -> tuple[object, int]:
-    device, vertices = problem.initial.device, len(problem.initial)
-    conjugate = kernels.Conjugate()
-    # Long strips waste nothing on one core; a GPU needs many threads.
-    conjugate.strip = 64 if device is None or device.is_cpu else 8
-    strips = -(-vertices // conjugate.strip)
-    edges = len(problem.topology.neighbour)
-    conjugate.unit = wp.zeros(edges, dtype=wp.vec3, device=device)
-    conjugate.below = wp.zeros(vertices, dtype=wp.bool, device=device)
-    for name in ("own", "inverse_diagonal", "solution", "residual", "direction", "product"):
-        setattr(conjugate, name, problem.vectors())
-    for name in ("residual_dots", "new_residual_dots", "curvature_dots"):
-        setattr(conjugate, name, wp.zeros(strips, dtype=wp.float64, device=device))
-    return conjugate, strips

@@ -40,8 +40,11 @@ class TrackerConfig:
             contacts, stretch and table win over the observation.
         attach_observed_only: attach only vertices that the sensor could have contradicted; the
             paper attaches every visible vertex.
-        minimum_observed: least share of vertices that must be seen, and least cloud points per
-            vertex, for a correction; below it the frame's prediction stands.
+        support_m: a vertex with a cloud point this near [m] counts as observed even where the
+            sensor could not have contradicted it.
+        cloud_reach_m: cloud points farther from every visible vertex [m] are not this cloth.
+        minimum_observed: least number of cloud points per vertex for a correction; below it the
+            frame's prediction stands.
         score_frames: frames of an action at which calibration compares clouds, evenly spaced and
             ending with the last; 1 in the paper.
         visibility_width: width [pixels] of the z-buffer that decides visibility.
@@ -61,10 +64,12 @@ class TrackerConfig:
     use_dynamics_initialisation: bool = True
     use_action: bool = True
     use_final_alignment: bool = True
-    attachment_strength: float = 0.7
+    attachment_strength: float = 0.99
     attach_observed_only: bool = True
-    minimum_observed: float = 0.02
-    score_frames: int = 1
+    support_m: float = 0.01
+    cloud_reach_m: float = 0.1
+    minimum_observed: float = 0.1
+    score_frames: int = 3
     visibility_width: int = 320
     visibility_tolerance_m: float = 0.003
     parameters: Mapping[str, float] = field(default_factory=_default_parameters)
@@ -73,7 +78,7 @@ class TrackerConfig:
     final_alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
     picking: PickingConfig = field(default_factory=PickingConfig)
-    dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
+    dynamics: DynamicsConfig = field(default_factory=lambda: DynamicsConfig(velocity_kept=0.0))
     solver: SolverConfig = field(default_factory=SolverConfig)
 
     def __post_init__(self) -> None:
@@ -97,6 +102,8 @@ class TrackerConfig:
 _PAPER = TrackerConfig(
     attachment_strength=1.0,
     attach_observed_only=False,
+    score_frames=1,
+    dynamics=DynamicsConfig(velocity_kept=1.0),
     alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),
     final_alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),
 )

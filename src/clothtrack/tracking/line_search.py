@@ -25,12 +25,15 @@ class LineSearchConfig:
         explosion_speed: a vertex faster than this [m/s] is an explosion, whatever the picker does.
         explosion_ratio: with a fast picker the threshold is this many times the picker's speed.
             The paper's threshold is not stated; 1 m/s was seen to give up on sound steps.
+        prediction_ratio: what the dynamics do by themselves is no explosion: the threshold is at
+            least this many times the prediction's highest speed.
     """
 
     decay: float = 0.7
     trials: int = 10
     explosion_speed: float = 3.0
     explosion_ratio: float = 15.0
+    prediction_ratio: float = 1.5
 
     def __post_init__(self) -> None:
         """Refuse a search that cannot end.
@@ -43,9 +46,15 @@ class LineSearchConfig:
         if self.trials < 1:
             raise InvalidConfigError(f"line search: trials is {self.trials}; at least 1 is needed")
 
-    def threshold(self, picker_speed: float) -> float:
-        """Speed [m/s] that counts as an explosion while the picker moves at `picker_speed`."""
-        return max(self.explosion_speed, self.explosion_ratio * picker_speed)
+    def threshold(self, picker_speed: float, predicted_speed: float) -> float:
+        """Speed [m/s] that counts as an explosion.
+
+        Args:
+            picker_speed: of the fastest picker in this frame [m/s].
+            predicted_speed: highest speed of a vertex without a pseudo-action [m/s].
+        """
+        own = self.prediction_ratio * predicted_speed if np.isfinite(predicted_speed) else 0.0
+        return max(self.explosion_speed, self.explosion_ratio * picker_speed, own)
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,7 +95,7 @@ class Matcher:
     ) -> None:
         device, vertices = positions.device, len(positions)
         self._device, self._every, self._vertical = device, every, vertical_weight
-        self._strip = 64 if device.is_cpu else 1
+        self._strip = 64 if wp.get_device(device).is_cpu else 1
         self._range, self._reach = range_m, 0.3 * spacing_m
         members, seekers = np.flatnonzero(visible), np.flatnonzero(trusted)
         seen, points = positions.numpy()[members], cloud.numpy()

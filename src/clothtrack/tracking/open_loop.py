@@ -105,6 +105,16 @@ class OpenLoopScore:
         return masked_chamfer(positions, self._visible(positions), observation)
 
 
+def within_reach(
+    points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], reach_m: float
+) -> Float[np.ndarray, "near_points 3"]:
+    """The points [m] that have a vertex within reach: what lies farther is not this cloth."""
+    if not len(points) or not len(vertices):
+        return points[:0]
+    distance = cKDTree(vertices).query(points, distance_upper_bound=reach_m)[0]
+    return points[np.isfinite(distance)]
+
+
 def masked_chamfer(
     positions: Float[np.ndarray, "vertices 3"], visible: np.ndarray, observation: Observation
 ) -> float:

@@ -47,6 +47,11 @@ class Grasp:
     vertices: Int[np.ndarray, " held"]
     offsets: Float[np.ndarray, "held 3"]
 
+    @property
+    def moves(self) -> bool:
+        """Whether the tip goes anywhere at all while it is closed."""
+        return bool(np.ptp(self.path.positions[self.path.closed], axis=0).max() > 1e-3)
+
     def way_points(
         self, start_s: float, end_s: float, offset: Float[np.ndarray, "*environments 3"]
     ) -> Float[np.ndarray, "*environments knots held 3"]:

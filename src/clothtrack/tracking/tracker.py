@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
@@ -25,7 +26,12 @@ from clothtrack.tracking.alignment import Aligner, Alignment
 from clothtrack.tracking.calibration import PARAMETERS, calibrate
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.line_search import LineSearchResult, search_line
-from clothtrack.tracking.open_loop import OpenLoopScore, cloth_parameters, grasp_offset
+from clothtrack.tracking.open_loop import (
+    OpenLoopScore,
+    cloth_parameters,
+    grasp_offset,
+    within_reach,
+)
 from clothtrack.tracking.picking import Grasp, find_grasps, held_motion, picker_speed
 from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedAction, TrackedTrajectory
 
@@ -189,7 +195,8 @@ class Tracker:
             return self._dynamics.roll_out(state, motion, duration_s, pseudo_action)
 
         search = self._config.line_search
-        return search_line(roll_with_correction, prediction, search.threshold(speed), search)
+        threshold = search.threshold(speed, float(prediction.highest_speed.max()))
+        return search_line(roll_with_correction, prediction, threshold, search)
 
     def _alignment(
         self, align: Aligner, positions: Float[np.ndarray, "vertices 3"], observation: Observation
@@ -200,19 +207,25 @@ class Tracker:
             The alignment, and the vertices that a pseudo-action may take hold of.
         """
         visible = self._visible(positions)
-        observed = visible & ~observation.silent(positions)
-        enough = self._config.minimum_observed * len(positions)
-        if observed.sum() < enough or len(observation.points) < enough:
+        points = within_reach(observation.points, positions[visible], self._config.cloud_reach_m)
+        if len(points) < self._config.minimum_observed * len(positions):
             return None
+        observed = visible & ~observation.silent(positions)
         alignment = align.align(
             positions,
-            observation.points,
+            points,
             visible,
             trusted=observed,
             table=self._recording.table,
-            rest_height_m=0.5 * self._solver_config.thickness_m,
+            rest_height_m=self._solver_config.resting_height_m,
         )
-        return alignment, observed if self._config.attach_observed_only else visible
+        if not self._config.attach_observed_only:
+            return alignment, visible
+        # Where silence means nothing, a vertex is still observed if it found points beside it.
+        found = cKDTree(points).query(
+            positions + alignment.corrections, distance_upper_bound=self._config.support_m
+        )[0]
+        return alignment, visible & (observed | np.isfinite(found))
 
     def _final_alignment(self, state: ClothState, frame: Frame) -> Alignment | None:
         """TTO2: the last word of the cloud on this action's mesh."""
@@ -232,12 +245,16 @@ class Tracker:
 
     def _calibrated(self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]):
         grasps = find_grasps(self._recording, action, state.positions[0], self._config.picking)
-        config = self._config.calibration
-        if not self._config.use_action:
+        config = self._config.calibration.with_grasp_offset(
+            self._recording.cloth.grasp_uncertainty_m
+        )
+        if not self._config.use_action or not any(grasp.moves for grasp in grasps):
+            # An open-loop roll-out in which nothing is moved says nothing about the cloth.
             config = replace(config, method="none")
         if self._open_loop is None and config.method != "none":
             self._open_loop = OpenLoopScore(
-                self._recording, self._mesh, self._solver_config, self._config,
+                self._recording, self._mesh, self._solver_config,
+                replace(self._config, calibration=config),
                 self._observe, self._visible, device=self._device,
             )  # fmt: skip
         score = None if self._open_loop is None else self._open_loop.of(state, action, grasps)

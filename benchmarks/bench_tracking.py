@@ -1,0 +1,169 @@
+"""How long a whole pick-and-place takes to track, and what takes it.
+
+A 42-step fold of a two-layer T-shirt (2.1 s at 20 Hz; see staged_fold.py) goes through the same
+`Tracker` as any recording: default mode, no calibration, clouds from the pictures on disk. CPU
+time of the process, median over repeats, split into predict (dynamics), observe (read, segment,
+thin), align (visibility and test-time optimisation), correct (dynamics with the correction) and the
+rest (first state, final alignment, visibility of the result). Run with `OMP_NUM_THREADS=1`.
+
+    python benchmarks/bench_tracking.py --json out/bench_tracking.json [--quick]
+    python benchmarks/bench_tracking.py --json FILE --profile     adds the dearest functions
+"""
+
+import argparse
+import cProfile
+import io
+import pstats
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from results import provenance, write_json
+from staged_fold import FILMED_VERTICES, FRAME_RATE, STEPS, shirt, staged
+
+from clothtrack.geometry.chamfer import one_way
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.tracking.calibration import CalibrationConfig
+from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.tracking.tracker import Tracker
+
+RECORDED_S = STEPS / FRAME_RATE
+SOLVERS = ("adam", "icp")
+
+
+class TimedEyes:
+    """Observes frames and adds up the CPU time that it takes [s]."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._seen: dict[int, Observation] = {}
+        self.spent_s = 0.0
+
+    def __call__(self, frame: Frame) -> Observation:
+        """The cloud of a frame; the last one is kept, as the pipeline does."""
+        if frame.index not in self._seen:
+            start = time.process_time()
+            self._seen = {frame.index: observe(self._recording, frame)}
+            self.spent_s += time.process_time() - start
+        return self._seen[frame.index]
+
+
+def configured(solver: str) -> TrackerConfig:
+    """The default mode without calibration, aligned with one solver."""
+    config = mode("default")
+    return replace(
+        config,
+        calibration=CalibrationConfig(method="none"),
+        alignment=replace(config.alignment, solver=solver),
+        final_alignment=replace(config.final_alignment, solver=solver),
+    )
+
+
+def tracked(
+    recording: Recording, mesh: ClothMesh, solver: str
+) -> tuple[dict[str, float], TrackedTrajectory]:
+    """CPU seconds by part, and the result, of one recording tracked once."""
+    eyes = TimedEyes(recording)
+    start = time.process_time()
+    tracker = Tracker(recording, mesh, configured(solver), eyes)
+    built = time.process_time()
+    result = tracker.track()
+    total = time.process_time() - built
+    steps = result.steps
+    parts = {name: float(np.nansum(getattr(steps, f"{name}_s"))) for name in ("predict", "correct")}
+    # The last frame is observed once more only by name: the cloud is kept.
+    parts["observe"] = eyes.spent_s
+    parts["align"] = float(np.nansum(steps.align_s)) - eyes.spent_s
+    parts["rest"] = total - sum(parts.values())
+    return {"total": total, "construction": built - start, **parts}, result
+
+
+def case(recording: Recording, vertex_count: int, solver: str, repeats: int) -> dict[str, object]:
+    """One row: medians over the repeats, after a run that compiles and fills the caches."""
+    mesh = shirt(vertex_count)
+    tracked(recording, mesh, solver)
+    runs, result = [], None
+    for _ in range(repeats):
+        seconds, result = tracked(recording, mesh, solver)
+        runs.append(seconds)
+    assert result is not None
+    cloud = observe(recording, recording.frames[-1]).points
+    seen = result.positions[-1][result.visible[-1]].astype(np.float64)
+    return {
+        "vertices": mesh.vertex_count,
+        "spacing_mm": 1e3 * float(np.median(mesh.edge_lengths)),
+        "solver": solver,
+        "seconds": {name: float(np.median([run[name] for run in runs])) for name in runs[0]},
+        "times_recording": float(np.median([run["total"] for run in runs])) / RECORDED_S,
+        "trials": int(result.steps.trials.sum()),
+        "gave_up": int(result.steps.gave_up.sum()),
+        "last_cloud_rms_mm": 1e3 * float(np.sqrt(one_way(cloud, seen))),
+    }
+
+
+def profiled(recording: Recording, vertex_count: int, solver: str) -> str:
+    """The functions that take most of their own time."""
+    mesh = shirt(vertex_count)
+    tracked(recording, mesh, solver)
+    profile = cProfile.Profile(time.process_time)
+    profile.enable()
+    tracked(recording, mesh, solver)
+    profile.disable()
+    text = io.StringIO()
+    pstats.Stats(profile, stream=text).strip_dirs().sort_stats("tottime").print_stats(25)
+    return text.getvalue()
+
+
+def table(rows: list[dict]) -> str:
+    """The rows as text."""
+    names = list(rows[0]["seconds"])
+    lines = [f"{'vertices':>8} {'solver':>6} " + " ".join(f"{name:>12}" for name in names)]
+    for row in rows:
+        cells = " ".join(f"{row['seconds'][name]:12.3f}" for name in names)
+        note = f"{row['times_recording']:.2f} of the recording, {row['trials']} roll-outs"
+        lines.append(f"{row['vertices']:8d} {row['solver']:>6} {cells}  {note}")
+    lines.append(f"CPU seconds for {STEPS} steps; the recording lasts {RECORDED_S:.1f} s")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Film, track at every size with both solvers, write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, required=True, help="where the result goes")
+    parser.add_argument("--quick", action="store_true", help="1,000 vertices, once")
+    parser.add_argument("--profile", action="store_true", help="add the dearest functions")
+    options = parser.parse_args()
+    quiet_warp()
+    counts, repeats = ([1000], 1) if options.quick else ([1000, 4000], 3)
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="bench-tracking-") as folder:
+        recording = staged(Path(folder) / "fold")
+        for count in counts:
+            for solver in SOLVERS:
+                rows.append(case(recording, count, solver, repeats))
+                if options.profile:
+                    rows[-1]["profile"] = profiled(recording, count, solver)
+                    sys.stderr.write(rows[-1]["profile"])
+    write_json(
+        options.json,
+        {
+            "benchmark": "tracking",
+            "filmed_vertices": FILMED_VERTICES,
+            "recorded_s": RECORDED_S,
+            "repeats": repeats,
+            "rows": rows,
+            "provenance": provenance(),
+        },
+    )
+    sys.stdout.write(table(rows))
+
+
+if __name__ == "__main__":
+    main()

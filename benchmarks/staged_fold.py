@@ -1,0 +1,97 @@
+"""A recording to measure on: one sleeve of a two-layer T-shirt is folded over, 43 frames at 20 Hz.
+
+The cloth that is filmed is our own solver's at another triangulation (about 1,500 vertices) than
+any that tracks it; the camera is the stand-in world's, with its noise and the tool in the way.
+Everything is written to disk and read back, so that reading, segmenting and thinning count too.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import ClothDescription, PickerPath, Recording, Table
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion
+from clothtrack.simulation.garments import garment
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.world.appearance import Appearance
+from clothtrack.world.scene import Scene
+from clothtrack.world.sensor import Sensor, SensorConfig, top_down_camera
+from clothtrack.world.tool import Tool
+
+SIZE_M = (0.30, 0.27)
+"""Cuff to cuff and hem to shoulder: about 1,000 vertices at 10 mm, 4,000 at 5 mm."""
+
+FRAME_RATE = 20.0
+STEPS = 42
+CARRIED_STEPS = 32
+WAY_M = np.array([-0.13, -0.03, 0.004])
+LIFT_M = 0.07
+FILMED_VERTICES = 1500
+PICKER = "gripper"
+TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+FILMED = ClothParameters(bend_compliance=2.0, table_friction=0.6, particle_friction=0.4)
+
+
+def shirt(vertex_count: int, *, seed: int = 0) -> ClothMesh:
+    """The T-shirt with about so many vertices, lying on the table."""
+    flat = garment("tshirt", vertex_count=vertex_count, size_m=SIZE_M, seed=seed)
+    return flat.with_vertices(flat.vertices + (0.0, 0.0, 0.002 - flat.vertices[:, 2].min()))
+
+
+def staged(folder: Path) -> Recording:
+    """Film the fold into a folder that does not exist yet, and read it."""
+    mesh = shirt(FILMED_VERTICES, seed=3)
+    held = int(np.argmax(mesh.vertices @ (1.0, -0.3, 0.5)))
+    tips = _tips(mesh.vertices[held])
+    shapes = _motion(mesh, held, tips)
+    rng = np.random.default_rng(0)
+    config = SensorConfig()
+    camera = top_down_camera(config, rng)
+    scene = Scene(mesh, Tool(), camera)
+    look = replace(Appearance.sample(rng), cloth="blue")
+    sensor = Sensor(scene, config, look, seed=1)
+    times = np.arange(STEPS + 1) / FRAME_RATE
+    with RecordingWriter(
+        folder, [camera], {camera.name: config.step_m}, table=TABLE,
+        cloth=ClothDescription(kind="tshirt", color=look.cloth, size_m=SIZE_M),
+    ) as writer:  # fmt: skip
+        for time_s, shape, tip in zip(times, shapes, tips, strict=True):
+            picture = sensor.capture(shape, tip)
+            writer.add_frame(
+                float(time_s),
+                color={camera.name: picture.color},
+                depth={camera.name: picture.depth},
+            )
+        writer.add_action(0, STEPS, [PICKER])
+        writer.set_picker_path(
+            PICKER, PickerPath(times, tips, np.arange(len(tips)) < CARRIED_STEPS)
+        )
+    return read_recording(folder)
+
+
+def _tips(start: np.ndarray) -> np.ndarray:
+    """Where the tool is at each frame [m]: an arc, then straight up and away."""
+    share = np.linspace(0.0, 1.0, CARRIED_STEPS + 1)
+    eased = share**2 * (3.0 - 2.0 * share)
+    arc = start + eased[:, None] * WAY_M
+    arc[:, 2] += LIFT_M * (1.0 - (2.0 * eased - 1.0) ** 4)
+    away = np.arange(1, STEPS - CARRIED_STEPS + 1)[:, None] * (0.02, 0.03, 0.02)
+    return np.concatenate([arc, arc[-1] + away])
+
+
+def _motion(mesh: ClothMesh, held: int, tips: np.ndarray) -> list[np.ndarray]:
+    """The cloth's vertices at each frame [m]."""
+    solver = ClothSolver(mesh, SolverConfig(table=TABLE), parameters=FILMED)
+    dynamics = ClothDynamics(solver)
+    shapes = [solver.positions[0].astype(np.float64)]
+    for frame in range(STEPS):
+        motion = None
+        if frame < CARRIED_STEPS:
+            motion = HeldMotion(np.array([held], np.int32), tips[frame : frame + 2, None])
+        rolled = dynamics.roll_out(None, motion, 1.0 / FRAME_RATE)
+        shapes.append(rolled.positions[0].astype(np.float64))
+    return shapes
