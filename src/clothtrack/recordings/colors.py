@@ -6,6 +6,7 @@ plain one, and asking costs one look-up per pixel.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 
 import cv2
@@ -75,6 +76,7 @@ NAMED_COLORS: Mapping[str, tuple[ColorRange, ...]] = MappingProxyType(
 )
 
 
+@lru_cache
 def named_set(name: str) -> UInt8[np.ndarray, "32 32 32"]:
     """Set of the colours with a name: `CORE` inside its range, `LOOSE` near it."""
     levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
@@ -86,6 +88,7 @@ def named_set(name: str) -> UInt8[np.ndarray, "32 32 32"]:
         members[chosen.widened().contains(hsv) & (members == NO)] = LOOSE
     for chosen in ranges:
         members[chosen.contains(hsv)] = CORE
+    members.setflags(write=False)
     return members
 
 

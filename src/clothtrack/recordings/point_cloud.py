@@ -24,6 +24,7 @@ from clothtrack.recordings.segmentation import (
 
 CUT_MARGIN_M = 0.012
 TOOL_HEIGHT_M = 0.015
+LEAST_JUMP_M = 0.004
 _COLOR_BLIND = (HeightSegmenter, MaskFolder)
 _HALF_NEIGHBOURS = [
     (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
@@ -146,18 +147,17 @@ def flying_pixels(
     Steep is more than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of
     noise. A pixel on the rim of a surface has a jump on one side only, and stays.
     """
-    steep = (6.0 / focal_px) * depth_m + 0.004
     flying = np.zeros(depth_m.shape, dtype=bool)
     for axis in (0, 1):
-        ahead, behind, middle = (
-            _along(axis, slice(2, None)), _along(axis, slice(None, -2)), _along(axis, slice(1, -1))
-        )  # fmt: skip
-        step_in = depth_m[middle] - depth_m[behind]
-        step_out = depth_m[ahead] - depth_m[middle]
-        limit = steep[middle]
-        climbs = (step_in > limit) & (step_out > limit) & (depth_m[behind] > 0)
-        falls = (step_in < -limit) & (step_out < -limit) & (depth_m[ahead] > 0)
-        flying[middle] |= climbs | falls
+        behind, middle, ahead = _along(axis, 0, -2), _along(axis, 1, -1), _along(axis, 2, None)
+        # Few pixels jump at all: only they are looked at closely.
+        jumps = np.abs(np.diff(depth_m, axis=axis)) > LEAST_JUMP_M
+        chosen = np.nonzero(jumps[_along(axis, 0, -1)] & jumps[_along(axis, 1, None)])
+        back, here, front = (depth_m[part][chosen] for part in (behind, middle, ahead))
+        limit = (6.0 / focal_px) * here + LEAST_JUMP_M
+        climbs = (here - back > limit) & (front - here > limit) & (back > 0)
+        falls = (here - back < -limit) & (front - here < -limit) & (front > 0)
+        flying[middle][chosen] |= climbs | falls
     return flying
 
 
@@ -260,5 +260,6 @@ def _in_clear_view(
     return inside
 
 
-def _along(axis: int, part: slice) -> tuple[slice, slice]:
+def _along(axis: int, start: int, stop: int | None) -> tuple[slice, slice]:
+    part = slice(start, stop)
     return (part, slice(None)) if axis == 0 else (slice(None), part)

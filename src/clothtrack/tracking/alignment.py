@@ -17,7 +17,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table
 from clothtrack.tracking import alignment_kernels as kernels
 from clothtrack.tracking.alignment_config import AlignmentConfig
-from clothtrack.tracking.alignment_solvers import Problem, solve_adam, solve_icp
+from clothtrack.tracking.alignment_solvers import Problem, load_kernels, solve_adam, solve_icp
 from clothtrack.tracking.nearest import Matcher
 
 __all__ = ["Aligner", "Alignment", "AlignmentConfig"]
@@ -54,6 +54,7 @@ class Aligner:
 
     def __init__(self, mesh: ClothMesh, config: AlignmentConfig, *, device: str = "cpu") -> None:
         self._config, self._device = config, device
+        load_kernels(device)
         self._vertices, self._edges = mesh.vertex_count, len(mesh.edges)
         self._spacing_m = float(mesh.edge_lengths.mean())
         ends = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])

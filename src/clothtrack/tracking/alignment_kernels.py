@@ -332,10 +332,9 @@ def linearise(
 
 
 @no_type_check
-@wp.kernel(enable_backward=False)
-def multiply(topology: Topology, weights: Weights, conjugate: Conjugate):
+@wp.func
+def multiply_strip(strip: wp.int32, topology: Topology, weights: Weights, conjugate: Conjugate):
     """Matrix times search direction, and the direction's curvature."""
-    strip = wp.tid()
     conjugate.residual_dots[strip] = conjugate.new_residual_dots[strip]
     dots = wp.float64(0.0)
     end = wp.min((strip + 1) * conjugate.strip, conjugate.solution.shape[0])
@@ -354,20 +353,19 @@ def multiply(topology: Topology, weights: Weights, conjugate: Conjugate):
                 along = weights.length * wp.dot(unit, difference)
                 product += weights.rigidity * difference + along * unit
         else:
-            differences = wp.vec3()
+            around = wp.vec3()
             for place in range(first, last):
-                differences += here - conjugate.direction[topology.neighbour[place]]
-            product += weights.rigidity * differences
+                around += conjugate.direction[topology.neighbour[place]]
+            product += weights.rigidity * (float(last - first) * here - around)
         conjugate.product[vertex] = product
         dots += wp.float64(wp.dot(here, product))
     conjugate.curvature_dots[strip] = dots
 
 
 @no_type_check
-@wp.kernel(enable_backward=False)
-def descend(conjugate: Conjugate):
+@wp.func
+def descend_strip(strip: wp.int32, conjugate: Conjugate):
     """Go to the minimum along the search direction."""
-    strip = wp.tid()
     residual_dot = _sum(conjugate.residual_dots)
     curvature = _sum(conjugate.curvature_dots)
     length = float(0.0)
@@ -385,10 +383,9 @@ def descend(conjugate: Conjugate):
 
 
 @no_type_check
-@wp.kernel(enable_backward=False)
-def turn(conjugate: Conjugate):
+@wp.func
+def turn_strip(strip: wp.int32, conjugate: Conjugate):
     """Make the next search direction conjugate to the last."""
-    strip = wp.tid()
     before = _sum(conjugate.residual_dots)
     now = _sum(conjugate.new_residual_dots)
     factor = float(0.0)
@@ -398,6 +395,38 @@ def turn(conjugate: Conjugate):
     for vertex in range(strip * conjugate.strip, end):
         preconditioned = wp.cw_mul(conjugate.inverse_diagonal[vertex], conjugate.residual[vertex])
         conjugate.direction[vertex] = preconditioned + factor * conjugate.direction[vertex]
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def multiply(topology: Topology, weights: Weights, conjugate: Conjugate):
+    """`multiply_strip`, a thread per strip."""
+    multiply_strip(wp.tid(), topology, weights, conjugate)
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def descend(conjugate: Conjugate):
+    """`descend_strip`, a thread per strip."""
+    descend_strip(wp.tid(), conjugate)
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def turn(conjugate: Conjugate):
+    """`turn_strip`, a thread per strip."""
+    turn_strip(wp.tid(), conjugate)
+
+
+@no_type_check
+@wp.kernel(enable_backward=False)
+def solve_alone(topology: Topology, weights: Weights, conjugate: Conjugate, steps: wp.int32):
+    """All steps by one thread, for a CPU, where a launch costs more than it would save."""
+    for step in range(steps):
+        multiply_strip(0, topology, weights, conjugate)
+        descend_strip(0, conjugate)
+        if step < steps - 1:
+            turn_strip(0, conjugate)
 
 
 @no_type_check
@@ -420,6 +449,7 @@ def apply_solution(
     progress: Progress,
     sums: wp.array2d(dtype=wp.int64),
     momentum: wp.float32,
+    last_row: wp.int32,
     searched: wp.array(dtype=wp.bool),
     recorded: wp.array(dtype=wp.vec3),
     initial: wp.array(dtype=wp.vec3),
@@ -433,17 +463,25 @@ def apply_solution(
     Not if the objective has risen: the way on is then no longer the way down (B. O'Donoghue and
     E. Candes, "Adaptive restart for accelerated gradient schemes", doi:10.1007/s10208-013-9150-3).
     """
-    vertex = wp.tid()
     row = progress.iteration[0]
     ahead = momentum
-    if row > 0 and _objective(weights, sums, row) > _objective(weights, sums, row - 1):
+    if row == last_row:
         ahead = 0.0
-    solution = displacements[vertex] + conjugate.solution[vertex]
-    displacement = solution + ahead * (solution - solved[vertex])
-    solved[vertex] = solution
-    position = initial[vertex] + displacement
-    if searched[vertex]:
-        wp.atomic_max(progress.step, 0, wp.length(position - positions[vertex]))
-        wp.atomic_max(progress.next_stale, 0, wp.length(position - recorded[vertex]))
-    displacements[vertex] = displacement
-    positions[vertex] = position
+    elif row > 0 and _objective(weights, sums, row) > _objective(weights, sums, row - 1):
+        ahead = 0.0
+    longest = float(0.0)
+    stale = float(0.0)
+    strip = wp.tid()
+    end = wp.min((strip + 1) * conjugate.strip, positions.shape[0])
+    for vertex in range(strip * conjugate.strip, end):
+        solution = displacements[vertex] + conjugate.solution[vertex]
+        displacement = solution + ahead * (solution - solved[vertex])
+        solved[vertex] = solution
+        position = initial[vertex] + displacement
+        if searched[vertex]:
+            longest = wp.max(longest, wp.length(position - positions[vertex]))
+            stale = wp.max(stale, wp.length(position - recorded[vertex]))
+        displacements[vertex] = displacement
+        positions[vertex] = position
+    wp.atomic_max(progress.step, 0, longest)
+    wp.atomic_max(progress.next_stale, 0, stale)

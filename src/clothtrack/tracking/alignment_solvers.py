@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from clothtrack.tracking import alignment_kernels as kernels
+from clothtrack.tracking import nearest_kernels
 from clothtrack.tracking.alignment_config import AlignmentConfig
 from clothtrack.tracking.nearest import Matcher
 
@@ -51,8 +52,17 @@ class Problem:
         return gradient
 
 
+def load_kernels(device: str) -> None:
+    """Load what a capture needs; a capture on CUDA cannot."""
+    wp.load_module(kernels, device=device)
+    wp.load_module(nearest_kernels, device=device)
+
+
 def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]:
-    """Record launches as a graph, so that repeating them costs next to nothing in Python."""
+    """Record launches as a graph, so that repeating them costs next to nothing in Python.
+
+    Their kernels must have been loaded (`load_kernels`).
+    """
     with wp.ScopedCapture(device=device) as capture:
         work()
     return lambda: wp.capture_launch(capture.graph)
@@ -83,16 +93,11 @@ def solve_adam(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, n
         iterate(here, there)
         iterate(there, here)
 
-    # Kernels must be loaded before a capture; the first two iterations do that.
-    repeat = None
+    repeat = _captured(iterate_twice, initial.device) if config.iterations > 1 else iterate_twice
     for iteration in range(0, config.iterations - 1, 2):
         if iteration in _REBUILD_AT:
             matcher.rebuild(here[0])
-        if repeat is None:
-            iterate_twice()
-            repeat = _captured(iterate_twice, initial.device)
-        else:
-            repeat()
+        repeat()
     if config.iterations % 2:
         iterate(here, there)
         here = there
@@ -109,16 +114,9 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
     conjugate, strips = _conjugate(problem)
     solved = problem.vectors()
 
-    def descend() -> None:
-        inputs = [problem.topology, problem.weights, conjugate]
-        wp.launch(kernels.multiply, dim=strips, inputs=inputs, device=device)
-        wp.launch(kernels.descend, dim=strips, inputs=[conjugate], device=device)
-        wp.launch(kernels.turn, dim=strips, inputs=[conjugate], device=device)
+    system = [problem.topology, problem.weights, conjugate]
 
-    repeat = None
-    for outer in range(config.icp_outer):
-        if outer in _REBUILD_AT:
-            matcher.rebuild(positions)
+    def step() -> None:
         matcher.launch(positions, sums)
         wp.launch(
             kernels.linearise,
@@ -126,21 +124,30 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
             inputs=[*problem.objective, positions, displacements, sums, conjugate],
             device=device,
         )
-        for step in range(config.icp_inner):
-            if repeat is None and step == 1:
-                repeat = _captured(descend, device)
-            (repeat or descend)()
-        last = outer == config.icp_outer - 1
+        if device.is_cpu:
+            inputs = [*system, config.icp_inner]
+            wp.launch(kernels.solve_alone, dim=1, inputs=inputs, device=device)
+        else:
+            for _ in range(config.icp_inner):
+                wp.launch(kernels.multiply, dim=strips, inputs=system, device=device)
+                wp.launch(kernels.descend, dim=strips, inputs=[conjugate], device=device)
+                wp.launch(kernels.turn, dim=strips, inputs=[conjugate], device=device)
         wp.launch(
             kernels.apply_solution,
-            dim=len(initial),
+            dim=strips,
             inputs=[
-                problem.weights, matcher.progress, sums, 0.0 if last else config.icp_momentum,
-                matcher.searched, matcher.grid.recorded, initial, conjugate,
+                problem.weights, matcher.progress, sums, config.icp_momentum,
+                config.icp_outer - 1, matcher.searched, matcher.grid.recorded, initial, conjugate,
                 solved, positions, displacements,
             ],
             device=device,
         )  # fmt: skip
+
+    repeat = _captured(step, device)
+    for outer in range(config.icp_outer):
+        if outer in _REBUILD_AT:
+            matcher.rebuild(positions)
+        repeat()
     problem.measure(positions, displacements, sums)
     return displacements.numpy(), sums.numpy()
 
@@ -148,8 +155,8 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
 def _conjugate(problem: Problem) -> tuple[object, int]:
     device, vertices = problem.initial.device, len(problem.initial)
     conjugate = kernels.Conjugate()
-    # Long strips waste nothing on one core; a GPU needs many threads.
-    conjugate.strip = 64 if device is None or device.is_cpu else 8
+    # One strip is enough for one core; a GPU needs many threads.
+    conjugate.strip = vertices if device.is_cpu else 8
     strips = -(-vertices // conjugate.strip)
     edges = len(problem.topology.neighbour)
     conjugate.unit = wp.zeros(edges, dtype=wp.vec3, device=device)

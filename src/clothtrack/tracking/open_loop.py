@@ -30,7 +30,11 @@ def grasp_offset(values: Mapping[str, float]) -> Float[np.ndarray, " 3"]:
 
 
 class OpenLoopScore:
-    """Rolls batches of candidates through an action; the batch solver is built once."""
+    """Rolls batches of candidates through an action; the solvers are built once per width.
+
+    Environments do not influence each other, so the width of a batch changes no score. A GPU rolls
+    a wide batch in the time of a narrow one and keeps one solver; a CPU pays for every environment.
+    """
 
     def __init__(  # noqa: PLR0917
         self,
@@ -43,13 +47,13 @@ class OpenLoopScore:
         *,
         device: str = "cpu",
     ) -> None:
-        """Build a solver as wide as the largest batch."""
+        """Take what all roll-outs share; solvers are built when they are first needed."""
         widest = max(len(values) for values in config.calibration.axes.values())
         if config.calibration.method != "descent":
             widest = min(config.calibration.batch, config.calibration.size)
-        self._environments = widest
-        solver = ClothSolver(mesh, solver_config, environments=widest, device=device)
-        self._dynamics = ClothDynamics(solver, config.dynamics)
+        self._widest, self._device = widest, device
+        self._mesh, self._solver_config, self._config = mesh, solver_config, config.dynamics
+        self._dynamics: dict[int, ClothDynamics] = {}
         self._recording, self._observe, self._visible = recording, observe, visible
         self._score_frames = config.score_frames
 
@@ -61,8 +65,8 @@ class OpenLoopScore:
                 1, round(share * (action.last_frame - action.first_frame))
             )
             parts = [
-                self._roll(candidates[i : i + self._environments], state, action, last, grasps)
-                for i in range(0, len(candidates), self._environments)
+                self._roll(candidates[i : i + self._widest], state, action, last, grasps)
+                for i in range(0, len(candidates), self._widest)
             ]
             return np.concatenate(parts)
 
@@ -77,9 +81,10 @@ class OpenLoopScore:
         grasps: tuple[Grasp, ...],
     ) -> Float[np.ndarray, " candidates"]:
         count = len(candidates)
-        rows = candidates[np.minimum(np.arange(self._environments), count - 1)]
+        dynamics = self._dynamics_of(count)
+        rows = candidates[np.minimum(np.arange(dynamics.solver.environments), count - 1)]
         values = [dict(zip(PARAMETERS, row.tolist(), strict=True)) for row in rows]
-        self._dynamics.solver.set_parameters([cloth_parameters(each) for each in values])
+        dynamics.solver.set_parameters([cloth_parameters(each) for each in values])
         offsets = np.stack([grasp_offset(each) for each in values])
         steps = max(1, (last_frame - action.first_frame) // self._score_frames)
         scored = range(last_frame, action.first_frame, -steps)[: self._score_frames]
@@ -89,13 +94,23 @@ class OpenLoopScore:
         for frame in frames[action.first_frame + 1 : last_frame + 1]:
             start_s = frames[frame.index - 1].time_s
             motion = held_motion(grasps, start_s, frame.time_s, offsets)
-            rolled = self._dynamics.roll_out(
+            rolled = dynamics.roll_out(
                 state if rolled is None else None, motion, frame.time_s - start_s
             )
             if frame.index in scored:
                 observation = self._observe(frame)
                 total += [self._chamfer(each, observation) for each in rolled.positions[:count]]
         return total / len(scored)
+
+    def _dynamics_of(self, candidates: int) -> ClothDynamics:
+        """Dynamics with room for so many candidates."""
+        width = candidates if self._device == "cpu" else self._widest
+        if width not in self._dynamics:
+            solver = ClothSolver(
+                self._mesh, self._solver_config, environments=width, device=self._device
+            )
+            self._dynamics[width] = ClothDynamics(solver, self._config)
+        return self._dynamics[width]
 
     def _chamfer(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation

@@ -1,0 +1,122 @@
+"""What it costs to find a cloth's parameters, and how good the result is, by method.
+
+One action, the fold of a two-layer T-shirt of staged_fold.py: every method searches the same axes
+from the same start, with clouds from the pictures on disk. A roll-out counts by the share of the
+action that it runs. CPU time of one calibration, in which observing the scored frames is included.
+The score is the tracker's: two-way masked Chamfer distance [m^2] of the open-loop roll-out. The
+cloth that was filmed is another triangulation, so no candidate scores zero.
+
+    python benchmarks/bench_calibration.py --json out/bench_calibration.json [--quick]
+
+At 4,000 vertices, and with --quick, the axes have three values each (27 combinations instead of
+60). Run with `OMP_NUM_THREADS=1`.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from bench_tracking import TimedEyes
+from results import provenance, write_json
+from staged_fold import FILMED, TABLE, shirt, staged
+
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.recordings.recording import Recording
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.tracking.calibration import CalibrationConfig, calibrate
+from clothtrack.tracking.configuration import mode
+from clothtrack.tracking.open_loop import OpenLoopScore
+from clothtrack.tracking.picking import find_grasps
+
+METHODS = ("grid", "halving", "descent")
+SMALL_AXES: Mapping[str, tuple[float, ...]] = {
+    "bend_compliance": (0.1, 1.0, 10.0),
+    "table_friction": (0.2, 0.5, 1.0),
+    "particle_friction": (0.2, 0.5, 1.0),
+}
+
+
+def searched(
+    recording: Recording, vertex_count: int, method: str, axes: Mapping[str, tuple[float, ...]]
+) -> dict[str, object]:
+    """One row: one calibration of one action, kernels compiled before."""
+    mesh, base = shirt(vertex_count), mode("default")
+    config = replace(base, calibration=CalibrationConfig(method=method, axes=axes))
+    solver_config = replace(config.solver, table=TABLE)
+    state = ClothSolver(mesh, solver_config).save()
+    action = recording.actions[0]
+    grasps = find_grasps(recording, action, state.positions[0], config.picking)
+    cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
+    visible = VisibilityCheck(
+        mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m
+    )  # fmt: skip
+    start = time.process_time()
+    open_loop = OpenLoopScore(
+        recording, mesh, solver_config, config, TimedEyes(recording), visible
+    )  # fmt: skip
+    score = open_loop.of(state, action, grasps)
+    chosen, record = calibrate(score, dict(config.parameters), config.calibration)
+    return {
+        "vertices": mesh.vertex_count,
+        "method": method,
+        "combinations": config.calibration.size,
+        "roll_outs": record.roll_outs,
+        "seconds": time.process_time() - start,
+        "chamfer_m2": float(np.min(record.scores)),
+        "chosen": {name: chosen[name] for name in axes},
+    }
+
+
+def table(rows: list[dict]) -> str:
+    """The rows as text, costs and results beside those of the grid."""
+    grids = {row["vertices"]: row for row in rows if row["method"] == "grid"}
+    lines = []
+    for row in rows:
+        grid = grids[row["vertices"]]
+        values = " ".join(f"{name} {value:g}" for name, value in row["chosen"].items())
+        lines.append(
+            f"{row['vertices']:5d} vertices {row['method']:8} {row['roll_outs']:5.1f} roll-outs of "
+            f"{row['combinations']}  {row['seconds']:7.1f} s "
+            f"(x{grid['seconds'] / row['seconds']:4.1f})  {1e6 * row['chamfer_m2']:7.3f} mm^2 "
+            f"({100 * (row['chamfer_m2'] / grid['chamfer_m2'] - 1):+5.1f} %)  {values}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Film once, search with every method at every size, write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, required=True, help="where the result goes")
+    parser.add_argument("--quick", action="store_true", help="1,000 vertices, fewer combinations")
+    options = parser.parse_args()
+    quiet_warp()
+    full = CalibrationConfig().axes
+    sizes = {1000: SMALL_AXES} if options.quick else {1000: full, 4000: SMALL_AXES}
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="bench-calibration-") as folder:
+        recording = staged(Path(folder) / "fold")
+        for vertex_count, axes in sizes.items():
+            for method in METHODS:
+                rows.append(searched(recording, vertex_count, method, axes))
+                sys.stderr.write(table([*rows[-1:], *rows]).splitlines()[0] + "\n")
+    write_json(
+        options.json,
+        {
+            "benchmark": "calibration",
+            "filmed_with": vars(FILMED),
+            "axes": {str(size): axes for size, axes in sizes.items()},
+            "rows": rows,
+            "provenance": provenance(),
+        },
+    )
+    sys.stdout.write(table(rows))
+
+
+if __name__ == "__main__":
+    main()
