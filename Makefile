@@ -3,7 +3,7 @@
 #   make demo      install, track the shipped recording, name the report
 #   make test      install the test tools too, run the tests
 #   make check     lint, format, types, direction of imports
-#   make bench     speed of the cloth solver beside its peers, to out/bench_solver.json
+#   make bench     quick forms of all benchmarks, to out/bench_*.json (docs/benchmarks.md)
 #
 # PYTHON=python3.12 make demo    chooses the interpreter (3.11 or newer)
 
@@ -70,7 +70,9 @@ format: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed-bench
 	@mkdir -p out
-	$(BIN)/python benchmarks/bench_solver.py --json out/bench_solver.json
+	for name in solver alignment tracking calibration; do \
+	  $(BIN)/python benchmarks/bench_$$name.py --quick --json out/bench_$$name.json || exit 1; \
+	done
 
 clean:
 	rm -rf $(VENV) out .pytest_cache .ruff_cache

@@ -8,9 +8,7 @@ gap says by how much its final objective lies above the peer's (negative: below)
 """
 
 import argparse
-import json
 import logging
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from results import provenance, write_json
 from scipy.spatial import cKDTree
 
 from clothtrack.geometry.camera import Camera
@@ -170,11 +169,7 @@ def main() -> None:
                 row,
             )
             rows.append(row)
-    machine = {"processor": platform.processor(), "threads": 1, "python": platform.python_version()}
-    text = json.dumps({"benchmark": "alignment", "machine": machine, "rows": rows}, indent=2)
-    part = arguments.json.with_name(arguments.json.name + ".part")
-    part.write_text(text + "\n")
-    part.replace(arguments.json)
+    write_json(arguments.json, {"benchmark": "alignment", "rows": rows, "provenance": provenance()})
 
 
 if __name__ == "__main__":
