@@ -106,6 +106,16 @@ class TrackerConfig:
             raise InvalidConfigError(
                 f"attachment_strength is {self.attachment_strength}; it must be in (0, 1]"
             )
+        if not 0.0 < self.final_strength < 1.0:
+            raise InvalidConfigError(
+                f"final_strength is {self.final_strength}; it must be in (0, 1): the final roll is "
+                "soft, so that layers win over the observation"
+            )
+        if self.final_rounds < 1 or self.final_roll_s < 0.0:
+            raise InvalidConfigError(
+                f"final_rounds is {self.final_rounds} and final_roll_s {self.final_roll_s}; give at "
+                "least one round and 0 s (at once) or more"
+            )
         missing = [name for name in PARAMETERS if name not in self.parameters]
         unknown = [name for name in self.parameters if name not in PARAMETERS]
         if missing or unknown:

@@ -1,0 +1,43 @@
+"""Modes are values of one configuration, and contradictions are refused by name."""
+
+from dataclasses import replace
+
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("attachment_strength", 0.0),
+        ("attachment_strength", 1.5),
+        ("final_strength", 1.0),
+        ("final_rounds", 0),
+        ("final_roll_s", -0.1),
+        ("parameters", {"stretch_compliance": 0.0}),
+    ],
+)
+def test_contradictions_name_the_field(field: str, value: object) -> None:
+    with pytest.raises(InvalidConfigError, match=field):
+        replace(TrackerConfig(), **{field: value})
+
+
+def test_every_ablation_differs_from_the_paper_in_one_switch() -> None:
+    paper = vars(mode("full_held_paper"))
+    switches = {
+        "no_pseudo_action": {"use_pseudo_action"},
+        "no_dynamics_initialisation": {"use_dynamics_initialisation"},
+        "no_action_conditioning": {"use_action"},
+        "no_final_alignment": {"use_final_alignment"},
+        "open_loop": {"use_pseudo_action", "use_final_alignment"},
+    }
+    for name, expected in switches.items():
+        other = vars(MODES[name])
+        assert {key for key in paper if paper[key] != other[key]} == expected
+
+
+def test_an_unknown_mode_lists_the_known_ones() -> None:
+    with pytest.raises(InvalidConfigError, match="full_held_paper"):
+        mode("best")
