@@ -85,7 +85,7 @@ def raising(error):
         (InvalidRecordingError("recording.json: no frames"), 1, "recording.json: no frames"),
         (OSError(errno.ENOSPC, "No space left on device", "out/a.zarr"), 1, "out/a.zarr: the disk"),
         (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: no permission"),
-        (KeyboardInterrupt(), 130, "interrupted"),
+        (KeyboardInterrupt(), 1, "interrupted"),
     ],
 )
 def test_what_can_go_wrong_is_said_in_one_line(monkeypatch, capsys, error, code, told):
@@ -111,16 +111,3 @@ def test_every_mode_of_the_tracker_is_offered():
     from clothtrack.tracking.configuration import MODES
 
     assert set(cli.Mode.__args__) == set(MODES)
-
-
-def test_shipped_recordings_are_found_by_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(cli, "SHIPPED", tmp_path)
-    with pytest.raises(InvalidRecordingError, match="no recording comes"):
-        cli._shipped("")
-    for name in ("b_shirt", "a_towel"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "recording.json").write_text("{}")
-    assert cli._shipped("").name == "a_towel"
-    assert cli._shipped("b_shirt").name == "b_shirt"
-    with pytest.raises(InvalidRecordingError, match="there are a_towel, b_shirt"):
-        cli._shipped("c")

@@ -1,12 +1,13 @@
 """tshirt-pair-rgbd: one large step of a real T-shirt that two hands carry sideways.
 
 Two RGB-D frames, the shirt's mask in the first, and the true motion of its pixels between them,
-which only the scorer reads. The mesh is what the first frame shows: the front of the shirt.
+which only the scorer reads. The mesh is what the first frame shows: the front of the shirt. The
+camera was held by hand and looks down by 10 degrees; the wall behind tells where down is.
 """
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -24,14 +25,17 @@ from clothtrack.recordings.recording import ClothDescription, PickerPath
 from clothtrack.recordings.segmentation import ColorSegmenter, main_components
 from clothtrack.recordings.store import RecordingWriter
 from real.hanging_cloth import read_picture
-from real.upright import level_camera, upright
+from real.upright import level_camera
 
 NAME = "tshirt-pair-rgbd"
 CAMERA = "camera"
 FRAME_RATE_HZ = 30.0
 GRID_PIXELS = 4
 LONGEST_EDGE = 2.0
-GRIP_RADIUS_M = 0.015
+GRIP_RADIUS_M = 0.04
+"""Half the width of a fist [m]."""
+WALL_M = 0.02
+"""Thickness of what counts as one wall [m]: depth at 2 m is that coarse."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ def front_mesh(folder: Path) -> ClothMesh:
     One vertex every 4 pixels (about 9 mm); triangles with an edge twice as long as usual are cut,
     and the largest piece is kept.
     """
-    camera = level_camera(folder / "intrinsics.json", CAMERA)
+    camera = standing_camera(folder)
     first, _ = frame_numbers(folder)
     mask = _first_mask(folder)
     depth = np.where(mask, _depth(folder, first), 0.0)
@@ -103,13 +107,12 @@ def convert(folder: Path, output: Path, *, frames: int | None = None) -> Path:
         frames: ignored; there is nothing shorter than two frames.
     """
     del frames
-    camera = level_camera(folder / "intrinsics.json", CAMERA)
-    numbers, mesh = frame_numbers(folder), front_mesh(folder)
+    camera, numbers, mesh = standing_camera(folder), frame_numbers(folder), front_mesh(folder)
     times = np.array([0.0, (numbers[1] - numbers[0]) / FRAME_RATE_HZ])
     grips = json.loads((folder / "grips.json").read_text())
     paths = {
         f"hand{k}": PickerPath(
-            times, upright(np.array([g["start_m"], g["end_m"]])), np.ones(2, dtype=bool)
+            times, _to_world(camera, np.array([g["start_m"], g["end_m"]])), np.ones(2, dtype=bool)
         )
         for k, g in enumerate(grips)
     }
@@ -161,15 +164,57 @@ def true_motion(
     folder: Path,
 ) -> tuple[Float[np.ndarray, "pixels 3"], Float[np.ndarray, "pixels 3"]]:
     """Where the shirt's pixels are in the first frame and how far they move [m], world frame."""
-    camera = level_camera(folder / "intrinsics.json", CAMERA)
+    camera = standing_camera(folder)
     first, second = frame_numbers(folder)
     with np.load(folder / f"flow_{first:03d}_to_{second:03d}.npz") as stored:
         columns, rows = stored["u"].astype(int), stored["v"].astype(int)
-        motion = upright(stored["scene_flow_m"])
+        motion = _to_world(camera, stored["scene_flow_m"])
     z = _depth(folder, first)[rows, columns].astype(np.float64)
     local = [(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z]
     chosen = _first_mask(folder)[rows, columns] & (z > 0)
-    return upright(np.stack(local, axis=1))[chosen], motion[chosen]
+    return _to_world(camera, np.stack(local, axis=1))[chosen], motion[chosen]
+
+
+def standing_camera(folder: Path) -> Camera:
+    """The camera in a world whose z axis lies in the wall behind the shirt.
+
+    The turn is the smallest that makes the wall upright, so that a frontal wall turns nothing.
+    What is not a wall (less than a third of the background, or leaning by 30 degrees) leaves the
+    camera level.
+    """
+    camera = level_camera(folder / "intrinsics.json", CAMERA)
+    depth = _depth(folder, frame_numbers(folder)[0])
+    background = camera.back_project(depth, (depth > 0) & ~_first_mask(folder))
+    normal = wall_normal(background[:: max(1, len(background) // 5000)])
+    if normal is None or abs(normal[2]) > 0.5:
+        return camera
+    lean = np.arcsin(normal[2])
+    axis = np.array([normal[1], -normal[0], 0.0]) / np.hypot(normal[0], normal[1])
+    pose = camera.world_from_camera.copy()
+    pose[:3, :3] = cv2.Rodrigues(-lean * axis)[0] @ pose[:3, :3]
+    return replace(camera, world_from_camera=pose)
+
+
+def wall_normal(points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " 3"] | None:
+    """Unit normal of the plane that most points lie on; None when it has less than a third."""
+    rng = np.random.default_rng(0)
+    best = np.zeros(len(points), dtype=bool)
+    for _ in range(200):
+        a, b, c = points[rng.choice(len(points), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal)
+        near = np.abs((points - a) @ normal) < WALL_M * length
+        if length > 0 and near.sum() > best.sum():
+            best = near
+    if best.sum() < len(points) / 3:
+        return None
+    on_wall = points[best] - points[best].mean(axis=0)
+    return np.linalg.svd(on_wall, full_matrices=False)[2][2]
+
+
+def _to_world(camera: Camera, vectors: Float[np.ndarray, "*any 3"]) -> Float[np.ndarray, "*any 3"]:
+    # The camera stands at the world's origin, so points turn as vectors do.
+    return np.asarray(vectors, dtype=np.float64) @ camera.world_from_camera[:3, :3].T
 
 
 def _masks(folder: Path, camera: Camera) -> tuple[Bool[np.ndarray, "height width"], ...]:

@@ -1,8 +1,8 @@
 """The command line: one verb per stage, in the order of the method.
 
 Every verb parses, loads, calls one function and saves. The stages are imported when their verb is
-called, so that `--help` is instant. Exit codes: 0 done, 1 bad input (one clear line on standard
-error), 2 wrong usage, 130 interrupted.
+called, so that `--help` is instant. Exit codes: 0 done, 1 bad input, a full disk or an interrupt
+(one clear line on standard error), 2 wrong usage.
 """
 
 import json as json_module
@@ -18,12 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from clothtrack.errors import (
-    ClothTrackError,
-    InvalidRecordingError,
-    InvalidResultError,
-    StorageError,
-)
+from clothtrack.errors import ClothTrackError, InvalidResultError, StorageError
 
 if TYPE_CHECKING:
     from clothtrack.pipeline import Outcome, RunConfig
@@ -48,7 +43,6 @@ Settings = Annotated[
     UseAppendAction,
 ]
 
-SHIPPED = Path(__file__).parent / "shipped"
 LIGHT_CALIBRATION = (
     "tracker.calibration.axes.bend_compliance=[0.1, 1, 10]",
     "tracker.calibration.axes.table_friction=[0.2, 0.5, 1]",
@@ -94,15 +88,17 @@ def demo(
     """
     from clothtrack.evaluation.results import evaluate as measure
     from clothtrack.evaluation.results import table
+    from clothtrack.recordings.shipped import shipped_recording
     from clothtrack.recordings.store import read_recording
     from clothtrack.report.page import write_report
     from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-    folder = _shipped(recording)
+    folder = shipped_recording(recording)
     config = _run_config(mode, LIGHT_CALIBRATION, seed=0)
     outcome = _track([folder], output, config, device=device)[0]
     if outcome.result is None:
-        raise InvalidRecordingError(outcome.error)
+        _complain(outcome.error)
+        return 1
     tracked, source = TrackedTrajectory.load(outcome.result), read_recording(folder)
     page = write_report(tracked, source, output / f"{tracked.name}.html")
     _say(table([measure(tracked, source, device=device)]))
@@ -133,6 +129,7 @@ def simulate(
     garment: Literal["towel", "tshirt"] = "towel",
     trajectories: int = 1,
     actions: int = 3,
+    settings: Settings = (),
     workers: int = 1,
     seed: Seed = 0,
 ) -> int:
@@ -143,13 +140,15 @@ def simulate(
         garment: what lies on the table.
         trajectories: how many recordings; they get the seeds SEED, SEED + 1 and so on.
         actions: pick-and-places per recording.
+        settings: changes to what is filmed, such as sensor.width=320 or vertex_count=300.
         workers: processes.
         seed: of garment, pose, actions, camera and noise.
     """
+    from clothtrack.tracking.settings import with_settings
     from clothtrack.world.episodes import EpisodeConfig
     from clothtrack.world.episodes import simulate as film
 
-    config = EpisodeConfig(actions=actions)
+    config = with_settings(EpisodeConfig(actions=actions), settings)
     folders = film(output, garment, trajectories, seed=seed, config=config, processes=workers)
     for folder in folders:
         _say(str(folder))
@@ -191,7 +190,7 @@ def track(
         _say(json_module.dumps([asdict(one) for one in outcomes], indent=2, default=str))
     for one in outcomes:
         if one.result is None:
-            _complain(f"{one.recording}: {one.error}")
+            _complain(one.error)
         elif not json:
             _say(f"{one.result}" + ("   (finished before)" if one.skipped else ""))
     return 1 if any(one.result is None for one in outcomes) else 0
@@ -325,7 +324,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "interrupted; what was finished is whole, nothing half-written keeps its name. "
             "The same command goes on from there"
         )
-        return 130
     return 1
 
 
@@ -354,18 +352,6 @@ def _track(
     )
     _end_progress()
     return outcomes
-
-
-def _shipped(name: str) -> Path:
-    found = sorted(path.parent for path in SHIPPED.glob("*/recording.json"))
-    if not found:
-        raise InvalidRecordingError(f"{SHIPPED}: no recording comes with this installation")
-    by_name = {path.name: path for path in found}
-    if name and name not in by_name:
-        raise InvalidRecordingError(
-            f"no shipped recording is called {name!r}; there are {', '.join(by_name)}"
-        )
-    return by_name[name] if name else found[0]
 
 
 def _load_tracked(path: Path) -> "TrackedTrajectory":

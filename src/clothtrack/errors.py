@@ -48,5 +48,7 @@ _REMEDIES = {
     errno.EDQUOT: "the quota is used up; free some space and run the same command again",
     errno.EACCES: "no permission; choose another folder or change its owner",
     errno.EROFS: "the disk is read-only; choose another folder",
+    errno.EEXIST: "something of this name is in the way; choose another name or remove it",
+    errno.ENOTDIR: "a file is where a folder belongs; choose another name or remove it",
     errno.ENOENT: "there is no such file or folder; check the name",
 }

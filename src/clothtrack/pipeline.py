@@ -5,12 +5,14 @@ import importlib.metadata
 import json
 import logging
 import platform
+import signal
 import subprocess
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 
 from clothtrack import __version__
@@ -56,7 +58,7 @@ class Outcome:
         recording: its folder.
         result: the tracked trajectory on disk, or None after an error.
         skipped: it had been finished before.
-        error: what was wrong with it.
+        error: what was wrong with it, in a line that names it.
     """
 
     recording: Path
@@ -130,17 +132,52 @@ def track_recordings(
     output.mkdir(parents=True, exist_ok=True)
     if workers <= 1 or len(folders) == 1:
         return [_track_folder(folder, output, config, device, progress) for folder in folders]
+    return _track_in_parallel(folders, output, config, workers, device=device, progress=progress)
+
+
+def _track_in_parallel(
+    folders: Sequence[Path],
+    output: Path,
+    config: RunConfig,
+    workers: int,
+    *,
+    device: str,
+    progress: Progress | None,
+) -> list[Outcome]:
     outcomes: dict[Path, Outcome] = {}
-    with ProcessPoolExecutor(workers, get_context("spawn"), quiet_warp) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker) as pool:
         jobs = {
             pool.submit(_track_folder, folder, output, config, device, None): folder
             for folder in folders
         }
-        for done, job in enumerate(as_completed(jobs), 1):
-            outcomes[jobs[job]] = job.result()
-            if progress is not None:
-                progress(jobs[job].name, done, len(jobs))
+        try:
+            for done, job in enumerate(as_completed(jobs), 1):
+                folder = jobs[job]
+                try:
+                    outcomes[folder] = job.result()
+                except BrokenProcessPool:
+                    outcomes[folder] = Outcome(folder, None, error=f"{folder}: {_DIED}")
+                if progress is not None:
+                    progress(folder.name, done, len(jobs))
+        except KeyboardInterrupt:
+            # Leaving the block waits for the workers: let them not begin anything, nor go on.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in active_children():
+                process.terminate()
+            raise
     return [outcomes[folder] for folder in folders]
+
+
+_DIED = (
+    "a worker process was killed while it was tracked (out of memory?); use fewer --workers and "
+    "run again: finished ones are kept"
+)
+
+
+def _start_worker() -> None:
+    """A worker is silent; an interrupt from the keyboard is for its parent to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    quiet_warp()
 
 
 def result_path(recording: Path, output: Path) -> Path:
@@ -160,8 +197,8 @@ def _track_folder(
         tracked = track_recording(read_recording(folder), config, device=device, progress=progress)
         tracked.save(path)
     except ClothTrackError as error:
-        logger.error("%s: %s", folder.name, error)
-        return Outcome(folder, None, error=str(error))
+        named = str(error) if str(folder) in str(error) else f"{folder}: {error}"
+        return Outcome(folder, None, error=named)
     return Outcome(folder, path)
 
 

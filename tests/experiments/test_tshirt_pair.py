@@ -1,12 +1,13 @@
 """The T-shirt pair's converter and scorer on a made-up set of the same layout."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
 import pytest
 from real import tshirt_pair
-from real.upright import upright
+from real.upright import WORLD_FROM_CAMERA, upright
 
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.store import read_recording
@@ -92,3 +93,30 @@ def test_the_recording_follows_the_shirt_by_its_colour(folder, tmp_path):
     away = np.linalg.norm(recording.cloth.template.vertices[held] - path.positions[0], axis=1)
     assert away.max() <= max(tshirt_pair.GRIP_RADIUS_M, away.min()) + 1e-9
     np.testing.assert_allclose(np.diff(path.positions, axis=0), [[SHIFT_M, 0, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize(("pitch_deg", "yaw_deg"), [(10.0, -6.0), (-5.0, 20.0)])
+def test_the_wall_tells_where_down_is(folder, tmp_path, pitch_deg, yaw_deg):
+    """A hand-held camera looks down or up at a wall that it does not face squarely."""
+    tilted = tmp_path / "tilted"
+    shutil.copytree(folder, tilted)
+    pitch, yaw = np.deg2rad([pitch_deg, yaw_deg])
+    # Camera frame: x right, y down, z forward. Looking down, the horizontal is above the middle.
+    away = np.array([np.sin(yaw), -np.cos(yaw) * np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+    columns, rows = np.meshgrid(np.arange(320), np.arange(240))
+    sights = np.stack([(columns - 159.5) / FOCAL, (rows - 119.5) / FOCAL, np.ones((240, 320))], -1)
+    depth = 2000.0 / (sights @ away)
+    depth[60:180, 100:200] = DEPTH_MM
+    cv2.imwrite(str(tilted / "depth_003.png"), np.rint(depth).astype(np.uint16))
+    pose = tshirt_pair.standing_camera(tilted).world_from_camera
+    np.testing.assert_allclose(pose[:3, :3] @ away, [np.sin(yaw), np.cos(yaw), 0.0], atol=0.01)
+    np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-9)
+
+
+def test_without_a_wall_the_camera_is_level(folder, tmp_path):
+    cluttered = tmp_path / "cluttered"
+    shutil.copytree(folder, cluttered)
+    depth = np.random.default_rng(0).integers(1000, 4000, (240, 320)).astype(np.uint16)
+    cv2.imwrite(str(cluttered / "depth_003.png"), depth)
+    pose = tshirt_pair.standing_camera(cluttered).world_from_camera
+    np.testing.assert_array_equal(pose, WORLD_FROM_CAMERA)

@@ -19,10 +19,11 @@ def test_another_device_is_refused_with_those_that_are_there(name):
         require_device(name)
 
 
-def test_standard_output_is_left_to_results():
+def test_the_streams_are_left_to_results_and_complaints():
     code = (
         "from clothtrack.geometry.devices import quiet_warp, require_device\n"
         "quiet_warp(); require_device('cpu')"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     assert shown.stdout == b""
+    assert shown.stderr == b""

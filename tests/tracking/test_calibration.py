@@ -78,8 +78,8 @@ def test_an_uncertain_grasp_adds_its_offset_to_the_search() -> None:
     config = CalibrationConfig()
     assert config.with_grasp_offset(0.0) is config
     wider = config.with_grasp_offset(0.02)
-    assert wider.axes["grasp_offset_x_m"] == pytest.approx((-0.02, -0.01, 0.0, 0.01, 0.02))
-    assert wider.size == config.size * 5**3
+    assert wider.axes["grasp_offset_z_m"] == pytest.approx((-0.02, -0.01, 0.0, 0.01, 0.02))
+    assert wider.size == config.size * 5
 
 
 def test_without_anything_to_score_the_start_is_kept() -> None:

@@ -233,12 +233,13 @@ def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(as_json(evaluations) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
+        try:
+            temporary.write_text(as_json(evaluations) + "\n", encoding="utf-8")
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise StorageError.of(error) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def table(evaluations: Iterable[Evaluation]) -> str:

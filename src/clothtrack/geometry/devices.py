@@ -1,5 +1,11 @@
 """Which devices there are to compute on, and how much Warp says about them."""
 
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import warp as wp
 
 from clothtrack.errors import InvalidConfigError
@@ -8,9 +14,13 @@ from clothtrack.errors import InvalidConfigError
 def quiet_warp() -> None:
     """Keep Warp from greeting on standard output, where results go; errors are still told.
 
-    For programs and worker processes; importing clothtrack does not touch Warp's settings.
+    For programs and worker processes; importing clothtrack does not touch Warp's settings. A
+    machine without a CUDA driver is no error either: Warp's library says so on every start.
     """
     wp.config.log_level = wp.LOG_ERROR
+    if not _has_cuda_driver():
+        with _standard_error_closed():
+            wp.init()
 
 
 def require_device(name: str) -> None:
@@ -24,3 +34,25 @@ def require_device(name: str) -> None:
         raise InvalidConfigError(
             f"device is {name!r}, but this machine has {', '.join(known)}; choose one of these"
         )
+
+
+def _has_cuda_driver() -> bool:
+    try:
+        ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return False
+    return True
+
+
+@contextmanager
+def _standard_error_closed() -> Iterator[None]:
+    """What a library writes to the process's standard error goes nowhere."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)

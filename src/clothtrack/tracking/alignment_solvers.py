@@ -72,7 +72,7 @@ def solve_adam(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, n
     """Adam with matches renewed in every iteration: displacement [m] and sums per evaluation."""
     initial, matcher = problem.initial, problem.matcher
     moments = problem.vectors(), problem.vectors()
-    strip = 64 if initial.device.is_cpu else 1
+    strip = 64 if wp.get_device(initial.device).is_cpu else 1
     sums = problem.sums(config.iterations + 1)
     here = wp.clone(initial), problem.vectors()
     there = wp.clone(initial), problem.vectors()

@@ -24,6 +24,11 @@ def _default_parameters() -> dict[str, float]:
     }
 
 
+def _final_alignment() -> AlignmentConfig:
+    # Once per action it may take its time; what is left to correct may be far.
+    return AlignmentConfig(iterations=400, two_way_range_m=(0.004, 0.08))
+
+
 @dataclass(frozen=True)
 class TrackerConfig:
     """Everything that decides how a recording is tracked.
@@ -38,6 +43,13 @@ class TrackerConfig:
         attachment_strength: 1 holds the attached vertices at their targets ("held", the paper's
             pseudo-action); less pulls them there inside the solver loop ("soft"), so that
             contacts, stretch and table win over the observation.
+        final_rounds: how often the final alignment is computed and applied; each round starts from
+            what the dynamics made of the last.
+        final_roll_s: time over which the dynamics carry the final alignment out [s], as a soft
+            pseudo-action from which the cloth is left at rest: short, so that gravity has no say,
+            but layers keep their sides. 0 displaces the vertices at once, through whatever is in
+            the way (the paper).
+        final_strength: strength of that pseudo-action over `final_roll_s`.
         attach_observed_only: attach only vertices that the sensor could have contradicted; the
             paper attaches every visible vertex.
         support_m: a vertex with a cloud point this near [m] counts as observed even where the
@@ -65,6 +77,9 @@ class TrackerConfig:
     use_action: bool = True
     use_final_alignment: bool = True
     attachment_strength: float = 0.99
+    final_rounds: int = 2
+    final_roll_s: float = 0.1
+    final_strength: float = 1.0 - 1e-5
     attach_observed_only: bool = True
     support_m: float = 0.01
     cloud_reach_m: float = 0.1
@@ -75,7 +90,7 @@ class TrackerConfig:
     parameters: Mapping[str, float] = field(default_factory=_default_parameters)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
-    final_alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    final_alignment: AlignmentConfig = field(default_factory=_final_alignment)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
     picking: PickingConfig = field(default_factory=PickingConfig)
     dynamics: DynamicsConfig = field(default_factory=lambda: DynamicsConfig(velocity_kept=0.0))
@@ -101,6 +116,8 @@ class TrackerConfig:
 
 _PAPER = TrackerConfig(
     attachment_strength=1.0,
+    final_rounds=1,
+    final_roll_s=0.0,
     attach_observed_only=False,
     score_frames=1,
     dynamics=DynamicsConfig(velocity_kept=1.0),

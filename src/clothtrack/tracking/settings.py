@@ -52,15 +52,15 @@ def _replaced(owner: Any, path: list[str], value: Any, name: str) -> Any:
 
 
 def _of_same_type(old: Any, new: Any, name: str) -> Any:
-    """Take the new value when it is of the kind that the old one was."""
+    """Take the new value when it is of the kind that the old one was; lists become tuples."""
+    new = tuple(new) if isinstance(new, list) else new
     if isinstance(old, bool) or isinstance(new, bool):
         fits = isinstance(old, bool) and isinstance(new, bool)
     elif isinstance(old, float):
         fits = isinstance(new, int | float)
         new = float(new) if fits else new
     elif isinstance(old, list | tuple):
-        fits = isinstance(new, list)
-        new = tuple(new) if fits else new
+        fits = isinstance(new, tuple)
     else:
         fits = old is None or isinstance(new, type(old))
     if not fits or is_dataclass(old) or isinstance(old, Mapping):

@@ -105,10 +105,8 @@ class Tracker:
                 if progress is not None:
                     progress(self._recording.name, frame.index + 1, len(frames))
             before = state.positions[0]
-            final = self._final_alignment(state, frames[action.last_frame])
-            state = self._handed_on(state, final)
+            state, losses = self._final_alignment(state, frames[action.last_frame])
             positions[action.last_frame :] = state.positions[0]
-            losses = (np.nan, np.nan) if final is None else (final.losses[0], final.losses[-1])
             actions.append(
                 TrackedAction(
                     first_frame=action.first_frame,
@@ -227,21 +225,45 @@ class Tracker:
         )[0]
         return alignment, visible & (observed | np.isfinite(found))
 
-    def _final_alignment(self, state: ClothState, frame: Frame) -> Alignment | None:
-        """TTO2: the last word of the cloud on this action's mesh."""
-        if not self._config.use_final_alignment:
-            return None
-        aligned = self._alignment(self._align_last, state.positions[0], self._observe(frame))
-        return None if aligned is None else aligned[0]
+    def _final_alignment(
+        self, state: ClothState, frame: Frame
+    ) -> tuple[ClothState, tuple[float, float]]:
+        """TTO2: the last word of the cloud on this action's mesh.
 
-    def _handed_on(self, state: ClothState, final: Alignment | None) -> ClothState:
-        """The state that the next action starts from: aligned, at rest, contacts remembered."""
-        if final is None:
-            return state
-        self._dynamics.solver.restore(state)
-        self._dynamics.solver.place(state.positions + final.corrections[None])
-        self._dynamics.solver.set_velocities(np.zeros_like(state.velocities))
-        return self._dynamics.solver.save()
+        Returns:
+            The state that the next action starts from: aligned, at rest, contacts remembered; and
+            the objective [m^2] before and after.
+        """
+        losses = (np.nan, np.nan)
+        rounds = self._config.final_rounds if self._config.use_final_alignment else 0
+        for _ in range(rounds):
+            aligned = self._alignment(self._align_last, state.positions[0], self._observe(frame))
+            if aligned is None:
+                break
+            alignment, attached = aligned
+            first = alignment.losses[0] if np.isnan(losses[0]) else losses[0]
+            losses = (float(first), float(alignment.losses[-1]))
+            state = self._carried_out(state, alignment, attached)
+        return state, losses
+
+    def _carried_out(
+        self, state: ClothState, alignment: Alignment, attached: Bool[np.ndarray, " vertices"]
+    ) -> ClothState:
+        """The state after a final alignment: rolled there, or displaced at once; at rest."""
+        solver, config = self._dynamics.solver, self._config
+        targets = state.positions + alignment.corrections[None]
+        if config.final_roll_s > 0.0:
+            strength = np.where(attached, config.final_strength, 0.0).astype(np.float32)
+            pseudo_action = Attachment(targets.astype(np.float32), strength[None])
+            rolled = self._dynamics.roll_out(state, None, config.final_roll_s, pseudo_action)
+            if not np.isfinite(rolled.positions).all():
+                logger.warning("%s: the final alignment bursts, dropped", self._recording.name)
+                solver.restore(state)
+        else:
+            solver.restore(state)
+            solver.place(targets)
+        solver.set_velocities(np.zeros_like(state.velocities))
+        return solver.save()
 
     def _calibrated(self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]):
         grasps = find_grasps(self._recording, action, state.positions[0], self._config.picking)

@@ -1,0 +1,55 @@
+"""The figure of the README: what was seen, the tracked mesh over it, the mesh alone.
+
+    make demo
+    python experiments/readme_figure.py --tracked out/demo/fold_the_tshirt.zarr
+
+writes docs/images/demo.png.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+from figures import say
+
+from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.report.overlay import Overlay, OverlayConfig, write_contact_sheet
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+ROWS = 3
+WIDTH_PX = 800
+COLOR_STEP = 6
+
+
+def draw(tracked: Path, image: Path) -> Path:
+    """Draw a tracked trajectory of the first shipped recording, small enough for a README."""
+    overlay = Overlay(
+        TrackedTrajectory.load(tracked),
+        read_recording(shipped_recording()),
+        config=OverlayConfig(height=240),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        sheet = cv2.imread(str(write_contact_sheet(overlay, Path(folder) / "s.png", rows=ROWS)))
+    height = round(WIDTH_PX * sheet.shape[0] / sheet.shape[1])
+    small = cv2.resize(sheet, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+    coarse = np.rint(small / COLOR_STEP).clip(0, 255 // COLOR_STEP) * COLOR_STEP
+    image.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(image), coarse.astype(np.uint8), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    return image
+
+
+def main() -> None:
+    """Draw the figure and say how large it is."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tracked", type=Path, required=True)
+    parser.add_argument("--image", type=Path, default=Path("docs/images/demo.png"))
+    arguments = parser.parse_args()
+    image = draw(arguments.tracked, arguments.image)
+    say(f"{image}: {image.stat().st_size / 1e3:.0f} kB\n")
+
+
+if __name__ == "__main__":
+    main()

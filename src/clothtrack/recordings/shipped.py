@@ -1,0 +1,26 @@
+"""The recordings that come with clothtrack."""
+
+from pathlib import Path
+
+import clothtrack
+from clothtrack.errors import InvalidRecordingError
+
+SHIPPED = Path(clothtrack.__file__).parent / "shipped"
+
+
+def shipped_recording(name: str = "") -> Path:
+    """Folder of the shipped recording of this name; of the first one without a name.
+
+    Raises:
+        InvalidRecordingError: naming those that there are.
+    """
+    found = {path.parent.name: path.parent for path in sorted(SHIPPED.glob("*/recording.json"))}
+    if not found:
+        raise InvalidRecordingError(
+            f"{SHIPPED}: no recording comes with this installation; install clothtrack again"
+        )
+    if name and name not in found:
+        raise InvalidRecordingError(
+            f"no shipped recording is called {name!r}; there are {', '.join(found)}"
+        )
+    return found[name] if name else next(iter(found.values()))

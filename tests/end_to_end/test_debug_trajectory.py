@@ -1,0 +1,127 @@
+"""The whole way of a recording: simulate, inspect, track, evaluate, export, view."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothtrack import cli
+from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+NAMES = ("towel_0001", "towel_0002")
+
+
+@pytest.fixture(scope="module")
+def results(towels, tmp_path_factory) -> Path:
+    """Folder with `default/NAME.zarr` and `open_loop/NAME.zarr`."""
+    out = tmp_path_factory.mktemp("results")
+    recordings = [str(towels / "recordings" / name) for name in NAMES]
+    for mode in ("default", "open_loop"):
+        words = ["track", *recordings, "--output", str(out / mode), "--mode", mode]
+        assert cli.main([*words, "--set", "tracker.calibration.method=none"]) == 0
+    return out
+
+
+def evaluated(towels, results, mode, capsys):
+    capsys.readouterr()
+    paths = [str(results / mode / f"{name}.zarr") for name in NAMES]
+    words = ["--recordings", str(towels / "recordings"), "--truth", str(towels / "truth")]
+    assert cli.main(["evaluate", *paths, *words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    return [row for one in found for row in one["rows"]]
+
+
+def test_a_filmed_recording_is_valid(towels, capsys):
+    for name in NAMES:
+        assert cli.main(["inspect", str(towels / "recordings" / name), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["valid"] is True
+
+
+def test_truth_is_in_no_recording(towels):
+    assert {path.name for path in (towels / "truth").iterdir()} == {f"{n}.npz" for n in NAMES}
+    assert not list((towels / "recordings").rglob("*.npz"))
+
+
+def test_tracking_beats_the_dynamics_alone(towels, results, capsys):
+    """The tip is measured wrongly, so only what the camera saw can put the cloth right."""
+    errors = {
+        mode: np.mean(
+            [
+                row["vertex_error_mm"]["all"]["mean"]
+                for row in evaluated(towels, results, mode, capsys)
+            ]
+        )
+        for mode in ("default", "open_loop")
+    }
+    assert errors["default"] < 0.75 * errors["open_loop"]
+
+
+def test_evaluation_names_the_method_and_its_floor(towels, results, capsys):
+    rows = evaluated(towels, results, "default", capsys)
+    assert {row["recording"] for row in rows} == set(NAMES)
+    assert {row["stage"] for row in rows} == {"before_final_alignment", "after_final_alignment"}
+    for row in rows:
+        assert row["floor_of"] == "truth"
+        assert row["chamfer_pc"] > 0.9 * row["chamfer_floor"] > 0.0
+        assert row["cloth"]["edge_strain"] < 0.05
+
+
+def test_tracking_is_a_function_of_its_input(towels, results, tmp_path):
+    folder = towels / "recordings" / NAMES[0]
+    words = ["track", str(folder), "--output", str(tmp_path)]
+    assert cli.main([*words, "--set", "tracker.calibration.method=none"]) == 0
+    again = TrackedTrajectory.load(tmp_path / f"{NAMES[0]}.zarr")
+    before = TrackedTrajectory.load(results / "default" / f"{NAMES[0]}.zarr")
+    np.testing.assert_array_equal(again.positions, before.positions)
+
+
+def test_every_frame_has_a_mesh_and_no_more(towels, results):
+    for name in NAMES:
+        recording = read_recording(towels / "recordings" / name)
+        tracked = TrackedTrajectory.load(results / "default" / f"{name}.zarr")
+        assert len(tracked.positions) == len(recording.frames)
+        assert np.isfinite(tracked.positions).all()
+        assert tracked.provenance["config_hash"]
+        assert tracked.provenance["recording"]["seed"] in (1, 2)
+
+
+def test_meshes_are_exported(results, tmp_path):
+    path = results / "default" / f"{NAMES[0]}.zarr"
+    tracked = TrackedTrajectory.load(path)
+    npz = tmp_path / "all.npz"
+    assert cli.main(["export", str(path), "--output", str(npz), "--format", "npz"]) == 0
+    with np.load(npz) as arrays:
+        np.testing.assert_array_equal(arrays["positions"], tracked.positions)
+    assert cli.main(["export", str(path), "--output", str(tmp_path / "obj")]) == 0
+    assert len(list((tmp_path / "obj").glob("frame_*.obj"))) == len(tracked.frames)
+
+
+def test_the_page_is_one_file(towels, results, tmp_path, capsys):
+    path, page = results / "default" / f"{NAMES[0]}.zarr", tmp_path / "page.html"
+    words = ["--recordings", str(towels / "recordings"), "--html", str(page)]
+    assert cli.main(["view", str(path), *words]) == 0
+    assert capsys.readouterr().out.strip() == str(page)
+    assert page.stat().st_size > 100_000
+    assert [file.name for file in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_a_finished_result_of_other_settings_is_not_taken_for_ours(towels, results, capsys):
+    folder = towels / "recordings" / NAMES[0]
+    words = ["track", str(folder), "--output", str(results / "default")]
+    assert cli.main([*words, "--set", "tracker.attachment_strength=0.5"]) == 1
+    told = capsys.readouterr().err
+    assert "other settings" in told
+    assert told.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_the_demo_tracks_what_is_shipped(tmp_path, capsys):
+    name = shipped_recording().name
+    assert cli.main(["demo", "--output", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    assert str(tmp_path / f"{name}.html") in told
+    tracked = TrackedTrajectory.load(tmp_path / f"{name}.zarr")
+    assert all(action.calibration.roll_outs <= 8 for action in tracked.actions)

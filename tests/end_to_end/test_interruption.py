@@ -1,0 +1,119 @@
+"""Ctrl-C and a full disk: what was finished is whole, nothing half-written keeps its name."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from clothtrack import cli
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+FAST = ("--set", "tracker.calibration.method=none")
+# As the process that a terminal starts, whatever the shell above the tests has set.
+MAIN = (
+    "import signal, sys\n"
+    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    "from clothtrack.cli import main\n"
+    "if __name__ == '__main__':\n"
+    "    sys.exit(main())\n"
+)
+
+
+@pytest.fixture
+def many(towels, tmp_path):
+    """The same towel under six names: the first is done long before the last."""
+    folders = [tmp_path / "recordings" / f"towel_{letter}" for letter in "abcdef"]
+    for folder in folders:
+        shutil.copytree(towels / "recordings" / "towel_0002", folder)
+    return folders
+
+
+def wait_for(path, process):
+    end = time.monotonic() + 240
+    while not path.exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_in_the_middle(many, tmp_path, workers):
+    program = tmp_path / "program.py"
+    program.write_text(MAIN)
+    out = tmp_path / "out"
+    words = ["track", *many, "--output", out, *FAST, "--workers", workers]
+    with subprocess.Popen(
+        [sys.executable, str(program), *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    ) as process:  # fmt: skip
+        first = out / "towel_a.zarr"
+        wait_for(first, process)
+        # A terminal sends it to the whole group, workers included.
+        os.killpg(process.pid, signal.SIGINT)
+        told, complained = process.communicate(timeout=60)
+    assert process.returncode == 1, complained
+    assert told == ""
+    lines = complained.splitlines()
+    assert len(lines) == 1, complained
+    assert "interrupted" in lines[0]
+    assert "same command" in lines[0]
+
+    finished = sorted(out.glob("*.zarr"))
+    assert first in finished
+    assert len(finished) < len(many)
+    for path in finished:
+        assert len(TrackedTrajectory.load(path).actions) == 1
+
+
+def test_the_same_command_goes_on_from_there(many, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert cli.main(["track", str(many[0]), "--output", str(out), *FAST]) == 0
+    written = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+    # What a killed process leaves behind does not pass for a result.
+    (out / ".towel_b.zarr.killed").mkdir()
+    (out / ".towel_b.zarr.killed" / "zarr.json").write_text("{")
+    capsys.readouterr()
+    folders = [str(folder) for folder in many[:2]]
+    assert cli.main(["track", *folders, "--output", str(out), *FAST]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"{out / 'towel_a.zarr'}   (finished before)"
+    assert second == f"{out / 'towel_b.zarr'}"
+    assert {path: path.stat().st_mtime_ns for path in written} == written
+
+
+def test_a_full_disk(many, tmp_path, clothtrack):
+    """No file may grow beyond a kilobyte: the system refuses the write as a full disk does."""
+    out = tmp_path / "out"
+    assert cli.main(["track", str(many[0]), "--output", str(out), *FAST]) == 0
+    full = (
+        "import resource, clothtrack.tracking.tracked_trajectory as stored\n"
+        "write = stored._write\n"
+        "def on_a_full_disk(*arguments):\n"
+        "    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))\n"
+        "    write(*arguments)\n"
+        "stored._write = on_a_full_disk\n"
+    )
+    told = clothtrack("track", many[0], many[1], "--output", out, *FAST, before=full)
+    assert told.returncode == 1, told.stderr
+    assert "finished before" in told.stdout
+    lines = told.stderr.splitlines()
+    assert len(lines) == 1, told.stderr
+    for word in ("towel_b.zarr", "free space", "run again"):
+        assert word in lines[0]
+    assert [path.name for path in out.iterdir()] == ["towel_a.zarr"]
+    TrackedTrajectory.load(out / "towel_a.zarr")
+
+
+def test_a_file_where_the_output_folder_belongs(many, tmp_path, capsys):
+    (tmp_path / "out").write_text("mine")
+    for output in (tmp_path / "out", tmp_path / "out" / "below"):
+        assert cli.main(["track", str(many[0]), "--output", str(output), *FAST]) == 1
+        told = capsys.readouterr().err
+        assert str(output) in told
+        assert "choose another name" in told
+        assert told.count("\n") == 1
+    assert (tmp_path / "out").read_text() == "mine"

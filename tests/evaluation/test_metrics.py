@@ -1,0 +1,172 @@
+"""Laws of the measures: zero for the truth, the distance for a shift, the area for a flat cloth."""
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.evaluation.metrics import (
+    ErrorSummary,
+    below_table,
+    chamfer_pc,
+    chamfer_surface,
+    cloth_measures,
+    cloud_floor,
+    normalised_improvement,
+    root_mean_square_mm,
+    vertex_error_mm,
+)
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.garments import towel, tshirt
+
+TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+
+
+@pytest.fixture
+def sheet():
+    return towel(0.2, 0.1, 0.02)
+
+
+def shift_of(length_m, rng):
+    direction = rng.normal(size=3)
+    return length_m * direction / np.linalg.norm(direction)
+
+
+def test_the_truth_scores_zero_against_itself(sheet):
+    seen = np.arange(sheet.vertex_count) % 3 > 0
+    errors = vertex_error_mm(sheet.vertices, sheet.vertices, seen)
+    assert set(errors) == {"all", "visible", "hidden"}
+    for summary in errors.values():
+        assert (summary.mean, summary.median, summary.p95, summary.max) == (0.0, 0.0, 0.0, 0.0)
+    assert errors["visible"].count + errors["hidden"].count == errors["all"].count
+
+
+def test_a_shift_of_five_millimetres_is_five_millimetres_everywhere(sheet, rng):
+    seen = np.arange(sheet.vertex_count) % 3 > 0
+    moved = sheet.vertices + shift_of(0.005, rng)
+    for summary in vertex_error_mm(moved, sheet.vertices, seen).values():
+        found = (summary.mean, summary.median, summary.p95, summary.max)
+        np.testing.assert_allclose(found, 5.0, rtol=1e-9)
+
+
+def test_what_is_wrong_where_nobody_sees_is_told_apart(sheet, rng):
+    seen = np.arange(sheet.vertex_count) % 3 > 0
+    moved = sheet.vertices + np.where(seen[:, None], 0.0, shift_of(0.012, rng))
+    errors = vertex_error_mm(moved, sheet.vertices, seen)
+    assert errors["visible"].max == 0.0
+    assert errors["hidden"].mean == pytest.approx(12.0)
+    assert errors["all"].mean == pytest.approx(12.0 * np.mean(~seen))
+
+
+def test_quantiles_are_those_of_the_distances(rng):
+    distances = rng.permutation(np.linspace(0.0, 100.0, 1001))
+    summary = ErrorSummary.of(distances)
+    assert (summary.median, summary.p95, summary.max) == pytest.approx((50.0, 95.0, 100.0))
+
+
+def test_no_vertex_has_no_error():
+    summary = ErrorSummary.of(np.zeros(0))
+    assert summary.count == 0
+    assert np.isnan([summary.mean, summary.median, summary.p95, summary.max]).all()
+
+
+def test_chamfer_of_a_shifted_cloud_is_the_shift(sheet, rng):
+    """Points 20 mm apart: the nearest one stays the same for a shift of 5 mm."""
+    seen = np.ones(sheet.vertex_count, bool)
+    shift = shift_of(0.005, rng)
+    assert chamfer_pc(sheet.vertices, seen, sheet.vertices) == 0.0
+    value = chamfer_pc(sheet.vertices, seen, sheet.vertices + shift)
+    assert value == pytest.approx(2 * 0.005**2)
+    assert root_mean_square_mm(value) == pytest.approx(5.0)
+
+
+def test_hidden_vertices_do_not_count_in_the_chamfer_distance(sheet):
+    seen = np.arange(sheet.vertex_count) < sheet.vertex_count // 2
+    cloud = sheet.vertices[seen]
+    assert chamfer_pc(sheet.vertices, seen, cloud) == 0.0
+    assert chamfer_pc(sheet.vertices, ~seen, cloud) > 0.0
+
+
+def test_nothing_seen_or_observed_has_no_chamfer_distance(sheet):
+    nothing = np.zeros(sheet.vertex_count, bool)
+    assert np.isnan(chamfer_pc(sheet.vertices, nothing, sheet.vertices))
+    assert np.isnan(chamfer_pc(sheet.vertices, ~nothing, np.zeros((0, 3))))
+
+
+def test_a_surface_against_itself_scores_only_its_sampling(sheet):
+    surface = (sheet.vertices, sheet.faces)
+    spacing = np.sqrt(0.2 * 0.1 / 4000)
+    assert chamfer_surface(surface, surface, samples=4000) < 2 * spacing**2
+    raised = (sheet.vertices + [0.0, 0.0, 0.05], sheet.faces)
+    assert chamfer_surface(surface, raised, samples=4000) == pytest.approx(2 * 0.05**2, rel=0.02)
+
+
+def test_a_denser_cloud_has_a_lower_floor(rng):
+    sparse, dense = (rng.random((count, 3)) * [0.3, 0.3, 0.0] for count in (500, 8000))
+    # Mean squared distance to the nearest of n random points on an area A is A / (pi n).
+    assert cloud_floor(sparse) == pytest.approx(2 * 0.09 / (np.pi * 250), rel=0.2)
+    assert cloud_floor(dense) == pytest.approx(2 * 0.09 / (np.pi * 4000), rel=0.1)
+    assert np.isnan(cloud_floor(sparse[:1]))
+
+
+def test_a_flat_cloth_at_rest_has_no_fault_and_covers_its_area(sheet):
+    resting = sheet.vertices + [0.0, 0.0, 0.0015]
+    found = cloth_measures(sheet, resting, TABLE, rest_height_m=0.0015)
+    assert found.edge_strain == pytest.approx(0.0, abs=1e-12)
+    assert (found.crossings, found.close_pairs, found.below_table) == (0, 0, 0.0)
+    assert found.coverage == pytest.approx(0.2 * 0.1)
+    assert set(found.as_dict()) == {
+        "edge_strain", "crossings", "close_pairs", "below_table", "coverage",
+    }  # fmt: skip
+
+
+def test_stretch_is_strain_and_area(sheet):
+    found = cloth_measures(sheet, 1.03 * sheet.vertices, None, rest_height_m=0.0)
+    assert found.edge_strain == pytest.approx(0.03)
+    assert found.coverage == pytest.approx(1.03**2 * 0.2 * 0.1)
+    assert np.isnan(found.below_table)
+
+
+def test_a_fold_halves_the_coverage_and_a_fold_through_the_cloth_crosses(sheet):
+    folded = sheet.vertices.copy()
+    right = folded[:, 0] > 1e-9
+    folded[right] *= [-1.0, 1.0, 1.0]
+    folded[right, 2] = 0.01
+    found = cloth_measures(sheet, folded, TABLE, rest_height_m=0.0)
+    assert found.coverage == pytest.approx(0.1 * 0.1)
+    assert (found.crossings, found.close_pairs) == (0, 0)
+    # The flap comes down through the other half: half of it is on the wrong side.
+    folded[right, 2] = 0.01 + 0.3 * folded[right, 0]
+    found = cloth_measures(sheet, folded, TABLE, rest_height_m=0.0)
+    assert found.crossings > 0
+    assert found.close_pairs > 0
+    assert found.below_table > 0.1
+
+
+def test_layers_nearer_than_five_millimetres_are_close_pairs():
+    shirt = tshirt(spacing_m=0.02)
+    apart, together = shirt.vertices.copy(), shirt.vertices.copy()
+    apart[:, 2] *= 0.02 / np.ptp(shirt.vertices[:, 2])
+    together[:, 2] = 0.0
+    counts = [
+        cloth_measures(shirt, vertices, None, rest_height_m=0.0).close_pairs
+        for vertices in (apart, together)
+    ]
+    assert counts[0] < counts[1]
+
+
+def test_below_the_table_is_more_than_three_millimetres_under_rest(sheet):
+    tilted = Table(np.array([0.0, 0.0, 0.2]), np.array([0.6, 0.0, 0.8]))
+    on_it = sheet.vertices @ np.array([[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]])
+    on_it = on_it + tilted.point + 0.0015 * tilted.normal
+    assert below_table(on_it, tilted, 0.0015) == 0.0
+    assert below_table(on_it - 0.0029 * tilted.normal, tilted, 0.0015) == 0.0
+    assert below_table(on_it - 0.0031 * tilted.normal, tilted, 0.0015) == 1.0
+
+
+def test_improvement_runs_from_zero_to_one():
+    assert normalised_improvement(0.05, 0.05, 0.09) == 0.0
+    assert normalised_improvement(0.07, 0.05, 0.09) == pytest.approx(0.5)
+    assert normalised_improvement(0.09, 0.05, 0.09) == pytest.approx(1.0)
+    assert normalised_improvement(0.03, 0.05, 0.09) < 0.0
+    with pytest.raises(InvalidConfigError, match="nothing to improve"):
+        normalised_improvement(0.09, 0.09, 0.09)

@@ -1,0 +1,192 @@
+"""The rows of a table: right names, right floors, and numbers that obey the laws."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.evaluation.results import (
+    STAGES,
+    as_json,
+    evaluate,
+    method_name,
+    save_json,
+    table,
+)
+from clothtrack.evaluation.truth import Truth
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.pipeline import RunConfig
+from clothtrack.recordings.recording import Table
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.simulation.garments import towel
+from clothtrack.tracking.configuration import MODES, mode
+from clothtrack.tracking.tracked_trajectory import (
+    Calibration,
+    StepRecords,
+    TrackedAction,
+    TrackedTrajectory,
+)
+
+HEIGHT_M = 0.6
+DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
+DOWN[2, 3] = HEIGHT_M
+CAMERA = Camera("top", 160, 120, 220.0, 220.0, 79.5, 59.5, DOWN)
+SHEET = towel(0.24, 0.16, 0.02)
+
+
+def folded(vertices):
+    """The right half laid over the left, 10 mm above it; the camera sees the flap."""
+    over = vertices + [0.0, 0.0, 0.0015]
+    right = over[:, 0] > 1e-9
+    over[right] = over[right] * [-1.0, 1.0, 1.0] + [0.0, 0.0, 0.01]
+    return over
+
+
+TRUE = np.stack([SHEET.vertices + [0.0, 0.0, 0.0015], folded(SHEET.vertices)])
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """Two frames of a towel that is folded, seen without noise from above."""
+    folder = tmp_path_factory.mktemp("recording") / "fold"
+    flat_table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    draw = Rasteriser(SHEET.faces, CAMERA)
+    with RecordingWriter(folder, [CAMERA], {"top": 0.0001}, table=flat_table) as film:
+        for index, vertices in enumerate(TRUE):
+            view = draw.render(vertices)
+            shown = view.faces >= 0
+            depth = np.where(shown, view.depth, HEIGHT_M)
+            film.add_frame(0.1 * index, depth={"top": depth}, mask={"top": shown})
+    return read_recording(folder)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """The truth on a finer triangulation: material points are found, not vertices compared."""
+    fine = towel(0.24, 0.16, 0.008)
+    positions = np.stack([fine.vertices + [0.0, 0.0, 0.0015], folded(fine.vertices)])
+    return Truth(positions, fine.faces, np.arange(2), fine.canonical)
+
+
+def tracked(before, after=None, config=None):
+    after = before if after is None else after
+    nothing = Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+    losses = np.array([np.nan, np.nan])
+    action = TrackedAction(0, 1, before, after, losses, {"table_friction": 0.5}, nothing, {})
+    return TrackedTrajectory(
+        name="fold",
+        mesh=SHEET,
+        frames=np.arange(2),
+        time_s=np.array([0.0, 0.1]),
+        positions=np.stack([TRUE[0], after]),
+        visible=np.ones((2, SHEET.vertex_count), bool),
+        actions=(action,),
+        steps=StepRecords.empty(2),
+        config=config or asdict(RunConfig()),
+        provenance={"commit": "abc"},
+    )
+
+
+def test_the_truth_has_no_error_and_scores_its_floor(recording, truth):
+    result = evaluate(tracked(TRUE[1]), recording, truth)
+    assert [row.stage for row in result.rows] == list(STAGES)
+    for row in result.rows:
+        assert (row.recording, row.action, row.frame) == ("fold", 0, 1)
+        assert (row.method, row.floor_of) == ("default", "truth")
+        # Across the crease the finer mesh has a vertex where ours has an edge.
+        assert row.vertex_error_mm["all"].median < 0.05
+        assert row.vertex_error_mm["all"].max < 10.0
+        assert row.chamfer_pc == pytest.approx(row.chamfer_floor, rel=0.1)
+        assert row.chamfer_pc_rms_mm == pytest.approx(1e3 * np.sqrt(row.chamfer_pc / 2))
+    assert result.provenance == {"commit": "abc"}
+
+
+def test_five_millimetres_are_five_millimetres_visible_and_hidden(recording, truth):
+    moved = TRUE[1] + [0.003, 0.004, 0.0]
+    (row, _) = evaluate(tracked(moved), recording, truth).rows
+    for key in ("all", "visible", "hidden"):
+        assert row.vertex_error_mm[key].median == pytest.approx(5.0, abs=0.05)
+
+
+def test_the_layer_underneath_is_the_hidden_one(recording, truth):
+    under = SHEET.vertices[:, 0] < -0.01
+    moved = TRUE[1] + np.where(under[:, None], [0.0, 0.008, 0.0], 0.0)
+    (row, _) = evaluate(tracked(moved), recording, truth).rows
+    assert row.vertex_error_mm["hidden"].median == pytest.approx(8.0, abs=0.1)
+    assert row.vertex_error_mm["visible"].median < 0.05
+    assert row.vertex_error_mm["hidden"].count == pytest.approx(under.sum(), abs=12)
+
+
+def test_before_and_after_the_final_alignment_are_told_apart(recording, truth):
+    result = evaluate(tracked(TRUE[1] + [0.0, 0.005, 0.0], TRUE[1]), recording, truth)
+    before, after = result.rows
+    assert before.vertex_error_mm["all"].median == pytest.approx(5.0, abs=0.05)
+    assert after.vertex_error_mm["all"].median < 0.05
+    assert before.chamfer_surface > after.chamfer_surface
+    assert before.chamfer_floor == after.chamfer_floor
+
+
+def test_without_truth_there_is_no_vertex_error_but_a_floor(recording):
+    (row, _) = evaluate(tracked(TRUE[1]), recording).rows
+    assert row.floor_of == "cloud halves"
+    assert row.chamfer_floor > 0.0
+    assert row.vertex_error_mm == {}
+    assert np.isnan(row.chamfer_surface)
+
+
+def test_a_truth_without_canonical_coordinates_knows_only_the_surface(recording, truth):
+    (row, _) = evaluate(tracked(TRUE[1]), recording, replace(truth, canonical=None)).rows
+    assert row.vertex_error_mm == {}
+    assert 0.0 < row.chamfer_surface < 1e-5
+
+
+def test_a_trajectory_of_another_recording_is_refused(recording, truth):
+    other = tracked(TRUE[1])
+    late = replace(other.actions[0], last_frame=7)
+    with pytest.raises(InvalidResultError, match="has 2 frames"):
+        evaluate(replace(other, actions=(late,)), recording, truth)
+
+
+@pytest.mark.parametrize("name", MODES)
+def test_a_stored_configuration_names_its_mode(name):
+    stored = json.loads(json.dumps(asdict(RunConfig(tracker=mode(name)))))
+    assert method_name(stored) == name
+    stored["tracker"]["attachment_strength"] = 0.123
+    assert method_name(stored) == "custom"
+
+
+def test_json_has_every_name_and_no_nan(recording, tmp_path):
+    result = evaluate(tracked(TRUE[1]), recording)
+    (one,) = json.loads(as_json([result]))
+    assert one["name"] == "fold"
+    row = one["rows"][0]
+    for name in ("chamfer_pc", "chamfer_pc_rms_mm", "chamfer_floor", "vertex_error_mm"):
+        assert name in row
+    assert set(row["cloth"]) == {
+        "edge_strain", "crossings", "close_pairs", "below_table", "coverage",
+    }  # fmt: skip
+    assert row["chamfer_surface"] is None
+    save_json([result], tmp_path / "deep" / "rows.json")
+    assert json.loads((tmp_path / "deep" / "rows.json").read_text()) == [one]
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["rows.json"]
+
+
+def test_a_file_in_the_way_of_the_json_is_a_storage_error(recording, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="file"):
+        save_json([], tmp_path / "file" / "rows.json")
+
+
+def test_the_table_has_a_line_per_row_and_says_its_units(recording, truth):
+    known, unknown = (evaluate(tracked(TRUE[1]), recording, one) for one in (truth, None))
+    head, *lines, legend = table([known, unknown]).splitlines()
+    assert len(lines) == 4
+    for word in ("Ch.PC", "floor", "visible", "hidden", "strain", "cross"):
+        assert word in head
+    assert [line.split()[2] for line in lines] == ["before", "after"] * 2
+    assert lines[2].split()[6:10] == ["-"] * 4
+    assert "m^2" in legend
+    assert "[mm]" in legend
