@@ -124,7 +124,7 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
             inputs=[*problem.objective, positions, displacements, sums, conjugate],
             device=device,
         )
-        if device.is_cpu:
+        if wp.get_device(device).is_cpu:
             inputs = [*system, config.icp_inner]
             wp.launch(kernels.solve_alone, dim=1, inputs=inputs, device=device)
         else:
@@ -156,7 +156,7 @@ def _conjugate(problem: Problem) -> tuple[object, int]:
     device, vertices = problem.initial.device, len(problem.initial)
     conjugate = kernels.Conjugate()
     # One strip is enough for one core; a GPU needs many threads.
-    conjugate.strip = vertices if device.is_cpu else 8
+    conjugate.strip = vertices if wp.get_device(device).is_cpu else 8
     strips = -(-vertices // conjugate.strip)
     edges = len(problem.topology.neighbour)
     conjugate.unit = wp.zeros(edges, dtype=wp.vec3, device=device)
