@@ -33,7 +33,7 @@ from run_tracker import MODE_NAMES, before_final_alignment, track
 from clothtrack.errors import ClothTrackError
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-COMPARED = ("default", "full_held_paper", "open_loop")
+COMPARED = MODE_NAMES
 SMOKE_FRAMES = {hanging_cloth.NAME: 6, robot_clouds.NAME: 9}
 
 
@@ -215,6 +215,8 @@ COLUMNS: dict[str, tuple[tuple[str, str, float], ...]] = {
         ("median_m2", "median", 1e4),
         ("worst_frame_m2", "worst frame", 1e4),
         ("cloud_to_mesh_m2", "cloud->mesh", 1e4),
+        ("band_as_target_m2", "band met", 1e4),
+        ("band_as_target_worst_m2", "its worst", 1e4),
         ("edge_strain", "strain %", 1e2),
     ),
     tshirt_pair.NAME: (

@@ -26,6 +26,8 @@ def row(sequence, mode, mean):
         "median_m2": mean,
         "worst_frame_m2": 2 * mean,
         "cloud_to_mesh_m2": 0.5 * mean,
+        "band_as_target_m2": mean,
+        "band_as_target_worst_m2": mean,
         "edge_strain": 0.01,
     }
 
