@@ -64,7 +64,8 @@ class TrackerConfig:
             visible; below the distance of two layers.
         parameters: cloth parameters and grasp offset before any calibration.
         calibration: what is searched per action.
-        alignment: test-time optimisation at every frame (TTO1).
+        alignment: test-time optimisation at every frame (TTO1); the default takes twice the paper's
+            iterations, which the two terms of ours need to converge.
         final_alignment: test-time optimisation at the end of an action (TTO2).
         line_search: when a pseudo-action is too much.
         picking: how a picker takes hold.
@@ -89,7 +90,7 @@ class TrackerConfig:
     visibility_tolerance_m: float = 0.003
     parameters: Mapping[str, float] = field(default_factory=_default_parameters)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
-    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    alignment: AlignmentConfig = field(default_factory=lambda: AlignmentConfig(iterations=400))
     final_alignment: AlignmentConfig = field(default_factory=_final_alignment)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
     picking: PickingConfig = field(default_factory=PickingConfig)
