@@ -31,6 +31,7 @@ from real import hanging_cloth, robot_clouds, tshirt_pair
 from run_tracker import MODE_NAMES, before_final_alignment, track
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 COMPARED = MODE_NAMES
@@ -110,6 +111,7 @@ def attempt(task: Task) -> dict[str, object]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     options = parse(arguments)
+    quiet_warp()
     logging.basicConfig(level=logging.INFO if options.verbose else logging.WARNING)
     report: dict[str, object] = {}
     with tempfile.TemporaryDirectory(prefix="real-recordings-") as temporary:
@@ -140,7 +142,7 @@ def judge(name: str, folder: Path, keep: Path, options: argparse.Namespace) -> d
         for mode in modes
     ]  # fmt: skip
     if options.workers > 1:
-        with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(options.workers, get_context("spawn"), quiet_warp) as pool:
             scores = list(pool.map(attempt, tasks))
     else:
         scores = [attempt(task) for task in tasks]

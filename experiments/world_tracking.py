@@ -33,6 +33,7 @@ from run_tracker import MODE_NAMES, track
 from clothtrack.errors import ClothTrackError
 from clothtrack.evaluation.results import evaluate
 from clothtrack.evaluation.truth import Truth
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.recordings.store import read_recording
 from clothtrack.world.episodes import EpisodeConfig, TemplateConfig, simulate
 
@@ -212,6 +213,7 @@ def world_recordings(options: argparse.Namespace, out: Path) -> list[tuple[Path,
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     options = parse(arguments)
+    quiet_warp()
     logging.basicConfig(level=logging.INFO if options.verbose else logging.WARNING)
     with tempfile.TemporaryDirectory(prefix="world-tracking-") as temporary:
         # A smoke run leaves nothing in a world that is kept.
@@ -222,7 +224,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for mode in options.modes
         ]
         if options.workers > 1:
-            with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+            with ProcessPoolExecutor(options.workers, get_context("spawn"), quiet_warp) as pool:
                 parts = list(pool.map(rows_of, tasks))
         else:
             parts = [rows_of(task) for task in tasks]

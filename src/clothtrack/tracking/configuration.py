@@ -114,8 +114,8 @@ class TrackerConfig:
             )
         if self.final_rounds < 1 or self.final_roll_s < 0.0:
             raise InvalidConfigError(
-                f"final_rounds is {self.final_rounds} and final_roll_s {self.final_roll_s}; give at "
-                "least one round and 0 s (at once) or more"
+                f"final_rounds is {self.final_rounds} and final_roll_s {self.final_roll_s}; give "
+                "at least one round, and 0 s (at once) or more"
             )
         missing = [name for name in PARAMETERS if name not in self.parameters]
         unknown = [name for name in self.parameters if name not in PARAMETERS]
