@@ -155,16 +155,22 @@ def judge(name: str, folder: Path, keep: Path, options: argparse.Namespace) -> d
 
 
 def converted(name: str, folder: Path, output: Path, *, smoke: bool) -> list[tuple[Path, Path]]:
-    """Write the set's recordings; each with the folder or file that its scorer reads."""
+    """Write the set's recordings; each with the folder or file that its scorer reads.
+
+    A recording that lies there from an earlier run with `--keep` is taken as it is.
+    """
     frames = SMOKE_FRAMES.get(name) if smoke else None
     if name == robot_clouds.NAME:
         files = robot_clouds.sequences(folder)
         files = files[-1:] if smoke else files
-        return [
-            (robot_clouds.convert(file, output / file.stem, frames=frames), file) for file in files
-        ]
-    convert = hanging_cloth.convert if name == hanging_cloth.NAME else tshirt_pair.convert
-    return [(convert(folder, output / name, frames=frames), folder)]
+        wanted = [(robot_clouds.convert, file, output / file.stem) for file in files]
+    else:
+        convert = hanging_cloth.convert if name == hanging_cloth.NAME else tshirt_pair.convert
+        wanted = [(convert, folder, output / name)]
+    return [
+        (recording if recording.exists() else convert(source, recording, frames=frames), source)
+        for convert, source, recording in wanted
+    ]
 
 
 def by_mode(rows: list[dict[str, object]], modes: Sequence[str]) -> dict[str, object]:
