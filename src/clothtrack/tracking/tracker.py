@@ -270,8 +270,11 @@ class Tracker:
         config = self._config.calibration.with_grasp_offset(
             self._recording.cloth.grasp_uncertainty_m
         )
-        if not self._config.use_action or not any(grasp.moves for grasp in grasps):
-            # An open-loop roll-out in which nothing is moved says nothing about the cloth.
+        too_short = action.last_frame - action.first_frame < self._config.score_frames
+        still = not any(grasp.moves for grasp in grasps)
+        if not self._config.use_action or still or too_short:
+            # An open-loop roll-out in which nothing is moved says nothing about the cloth, and
+            # fewer clouds than are to be compared do not tell one parameter from another.
             config = replace(config, method="none")
         if self._open_loop is None and config.method != "none":
             self._open_loop = OpenLoopScore(
