@@ -23,7 +23,7 @@ from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion, RollOut
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState
 from clothtrack.tracking.alignment import Aligner, Alignment
-from clothtrack.tracking.calibration import PARAMETERS, calibrate
+from clothtrack.tracking.calibration import calibrate
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.line_search import LineSearchResult, search_line
 from clothtrack.tracking.open_loop import (
@@ -33,7 +33,12 @@ from clothtrack.tracking.open_loop import (
     within_reach,
 )
 from clothtrack.tracking.picking import Grasp, find_grasps, held_motion, picker_speed
-from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedAction, TrackedTrajectory
+from clothtrack.tracking.tracked_trajectory import (
+    Calibration,
+    StepRecords,
+    TrackedAction,
+    TrackedTrajectory,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -265,7 +270,10 @@ class Tracker:
         solver.set_velocities(np.zeros_like(state.velocities))
         return solver.save()
 
-    def _calibrated(self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]):
+    def _calibrated(
+        self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]
+    ) -> tuple[ActionContext, Calibration]:
+        """Decide what is held, and find the cloth's parameters for this action."""
         grasps = find_grasps(self._recording, action, state.positions[0], self._config.picking)
         config = self._config.calibration.with_grasp_offset(
             self._recording.cloth.grasp_uncertainty_m
@@ -290,6 +298,3 @@ class Tracker:
             {name: chosen[name] for name in calibration.names}, calibration.roll_outs,
         )  # fmt: skip
         return ActionContext(action, grasps, chosen), calibration
-
-
-__all__ = ["PARAMETERS", "Tracker"]
