@@ -1,9 +1,9 @@
-"""The figure of the README: what was seen, the tracked mesh over it, the mesh alone.
+"""The figures of the documents: what was seen, the tracked mesh over it, the mesh alone.
 
     make demo
     python experiments/readme_figure.py --tracked out/demo/fold_the_tshirt.zarr
 
-writes docs/images/demo.png.
+writes docs/images/demo.png, the README's; another recording with `--recording` and `--image`.
 """
 
 import argparse
@@ -24,11 +24,11 @@ WIDTH_PX = 800
 COLOR_STEP = 6
 
 
-def draw(tracked: Path, image: Path) -> Path:
-    """Draw a tracked trajectory of the first shipped recording, small enough for a README."""
+def draw(tracked: Path, recording: Path, image: Path) -> Path:
+    """Draw a tracked trajectory over its recording, small enough for a README."""
     overlay = Overlay(
         TrackedTrajectory.load(tracked),
-        read_recording(shipped_recording()),
+        read_recording(recording),
         config=OverlayConfig(height=240),
     )
     with tempfile.TemporaryDirectory() as folder:
@@ -45,9 +45,10 @@ def main() -> None:
     """Draw the figure and say how large it is."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tracked", type=Path, required=True)
+    parser.add_argument("--recording", type=Path, default=shipped_recording())
     parser.add_argument("--image", type=Path, default=Path("docs/images/demo.png"))
     arguments = parser.parse_args()
-    image = draw(arguments.tracked, arguments.image)
+    image = draw(arguments.tracked, arguments.recording, arguments.image)
     say(f"{image}: {image.stat().st_size / 1e3:.0f} kB\n")
 
 
