@@ -13,6 +13,7 @@ from jaxtyping import Float32, Int32
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation import particle_contact_kernels as particles
 from clothtrack.simulation import triangle_contact_kernels as triangles
+from clothtrack.simulation import triangle_push_kernels as pushes
 from clothtrack.simulation.buffers import ClothBuffers
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.triangle_contact_kernels import TRIANGLES_PER_VERTEX
@@ -140,7 +141,7 @@ class TriangleContact:
         config: SolverConfig,
         particle_friction: wp.array,
     ) -> None:
-        self._buffers = buffers
+        self.buffers = buffers
         self._config = config
         self._friction = particle_friction
         self._device = device = buffers.positions.device
@@ -168,18 +169,12 @@ class TriangleContact:
         self._old_sides = wp.zeros_like(self.sides)
         self._old_distances = wp.zeros_like(self.distances)
         self._old_counts = wp.zeros_like(self.counts)
-        self._impulses = wp.zeros(slots, dtype=wp.vec3, device=device)
-        self._stopping = wp.zeros(slots, dtype=wp.vec3, device=device)
-        self._weights = wp.zeros(slots, dtype=wp.vec3, device=device)
-        self._reactions = wp.zeros(
-            (environments, vertices, REACTIONS_PER_VERTEX), dtype=int, device=device
-        )
-        self._reaction_counts = wp.zeros((environments, vertices), dtype=int, device=device)
         self.overflows = wp.zeros(environments, dtype=int, device=device)
+        self._push = (ScatteredPush if device.is_cpu else GatheredPush)(self)
 
     def find(self) -> None:
-        """List vertex-triangle pairs with their sides, and the reactions of each corner."""
-        buffers, config, device = self._buffers, self._config, self._device
+        """List vertex-triangle pairs with their sides, and prepare to push them apart."""
+        buffers, config, device = self.buffers, self._config, self._device
         wp.copy(self._old_sides, self.sides)
         wp.copy(self._old_distances, self.distances)
         wp.copy(self._old_counts, self.counts)
@@ -210,24 +205,11 @@ class TriangleContact:
             outputs=[self.sides, self.distances, self.counts, self.overflows],
             device=device,
         )
-        self._reaction_counts.zero_()
-        wp.launch(
-            triangles.list_reactions,
-            dim=buffers.shape,
-            inputs=[buffers.faces, self.sides, self.counts],
-            outputs=[self._reactions, self._reaction_counts, self.overflows],
-            device=device,
-        )
-        wp.launch(
-            triangles.sort_reactions,
-            dim=buffers.shape,
-            inputs=[self._reactions, self._reaction_counts],
-            device=device,
-        )
+        self._push.prepare()
 
     def _sort_faces(self) -> None:
         """Sort the triangles into cells by where they are now."""
-        buffers, device = self._buffers, self._device
+        buffers, device = self.buffers, self._device
         shape = (buffers.shape[0], len(buffers.faces))
         self._cell_counts.zero_()
         wp.launch(
@@ -265,42 +247,26 @@ class TriangleContact:
         )
 
     def push(self) -> None:
-        """Compute the impulse of each pair, then what each vertex makes of its own."""
-        buffers, config = self._buffers, self._config
-        wp.launch(
-            triangles.find_impulses,
-            dim=buffers.shape,
-            inputs=[
-                buffers.clocks,
-                config.contact_tolerance,
-                config.push_out_speed,
-                self._friction,
-                buffers.faces,
-                self.sides,
-                self.distances,
-                self.counts,
-                buffers.inverse_masses,
-                buffers.positions,
-                buffers.start,
-            ],
-            outputs=[self._impulses, self._stopping, self._weights],
-            device=self._device,
-        )
-        wp.launch(
-            triangles.gather_impulses,
-            dim=buffers.shape,
-            inputs=[
-                self.counts,
-                self._reactions,
-                self._reaction_counts,
-                self._impulses,
-                self._stopping,
-                self._weights,
-                buffers.inverse_masses,
-            ],
-            outputs=[buffers.moves, buffers.stops],
-            device=self._device,
-        )
+        """Compute what contact adds to the positions."""
+        self._push.launch()
+
+    @property
+    def pair_inputs(self) -> list[object]:
+        """What every kernel that computes impulses takes first."""
+        buffers, config = self.buffers, self._config
+        return [
+            buffers.clocks,
+            config.contact_tolerance,
+            config.push_out_speed,
+            self._friction,
+            buffers.faces,
+            self.sides,
+            self.distances,
+            self.counts,
+            buffers.inverse_masses,
+            buffers.positions,
+            buffers.start,
+        ]
 
     def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The lists; slots beyond the count are cleared, so that equal states have equal bits."""
@@ -318,6 +284,94 @@ class TriangleContact:
         self.sides.assign(sides)
         self.distances.assign(distances)
         self.counts.assign(counts)
+
+
+class ScatteredPush:
+    """Goes through an environment's pairs one by one and adds each impulse where it belongs.
+
+    For a CPU, where threads run one after another.
+    """
+
+    def __init__(self, contact: TriangleContact) -> None:
+        self._contact = contact
+        buffers = contact.buffers
+        self._active = wp.zeros(buffers.shape, dtype=int, device=buffers.positions.device)
+
+    def prepare(self) -> None:
+        """Nothing to prepare when new pairs are listed."""
+
+    def launch(self) -> None:
+        """Compute what contact adds to the positions."""
+        buffers = self._contact.buffers
+        wp.launch(
+            pushes.scatter_impulses,
+            dim=buffers.shape[0],
+            inputs=self._contact.pair_inputs,
+            outputs=[self._active, buffers.moves, buffers.stops],
+            device=buffers.positions.device,
+        )
+
+
+class GatheredPush:
+    """Stores the impulse of each pair, then lets each vertex gather what concerns it.
+
+    For a GPU; every corner of a triangle knows its pairs.
+    """
+
+    def __init__(self, contact: TriangleContact) -> None:
+        self._contact = contact
+        buffers = contact.buffers
+        self._device = device = buffers.positions.device
+        slots = (*buffers.shape, TRIANGLES_PER_VERTEX)
+        self._impulses = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._stopping = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._weights = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._reactions = wp.zeros((*buffers.shape, REACTIONS_PER_VERTEX), dtype=int, device=device)
+        self._reaction_counts = wp.zeros(buffers.shape, dtype=int, device=device)
+
+    def prepare(self) -> None:
+        """Tell every corner which of the listed pairs push it."""
+        contact, buffers = self._contact, self._contact.buffers
+        self._reaction_counts.zero_()
+        wp.launch(
+            pushes.list_reactions,
+            dim=buffers.shape,
+            inputs=[buffers.faces, contact.sides, contact.counts],
+            outputs=[self._reactions, self._reaction_counts, contact.overflows],
+            device=self._device,
+        )
+        wp.launch(
+            pushes.sort_reactions,
+            dim=buffers.shape,
+            inputs=[self._reactions, self._reaction_counts],
+            device=self._device,
+        )
+
+    def launch(self) -> None:
+        """Compute the impulse of each pair, then what each vertex makes of its own."""
+        contact, buffers = self._contact, self._contact.buffers
+        wp.launch(
+            pushes.find_impulses,
+            dim=buffers.shape,
+            inputs=contact.pair_inputs,
+            outputs=[self._impulses, self._stopping, self._weights],
+            device=self._device,
+        )
+        wp.launch(
+            pushes.gather_impulses,
+            dim=buffers.shape,
+            inputs=[
+                contact.counts,
+                self._reactions,
+                self._reaction_counts,
+                self._impulses,
+                self._stopping,
+                self._weights,
+                buffers.inverse_masses,
+            ],
+            outputs=[buffers.moves, buffers.stops],
+            device=self._device,
+        )
 
 
 def _face_reach(mesh: ClothMesh, config: SolverConfig) -> np.ndarray:

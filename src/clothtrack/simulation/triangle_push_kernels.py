@@ -1,0 +1,261 @@
+"""Kernels that push apart what vertex-triangle contact has listed.
+
+Each pair gives equal and opposite impulses to the vertex and to the triangle's corners. On a GPU
+every pair's impulse is stored first and every vertex then gathers what concerns it, in a fixed
+order. On a CPU, where threads run one after another, one thread goes through the pairs of an
+environment and adds each impulse where it belongs. Both are the same sums in another order; neither
+depends on the order of threads.
+"""
+
+from typing import no_type_check
+
+import warp as wp
+
+from clothtrack.simulation.kernels import Clock
+from clothtrack.simulation.triangle_contact_kernels import SLOTS, barycentric
+
+wp.set_module_options({"enable_backward": False})
+
+
+@no_type_check
+@wp.kernel
+def list_reactions(
+    faces: wp.array(dtype=wp.vec3i),
+    sides: wp.array3d(dtype=int),
+    counts: wp.array2d(dtype=int),
+    reactions: wp.array3d(dtype=int),
+    reaction_counts: wp.array2d(dtype=int),
+    overflows: wp.array(dtype=int),
+):
+    """Tell every corner of a listed triangle which pairs push it (pair x 3 + corner)."""
+    environment, vertex = wp.tid()
+    for slot in range(counts[environment, vertex]):
+        face = faces[wp.abs(sides[environment, vertex, slot]) - 1]
+        for corner in range(3):
+            place = wp.atomic_add(reaction_counts, environment, face[corner], 1)
+            if place < reactions.shape[2]:
+                reactions[environment, face[corner], place] = (vertex * SLOTS + slot) * 3 + corner
+            else:
+                wp.atomic_add(overflows, environment, 1)
+
+
+@no_type_check
+@wp.kernel
+def sort_reactions(
+    reactions: wp.array3d(dtype=int),
+    reaction_counts: wp.array2d(dtype=int),
+):
+    """Order each corner's reactions, so that sums do not depend on the order of threads."""
+    environment, vertex = wp.tid()
+    count = wp.min(reaction_counts[environment, vertex], reactions.shape[2])
+    reaction_counts[environment, vertex] = count
+    for index in range(1, count):
+        code = reactions[environment, vertex, index]
+        place = wp.int32(index)
+        while place > 0 and reactions[environment, vertex, place - 1] > code:
+            reactions[environment, vertex, place] = reactions[environment, vertex, place - 1]
+            place -= 1
+        reactions[environment, vertex, place] = code
+
+
+@no_type_check
+@wp.func
+def holds_a_corner(environment: int, face: wp.vec3i, inverse_masses: wp.array2d(dtype=float)):
+    """Whether a corner of the triangle is held."""
+    return (
+        inverse_masses[environment, face[0]] == 0.0
+        or inverse_masses[environment, face[1]] == 0.0
+        or inverse_masses[environment, face[2]] == 0.0
+    )
+
+
+@no_type_check
+@wp.struct
+class Impulse:
+    """What a pair does to its vertex: impulse, the part that ends an approach [kg m], foot.
+
+    The corners get the opposite, in the shares of the foot. `pushes` is 0 when nothing happens.
+    """
+
+    moving: wp.vec3
+    stopping: wp.vec3
+    foot: wp.vec3
+    pushes: wp.int32
+
+
+@no_type_check
+@wp.func
+def pair_impulse(
+    environment: int,
+    vertex: int,
+    code: int,
+    distance: float,
+    longest: float,
+    tolerance: float,
+    friction: float,
+    face: wp.vec3i,
+    inverse_masses: wp.array2d(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+    start: wp.array2d(dtype=wp.vec3),
+):
+    """Impulse of a listed pair, if it is nearer than its distance or on the wrong side."""
+    impulse = Impulse()
+    point = positions[environment, vertex]
+    a = positions[environment, face[0]]
+    b = positions[environment, face[1]]
+    c = positions[environment, face[2]]
+    normal = wp.cross(b - a, c - a)
+    squared = wp.dot(normal, normal)
+    if squared < 1.0e-18:
+        return impulse
+    outward = normal * (wp.where(code > 0, 1.0, -1.0) / wp.sqrt(squared))
+    height = wp.dot(point - a, outward)
+    push = distance - height
+    if push <= 0.0:
+        return impulse
+    foot = barycentric(point, a, b, c, normal)
+    if wp.min(foot) < -tolerance:
+        return impulse
+    push = wp.min(push, longest * wp.where(height > 0.0, 2.0, 1.0))
+    weight = inverse_masses[environment, vertex]
+    if weight == 0.0 and holds_a_corner(environment, face, inverse_masses):
+        return impulse  # what one hand holds together stays as it was grasped
+    slip = point - start[environment, vertex]
+    for corner in range(3):
+        share = foot[corner]
+        weight += share * share * inverse_masses[environment, face[corner]]
+        slip -= share * (positions[environment, face[corner]] - start[environment, face[corner]])
+    if weight == 0.0:
+        return impulse
+    nearing = -wp.dot(slip, outward)
+    slip += nearing * outward
+    cut = wp.min(1.0, friction * push / (wp.length(slip) + 1.0e-12))
+    impulse.moving = (push * outward - cut * slip) / weight
+    impulse.stopping = (wp.clamp(nearing, 0.0, push) * outward - cut * slip) / weight
+    impulse.foot = foot
+    if wp.dot(impulse.moving, impulse.moving) > 0.0:
+        impulse.pushes = 1
+    return impulse
+
+
+@no_type_check
+@wp.kernel
+def scatter_impulses(
+    clocks: wp.array(dtype=Clock),
+    tolerance: float,
+    push_out_speed: float,
+    friction: wp.array(dtype=float),
+    faces: wp.array(dtype=wp.vec3i),
+    sides: wp.array3d(dtype=int),
+    distances: wp.array3d(dtype=float),
+    counts: wp.array2d(dtype=int),
+    inverse_masses: wp.array2d(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+    start: wp.array2d(dtype=wp.vec3),
+    active: wp.array2d(dtype=int),
+    moves: wp.array2d(dtype=wp.vec3),
+    stops: wp.array2d(dtype=wp.vec3),
+):
+    """What `find_impulses` and `gather_impulses` do, by one thread per environment."""
+    environment = wp.tid()
+    for vertex in range(counts.shape[1]):
+        active[environment, vertex] = 0
+        moves[environment, vertex] = wp.vec3(0.0, 0.0, 0.0)
+        stops[environment, vertex] = wp.vec3(0.0, 0.0, 0.0)
+    longest = push_out_speed * clocks[0].substep_s
+    rubbing = friction[environment]
+    for vertex in range(counts.shape[1]):
+        for slot in range(counts[environment, vertex]):
+            code = sides[environment, vertex, slot]
+            face = faces[wp.abs(code) - 1]
+            impulse = pair_impulse(
+                environment, vertex, code, distances[environment, vertex, slot], longest,
+                tolerance, rubbing, face, inverse_masses, positions, start,
+            )  # fmt: skip
+            if impulse.pushes == 1:
+                active[environment, vertex] += 1
+                moves[environment, vertex] += impulse.moving
+                stops[environment, vertex] += impulse.stopping
+                for corner in range(3):
+                    share = impulse.foot[corner]
+                    active[environment, face[corner]] += 1
+                    moves[environment, face[corner]] -= impulse.moving * share
+                    stops[environment, face[corner]] -= impulse.stopping * share
+    for vertex in range(counts.shape[1]):
+        if active[environment, vertex] > 0:
+            share = inverse_masses[environment, vertex] / float(active[environment, vertex])
+            moves[environment, vertex] = share * moves[environment, vertex]
+            stops[environment, vertex] = share * stops[environment, vertex]
+
+
+@no_type_check
+@wp.kernel
+def find_impulses(
+    clocks: wp.array(dtype=Clock),
+    tolerance: float,
+    push_out_speed: float,
+    friction: wp.array(dtype=float),
+    faces: wp.array(dtype=wp.vec3i),
+    sides: wp.array3d(dtype=int),
+    distances: wp.array3d(dtype=float),
+    counts: wp.array2d(dtype=int),
+    inverse_masses: wp.array2d(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+    start: wp.array2d(dtype=wp.vec3),
+    impulses: wp.array3d(dtype=wp.vec3),
+    stopping: wp.array3d(dtype=wp.vec3),
+    weights: wp.array3d(dtype=wp.vec3),
+):
+    """Impulse [kg m] of each listed pair that is nearer than its distance or on the wrong side."""
+    environment, vertex = wp.tid()
+    longest = push_out_speed * clocks[0].substep_s
+    for slot in range(counts[environment, vertex]):
+        code = sides[environment, vertex, slot]
+        impulse = pair_impulse(
+            environment, vertex, code, distances[environment, vertex, slot], longest, tolerance,
+            friction[environment], faces[wp.abs(code) - 1], inverse_masses, positions, start,
+        )  # fmt: skip
+        impulses[environment, vertex, slot] = impulse.moving
+        stopping[environment, vertex, slot] = impulse.stopping
+        weights[environment, vertex, slot] = impulse.foot
+
+
+@no_type_check
+@wp.kernel
+def gather_impulses(
+    counts: wp.array2d(dtype=int),
+    reactions: wp.array3d(dtype=int),
+    reaction_counts: wp.array2d(dtype=int),
+    impulses: wp.array3d(dtype=wp.vec3),
+    stopping: wp.array3d(dtype=wp.vec3),
+    weights: wp.array3d(dtype=wp.vec3),
+    inverse_masses: wp.array2d(dtype=float),
+    moves: wp.array2d(dtype=wp.vec3),
+    stops: wp.array2d(dtype=wp.vec3),
+):
+    """Average over the active pairs of what each wants to move this vertex (Jacobi) [m].
+
+    `stops` is the part that ends an approach and so changes the velocity too.
+    """
+    environment, vertex = wp.tid()
+    total = wp.vec3(0.0, 0.0, 0.0)
+    stopped = wp.vec3(0.0, 0.0, 0.0)
+    active = wp.int32(0)
+    for slot in range(counts[environment, vertex]):
+        impulse = impulses[environment, vertex, slot]
+        if wp.dot(impulse, impulse) > 0.0:
+            total += impulse
+            stopped += stopping[environment, vertex, slot]
+            active += 1
+    for index in range(reaction_counts[environment, vertex]):
+        code = reactions[environment, vertex, index]
+        pair = code // 3
+        impulse = impulses[environment, pair // SLOTS, pair % SLOTS]
+        if wp.dot(impulse, impulse) > 0.0:
+            share = weights[environment, pair // SLOTS, pair % SLOTS][code % 3]
+            total -= impulse * share
+            stopped -= stopping[environment, pair // SLOTS, pair % SLOTS] * share
+            active += 1
+    share = inverse_masses[environment, vertex] / float(wp.max(active, 1))
+    moves[environment, vertex] = share * total
+    stops[environment, vertex] = share * stopped
