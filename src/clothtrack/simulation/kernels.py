@@ -195,32 +195,25 @@ def solve_stretch(
     pairs: wp.array(dtype=wp.vec2i),
     lengths: wp.array(dtype=float),
     first: int,
-    end: int,
-    pairs_per_thread: int,
     compliances: wp.array(dtype=float),
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """One Gauss-Seidel pass over the edges of one colour (XPBD, equation 18).
-
-    A thread solves several pairs of a colour: one on a GPU, all of them on a CPU, where starting a
-    thread costs more than a pair.
-    """
-    environment, thread = wp.tid()
+    """One Gauss-Seidel pass over the edges of one colour (XPBD, equation 18), a thread each."""
+    environment, place = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square
-    begin = first + thread * pairs_per_thread
-    for number in range(begin, wp.min(begin + pairs_per_thread, end)):
-        pair = pairs[number]
-        weight_a = inverse_masses[environment, pair[0]]
-        weight_b = inverse_masses[environment, pair[1]]
-        a = positions[environment, pair[0]]
-        b = positions[environment, pair[1]]
-        across = b - a
-        distance = wp.length(across)
-        weight = weight_a + weight_b + softness
-        impulse = across * ((distance - lengths[number]) / (distance * weight + TINY))
-        positions[environment, pair[0]] = a + weight_a * impulse
-        positions[environment, pair[1]] = b - weight_b * impulse
+    number = first + place
+    pair = pairs[number]
+    weight_a = inverse_masses[environment, pair[0]]
+    weight_b = inverse_masses[environment, pair[1]]
+    a = positions[environment, pair[0]]
+    b = positions[environment, pair[1]]
+    across = b - a
+    distance = wp.length(across)
+    weight = weight_a + weight_b + softness
+    impulse = across * ((distance - lengths[number]) / (distance * weight + TINY))
+    positions[environment, pair[0]] = a + weight_a * impulse
+    positions[environment, pair[1]] = b - weight_b * impulse
 
 
 @no_type_check
@@ -230,34 +223,31 @@ def solve_bend(
     pairs: wp.array(dtype=wp.vec2i),
     lengths: wp.array(dtype=float),
     first: int,
-    end: int,
-    pairs_per_thread: int,
     compliances: wp.array(dtype=float),
     limit: float,
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
     """One pass over the bend pairs of one colour; a sharp crease resists without compliance."""
-    environment, thread = wp.tid()
+    environment, place = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square
-    begin = first + thread * pairs_per_thread
-    for number in range(begin, wp.min(begin + pairs_per_thread, end)):
-        pair = pairs[number]
-        weight_a = inverse_masses[environment, pair[0]]
-        weight_b = inverse_masses[environment, pair[1]]
-        a = positions[environment, pair[0]]
-        b = positions[environment, pair[1]]
-        across = b - a
-        distance = wp.length(across)
-        length = lengths[number]
-        weight = weight_a + weight_b
-        if distance < limit * length:
-            length *= limit
-        else:
-            weight += softness
-        impulse = across * ((distance - length) / (distance * weight + TINY))
-        positions[environment, pair[0]] = a + weight_a * impulse
-        positions[environment, pair[1]] = b - weight_b * impulse
+    number = first + place
+    pair = pairs[number]
+    weight_a = inverse_masses[environment, pair[0]]
+    weight_b = inverse_masses[environment, pair[1]]
+    a = positions[environment, pair[0]]
+    b = positions[environment, pair[1]]
+    across = b - a
+    distance = wp.length(across)
+    length = lengths[number]
+    weight = weight_a + weight_b
+    if distance < limit * length:
+        length *= limit
+    else:
+        weight += softness
+    impulse = across * ((distance - length) / (distance * weight + TINY))
+    positions[environment, pair[0]] = a + weight_a * impulse
+    positions[environment, pair[1]] = b - weight_b * impulse
 
 
 @no_type_check

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation import kernels
+from clothtrack.simulation import kernels, sweep_kernels
 from clothtrack.simulation.buffers import allocate
 from clothtrack.simulation.constraints import (
     DistanceConstraints,
@@ -38,6 +38,7 @@ class _DeviceConstraints:
     pairs: wp.array
     lengths: wp.array
     colours: list[tuple[int, int]]
+    bounds: wp.array
 
     @classmethod
     def upload(cls, constraints: DistanceConstraints, device: str) -> "_DeviceConstraints":
@@ -46,6 +47,7 @@ class _DeviceConstraints:
             wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
             wp.array(constraints.lengths, dtype=float, device=device),
             constraints.colours,
+            wp.array(constraints.first, dtype=int, device=device),
         )
 
 
@@ -315,29 +317,46 @@ class ClothSolver:
 
     def _launch_constraints(self) -> None:
         stretch, bend = self._material[0], self._material[1]
-        self._launch_sweep(kernels.solve_stretch, self._stretch, [stretch])
-        self._launch_sweep(kernels.solve_bend, self._bend, [bend, self.config.bend_limit])
+        if self._is_cpu:
+            self._sweep_at_once(self._stretch, stretch, 0.0)
+            self._sweep_at_once(self._bend, bend, self.config.bend_limit)
+            return
+        self._sweep_colours(kernels.solve_stretch, self._stretch, [stretch])
+        self._sweep_colours(kernels.solve_bend, self._bend, [bend, self.config.bend_limit])
 
-    def _launch_sweep(
+    def _sweep_at_once(
+        self, constraints: _DeviceConstraints, compliances: wp.array, limit: float
+    ) -> None:
+        buffers = self._buffers
+        wp.launch(
+            sweep_kernels.sweep_constraints,
+            dim=self.environments,
+            inputs=[
+                buffers.clocks,
+                constraints.pairs,
+                constraints.lengths,
+                constraints.bounds,
+                compliances,
+                limit,
+                buffers.inverse_masses,
+                buffers.positions,
+            ],
+            device=self.device,
+        )
+
+    def _sweep_colours(
         self, kernel: wp.Kernel, constraints: _DeviceConstraints, material: list
     ) -> None:
         buffers = self._buffers
-        colours = constraints.colours
-        if self._is_cpu:
-            # One thread goes through all colours in their order: the same as one after the other.
-            colours = [(0, sum(count for _, count in colours))]
-        for first, count in colours:
-            per_thread = count if self._is_cpu else 1
+        for first, count in constraints.colours:
             wp.launch(
                 kernel,
-                dim=(self.environments, 1 if self._is_cpu else count),
+                dim=(self.environments, count),
                 inputs=[
                     buffers.clocks,
                     constraints.pairs,
                     constraints.lengths,
                     first,
-                    first + count,
-                    per_thread,
                     *material,
                     buffers.inverse_masses,
                     buffers.positions,

@@ -12,7 +12,7 @@ from typing import no_type_check
 import warp as wp
 
 from clothtrack.simulation.kernels import Clock
-from clothtrack.simulation.triangle_contact_kernels import SLOTS, barycentric
+from clothtrack.simulation.triangle_contact_kernels import SLOTS, barycentric, nth
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,17 +59,6 @@ def sort_reactions(
 
 
 @no_type_check
-@wp.func
-def holds_a_corner(environment: int, face: wp.vec3i, inverse_masses: wp.array2d(dtype=float)):
-    """Whether a corner of the triangle is held."""
-    return (
-        inverse_masses[environment, face[0]] == 0.0
-        or inverse_masses[environment, face[1]] == 0.0
-        or inverse_masses[environment, face[2]] == 0.0
-    )
-
-
-@no_type_check
 @wp.struct
 class Impulse:
     """What a pair does to its vertex: impulse, the part that ends an approach [kg m], foot.
@@ -86,7 +75,6 @@ class Impulse:
 @no_type_check
 @wp.func
 def pair_impulse(
-    environment: int,
     vertex: int,
     code: int,
     distance: float,
@@ -94,16 +82,19 @@ def pair_impulse(
     tolerance: float,
     friction: float,
     face: wp.vec3i,
-    inverse_masses: wp.array2d(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
-    start: wp.array2d(dtype=wp.vec3),
+    inverse_masses: wp.array(dtype=float),
+    positions: wp.array(dtype=wp.vec3),
+    start: wp.array(dtype=wp.vec3),
 ):
     """Impulse of a listed pair, if it is nearer than its distance or on the wrong side."""
     impulse = Impulse()
-    point = positions[environment, vertex]
-    a = positions[environment, face[0]]
-    b = positions[environment, face[1]]
-    c = positions[environment, face[2]]
+    point = positions[vertex]
+    i = nth(face[0])
+    j = nth(face[1])
+    k = nth(face[2])
+    a = positions[i]
+    b = positions[j]
+    c = positions[k]
     normal = wp.cross(b - a, c - a)
     squared = wp.dot(normal, normal)
     if squared < 1.0e-18:
@@ -117,16 +108,15 @@ def pair_impulse(
     if wp.min(foot) < -tolerance:
         return impulse
     push = wp.min(push, longest * wp.where(height > 0.0, 2.0, 1.0))
-    weight = inverse_masses[environment, vertex]
-    if weight == 0.0 and holds_a_corner(environment, face, inverse_masses):
+    own = inverse_masses[vertex]
+    weights = wp.vec3(inverse_masses[i], inverse_masses[j], inverse_masses[k])
+    if own == 0.0 and (weights[0] == 0.0 or weights[1] == 0.0 or weights[2] == 0.0):
         return impulse  # what one hand holds together stays as it was grasped
-    slip = point - start[environment, vertex]
-    for corner in range(3):
-        share = foot[corner]
-        weight += share * share * inverse_masses[environment, face[corner]]
-        slip -= share * (positions[environment, face[corner]] - start[environment, face[corner]])
+    weight = own + wp.dot(wp.cw_mul(foot, foot), weights)
     if weight == 0.0:
         return impulse
+    slip = point - start[vertex]
+    slip -= foot[0] * (a - start[i]) + foot[1] * (b - start[j]) + foot[2] * (c - start[k])
     nearing = -wp.dot(slip, outward)
     slip += nearing * outward
     cut = wp.min(1.0, friction * push / (wp.length(slip) + 1.0e-12))
@@ -136,6 +126,22 @@ def pair_impulse(
     if wp.dot(impulse.moving, impulse.moving) > 0.0:
         impulse.pushes = 1
     return impulse
+
+
+@no_type_check
+@wp.func
+def add_to(
+    vertex: int,
+    share: float,
+    impulse: Impulse,
+    active: wp.array(dtype=int),
+    moves: wp.array(dtype=wp.vec3),
+    stops: wp.array(dtype=wp.vec3),
+):
+    """Add a share of an impulse to what one vertex gets."""
+    active[vertex] = active[vertex] + 1
+    moves[vertex] = moves[vertex] + share * impulse.moving
+    stops[vertex] = stops[vertex] + share * impulse.stopping
 
 
 @no_type_check
@@ -158,34 +164,47 @@ def scatter_impulses(
 ):
     """What `find_impulses` and `gather_impulses` do, by one thread per environment."""
     environment = wp.tid()
-    for vertex in range(counts.shape[1]):
-        active[environment, vertex] = 0
-        moves[environment, vertex] = wp.vec3(0.0, 0.0, 0.0)
-        stops[environment, vertex] = wp.vec3(0.0, 0.0, 0.0)
+    count = counts[environment]
+    code = sides[environment]
+    apart = distances[environment]
+    mass = inverse_masses[environment]
+    here = positions[environment]
+    before = start[environment]
+    pushed = active[environment]
+    moved = moves[environment]
+    stopped = stops[environment]
     longest = push_out_speed * clocks[0].substep_s
     rubbing = friction[environment]
-    for vertex in range(counts.shape[1]):
-        for slot in range(counts[environment, vertex]):
-            code = sides[environment, vertex, slot]
-            face = faces[wp.abs(code) - 1]
+    for vertex in range(count.shape[0]):
+        pushed[vertex] = 0
+        moved[vertex] = wp.vec3(0.0, 0.0, 0.0)
+        stopped[vertex] = wp.vec3(0.0, 0.0, 0.0)
+    number = int(0)
+    while number < count.shape[0]:
+        vertex = nth(number)
+        slots = count[vertex]
+        listed = int(0)
+        while listed < slots:
+            slot = nth(listed)
+            signed = code[vertex, slot]
+            face = faces[nth(wp.abs(signed) - 1)]
             impulse = pair_impulse(
-                environment, vertex, code, distances[environment, vertex, slot], longest,
-                tolerance, rubbing, face, inverse_masses, positions, start,
+                vertex, signed, apart[vertex, slot], longest, tolerance, rubbing, face,
+                mass, here, before,
             )  # fmt: skip
             if impulse.pushes == 1:
-                active[environment, vertex] += 1
-                moves[environment, vertex] += impulse.moving
-                stops[environment, vertex] += impulse.stopping
-                for corner in range(3):
-                    share = impulse.foot[corner]
-                    active[environment, face[corner]] += 1
-                    moves[environment, face[corner]] -= impulse.moving * share
-                    stops[environment, face[corner]] -= impulse.stopping * share
-    for vertex in range(counts.shape[1]):
-        if active[environment, vertex] > 0:
-            share = inverse_masses[environment, vertex] / float(active[environment, vertex])
-            moves[environment, vertex] = share * moves[environment, vertex]
-            stops[environment, vertex] = share * stops[environment, vertex]
+                foot = impulse.foot
+                add_to(vertex, 1.0, impulse, pushed, moved, stopped)
+                add_to(nth(face[0]), -foot[0], impulse, pushed, moved, stopped)
+                add_to(nth(face[1]), -foot[1], impulse, pushed, moved, stopped)
+                add_to(nth(face[2]), -foot[2], impulse, pushed, moved, stopped)
+            listed += 1
+        number += 1
+    for vertex in range(count.shape[0]):
+        if pushed[vertex] > 0:
+            share = mass[vertex] / float(pushed[vertex])
+            moved[vertex] = share * moved[vertex]
+            stopped[vertex] = share * stopped[vertex]
 
 
 @no_type_check
@@ -212,8 +231,9 @@ def find_impulses(
     for slot in range(counts[environment, vertex]):
         code = sides[environment, vertex, slot]
         impulse = pair_impulse(
-            environment, vertex, code, distances[environment, vertex, slot], longest, tolerance,
-            friction[environment], faces[wp.abs(code) - 1], inverse_masses, positions, start,
+            vertex, code, distances[environment, vertex, slot], longest, tolerance,
+            friction[environment], faces[wp.abs(code) - 1], inverse_masses[environment],
+            positions[environment], start[environment],
         )  # fmt: skip
         impulses[environment, vertex, slot] = impulse.moving
         stopping[environment, vertex, slot] = impulse.stopping
