@@ -125,8 +125,11 @@ def learned_set(
 
 def bin_of(color: UInt8[np.ndarray, "height width 3"]) -> np.ndarray:
     """Number of the table entry of every pixel."""
-    high = (color >> 3).astype(np.uint16)
-    return (high[..., 0] << 10) | (high[..., 1] << 5) | high[..., 2]
+    red, green, blue = (color[..., channel] >> 3 for channel in range(3))
+    number = np.left_shift(red, 10, dtype=np.uint16)
+    number |= np.left_shift(green, 5, dtype=np.uint16)
+    number |= blue
+    return number
 
 
 def _spread(bounds: tuple[float, float], margin: float) -> tuple[float, float]:

@@ -14,9 +14,11 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import read_cloud, read_color, read_depth
 from clothtrack.recordings.recording import Frame, Recording, Table
 from clothtrack.recordings.segmentation import (
+    ColorSegmenter,
     HeightSegmenter,
     MaskFolder,
     Segmenter,
+    bounds_of,
     default_segmenter,
     height_picture,
     main_components,
@@ -25,7 +27,11 @@ from clothtrack.recordings.segmentation import (
 CUT_MARGIN_M = 0.012
 TOOL_HEIGHT_M = 0.015
 LEAST_JUMP_M = 0.004
+MOST_CELLS = 1 << 20
+"""Cubes around the cloth that are counted one by one; if there were more, they are sorted."""
+
 _COLOR_BLIND = (HeightSegmenter, MaskFolder)
+_MAIN_PARTS_ONLY = (ColorSegmenter, HeightSegmenter)
 _HALF_NEIGHBOURS = [
     (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
 ]
@@ -106,7 +112,7 @@ def observe(
             looks = camera.name in frame.color and not isinstance(find, _COLOR_BLIND)
             color = read_color(frame.color[camera.name]) if looks else None
             mask = find(color, depth, camera, recording.table)
-            if largest_component:
+            if largest_component and not isinstance(find, _MAIN_PARTS_ONLY):
                 mask = main_components(mask)
             blind = depth == 0
             if drop_flying:
@@ -114,8 +120,10 @@ def observe(
             hidden[camera.name] = hidden_pixels(depth, mask, blind, camera, recording.table)
             shown = mask & ~blind
             clouds.append(camera.back_project(depth, shown))
-            if shown.any():
-                pixel_m = max(pixel_m, float(np.median(depth[shown])) / camera.fx)
+            if len(clouds[-1]):
+                window = bounds_of(shown)
+                middle = float(np.median(depth[window][shown[window]]))
+                pixel_m = max(pixel_m, middle / camera.fx)
     if frame.cloud is not None:
         # The recording's own merged cloud stands for all cameras.
         clouds = [read_cloud(frame.cloud)]
@@ -147,18 +155,22 @@ def flying_pixels(
     Steep is more than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of
     noise. A pixel on the rim of a surface has a jump on one side only, and stays.
     """
-    flying = np.zeros(depth_m.shape, dtype=bool)
-    for axis in (0, 1):
-        behind, middle, ahead = _along(axis, 0, -2), _along(axis, 1, -1), _along(axis, 2, None)
+    flying = np.zeros(depth_m.size, dtype=bool)
+    depth = depth_m.ravel()
+    width = depth_m.shape[1]
+    for axis, stride in ((0, width), (1, 1)):
         # Few pixels jump at all: only they are looked at closely.
-        jumps = np.abs(np.diff(depth_m, axis=axis)) > LEAST_JUMP_M
-        chosen = np.nonzero(jumps[_along(axis, 0, -1)] & jumps[_along(axis, 1, None)])
-        back, here, front = (depth_m[part][chosen] for part in (behind, middle, ahead))
+        one, other = (depth_m[1:], depth_m[:-1]) if axis == 0 else (depth_m[:, 1:], depth_m[:, :-1])
+        jumps = cv2.absdiff(one, other) > LEAST_JUMP_M
+        both = jumps[1:] & jumps[:-1] if axis == 0 else jumps[:, 1:] & jumps[:, :-1]
+        row, column = np.divmod(np.flatnonzero(both), max(both.shape[1], 1))
+        middle = row * width + column + stride
+        back, here, front = depth[middle - stride], depth[middle], depth[middle + stride]
         limit = (6.0 / focal_px) * here + LEAST_JUMP_M
         climbs = (here - back > limit) & (front - here > limit) & (back > 0)
         falls = (here - back < -limit) & (front - here < -limit) & (front > 0)
-        flying[middle][chosen] |= climbs | falls
-    return flying
+        flying[middle] |= climbs | falls
+    return flying.reshape(depth_m.shape)
 
 
 def hidden_pixels(
@@ -179,10 +191,12 @@ def hidden_pixels(
     if table is None:
         unseen = blind & mask
     else:
-        stands_out = (depth_m > 0) & (height_picture(depth_m, camera, table) > TOOL_HEIGHT_M)
-        unseen = blind | (stands_out & ~mask)
-    regions = cv2.morphologyEx(unseen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    return cv2.dilate(regions, np.ones((5, 5), np.uint8)) > 0
+        unseen = height_picture(depth_m, camera, table) > TOOL_HEIGHT_M
+        unseen &= depth_m > 0
+        unseen &= ~mask
+        unseen |= blind
+    regions = cv2.morphologyEx(unseen.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    return cv2.dilate(regions, np.ones((5, 5), np.uint8)).view(bool)
 
 
 def thin(
@@ -191,10 +205,11 @@ def thin(
     """Mean of the points in every cube of the given side [m]."""
     if not len(points):
         return points
-    _, members, counts = np.unique(_cells(points, spacing_m), return_inverse=True,
-                                   return_counts=True)  # fmt: skip
-    sums = np.stack([np.bincount(members, axis) for axis in points.T], axis=1)
-    return sums / counts[:, None]
+    members = _cell_numbers(points, spacing_m)
+    counts = np.bincount(members)
+    filled = np.flatnonzero(counts)
+    sums = np.stack([np.bincount(members, axis)[filled] for axis in points.T], axis=1)
+    return sums / counts[filled, None]
 
 
 def without_strays(
@@ -235,6 +250,24 @@ def without_strays(
     return points[sizes[cluster_of_point] >= least]
 
 
+def _cell_numbers(
+    points: Float[np.ndarray, "points 3"], side_m: float
+) -> Int[np.ndarray, " points"]:
+    """Number of each point's cube, in the order of `_cells`; small, but some may be missing."""
+    number = np.zeros(len(points))
+    cells = 1.0
+    # Axis by axis: sums and extremes along rows of three are slow.
+    for axis in points.T:
+        index = np.floor((axis - axis.mean()) / side_m)
+        lowest = index.min()
+        count = index.max() - lowest + 1.0
+        cells *= count
+        number = number * count + (index - lowest)
+    if not cells <= MOST_CELLS:
+        return np.unique(_cells(points, side_m), return_inverse=True)[1]
+    return number.astype(np.int64)
+
+
 def _cells(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
     # 21 bits an axis, in the middle of their range: neighbours differ by a constant.
     index = np.floor((points - points.mean(axis=0)) / side_m).astype(np.int64) + (1 << 20)
@@ -258,8 +291,3 @@ def _in_clear_view(
         columns, rows = np.rint(pixels[inside]).astype(np.int64).T
         inside[inside] = ~hidden[rows, columns]
     return inside
-
-
-def _along(axis: int, start: int, stop: int | None) -> tuple[slice, slice]:
-    part = slice(start, stop)
-    return (part, slice(None)) if axis == 0 else (slice(None), part)

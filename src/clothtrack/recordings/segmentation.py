@@ -198,28 +198,45 @@ class ColorSegmenter:
                 f"camera {camera.name!r}: there is no colour picture to find the cloth's colour "
                 "in; add color/ or mask/ files"
             )
-        votes = self.members.ravel()[bin_of(color)]
+        votes = self.members.ravel().take(bin_of(color))
+        # What has none of the colours stays outside whatever is done around it.
+        window = bounds_of(votes, margin=_CLOSING.shape[0])
+        mask = np.zeros(votes.shape, dtype=bool)
+        accepted = self._accepted(votes, depth_m, camera, table, window)
+        closed = _closed(accepted)
+        mask[window] = main_components(self._without_tool(closed, accepted, depth_m[window]))
+        return mask
+
+    def _accepted(
+        self,
+        votes: UInt8[np.ndarray, "height width"],
+        depth_m: Float[np.ndarray, "height width"],
+        camera: Camera,
+        table: Table | None,
+        window: tuple[slice, slice],
+    ) -> Bool[np.ndarray, "window_height window_width"]:
+        """Pixels of a window that holds all votes which are cloth by colour and height."""
+        votes, whole = votes[window], votes.size
         accepted = votes == CORE
-        measured = depth_m > 0
+        measured = depth_m[window] > 0
         if table is None:
-            near_core = cv2.dilate(accepted.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            near_core = cv2.dilate(accepted.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
             accepted |= near_core & (votes == LOOSE)
             heights = None
         else:
-            heights = height_picture(depth_m, camera, table)
+            heights = height_picture(depth_m, camera, table, window=window)
             accepted |= (votes == LOOSE) & measured & (heights > self.raised_m)
             accepted &= ~(measured & (heights < -0.03))
-        if accepted.mean() > self.widest_share:
+        share = np.count_nonzero(accepted) / whole
+        if share > self.widest_share:
             if heights is None:
                 raise InvalidRecordingError(
-                    f"camera {camera.name!r}: the cloth's colours cover "
-                    f"{100 * accepted.mean():.0f} % of the picture (at most "
-                    f"{100 * self.widest_share:.0f} %), the background has them too; "
-                    "give mask/ files, or the table so that height can decide"
+                    f"camera {camera.name!r}: the cloth's colours cover {100 * share:.0f} % of the "
+                    f"picture (at most {100 * self.widest_share:.0f} %), the background has them "
+                    "too; give mask/ files, or the table so that height can decide"
                 )
             accepted &= measured & (heights > self.raised_m)
-        accepted = _opened(accepted)
-        return main_components(self._without_tool(_closed(accepted), accepted, depth_m))
+        return _opened(accepted)
 
     def _without_tool(
         self,
@@ -229,7 +246,7 @@ class ColorSegmenter:
     ) -> Bool[np.ndarray, "height width"]:
         # Gaps in the colour are prints, shine and the tool. A print lies at the depth of the
         # cloth around it, the tool above.
-        window = _window(closed)
+        window = bounds_of(closed)
         whole, closed, colored, depth_m = (closed, closed[window], colored[window], depth_m[window])
         doubtful = closed & ~colored & (depth_m > 0)
         weight = (colored & (depth_m > 0)).astype(np.float32)
@@ -327,14 +344,20 @@ def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Seg
 
 
 def height_picture(
-    depth_m: Float[np.ndarray, "height width"], camera: Camera, table: Table
-) -> Float[np.ndarray, "height width"]:
-    """Height of every pixel above the table [m]; meaningless where the depth is 0."""
+    depth_m: Float[np.ndarray, "height width"],
+    camera: Camera,
+    table: Table,
+    *,
+    window: tuple[slice, slice] = (slice(None), slice(None)),
+) -> Float[np.ndarray, "window_height window_width"]:
+    """Height above the table [m] of every pixel in a window; meaningless where the depth is 0."""
     normal = camera.world_from_camera[:3, :3].T @ table.normal
-    columns = (np.arange(camera.width) - camera.cx) / camera.fx * normal[0]
-    rows = (np.arange(camera.height) - camera.cy) / camera.fy * normal[1]
-    per_meter = (columns[None, :] + (rows + normal[2])[:, None]).astype(np.float32)
-    return depth_m * per_meter + np.float32((camera.position - table.point) @ table.normal)
+    rows = (np.arange(camera.height)[window[0]] - camera.cy) / camera.fy * normal[1] + normal[2]
+    columns = (np.arange(camera.width)[window[1]] - camera.cx) / camera.fx * normal[0]
+    heights = np.add.outer(rows.astype(np.float32), columns.astype(np.float32))
+    heights *= depth_m[window]
+    heights += np.float32((camera.position - table.point) @ table.normal)
+    return heights
 
 
 def main_components(
@@ -345,7 +368,7 @@ def main_components(
     A tool across the cloth cuts its picture into parts of similar size: they all stay.
     """
     kept = np.zeros_like(mask)
-    window = _window(mask)
+    window = bounds_of(mask)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(
         mask[window].view(np.uint8), connectivity=8, ltype=cv2.CV_32S
     )
@@ -355,15 +378,21 @@ def main_components(
     return kept
 
 
-def _window(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
-    """Smallest part of the picture that holds the mask; at least one pixel."""
-    column, row, width, height = cv2.boundingRect(mask.astype(np.uint8))
-    return slice(row, row + max(height, 1)), slice(column, column + max(width, 1))
+def bounds_of(
+    marks: Bool[np.ndarray, "height width"] | UInt8[np.ndarray, "height width"], *, margin: int = 0
+) -> tuple[slice, slice]:
+    """Smallest part of the picture that holds all that is not 0, and a margin [pixels] around it.
+
+    At least one pixel.
+    """
+    column, row, width, height = cv2.boundingRect(marks.view(np.uint8))
+    rows = slice(max(row - margin, 0), row + max(height, 1) + margin)
+    return rows, slice(max(column - margin, 0), column + max(width, 1) + margin)
 
 
 def _opened(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _OPENING) > 0
+    return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, _OPENING).view(bool)
 
 
 def _closed(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, _CLOSING) > 0
+    return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, _CLOSING).view(bool)
