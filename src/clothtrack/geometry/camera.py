@@ -93,10 +93,14 @@ class Camera:
         chosen = depth > 0 if mask is None else (depth > 0) & mask
         # One number per pixel first: an order of magnitude faster than a search for rows.
         places = np.flatnonzero(chosen)
-        rows, columns = np.divmod(places, depth.shape[1])
-        z = depth.ravel()[places].astype(np.float64)
-        local = np.stack([(columns - self.cx) / self.fx * z, (rows - self.cy) / self.fy * z, z], 1)
-        return local @ self.world_from_camera[:3, :3].T + self.position
+        rows, columns = np.divmod(places.astype(np.int32), depth.shape[1])
+        local = np.empty((len(places), 3))
+        local[:, 2] = depth.ravel()[places]
+        np.multiply((columns - self.cx) / self.fx, local[:, 2], out=local[:, 0])
+        np.multiply((rows - self.cy) / self.fy, local[:, 2], out=local[:, 1])
+        points = local @ self.world_from_camera[:3, :3].T
+        points += self.position
+        return points
 
     def resized(self, width: int) -> "Camera":
         """The same view in an image of another width (whole pixels, aspect kept)."""

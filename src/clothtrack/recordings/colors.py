@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import gaussian_filter
 
+from clothtrack.recordings.pictures import bands
+
 BINS = 32
 NO, LOOSE, CORE = 0, 1, 2
 
@@ -121,6 +123,17 @@ def learned_set(
     members[seen & (inside > outside)] = LOOSE
     members[seen & (inside > 3 * outside)] = CORE
     return members
+
+
+def votes_of(
+    color: UInt8[np.ndarray, "height width 3"], members: UInt8[np.ndarray, "32 32 32"]
+) -> UInt8[np.ndarray, "height width"]:
+    """What a set of colours says of every pixel: `CORE`, `LOOSE` or `NO`."""
+    table = members.ravel()
+    votes = np.empty(color.shape[:2], dtype=np.uint8)
+    for rows in bands(len(color)):
+        votes[rows] = table.take(bin_of(color[rows]))
+    return votes
 
 
 def bin_of(color: UInt8[np.ndarray, "height width 3"]) -> np.ndarray:

@@ -6,6 +6,7 @@ silent hole in the cloth. So every file is walked chunk by chunk first.
 
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from clothtrack.errors import InvalidRecordingError
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GREY = 0
+BAND_ROWS = 60
 _END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 _TORN = "the file breaks off; copy or record it again"
 
@@ -85,7 +87,8 @@ def read_depth(path: Path, unit_m: float) -> Float[np.ndarray, "height width"]:
         raise InvalidRecordingError(
             f"{path}: {depth_problem(header)}; write depth as one 16-bit grey channel"
         )
-    return _decode(path, data, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(unit_m)
+    counts = _decode(path, data, cv2.IMREAD_UNCHANGED)
+    return np.multiply(counts, np.float32(unit_m), dtype=np.float32)
 
 
 def read_mask(path: Path) -> Bool[np.ndarray, "height width"]:
@@ -145,6 +148,12 @@ def encode_png(picture: np.ndarray) -> bytes:
     )
     assert done, "OpenCV refuses a picture whose shape and type were checked"
     return data.tobytes()
+
+
+def bands(height: int) -> Iterator[slice]:
+    """The rows of a picture in parts: what is computed of one stays in the processor's cache."""
+    for first in range(0, height, BAND_ROWS):
+        yield slice(first, min(first + BAND_ROWS, height))
 
 
 def depth_problem(header: PngHeader) -> str:

@@ -1,6 +1,6 @@
 """What the cameras saw of the cloth in one frame: points, and where they were blind."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.pictures import read_cloud, read_color, read_depth
+from clothtrack.recordings.pictures import bands, read_cloud, read_color, read_depth
 from clothtrack.recordings.recording import Frame, Recording, Table
 from clothtrack.recordings.segmentation import (
     ColorSegmenter,
@@ -157,20 +157,31 @@ def flying_pixels(
     """
     flying = np.zeros(depth_m.size, dtype=bool)
     depth = depth_m.ravel()
-    width = depth_m.shape[1]
-    for axis, stride in ((0, width), (1, 1)):
-        # Few pixels jump at all: only they are looked at closely.
-        one, other = (depth_m[1:], depth_m[:-1]) if axis == 0 else (depth_m[:, 1:], depth_m[:, :-1])
-        jumps = cv2.absdiff(one, other) > LEAST_JUMP_M
-        both = jumps[1:] & jumps[:-1] if axis == 0 else jumps[:, 1:] & jumps[:, :-1]
-        row, column = np.divmod(np.flatnonzero(both), max(both.shape[1], 1))
-        middle = row * width + column + stride
+    for middle, stride in _jumping_twice(depth_m):
         back, here, front = depth[middle - stride], depth[middle], depth[middle + stride]
         limit = (6.0 / focal_px) * here + LEAST_JUMP_M
         climbs = (here - back > limit) & (front - here > limit) & (back > 0)
         falls = (here - back < -limit) & (front - here < -limit) & (front > 0)
         flying[middle] |= climbs | falls
     return flying.reshape(depth_m.shape)
+
+
+def _jumping_twice(
+    depth_m: Float[np.ndarray, "height width"],
+) -> Iterator[tuple[Int[np.ndarray, " pixels"], int]]:
+    """The few pixels (their number in the picture) that differ from both of two neighbours.
+
+    And the way to these: the width of the picture, or 1.
+    """
+    height, width = depth_m.shape
+    for rows in bands(height):
+        tall = depth_m[max(rows.start - 1, 0) : rows.stop + 1]
+        jumps = cv2.absdiff(tall[1:], tall[:-1]) > LEAST_JUMP_M
+        yield np.flatnonzero(jumps[1:] & jumps[:-1]) + max(rows.start, 1) * width, width
+        if width > 2:
+            jumps = cv2.absdiff(depth_m[rows, 1:], depth_m[rows, :-1]) > LEAST_JUMP_M
+            row, column = np.divmod(np.flatnonzero(jumps[:, 1:] & jumps[:, :-1]), width - 2)
+            yield (rows.start + row) * width + column + 1, 1
 
 
 def hidden_pixels(
@@ -191,10 +202,11 @@ def hidden_pixels(
     if table is None:
         unseen = blind & mask
     else:
-        unseen = height_picture(depth_m, camera, table) > TOOL_HEIGHT_M
-        unseen &= depth_m > 0
-        unseen &= ~mask
-        unseen |= blind
+        unseen = blind.copy()
+        for rows in bands(len(mask)):
+            window = rows, slice(None)
+            stands_out = height_picture(depth_m, camera, table, window=window) > TOOL_HEIGHT_M
+            unseen[rows] |= stands_out & (depth_m[rows] > 0) & ~mask[rows]
     regions = cv2.morphologyEx(unseen.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     return cv2.dilate(regions, np.ones((5, 5), np.uint8)).view(bool)
 

@@ -15,9 +15,9 @@ from clothtrack.recordings.colors import (
     CORE,
     LOOSE,
     NAMED_COLORS,
-    bin_of,
     learned_set,
     named_set,
+    votes_of,
 )
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.recording import Frame, Recording, Table
@@ -169,7 +169,7 @@ class ColorSegmenter:
     ) -> "ColorSegmenter":
         members = learned_set(color, cloth, other)
         for _ in range(rounds):
-            mask = main_components(_closed(_opened(members.ravel()[bin_of(color)] == CORE)))
+            mask = main_components(_closed(_opened(votes_of(color, members) == CORE)))
             if not mask.any():
                 break
             members = learned_set(color, mask, ~mask)
@@ -198,7 +198,7 @@ class ColorSegmenter:
                 f"camera {camera.name!r}: there is no colour picture to find the cloth's colour "
                 "in; add color/ or mask/ files"
             )
-        votes = self.members.ravel().take(bin_of(color))
+        votes = votes_of(color, self.members)
         # What has none of the colours stays outside whatever is done around it.
         window = bounds_of(votes, margin=_CLOSING.shape[0])
         mask = np.zeros(votes.shape, dtype=bool)
