@@ -19,7 +19,12 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.tracking.nearest_kernels import FIXED_POINT_LENGTH, FIXED_POINT_SQUARE, Progress
+from clothtrack.tracking.nearest_kernels import (
+    _NOT_NEGATIVE,
+    FIXED_POINT_LENGTH,
+    FIXED_POINT_SQUARE,
+    Progress,
+)
 
 DATA, RIGIDITY, TWO_WAY, LENGTH, TABLE, PARTNERS = range(6)
 """Columns of the sums that each iteration records."""
@@ -346,16 +351,22 @@ def multiply_strip(strip: wp.int32, topology: Topology, weights: Weights, conjug
             product += weights.table * wp.dot(normal, here) * normal
         first = topology.first[vertex]
         last = topology.first[vertex + 1]
+        place = int(first)
         if weights.length > 0.0:
-            for place in range(first, last):
-                difference = here - conjugate.direction[topology.neighbour[place]]
-                unit = conjugate.unit[place]
+            while place < last:
+                spot = place & _NOT_NEGATIVE
+                place += 1
+                neighbour = topology.neighbour[spot] & _NOT_NEGATIVE
+                difference = here - conjugate.direction[neighbour]
+                unit = conjugate.unit[spot]
                 along = weights.length * wp.dot(unit, difference)
                 product += weights.rigidity * difference + along * unit
         else:
             around = wp.vec3()
-            for place in range(first, last):
-                around += conjugate.direction[topology.neighbour[place]]
+            while place < last:
+                neighbour = topology.neighbour[place & _NOT_NEGATIVE] & _NOT_NEGATIVE
+                place += 1
+                around += conjugate.direction[neighbour]
             product += weights.rigidity * (float(last - first) * here - around)
         conjugate.product[vertex] = product
         dots += wp.float64(wp.dot(here, product))

@@ -117,6 +117,8 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
     system = [problem.topology, problem.weights, conjugate]
 
     def step() -> None:
+        # Steps are long: searching is cheaper in cells that know where the vertices are now.
+        matcher.rebuild(positions)
         matcher.launch(positions, sums)
         wp.launch(
             kernels.linearise,
@@ -144,9 +146,7 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
         )  # fmt: skip
 
     repeat = _captured(step, device)
-    for outer in range(config.icp_outer):
-        if outer in _REBUILD_AT:
-            matcher.rebuild(positions)
+    for _ in range(config.icp_outer):
         repeat()
     problem.measure(positions, displacements, sums)
     return displacements.numpy(), sums.numpy()

@@ -27,6 +27,9 @@ _LENGTH = wp.constant(FIXED_POINT_LENGTH)
 _SQUARE = wp.constant(wp.float64(FIXED_POINT_SQUARE))
 _ROUNDING = wp.constant(1.0e-6)
 
+_NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
+"""An index under this mask is not negative: a compiler that knows need not ask at every access."""
+
 
 @no_type_check
 @wp.struct
@@ -142,8 +145,11 @@ def _search(
     for z in range(z0, z1 + 1):
         for y in range(y0, y1 + 1):
             row = (z * grid.height + y) * grid.width
-            for place in range(grid.first[row + x0], grid.first[row + x1 + 1]):
-                item = grid.items[place]
+            following = grid.first[row + x0]
+            end = grid.first[row + x1 + 1]
+            while following < end:
+                item = grid.items[following & _NOT_NEGATIVE] & _NOT_NEGATIVE
+                following += 1
                 offset = points[item] - point
                 square = wp.dot(offset, offset)
                 if square < best or (square == best and item < found):
@@ -161,18 +167,19 @@ def _search(
 
 @no_type_check
 @wp.func
-def _search_everywhere(
+def _search_far(
     point: wp.vec3,
     points: wp.array(dtype=wp.vec3),
     grid: Grid,
     radius: wp.float32,
+    farthest: wp.float32,
     stale: wp.float32,
 ):
-    """Nearest item at any distance: the ball doubles until it holds one."""
-    result = _search(point, points, grid, radius, stale)
-    ball = float(radius)
-    while result.item < 0 and ball < 1.0e6:
-        ball = 2.0 * ball
+    """Nearest item up to a distance: the ball doubles until it holds one."""
+    ball = wp.min(radius, farthest)
+    result = _search(point, points, grid, ball, stale)
+    while result.item < 0 and ball < farthest:
+        ball = wp.min(2.0 * ball, farthest)
         result = _search(point, points, grid, ball, stale)
     return result
 
@@ -223,7 +230,7 @@ def _match_point(
     if search:
         found = Neighbour()
         if before < 0:
-            found = _search_everywhere(point, positions, grid, 4.0 * reach, stale)
+            found = _search_far(point, positions, grid, 4.0 * reach, 1.0e6, stale)
         else:
             found = _search(point, positions, grid, distance + reach, stale)
         others[number] = found.others
@@ -351,7 +358,10 @@ def match_vertices(
         bound = distance
     # Without a neighbour in reach, the first that could matter lies at `longest`.
     if bound + moved + _ROUNDING > others[number] and progress.iteration[0] % every == 0:
-        found = _search(position, cloud, grid, wp.min(bound, longest) + reach, 0.0)
+        # What was found before bounds the ball; the first search starts with a small one.
+        ball = wp.where(item >= 0, distance, 3.0 * reach)
+        ball = wp.where(item < 0 and others[number] >= 0.0, longest, ball)
+        found = _search_far(position, cloud, grid, ball + reach, longest + reach, 0.0)
         item = found.item
         distance = found.distance
         if item < 0:
