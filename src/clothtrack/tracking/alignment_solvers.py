@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -9,7 +10,7 @@ import warp as wp
 from clothtrack.tracking import alignment_kernels as kernels
 from clothtrack.tracking import nearest_kernels
 from clothtrack.tracking.alignment_config import AlignmentConfig
-from clothtrack.tracking.nearest import Matcher
+from clothtrack.tracking.nearest import Command, Matcher, launching, made_ready
 
 _REBUILD_AT = frozenset((2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768))
 
@@ -68,6 +69,11 @@ def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]
     return lambda: wp.capture_launch(capture.graph)
 
 
+def _do_all(commands: list[Command]) -> None:
+    for command in commands:
+        command()
+
+
 def solve_adam(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np.ndarray]:
     """Adam with matches renewed in every iteration: displacement [m] and sums per evaluation."""
     initial, matcher = problem.initial, problem.matcher
@@ -116,36 +122,33 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
 
     system = [problem.topology, problem.weights, conjugate]
 
-    def step() -> None:
+    on_cpu = wp.get_device(device).is_cpu
+    linearise = [*problem.objective, positions, displacements, sums, conjugate]
+    apply = [
+        problem.weights, matcher.progress, sums, config.icp_momentum, config.icp_outer - 1,
+        matcher.searched, matcher.grid.recorded, initial, conjugate, solved, positions,
+        displacements,
+    ]  # fmt: skip
+    if on_cpu:
+        solve = [launching(kernels.solve_alone, 1, [*system, config.icp_inner], device)]
+    else:
+        solve = [
+            launching(kernels.multiply, strips, system, device),
+            launching(kernels.descend, strips, [conjugate], device),
+            launching(kernels.turn, strips, [conjugate], device),
+        ] * config.icp_inner
+    step = [
         # Steps are long: searching is cheaper in cells that know where the vertices are now.
-        matcher.rebuild(positions)
-        matcher.launch(positions, sums)
-        wp.launch(
-            kernels.linearise,
-            dim=strips,
-            inputs=[*problem.objective, positions, displacements, sums, conjugate],
-            device=device,
-        )
-        if wp.get_device(device).is_cpu:
-            inputs = [*system, config.icp_inner]
-            wp.launch(kernels.solve_alone, dim=1, inputs=inputs, device=device)
-        else:
-            for _ in range(config.icp_inner):
-                wp.launch(kernels.multiply, dim=strips, inputs=system, device=device)
-                wp.launch(kernels.descend, dim=strips, inputs=[conjugate], device=device)
-                wp.launch(kernels.turn, dim=strips, inputs=[conjugate], device=device)
-        wp.launch(
-            kernels.apply_solution,
-            dim=strips,
-            inputs=[
-                problem.weights, matcher.progress, sums, config.icp_momentum,
-                config.icp_outer - 1, matcher.searched, matcher.grid.recorded, initial, conjugate,
-                solved, positions, displacements,
-            ],
-            device=device,
-        )  # fmt: skip
-
-    repeat = _captured(step, device)
+        *matcher.rebuilding(positions),
+        *matcher.matching(positions, sums),
+        launching(kernels.linearise, strips, linearise, device),
+        *solve,
+        launching(kernels.apply_solution, strips, apply, device),
+    ]
+    # For so few repetitions recording a graph would cost a CPU more than it saves.
+    repeat = (
+        partial(_do_all, made_ready(step)) if on_cpu else _captured(partial(_do_all, step), device)
+    )
     for _ in range(config.icp_outer):
         repeat()
     problem.measure(positions, displacements, sums)

@@ -1,5 +1,8 @@
 """Nearest neighbours between a cloud and a moving mesh, exact in every iteration of a solver."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float
@@ -7,6 +10,27 @@ from jaxtyping import Bool, Float
 from clothtrack.tracking import nearest_kernels as kernels
 
 _MOST_CELLS = 1 << 17
+
+
+Command = Callable[[], object]
+
+
+def launching(
+    kernel: wp.Kernel, dim: int, inputs: list[object], device: str | wp.Device
+) -> Command:
+    """The launch of a kernel, to be done later."""
+    return partial(wp.launch, kernel, dim=dim, inputs=inputs, device=device)
+
+
+def made_ready(commands: list[Command]) -> list[Command]:
+    """The same with the launches' arguments packed: repeating them costs a tenth.
+
+    Not for a capture, which would not see them.
+    """
+    return [
+        command(record_cmd=True).launch if getattr(command, "func", None) is wp.launch else command
+        for command in commands
+    ]
 
 
 class MovingGrid:
@@ -51,20 +75,28 @@ class MovingGrid:
 
     def build(self, positions: wp.array) -> None:
         """Sort the members into cells by where they are now [m]."""
-        self._room.zero_()
-        wp.launch(
-            kernels.count_in_cells,
-            dim=len(self.members),
-            inputs=[positions, self.members, self.cells, self._room],
-            device=self._device,
+        for command in self.building(positions):
+            command()
+
+    def building(self, positions: wp.array) -> list[Command]:
+        """What `build` does, command by command."""
+        count, fill = (
+            launching(
+                kernel,
+                len(self.members),
+                [positions, self.members, self.cells, *rest],
+                self._device,
+            )
+            for kernel, rest in (
+                (kernels.count_in_cells, [self._room]),
+                (kernels.fill_cells, [self._room, self.recorded]),
+            )
         )
-        wp.utils.array_scan(self._room, self.cells.first, inclusive=False)
-        wp.launch(
-            kernels.fill_cells,
-            dim=len(self.members),
-            inputs=[positions, self.members, self.cells, self._room, self.recorded],
-            device=self._device,
-        )
+
+        def scan() -> None:
+            wp.utils.array_scan(self._room, self.cells.first, inclusive=False)
+
+        return [self._room.zero_, count, scan, fill]
 
 
 class Matcher:
@@ -130,16 +162,25 @@ class Matcher:
 
     def rebuild(self, positions: wp.array) -> None:
         """Sort the visible vertices anew; never needed for the result, but for speed."""
-        self.grid.build(positions)
-        self.progress.next_stale.zero_()
+        for command in self.rebuilding(positions):
+            command()
+
+    def rebuilding(self, positions: wp.array) -> list[Command]:
+        """What `rebuild` does, command by command."""
+        return [*self.grid.building(positions), self.progress.next_stale.zero_]
 
     def launch(self, positions: wp.array, sums: wp.array) -> None:
         """Begin an iteration: match at these positions [m], add data residuals to the sums."""
-        wp.launch(kernels.advance, dim=1, inputs=[self.progress], device=self._device)
-        wp.launch(
+        for command in self.matching(positions, sums):
+            command()
+
+    def matching(self, positions: wp.array, sums: wp.array) -> list[Command]:
+        """What `launch` does, command by command."""
+        advance = launching(kernels.advance, 1, [self.progress], self._device)
+        match_points = launching(
             kernels.match_points,
-            dim=-(-len(self._cloud) // self._strip),
-            inputs=[
+            -(-len(self._cloud) // self._strip),
+            [
                 self._cloud,
                 positions,
                 self.grid.cells,
@@ -155,28 +196,30 @@ class Matcher:
                 sums,
                 self._strip,
             ],
-            device=self._device,
+            self._device,
         )
-        if len(self._seekers):
-            wp.launch(
-                kernels.match_vertices,
-                dim=len(self._seekers),
-                inputs=[
-                    self._seekers,
-                    positions,
-                    self._cloud,
-                    self._cloud_grid.cells,
-                    self.progress,
-                    self._every,
-                    self._reach,
-                    *self._range,
-                    self._seeker_nearest,
-                    self._seeker_others,
-                    self._seeker_from,
-                    self.partner,
-                ],
-                device=self._device,
-            )
+        if not len(self._seekers):
+            return [advance, match_points]
+        match_vertices = launching(
+            kernels.match_vertices,
+            len(self._seekers),
+            [
+                self._seekers,
+                positions,
+                self._cloud,
+                self._cloud_grid.cells,
+                self.progress,
+                self._every,
+                self._reach,
+                *self._range,
+                self._seeker_nearest,
+                self._seeker_others,
+                self._seeker_from,
+                self.partner,
+            ],
+            self._device,
+        )
+        return [advance, match_points, match_vertices]
 
     def nearest_vertices(self) -> np.ndarray:
         """Vertex that each cloud point belongs to."""

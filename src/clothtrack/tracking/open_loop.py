@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from clothtrack.geometry.mesh import ClothMesh
@@ -126,8 +126,31 @@ def within_reach(
     """The points [m] that have a vertex within reach: what lies farther is not this cloth."""
     if not len(points) or not len(vertices):
         return points[:0]
-    distance = cKDTree(vertices).query(points, distance_upper_bound=reach_m)[0]
-    return points[np.isfinite(distance)]
+    near = _share_a_cube(points, vertices, reach_m / np.sqrt(3.0))
+    rest = np.flatnonzero(~near)
+    if len(rest):
+        distance = cKDTree(vertices).query(points[rest], distance_upper_bound=reach_m)[0]
+        near[rest] = np.isfinite(distance)
+    return points[near]
+
+
+def _share_a_cube(
+    points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], side_m: float
+) -> Bool[np.ndarray, " points"]:
+    """Points that are in one cube of a grid with some vertex: no farther than its diagonal.
+
+    Most points of a tracked cloth are, and need no search.
+    """
+    origin = vertices.min(axis=0)
+    cells = np.floor((vertices - origin) / side_m).astype(np.int64)
+    shape = cells.max(axis=0) + 1
+    filled = np.zeros(shape, dtype=bool)
+    filled[tuple(cells.T)] = True
+    index = np.floor((points - origin) / side_m)
+    inside = ((index >= 0) & (index < shape)).all(axis=1)
+    sharing = np.zeros(len(points), dtype=bool)
+    sharing[inside] = filled[tuple(index[inside].astype(np.int64).T)]
+    return sharing
 
 
 def masked_chamfer(

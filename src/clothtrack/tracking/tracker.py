@@ -225,10 +225,14 @@ class Tracker:
         if not self._config.attach_observed_only:
             return alignment, visible
         # Where silence means nothing, a vertex is still observed if it found points beside it.
-        found = cKDTree(points).query(
-            positions + alignment.corrections, distance_upper_bound=self._config.support_m
-        )[0]
-        return alignment, visible & (observed | np.isfinite(found))
+        unsure = np.flatnonzero(visible & ~observed)
+        if len(unsure):
+            aligned = positions[unsure] + alignment.corrections[unsure]
+            found = cKDTree(points, balanced_tree=False).query(
+                aligned, distance_upper_bound=self._config.support_m
+            )[0]
+            observed[unsure] = np.isfinite(found)
+        return alignment, observed
 
     def _final_alignment(
         self, state: ClothState, frame: Frame
