@@ -103,6 +103,16 @@ def test_thinning_leaves_one_mean_point_per_cube():
     assert len(thin(np.zeros((0, 3)), 0.02)) == 0
 
 
+def test_a_far_outlier_changes_no_other_cube():
+    # With it there are too many cubes to count one by one.
+    cloud = np.random.default_rng(3).uniform(0.0, 0.3, (2000, 3))
+    both = np.concatenate(
+        [cloud, cloud.mean(0) + [[500.0, 500.0, 500.0], [-500.0, -500.0, -500.0]]]
+    )
+    few = thin(both, 0.01)
+    np.testing.assert_allclose(few[1:-1], thin(cloud, 0.01), atol=1e-12)
+
+
 def test_stray_clusters_go_and_the_cloth_stays_in_order():
     rng = np.random.default_rng(0)
     cloth = rng.uniform(0, 0.2, (6000, 3)) * [1, 1, 0]
@@ -135,6 +145,24 @@ def test_flying_pixels_between_two_surfaces_go_and_rims_stay():
     assert flying[:, 10].all()
     assert flying.sum() == 20
     np.testing.assert_array_equal(flying_pixels(depth.T, 150.0), flying.T)
+
+
+@pytest.mark.parametrize("shape", [(150, 70), (61, 3), (2, 5), (60, 2)])
+def test_flying_pixels_are_those_of_the_definition(shape):
+    rng = np.random.default_rng(2)
+    depth = rng.uniform(0.4, 0.6, shape).astype(np.float32)
+    depth[rng.random(shape) < 0.2] = 0.0
+    expected = np.zeros(shape, dtype=bool)
+    for row in range(shape[0]):
+        for column in range(shape[1]):
+            for line, place in ((depth[:, column], row), (depth[row], column)):
+                if 0 < place < len(line) - 1:
+                    back, here, front = line[place - 1 : place + 2]
+                    limit = 6.0 / 150.0 * here + 0.004
+                    climbs = here - back > limit and front - here > limit and back > 0
+                    falls = back - here > limit and here - front > limit and front > 0
+                    expected[row, column] |= climbs or falls
+    np.testing.assert_array_equal(flying_pixels(depth, 150.0), expected)
 
 
 def test_a_steep_surface_does_not_fly():

@@ -5,7 +5,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.colors import NAMED_COLORS, NO, named_set
+from clothtrack.recordings.colors import NAMED_COLORS, NO, named_set, votes_of
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import Frame, Table
 from clothtrack.recordings.segmentation import (
@@ -139,6 +139,17 @@ def test_heights_are_those_of_the_back_projected_points():
     depth = rng.uniform(0.3, 1.0, (HEIGHT, WIDTH))
     expected = table.heights(camera.back_project(depth)).reshape(HEIGHT, WIDTH)
     np.testing.assert_allclose(height_picture(depth, camera, table), expected, atol=1e-5)
+    part = (slice(7, 50), slice(20, 33))
+    inside = height_picture(depth, camera, table, window=part)
+    np.testing.assert_allclose(inside, expected[part], atol=1e-5)
+
+
+def test_votes_are_looked_up_by_the_five_highest_bits():
+    rng = np.random.default_rng(4)
+    members = rng.integers(0, 3, (32, 32, 32)).astype(np.uint8)
+    color = rng.integers(0, 256, (130, 40, 3)).astype(np.uint8)
+    red, green, blue = np.moveaxis(color // 8, 2, 0)
+    np.testing.assert_array_equal(votes_of(color, members), members[red, green, blue])
 
 
 def test_every_named_colour_has_a_core_and_no_hue_is_in_all():

@@ -170,7 +170,7 @@ class TriangleContact:
         self._old_distances = wp.zeros_like(self.distances)
         self._old_counts = wp.zeros_like(self.counts)
         self.overflows = wp.zeros(environments, dtype=int, device=device)
-        self._push = (ScatteredPush if device.is_cpu else GatheredPush)(self)
+        self._push = (ScatteredPush if wp.get_device(device).is_cpu else GatheredPush)(self)
 
     def find(self) -> None:
         """List vertex-triangle pairs with their sides, and prepare to push them apart."""

@@ -1,0 +1,48 @@
+import numpy as np
+import pytest
+
+from clothtrack.simulation.contacts import GatheredPush
+from clothtrack.simulation.garments import tshirt
+from clothtrack.simulation.parameters import ClothParameters
+from clothtrack.simulation.solver import ClothSolver
+
+SHIRT = tshirt(0.15, 0.13, 0.012)
+MATERIALS = [ClothParameters(particle_friction=friction) for friction in (0.2, 0.5)]
+
+
+def crumpled_solver() -> ClothSolver:
+    """Two environments of a shirt whose layers were pressed into each other."""
+    solver = ClothSolver(SHIRT, parameters=MATERIALS, environments=2)
+    solver.step(0.005)
+    noise = np.random.default_rng(0).normal(scale=0.001, size=SHIRT.vertices.shape)
+    solver.place((SHIRT.vertices + noise) * (1.0, 1.0, 0.3))
+    solver.step(0.002)
+    return solver
+
+
+def test_scattered_and_gathered_impulses_are_the_same_sums():
+    solver = crumpled_solver()
+    contact, buffers = solver._contact, solver._buffers
+    contact.find()
+    contact.push()
+    scattered = buffers.moves.numpy().copy(), buffers.stops.numpy().copy()
+    assert (np.linalg.norm(scattered[0], axis=2) > 1e-5).mean() > 0.2
+    assert not np.array_equal(scattered[1][0], scattered[1][1])  # friction differs
+    gathered = GatheredPush(contact)
+    gathered.prepare()
+    gathered.launch()
+    np.testing.assert_allclose(scattered[0], buffers.moves.numpy(), atol=1e-9)
+    np.testing.assert_allclose(scattered[1], buffers.stops.numpy(), atol=1e-9)
+    assert contact.overflows.numpy().max() == 0
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_batch_in_contact_has_the_bits_of_single_runs(index):
+    batch = crumpled_solver()
+    state = batch.save().environment(index)
+    single = ClothSolver(SHIRT, parameters=MATERIALS[index])
+    single.restore(state)
+    batch.step(0.02)
+    single.step(0.02)
+    np.testing.assert_array_equal(batch.positions[index], single.positions[0])
+    np.testing.assert_array_equal(batch.velocities[index], single.velocities[0])

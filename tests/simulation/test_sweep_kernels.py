@@ -1,0 +1,33 @@
+import numpy as np
+
+from clothtrack.simulation import kernels
+from clothtrack.simulation.garments import towel
+from clothtrack.simulation.parameters import ClothParameters
+from clothtrack.simulation.solver import ClothSolver
+
+MESH = towel(0.12, 0.1, 0.01, pattern="random")
+
+
+def test_all_colours_at_once_are_the_colours_one_after_the_other():
+    softness = [ClothParameters(1e-5, 1.0), ClothParameters(0.0, 100.0)]
+    solver = ClothSolver(MESH, parameters=softness, environments=2)
+    solver._set_clock(0.001, 1)
+    noise = np.random.default_rng(1).normal(scale=0.002, size=(2, *MESH.vertices.shape))
+    # Folded as well: pairs under the bend limit resist without compliance.
+    shape = MESH.vertices * (0.4, 1.0, 1.0) + noise
+    masses = solver._buffers.inverse_masses.numpy()
+    masses[1, :5] = 0.0
+    solver._buffers.inverse_masses.assign(masses)
+
+    solver.place(shape)
+    solver._launch_constraints()
+    at_once = solver.positions
+    solver.place(shape)
+    stretch, bend = solver._material[0], solver._material[1]
+    solver._sweep_colours(kernels.solve_stretch, solver._stretch, [stretch])
+    limit = solver.config.bend_limit
+    solver._sweep_colours(kernels.solve_bend, solver._bend, [bend, limit])
+
+    assert np.abs(at_once - shape).max() > 1e-3
+    np.testing.assert_array_equal(at_once[1, :5], shape.astype(np.float32)[1, :5])
+    np.testing.assert_allclose(at_once, solver.positions, atol=2e-8)
