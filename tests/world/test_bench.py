@@ -1,7 +1,6 @@
 """The benchmark: its list, its ranges, and that what lies on disk is what the list says."""
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -224,24 +223,26 @@ def test_a_trajectory_that_always_diverges_is_an_error(
 
 
 def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
-    script = (
+    out = tmp_path / "bench"
+    file = tmp_path / "script.py"
+    file.write_text(
         "from clothtrack.cli import main\n"
         "if __name__ == '__main__':\n"
-        f"    raise SystemExit(main(['bench', {str(tmp_path)!r}, '--workers', '2']))\n"
+        f"    raise SystemExit(main(['bench', {str(out)!r}, '--workers', '2']))\n"
     )
-    file = tmp_path / "script.py"
-    file.write_text(script)
-    process = subprocess.Popen([sys.executable, str(file)], stderr=subprocess.PIPE, text=True)
-    recordings, limit = tmp_path / "recordings", time.monotonic() + 60.0
-    while len(list(recordings.glob(".*.partial"))) < 2 and time.monotonic() < limit:
-        time.sleep(0.05)
-    os.kill(process.pid, signal.SIGINT)
-    _, told = process.communicate(timeout=60)
-    assert process.returncode == 1
+    with subprocess.Popen([sys.executable, str(file)], stderr=subprocess.PIPE, text=True) as run:
+        try:
+            limit = time.monotonic() + 60.0
+            while len(list(out.glob("recordings/.*.partial"))) < 2 and time.monotonic() < limit:
+                time.sleep(0.05)
+            run.send_signal(signal.SIGINT)
+            _, told = run.communicate(timeout=60)
+        finally:
+            run.terminate()
+    assert run.returncode == 1
     assert "interrupted" in told
     assert "Traceback" not in told
-    assert recordings.exists()
-    assert list(recordings.iterdir()) == []
+    assert list((out / "recordings").iterdir()) == []
 
 
 def test_picks_of_folded_cloth_are_told(tmp_path: Path) -> None:
@@ -252,10 +253,13 @@ def test_picks_of_folded_cloth_are_told(tmp_path: Path) -> None:
 def test_an_arm_hides_much_more_than_a_rod(tmp_path: Path) -> None:
     hidden = film_tiny("hidden", tmp_path / "arm")
     usual = film_tiny("none", tmp_path / "rod")
-    closed = hidden["gripper_closed"]
-    assert hidden["hidden_by_tool"][closed].mean() > 0.3
-    assert usual["hidden_by_tool"][closed].mean() < 0.2
-    assert np.array_equal(hidden["positions"][closed], usual["positions"][closed])
+    (arm, rod), (with_arm, with_rod) = (
+        [truth[name][truth["gripper_closed"]] for truth in (hidden, usual)]
+        for name in ("hidden_by_tool", "positions")
+    )
+    assert arm.mean() > 0.3
+    assert rod.mean() < 0.2
+    assert np.array_equal(with_arm, with_rod)
     assert hidden["hidden_by_tool"][-1] == 0.0
 
 
@@ -272,9 +276,9 @@ def test_a_calibration_error_is_in_the_recording_alone(tmp_path: Path) -> None:
 
 
 def test_missing_depth_has_the_promised_share(tmp_path: Path) -> None:
-    sensor = hardened(EpisodeConfig(sensor=SensorConfig.perfect(step_m=0.0005, **SIZE)), "missing").sensor
+    exact = SensorConfig.perfect(
+        width=160, height=120, focal=150.0, step_m=0.0005, patch_pixels=8.0
+    )
+    sensor = hardened(EpisodeConfig(sensor=exact), "missing").sensor
     truth = film_tiny("none", tmp_path, sensor=sensor)
     assert truth["depth_missing"].mean() == pytest.approx(0.2, abs=0.05)
-
-
-SIZE = {"width": 160, "height": 120, "focal": 150.0, "patch_pixels": 8.0}

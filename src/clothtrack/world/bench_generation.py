@@ -7,6 +7,7 @@ it lists is whole, and what it does not list was never finished.
 import hashlib
 import json
 import logging
+import os
 import platform
 import shutil
 import signal
@@ -226,10 +227,8 @@ def _filmed(missing: Sequence[BenchTrajectory], out: Path, processes: int) -> It
     if processes <= 1 or len(missing) <= 1:
         yield from (_film(one, out) for one in missing)
         return
-    # The slow ones first, so that no worker is alone at the end.
-    slow_first = sorted(missing, key=lambda one: one.kind != "tshirt")
     with ProcessPoolExecutor(processes, get_context("spawn"), _start_worker) as pool:
-        jobs = [pool.submit(_film, one, out) for one in slow_first]
+        jobs = [pool.submit(_film_in_worker, one, out) for one in missing]
         try:
             for job in as_completed(jobs):
                 yield job.result()
@@ -244,6 +243,15 @@ def _filmed(missing: Sequence[BenchTrajectory], out: Path, processes: int) -> It
             if not all(job.done() for job in jobs):
                 for process in active_children():
                     process.terminate()
+
+
+def _film_in_worker(trajectory: BenchTrajectory, out: Path) -> Entry:
+    try:
+        return _film(trajectory, out)
+    except SystemExit:
+        # What was half-written is gone by now. A pool hands any exception of a task back to its
+        # parent and goes on with the next one; this worker was told to end.
+        os._exit(1)
 
 
 def _start_worker() -> None:
