@@ -127,7 +127,8 @@ def folded_vertices(cloth: ClothMesh, radius_m: float) -> Bool[np.ndarray, " ver
         x, y = points[:, 0], points[:, 1]
         return np.hypot(x[:, None] - x, y[:, None] - y)
 
-    return ((apart(cloth.vertices) < radius_m) & (apart(flat) > FOLD_REACH_M)).any(axis=1)
+    over = (apart(cloth.vertices) < radius_m) & (apart(flat) > FOLD_REACH_M)
+    return np.asarray(over.any(axis=1))
 
 
 def _chosen(
