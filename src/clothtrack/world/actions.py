@@ -44,6 +44,8 @@ class ActionConfig:
         picks: where grasps are: mostly at the "outline" of the cloth, in its "middle" as it lies,
             or on "folded" cloth (once there is any), all its layers taken and carried inwards, so
             that folds come over folds.
+        clear_held: the release height is that of the lowest layer held, not of the tip, so that
+            a stack is laid down and not pressed into the table.
     """
 
     distance_m: tuple[float, float] = (0.05, 0.2)
@@ -56,6 +58,7 @@ class ActionConfig:
     free_speed: float = 1.25
     frame_rate: float = 20.0
     picks: Literal["outline", "middle", "folded"] = "outline"
+    clear_held: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +111,8 @@ def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator
     under[held] = False
     ground = points[under, 2].max() if under.any() else points[:, 2].min()
     place[2] = ground + config.release_height_m
+    if config.clear_held:
+        place[2] += pick[2] - points[held, 2].min()
     lift = float(rng.uniform(*config.lift_m))
     return PlannedAction(np.array(held), pick, place, lift, bool(folded[stack].any()))
 

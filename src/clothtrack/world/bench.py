@@ -33,6 +33,9 @@ SPARE_SEEDS = 5
 SEEDS_APART = SPARE_SEEDS + 1
 """From one trajectory's first seed to the next one's, so that no two share a spare seed."""
 
+RELEASE_GAP_M = 0.002
+"""What is left under the carried layers [m] when the gripper opens."""
+
 _OF_BENCH = 0xBE7C
 """Keeps the draws of this module apart from those of the episode with the same seed."""
 
@@ -183,6 +186,9 @@ def vary(kind: GarmentKind, seed: int, ranges: Ranges | None = None) -> EpisodeC
         edge_mixing=draw("edge_mixing"),
         patch_dropout=draw("patch_dropout"),
     )
+    # Carried cloth hangs doubled under the tip: it is let go where all its layers have room.
+    layers = 2 if kind == "towel" else 4
+    room = RELEASE_GAP_M + 2.0 * layers * fabric.contact_radius_m
     thickness = draw("tool_size")
     tool = Tool(
         azimuth_rad=float(np.pi / 2.0) + draw("tool_azimuth_rad"),
@@ -193,7 +199,12 @@ def vary(kind: GarmentKind, seed: int, ranges: Ranges | None = None) -> EpisodeC
         size_m=size,
         picker_bias_m=draw("picker_error_m"),
         picker_noise_m=draw("picker_error_m"),
-        action=ActionConfig(speed=draw("speed"), reach_m=min(0.2, 0.65 * max(size))),
+        action=ActionConfig(
+            speed=draw("speed"),
+            reach_m=min(0.2, 0.65 * max(size)),
+            release_height_m=room,
+            clear_held=True,
+        ),
         sensor=sensor,
         fabric=fabric,
         tool=tool,
