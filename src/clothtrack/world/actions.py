@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from clothtrack.geometry.mesh import ClothMesh
 
@@ -22,6 +23,9 @@ MIDDLE_M = 0.04
 
 MOST_LAYERS = 8
 """As many layers as the gripper takes at most."""
+
+LAYERS_APART_M = 0.03
+"""Cloth of one stack that is farther apart than this [m] in the canonical pose is of two layers."""
 
 FOLD_REACH_M = 0.05
 """Cloth that lies together and is farther apart than this [m] in the flat cloth is folded."""
@@ -128,12 +132,11 @@ def folded_vertices(cloth: ClothMesh, radius_m: float) -> Bool[np.ndarray, " ver
     """
     flat = cloth.vertices if cloth.canonical is None else cloth.canonical
 
-    def apart(points: Float[np.ndarray, "vertices _"]) -> Float[np.ndarray, "vertices vertices"]:
-        x, y = points[:, 0], points[:, 1]
-        return np.hypot(x[:, None] - x, y[:, None] - y)
-
-    over = (apart(cloth.vertices) < radius_m) & (apart(flat) > FOLD_REACH_M)
-    return np.asarray(over.any(axis=1))
+    pairs = cKDTree(cloth.vertices[:, :2]).query_pairs(radius_m, output_type="ndarray")
+    apart = np.linalg.norm(np.subtract(*flat[pairs.T, :2]), axis=1)
+    folded = np.zeros(len(flat), dtype=bool)
+    folded[pairs[apart > FOLD_REACH_M]] = True
+    return folded
 
 
 def _chosen(
@@ -232,8 +235,12 @@ def _layers_below(cloth: ClothMesh, top: int, radius: float) -> list[int]:
 
 
 def _whole_stack(cloth: ClothMesh, top: int, radius: float) -> list[int]:
-    """A vertex and one of each layer under it, from the top down to the table."""
+    """A vertex and one of each other part of the cloth in its column, the nearest first."""
+    flat = cloth.vertices if cloth.canonical is None else cloth.canonical
+    gap = np.linalg.norm(cloth.vertices[:, :2] - cloth.vertices[top, :2], axis=1)
     held = [top]
-    while len(held) < MOST_LAYERS and (below := _layers_below(cloth, held[-1], radius)):
-        held += below
+    for vertex in np.flatnonzero(gap < radius)[np.argsort(gap[gap < radius])]:
+        apart = np.linalg.norm(flat[held] - flat[vertex], axis=1).min()
+        if apart > LAYERS_APART_M and len(held) < MOST_LAYERS:
+            held.append(int(vertex))
     return held
