@@ -33,7 +33,7 @@ def test_help_is_quick_and_lists_the_verbs_in_order():
     assert shown.returncode == 0
     places = [
         shown.stdout.index(f"• {verb}")
-        for verb in ("demo", "inspect", "simulate", "track", "evaluate", "view", "export")
+        for verb in ("demo", "inspect", "simulate", "bench", "track", "evaluate", "view", "export")
     ]
     assert places == sorted(places)
     assert min(seconds) < 0.3

@@ -7,7 +7,6 @@ called, so that `--help` is instant. Exit codes: 0 done, 1 bad input, a full dis
 
 import json as json_module
 import logging
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -18,7 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from clothtrack.errors import ClothTrackError, InvalidResultError, StorageError
+from clothtrack.errors import InvalidResultError
+from clothtrack.terminal import complain, end_progress, exit_code, progress, say
 
 if TYPE_CHECKING:
     from clothtrack.pipeline import Outcome, RunConfig
@@ -97,13 +97,13 @@ def demo(
     config = _run_config(mode, LIGHT_CALIBRATION, seed=0)
     outcome = _track([folder], output, config, device=device)[0]
     if outcome.result is None:
-        _complain(outcome.error)
+        complain(outcome.error)
         return 1
     tracked, source = TrackedTrajectory.load(outcome.result), read_recording(folder)
     page = write_report(tracked, source, output / f"{tracked.name}.html")
-    _say(table([measure(tracked, source, device=device)]))
-    _say(f"tracked  {outcome.result}" + ("   (finished before)" if outcome.skipped else ""))
-    _say(f"report   {page}   (open it in a browser; it needs no network)")
+    say(table([measure(tracked, source, device=device)]))
+    say(f"tracked  {outcome.result}" + ("   (finished before)" if outcome.skipped else ""))
+    say(f"report   {page}   (open it in a browser; it needs no network)")
     return 0
 
 
@@ -118,7 +118,7 @@ def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
     from clothtrack.recordings.inspection import inspect as inspect_recording
 
     found = inspect_recording(recording)
-    _say(json_module.dumps(found.as_dict(), indent=2) if json else found.text())
+    say(json_module.dumps(found.as_dict(), indent=2) if json else found.text())
     return 0 if found.valid else 1
 
 
@@ -151,8 +151,42 @@ def simulate(
     config = with_settings(EpisodeConfig(actions=actions), settings)
     folders = film(output, garment, trajectories, seed=seed, config=config, processes=workers)
     for folder in folders:
-        _say(str(folder))
+        say(str(folder))
     return 0 if len(folders) == trajectories else 1
+
+
+@_verb
+def bench(
+    output: Positional[Path],
+    *,
+    split: Literal["all", "dev", "test", "hard"] = "all",
+    verify: bool = False,
+    workers: int = 1,
+    json: AsJson = False,
+) -> int:
+    """Film the benchmark: 20 trajectories to tune on (dev), 30 to score (test), 10 hard ones.
+
+    Args:
+        output: folder for recordings/, truth/ and their list; finished trajectories are kept.
+        split: only this part.
+        verify: film nothing; check what is there against its checksums.
+        workers: processes.
+        json: machine-readable.
+    """
+    from clothtrack.world import bench as contents
+    from clothtrack.world import bench_generation as generation
+
+    wanted = contents.trajectories(contents.SPLITS if split == "all" else (split,))
+    if verify:
+        for line in (wrong := generation.verify_bench(output, wanted)):
+            complain(line)
+        told = f"{len(wanted) - len(wrong)} of {len(wanted)} trajectories are as listed"
+        say(json_module.dumps({"trajectories": len(wanted), "wrong": wrong}) if json else told)
+        return 1 if wrong else 0
+    entries = generation.generate_bench(output, wanted, processes=workers, progress=progress)
+    end_progress()
+    say(json_module.dumps(entries, indent=2) if json else generation.table(entries))
+    return 0
 
 
 @_verb
@@ -181,18 +215,18 @@ def track(
         json: machine-readable.
     """
     if not recordings:
-        _complain("no recording given; name at least one recording folder")
+        complain("no recording given; name at least one recording folder")
         return 2
     outcomes = _track(
         recordings, output, _run_config(mode, settings, seed=seed), device=device, workers=workers
     )
     if json:
-        _say(json_module.dumps([asdict(one) for one in outcomes], indent=2, default=str))
+        say(json_module.dumps([asdict(one) for one in outcomes], indent=2, default=str))
     for one in outcomes:
         if one.result is None:
-            _complain(one.error)
+            complain(one.error)
         elif not json:
-            _say(f"{one.result}" + ("   (finished before)" if one.skipped else ""))
+            say(f"{one.result}" + ("   (finished before)" if one.skipped else ""))
     return 1 if any(one.result is None for one in outcomes) else 0
 
 
@@ -232,7 +266,7 @@ def evaluate(
         evaluations.append(measure(result, recording, known, device=device, seed=seed))
     if output is not None:
         save_json(evaluations, output)
-    _say(as_json(evaluations) if json else table(evaluations))
+    say(as_json(evaluations) if json else table(evaluations))
     return 0
 
 
@@ -257,7 +291,7 @@ def view(
     if html is not None:
         from clothtrack.report.page import write_report
 
-        _say(str(write_report(tracked, recording, html)))
+        say(str(write_report(tracked, recording, html)))
         return 0
     from clothtrack.report.live import view_live
 
@@ -283,7 +317,7 @@ def export(
     """
     from clothtrack.report.export import export as export_meshes
 
-    _say(str(export_meshes(_load_tracked(artefact), output, format)))
+    say(str(export_meshes(_load_tracked(artefact), output, format)))
     return 0
 
 
@@ -300,8 +334,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     level = logging.INFO if "--verbose" in words else logging.WARNING
     words = [word for word in words if word != "--verbose"]
     logging.basicConfig(level=level, stream=sys.stderr, format="%(levelname)s %(message)s")
-    try:
-        return tyro.extras.subcommand_cli_from_dict(
+    return exit_code(
+        lambda: tyro.extras.subcommand_cli_from_dict(
             {function.__name__: function for function in VERBS},
             prog="clothtrack",
             description=(
@@ -311,20 +345,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args=words,
             config=(FlagCreatePairsOff, OmitArgPrefixes),
         )
-    except ClothTrackError as error:
-        _complain(str(error))
-    except BrokenPipeError:
-        # The reader of our output went away (`| head`): nothing is wrong, nothing more to say.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        _complain(str(StorageError.of(error)))
-    except KeyboardInterrupt:
-        _complain(
-            "interrupted; what was finished is whole, nothing half-written keeps its name. "
-            "The same command goes on from there"
-        )
-    return 1
+    )
 
 
 def _run_config(mode: str, settings: Sequence[str], *, seed: int) -> "RunConfig":
@@ -348,9 +369,9 @@ def _track(
 
     require_device(device)
     outcomes = track_recordings(
-        recordings, output, config, workers=workers, device=device, progress=_progress
+        recordings, output, config, workers=workers, device=device, progress=progress
     )
-    _end_progress()
+    end_progress()
     return outcomes
 
 
@@ -373,26 +394,6 @@ def _recording_of(tracked: "TrackedTrajectory", path: Path) -> "Recording":
 def _inside(path: Path, name: str) -> Path:
     """The entry of a folder, or the path itself when it is a file."""
     return path / name if path.is_dir() else path
-
-
-def _progress(name: str, done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r{name}  {done}/{total}\x1b[K")
-        sys.stderr.flush()
-
-
-def _end_progress() -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-
-
-def _complain(text: str) -> None:
-    _end_progress()
-    sys.stderr.write(f"clothtrack: {text}\n")
 
 
 if __name__ == "__main__":

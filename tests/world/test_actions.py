@@ -1,10 +1,19 @@
 """Random pick-and-places: within their ranges, on the cloth, at a bounded speed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.garments import towel, tshirt
-from clothtrack.world.actions import ActionConfig, carrying_path, free_path, plan_action
+from clothtrack.world.actions import (
+    ActionConfig,
+    carrying_path,
+    folded_vertices,
+    free_path,
+    plan_action,
+)
 
 CONFIG = ActionConfig()
 STEP_S = 0.005
@@ -59,3 +68,61 @@ def test_free_path_ends_at_its_end() -> None:
     assert np.allclose(path[-1], end)
     steps = np.linalg.norm(np.diff(path, axis=0, prepend=start[None]), axis=1)
     assert steps.max() <= CONFIG.free_speed / CONFIG.frame_rate + 1e-9
+
+
+def folded_over(cloth: ClothMesh) -> ClothMesh:
+    """The right third of a flat cloth, folded over to the left, a layer higher."""
+    vertices = cloth.vertices.copy()
+    over = vertices[:, 0] > 0.05
+    vertices[over, 0] = 0.1 - vertices[over, 0]
+    vertices[over, 2] += 0.004
+    return cloth.with_vertices(vertices)
+
+
+def test_folded_vertices_are_those_with_other_cloth_over_or_under_them() -> None:
+    flat = towel(0.3, 0.3, 0.015)
+    assert not folded_vertices(flat, 0.01).any()
+    cloth = folded_over(flat)
+    found = folded_vertices(cloth, 0.01)
+    x = cloth.vertices[:, 0]
+    assert found[(x > -0.03) & (x < 0.01)].all()
+    assert not found[x < -0.07].any()
+
+
+def test_two_layers_of_a_flat_garment_are_no_fold() -> None:
+    assert not folded_vertices(tshirt(0.5, 0.45, 0.02), 0.01).any()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_picks_in_the_middle_are_there(seed: int) -> None:
+    cloth = towel(0.3, 0.3, 0.015)
+    config = replace(CONFIG, picks="middle")
+    plan = plan_action(cloth, config, np.random.default_rng(seed))
+    assert np.linalg.norm(plan.pick[:2]) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_picks_of_a_fold_take_all_its_layers_inwards(seed: int) -> None:
+    cloth = folded_over(towel(0.3, 0.3, 0.015))
+    config = replace(CONFIG, picks="folded", both_layers=0.0)
+    plan = plan_action(cloth, config, np.random.default_rng(seed))
+    assert plan.folded
+    assert len(plan.held) == 2
+    middle = cloth.vertices[:, :2].mean(axis=0)
+    way = plan.place[:2] - plan.pick[:2]
+    inward = middle - plan.pick[:2]
+    assert way @ inward > 0.7 * np.linalg.norm(way) * np.linalg.norm(inward)
+
+
+def test_a_stack_may_be_laid_down_by_its_lowest_layer() -> None:
+    cloth = folded_over(towel(0.3, 0.3, 0.015))
+    tip, stack = (
+        plan_action(
+            cloth,
+            replace(CONFIG, picks="folded", clear_held=clear),
+            np.random.default_rng(0),
+        )
+        for clear in (False, True)
+    )
+    assert np.array_equal(tip.held, stack.held)
+    assert stack.place[2] - tip.place[2] == pytest.approx(0.004)

@@ -5,9 +5,11 @@ taken, as with a robot that waits for its camera.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from clothtrack.geometry.mesh import ClothMesh
 
@@ -15,6 +17,18 @@ SHARE_OF_EXTREMES = 0.8
 SHARE_INWARD = 0.75
 RAMP = 0.2
 """Share of a path's time that speeding up takes, and slowing down."""
+
+MIDDLE_M = 0.04
+"""How far from the middle of the cloth [m] a pick in its middle is at most."""
+
+MOST_LAYERS = 8
+"""As many layers as the gripper takes at most."""
+
+LAYERS_APART_M = 0.03
+"""Cloth of one stack that is farther apart than this [m] in the canonical pose is of two layers."""
+
+FOLD_REACH_M = 0.05
+"""Cloth that lies together and is farther apart than this [m] in the flat cloth is folded."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +45,11 @@ class ActionConfig:
         release_height_m: height of the tip above its grasp height when it opens [m].
         free_speed: speed of the tool without cloth [m/s].
         frame_rate: pictures per second [1/s].
+        picks: where grasps are: mostly at the "outline" of the cloth, in its "middle" as it lies,
+            or on "folded" cloth (once there is any), all its layers taken and carried inwards, so
+            that folds come over folds.
+        clear_held: the release height is that of the lowest layer held, not of the tip, so that
+            a stack is laid down and not pressed into the table.
     """
 
     distance_m: tuple[float, float] = (0.05, 0.2)
@@ -42,6 +61,8 @@ class ActionConfig:
     release_height_m: float = 0.004
     free_speed: float = 1.25
     frame_rate: float = 20.0
+    picks: Literal["outline", "middle", "folded"] = "outline"
+    clear_held: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +74,14 @@ class PlannedAction:
         pick: where it closes [m].
         place: where it opens [m].
         lift_m: height of the path over the straight line [m].
+        folded: the pick is on cloth that lies folded.
     """
 
     held: Int[np.ndarray, " held"]
     pick: Float[np.ndarray, " 3"]
     place: Float[np.ndarray, " 3"]
     lift_m: float
+    folded: bool = False
 
 
 def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator) -> PlannedAction:
@@ -74,17 +97,16 @@ def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator
     """
     points = cloth.vertices
     middle = points[:, :2].mean(axis=0)
-    if rng.random() < SHARE_OF_EXTREMES:
-        angle = rng.uniform(0.0, 2.0 * np.pi)
-        outward = (points[:, :2] - middle) @ np.array([np.cos(angle), np.sin(angle)])
-        chosen = int(np.argmax(outward - rng.exponential(0.01, len(points))))
-    else:
-        chosen = int(rng.integers(len(points)))
+    folded = folded_vertices(cloth, config.grasp_radius_m)
+    chosen = _chosen(points, middle, folded, config.picks, rng)
     column = np.linalg.norm(points[:, :2] - points[chosen, :2], axis=1) < config.grasp_radius_m
     stack = np.flatnonzero(column)
     top = int(stack[np.argmax(points[stack, 2])])
     held = [top]
-    if rng.random() < config.both_layers:
+    both = rng.random() < config.both_layers
+    if config.picks == "folded":
+        held = _whole_stack(cloth, top, config.grasp_radius_m)
+    elif both:
         held += _layers_below(cloth, top, config.grasp_radius_m)
 
     pick = points[top].copy()
@@ -93,7 +115,50 @@ def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator
     under[held] = False
     ground = points[under, 2].max() if under.any() else points[:, 2].min()
     place[2] = ground + config.release_height_m
-    return PlannedAction(np.array(held), pick, place, float(rng.uniform(*config.lift_m)))
+    if config.clear_held:
+        place[2] += pick[2] - points[held, 2].min()
+    lift = float(rng.uniform(*config.lift_m))
+    return PlannedAction(np.array(held), pick, place, lift, bool(folded[stack].any()))
+
+
+def folded_vertices(cloth: ClothMesh, radius_m: float) -> Bool[np.ndarray, " vertices"]:
+    """Which vertices lie over or under another part of the cloth, seen from above.
+
+    The two layers of a garment that lie on each other in the flat garment already do not count.
+
+    Args:
+        cloth: the cloth at its present vertices [m]; its canonical coordinates tell the parts.
+        radius_m: how near [m] the other part is in the plane of the table.
+    """
+    flat = cloth.vertices if cloth.canonical is None else cloth.canonical
+
+    pairs = cKDTree(cloth.vertices[:, :2]).query_pairs(radius_m, output_type="ndarray")
+    apart = np.linalg.norm(np.subtract(*flat[pairs.T, :2]), axis=1)
+    folded = np.zeros(len(flat), dtype=bool)
+    folded[pairs[apart > FOLD_REACH_M]] = True
+    return folded
+
+
+def _chosen(
+    points: Float[np.ndarray, "vertices 3"],
+    middle: Float[np.ndarray, " 2"],
+    folded: Bool[np.ndarray, " vertices"],
+    picks: str,
+    rng: np.random.Generator,
+) -> int:
+    """The vertex above which the gripper comes down."""
+    if picks == "middle":
+        off = np.linalg.norm(points[:, :2] - middle, axis=1)
+        near = np.flatnonzero(off < max(MIDDLE_M, float(off.min())))
+        return int(rng.choice(near if len(near) else [np.argmin(off)]))
+    if picks == "outline" and rng.random() >= SHARE_OF_EXTREMES:
+        return int(rng.integers(len(points)))
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    outward = (points[:, :2] - middle) @ np.array([np.cos(angle), np.sin(angle)])
+    outward = outward - rng.exponential(0.01, len(points))
+    if picks == "folded" and folded.any():
+        outward[~folded] = -np.inf
+    return int(np.argmax(outward))
 
 
 def _place(
@@ -104,8 +169,9 @@ def _place(
 ) -> Float[np.ndarray, " 3"]:
     """A random place within reach [m], at the height of the pick."""
     to_middle = np.arctan2(middle[1] - pick[1], middle[0] - pick[0])
+    inward = 1.0 if config.picks == "folded" else SHARE_INWARD
     for _ in range(100):
-        spread = np.pi / 4.0 if rng.random() < SHARE_INWARD else np.pi
+        spread = np.pi / 4.0 if rng.random() < inward else np.pi
         heading = to_middle + rng.uniform(-spread, spread)
         way = rng.uniform(*config.distance_m)
         place = pick + way * np.array([np.cos(heading), np.sin(heading), 0.0])
@@ -166,3 +232,15 @@ def _layers_below(cloth: ClothMesh, top: int, radius: float) -> list[int]:
     # Cloth of the same layer slopes at most about one to one.
     below = np.flatnonzero((gap < radius) & (depth > np.maximum(0.0015, gap)) & (depth < 0.02))
     return [int(below[np.argmin(gap[below] + depth[below])])] if len(below) else []
+
+
+def _whole_stack(cloth: ClothMesh, top: int, radius: float) -> list[int]:
+    """A vertex and one of each other part of the cloth in its column, the nearest first."""
+    flat = cloth.vertices if cloth.canonical is None else cloth.canonical
+    gap = np.linalg.norm(cloth.vertices[:, :2] - cloth.vertices[top, :2], axis=1)
+    held = [top]
+    for vertex in np.flatnonzero(gap < radius)[np.argsort(gap[gap < radius])]:
+        apart = np.linalg.norm(flat[held] - flat[vertex], axis=1).min()
+        if apart > LAYERS_APART_M and len(held) < MOST_LAYERS:
+            held.append(int(vertex))
+    return held

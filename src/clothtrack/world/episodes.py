@@ -9,7 +9,6 @@ measured by hand would be.
 import json
 import logging
 import uuid
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -29,33 +28,15 @@ from clothtrack.recordings.store import RecordingWriter, storage
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
 from clothtrack.world.actions import ActionConfig, carrying_path, free_path, plan_action
 from clothtrack.world.appearance import Appearance
-from clothtrack.world.flex import CONTACT_RADIUS_M, TIME_STEP_S, Fabric, FlexWorld
+from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
 from clothtrack.world.scene import Scene
-from clothtrack.world.sensor import Sensor, SensorConfig, top_down_camera
+from clothtrack.world.sensor import Sensor, SensorConfig, misplaced, top_down_camera
+from clothtrack.world.template import TemplateConfig, first_mesh, laid_down, random_pose
 from clothtrack.world.tool import Tool
 
 logger = logging.getLogger(__name__)
 
 PICKER = "gripper"
-
-
-@dataclass(frozen=True)
-class TemplateConfig:
-    """The first mesh that a recording carries, and how wrong it is.
-
-    Attributes:
-        vertex_count: about how many vertices.
-        shift_m: length of its misplacement in the table's plane [m].
-        turn_deg: standard deviation of its turn about the vertical [deg].
-        scale: standard deviation of its relative error of size.
-        noise_m: standard deviation of independent noise of each vertex along x and along y [m].
-    """
-
-    vertex_count: int = 1500
-    shift_m: float = 0.002
-    turn_deg: float = 0.6
-    scale: float = 0.005
-    noise_m: float = 0.0005
 
 
 @dataclass(frozen=True)
@@ -73,6 +54,12 @@ class EpisodeConfig:
         template: the first mesh, or None for a recording without one.
         action: how pick-and-places are drawn.
         sensor: the camera.
+        fabric: what the cloth is made of; drawn when None.
+        tool: what moves it; drawn when None.
+        reach_across: the tool comes to each pick over the middle of the cloth, not from the side
+            that it always comes from.
+        calibration_error_m: how far [m] the recording says the camera is from where it is, in a
+            random direction.
     """
 
     size_m: tuple[float, float] | None = None
@@ -85,6 +72,10 @@ class EpisodeConfig:
     template: TemplateConfig | None = field(default_factory=TemplateConfig)
     action: ActionConfig = field(default_factory=ActionConfig)
     sensor: SensorConfig = field(default_factory=SensorConfig)
+    fabric: Fabric | None = None
+    tool: Tool | None = None
+    reach_across: bool = False
+    calibration_error_m: float = 0.0
 
 
 def simulate(
@@ -127,7 +118,12 @@ def simulate(
 
 
 def simulate_trajectory(
-    kind: GarmentKind, seed: int, out: Path, *, config: EpisodeConfig | None = None
+    kind: GarmentKind,
+    seed: int,
+    out: Path,
+    *,
+    config: EpisodeConfig | None = None,
+    name: str | None = None,
 ) -> Path:
     """Film one trajectory: a flat garment, random pick-and-places, the tool away after each.
 
@@ -136,6 +132,7 @@ def simulate_trajectory(
         seed: of everything: fabric, pose, actions, camera, noise.
         out: folder for `recordings/` and `truth/`.
         config: what is filmed, and how.
+        name: of the recording; `KIND_SEED` by default.
 
     Returns:
         The recording's folder.
@@ -145,10 +142,10 @@ def simulate_trajectory(
         StorageError: when the recording exists or the disk refuses.
     """
     config = config or EpisodeConfig()
-    name = f"{kind}_{seed:04d}"
+    name = name or f"{kind}_{seed:04d}"
     root = np.random.SeedSequence([seed, list(DEFAULT_SIZES_M).index(kind)])
-    of_world, of_actions, of_sensor, of_template, of_picker = map(
-        np.random.default_rng, root.spawn(5)
+    of_world, of_actions, of_sensor, of_template, of_picker, of_calibration = map(
+        np.random.default_rng, root.spawn(6)
     )
     flat = garment(
         kind,
@@ -157,31 +154,37 @@ def simulate_trajectory(
         pattern="random",
         seed=2 * seed,
     )
-    pose = _random_pose(of_world)
-    fabric = Fabric.sample(of_world)
-    world = FlexWorld(_laid_down(flat, pose), fabric)
-    camera, tool = top_down_camera(config.sensor, of_sensor), Tool.sample(of_sensor)
+    pose = random_pose(of_world)
+    # Drawn even when it is given, so that nothing else depends on whether it is.
+    drawn = Fabric.sample(of_world)
+    fabric = config.fabric or drawn
+    laid = partial(laid_down, pose=pose, height_m=fabric.contact_radius_m)
+    world = FlexWorld(laid(flat), fabric)
+    camera, usual_tool = top_down_camera(config.sensor, of_sensor), Tool.sample(of_sensor)
     appearance = Appearance.sample(of_sensor)
-    scene = Scene(flat, tool, camera)
+    scene = Scene(flat, config.tool or usual_tool, camera)
     sensor = Sensor(scene, config.sensor, appearance, seed=int(of_sensor.integers(1 << 31)))
+    wrong = config.template
     folder = Path(out) / "recordings" / name
     with RecordingWriter(
         folder,
-        [camera],
+        [misplaced(camera, config.calibration_error_m, of_calibration)],
         {camera.name: config.sensor.step_m},
         table=Table(np.zeros(3), np.array([0.0, 0.0, 1.0])),
         cloth=ClothDescription(
             kind=kind,
             color=appearance.cloth,
             size_m=config.size_m or DEFAULT_SIZES_M[kind],
-            template=_template(kind, seed, pose, config, of_template),
+            template=None
+            if wrong is None
+            else first_mesh(kind, seed, wrong, size_m=config.size_m, laid=laid, rng=of_template),
         ),
         provenance=_provenance(seed, config),
     ) as writer:
         film = _Film(world, scene, sensor, writer, config)
-        film.run(ClothMesh(world.positions, flat.faces), of_actions)
+        film.run(ClothMesh(world.positions, flat.faces, flat.canonical), of_actions)
         writer.set_picker_path(PICKER, film.measured_path(of_picker))
-        _write_truth(Path(out) / "truth" / f"{name}.npz", film.positions, flat, fabric)
+        _write_truth(Path(out) / "truth" / f"{name}.npz", film, flat, fabric)
     logger.info("%s: %d frames, %.2f s simulated", name, len(film.positions), world.time_s)
     return folder
 
@@ -202,8 +205,12 @@ class _Film:
         self._camera: Camera = scene.camera
         self._steps_per_frame = round(1.0 / (config.action.frame_rate * TIME_STEP_S))
         self.positions: list[Float[np.ndarray, "vertices 3"]] = []
+        self.hidden: list[float] = []
+        self.missing: list[float] = []
+        self.outside: list[float] = []
+        self.folded: list[bool] = []
         self._tips: list[Float[np.ndarray, " 3"]] = []
-        self._closed: list[bool] = []
+        self.closed: list[bool] = []
 
     def run(self, start: ClothMesh, rng: np.random.Generator) -> None:
         """Settle the cloth, then film every action; the last frame of each shows no tool."""
@@ -214,6 +221,11 @@ class _Film:
             first = len(self.positions)
             cloth = start.with_vertices(self._world.positions)
             plan = plan_action(cloth, config.action, rng)
+            self.folded.append(plan.folded)
+            if config.reach_across:
+                x, y = (cloth.vertices.mean(axis=0) - plan.pick)[:2]
+                self._scene.turn_tool(float(np.arctan2(y, x)))
+                tip = None
             if tip is None:
                 tip = self._scene.out_of_picture(plan.pick)
                 self._take(tip)
@@ -259,8 +271,13 @@ class _Film:
             cloud=None,
         )
         self.positions.append(vertices.astype(np.float32))
+        self.hidden.append(picture.hidden_share)
+        self.missing.append(picture.missing_share)
+        pixels, _ = self._camera.project(vertices)
+        inside = (pixels > -0.5) & (pixels < (self._camera.width - 0.5, self._camera.height - 0.5))
+        self.outside.append(1.0 - float(inside.all(axis=1).mean()))
         self._tips.append(np.array(tip))
-        self._closed.append(closed)
+        self.closed.append(closed)
 
     def measured_path(self, rng: np.random.Generator) -> PickerPath:
         """The tip's path as the robot measures it."""
@@ -269,7 +286,7 @@ class _Film:
         bias = config.picker_bias_m * rng.standard_normal(3)
         noise = config.picker_noise_m * rng.standard_normal(tips.shape)
         times = np.arange(len(tips)) / config.action.frame_rate
-        return PickerPath(times, tips + bias + noise, np.array(self._closed))
+        return PickerPath(times, tips + bias + noise, np.array(self.closed))
 
 
 def _simulate_or_skip(
@@ -285,52 +302,6 @@ def _simulate_or_skip(
         return None
 
 
-def _random_pose(rng: np.random.Generator) -> Float[np.ndarray, "2 3"]:
-    """A turn about the vertical and a place on the table [m], near the middle of the picture."""
-    angle = np.radians(rng.uniform(-12.0, 12.0))
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x, y = rng.uniform(-0.02, 0.02, 2)
-    return np.array([[cosine, -sine, x], [sine, cosine, y]])
-
-
-def _laid_down(mesh: ClothMesh, pose: Float[np.ndarray, "2 3"]) -> ClothMesh:
-    """The flat garment on the table, its lowest vertex at rest there."""
-    vertices = np.empty(mesh.vertices.shape)
-    vertices[:, :2] = mesh.vertices[:, :2] @ pose[:, :2].T + pose[:, 2]
-    vertices[:, 2] = mesh.vertices[:, 2] - mesh.vertices[:, 2].min() + CONTACT_RADIUS_M
-    return mesh.with_vertices(vertices)
-
-
-def _template(
-    kind: GarmentKind,
-    seed: int,
-    pose: Float[np.ndarray, "2 3"],
-    config: EpisodeConfig,
-    rng: np.random.Generator,
-) -> ClothMesh | None:
-    """The tracker's first mesh: another triangulation, wrong as `TemplateConfig` says."""
-    wrong = config.template
-    if wrong is None:
-        return None
-    mesh = garment(
-        kind,
-        vertex_count=wrong.vertex_count,
-        size_m=config.size_m,
-        pattern="alternating",
-        seed=2 * seed + 1,
-    )
-    laid = _laid_down(mesh, pose).vertices
-    angle = np.radians(wrong.turn_deg) * rng.standard_normal()
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    scale = 1.0 + wrong.scale * rng.standard_normal()
-    heading = rng.uniform(0.0, 2.0 * np.pi)
-    shift = wrong.shift_m * np.array([np.cos(heading), np.sin(heading)])
-    middle = laid[:, :2].mean(axis=0)
-    noise = wrong.noise_m * rng.standard_normal((len(laid), 2))
-    laid[:, :2] = scale * (laid[:, :2] - middle) @ turn.T + middle + shift + noise
-    return mesh.with_vertices(laid)
-
-
 def _provenance(seed: int, config: EpisodeConfig) -> dict[str, object]:
     """How the recording was made; of the physics only what a person at the table could know."""
     return {
@@ -341,22 +312,25 @@ def _provenance(seed: int, config: EpisodeConfig) -> dict[str, object]:
     }
 
 
-def _write_truth(
-    path: Path,
-    positions: Sequence[Float[np.ndarray, "vertices 3"]],
-    flat: ClothMesh,
-    fabric: Fabric,
-) -> None:
+def _write_truth(path: Path, film: _Film, flat: ClothMesh, fabric: Fabric) -> None:
     """Write what the camera could not see, under a temporary name first."""
     unfinished = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.partial.npz")
     with storage(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(
-            unfinished,
-            positions=np.stack(positions),
-            faces=flat.faces.astype(np.int32),
-            canonical=np.asarray(flat.canonical, dtype=np.float64),
-            frames=np.arange(len(positions)),
-            fabric=np.array(json.dumps(asdict(fabric))),
-        )
-        unfinished.replace(path)
+        try:
+            np.savez_compressed(
+                unfinished,
+                positions=np.stack(film.positions),
+                faces=flat.faces.astype(np.int32),
+                canonical=np.asarray(flat.canonical, dtype=np.float64),
+                frames=np.arange(len(film.positions)),
+                fabric=np.array(json.dumps(asdict(fabric))),
+                hidden_by_tool=np.array(film.hidden),
+                depth_missing=np.array(film.missing),
+                outside_picture=np.array(film.outside),
+                gripper_closed=np.array(film.closed),
+                picked_folded=np.array(film.folded),
+            )
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)

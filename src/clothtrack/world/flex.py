@@ -38,6 +38,7 @@ class Fabric:
         damping_s: stiffness-proportional damping of the shell [s].
         table_friction: Coulomb coefficient between cloth and table.
         cloth_friction: Coulomb coefficient between cloth and cloth.
+        contact_radius_m: half the distance [m] that two layers keep; the cloth lies this high.
     """
 
     young_pa: float = 4e4
@@ -47,6 +48,7 @@ class Fabric:
     damping_s: float = 1e-2
     table_friction: float = 0.5
     cloth_friction: float = 0.5
+    contact_radius_m: float = CONTACT_RADIUS_M
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Fabric":
@@ -188,7 +190,7 @@ def _scene(mesh: ClothMesh, fabric: Fabric) -> str:
     <geom name="table" type="plane" size="2 2 0.1" condim="3" priority="1"
           friction="{fabric.table_friction} 0.005 0.0001"/>
     <body name="gripper" mocap="true" pos="{parked}"/>
-    <flexcomp name="cloth" type="direct" dim="2" mass="{mass}" radius="{CONTACT_RADIUS_M}"
+    <flexcomp name="cloth" type="direct" dim="2" mass="{mass}" radius="{fabric.contact_radius_m}"
               point="{points}" element="{elements}">
       <contact selfcollide="auto" condim="3" friction="{fabric.cloth_friction} 0.005 0.0001"/>
       <elasticity young="{fabric.young_pa}" poisson="{fabric.poisson}"

@@ -1,6 +1,6 @@
 """What lies behind every pixel of the stand-in camera: table, cloth or tool, without any noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -24,6 +24,7 @@ class View:
         normals: unit normal of the surface; smooth over the cloth, of either sign there.
         facing: cosine between the surface's normal and the line of sight; 1 seen from the front.
         material: canonical coordinates [m] of the cloth's pixels, row by row.
+        hidden_share: share of the cloth's picture that the tool is in front of.
     """
 
     depth: Float[np.ndarray, "height width"]
@@ -32,6 +33,7 @@ class View:
     normals: Float[np.ndarray, "height width 3"]
     facing: Float[np.ndarray, "height width"]
     material: Float[np.ndarray, "cloth_pixels 3"]
+    hidden_share: float
 
 
 class Scene:
@@ -98,7 +100,12 @@ class Scene:
             normals.reshape(*shape, 3),
             facing.reshape(shape),
             material.astype(np.float32),
+            1.0 - len(shown) / max(int(np.isfinite(cloth_depth).sum()), 1),
         )
+
+    def turn_tool(self, azimuth_rad: float) -> None:
+        """Let the tool leave its tip in this direction from now on, seen from above."""
+        self._tool = replace(self._tool, azimuth_rad=azimuth_rad)
 
     def out_of_picture(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
         """Where the tip [m] goes when the tool draws back along its axis until it is not seen."""

@@ -3,18 +3,20 @@
 `depth_noise` is the measurement alone, from perfect depth; `Sensor` looks at a scene.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.world.appearance import Appearance, Painter
-from clothtrack.world.scene import Scene
+from clothtrack.world.scene import CLOTH, Scene
 
 REFERENCE_DEPTH_M = 0.75
+PATCH_PERIOD_FRAMES = 80.0
+"""Patches without depth are elsewhere after a quarter of this many pictures."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class SensorConfig:
         edge_step_m: jump of depth [m] between neighbours that counts as a silhouette.
         edge_dropout: share of silhouette pixels without a measurement.
         edge_mixing: share of the other silhouette pixels that mix both depths.
+        patch_dropout: share of the picture without a measurement in connected patches that drift
+            from picture to picture, as where the pattern of an active camera is washed out.
+        patch_pixels: usual width of such a patch [pixels].
     """
 
     width: int = 640
@@ -53,6 +58,8 @@ class SensorConfig:
     edge_step_m: float = 0.01
     edge_dropout: float = 0.4
     edge_mixing: float = 0.5
+    patch_dropout: float = 0.0
+    patch_pixels: float = 24.0
 
     @classmethod
     def perfect(cls, **changes: Any) -> "SensorConfig":
@@ -70,10 +77,14 @@ class Picture:
     Attributes:
         color: colour picture, red first.
         depth: distance along the optical axis [m]; 0 where nothing was measured.
+        hidden_share: share of the cloth's picture that the tool is in front of.
+        missing_share: share of the rest of it that has no depth.
     """
 
     color: UInt8[np.ndarray, "height width 3"]
     depth: Float[np.ndarray, "height width"]
+    hidden_share: float
+    missing_share: float
 
 
 def top_down_camera(config: SensorConfig, rng: np.random.Generator) -> Camera:
@@ -100,6 +111,14 @@ def top_down_camera(config: SensorConfig, rng: np.random.Generator) -> Camera:
         (config.height - 1) / 2.0,
         pose,
     )
+
+
+def misplaced(camera: Camera, error_m: float, rng: np.random.Generator) -> Camera:
+    """The camera as a wrong calibration has it: moved by this length [m] in a random direction."""
+    direction = rng.standard_normal(3)
+    pose = camera.world_from_camera.copy()
+    pose[:3, 3] += error_m * direction / np.linalg.norm(direction)
+    return replace(camera, world_from_camera=pose)
 
 
 def depth_noise(
@@ -156,6 +175,7 @@ class Sensor:
         self._painter = Painter(appearance, scene.table_points)
         self._rng = np.random.default_rng(seed)
         self._wave = _wave(scene.camera, self._rng)
+        self._patches = None if config.patch_dropout == 0.0 else _Patches(config, self._rng)
 
     def capture(
         self, vertices: Float[np.ndarray, "vertices 3"], tip: Float[np.ndarray, " 3"] | None
@@ -163,7 +183,31 @@ class Sensor:
         """Take a picture with the cloth's vertices and the tool's tip here [m]; None: no tool."""
         view = self._scene.view(vertices, tip)
         depth = depth_noise(view.depth, view.facing, self._wave, self._config, self._rng)
-        return Picture(self._painter.paint(view), depth)
+        if self._patches is not None:
+            depth[self._patches.next()] = 0.0
+        on_cloth = depth[view.label == CLOTH]
+        missing = float((on_cloth == 0.0).mean()) if len(on_cloth) else 0.0
+        return Picture(self._painter.paint(view), depth, view.hidden_share, missing)
+
+
+class _Patches:
+    """Where there is no depth in each picture: the peaks of a slowly changing random field."""
+
+    def __init__(self, config: SensorConfig, rng: np.random.Generator) -> None:
+        self._share, self._count = config.patch_dropout, 0
+        size = config.width, config.height
+        cells = [max(2, round(2.0 * length / config.patch_pixels)) for length in size[::-1]]
+        self._fields = [
+            cv2.resize(rng.standard_normal(cells), size, interpolation=cv2.INTER_CUBIC)
+            for _ in range(2)
+        ]
+
+    def next(self) -> Bool[np.ndarray, "height width"]:
+        """The pixels without depth of one more picture."""
+        phase = 2.0 * np.pi * self._count / PATCH_PERIOD_FRAMES
+        self._count += 1
+        field = np.cos(phase) * self._fields[0] + np.sin(phase) * self._fields[1]
+        return field > np.quantile(field, 1.0 - self._share)
 
 
 def _wave(camera: Camera, rng: np.random.Generator) -> Float[np.ndarray, "height width"]:

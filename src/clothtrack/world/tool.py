@@ -17,10 +17,12 @@ class Tool:
     Attributes:
         azimuth_rad: direction in which it leaves the tip, seen from above, from the x axis.
         elevation_rad: how steeply it rises from the table.
+        radii_m: distance from the tip [m] and radius there [m], outwards.
     """
 
     azimuth_rad: float = np.pi / 2.0
-    elevation_rad: float = np.radians(35.0)
+    elevation_rad: float = float(np.radians(35.0))
+    radii_m: tuple[tuple[float, float], ...] = RADII_M
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Tool":
@@ -46,7 +48,7 @@ class Tool:
     def faces(self) -> Int[np.ndarray, "faces 3"]:
         """Triangles of the rod, outward; the far end is open."""
         faces = []
-        for ring in range(len(RADII_M) - 1):
+        for ring in range(len(self.radii_m) - 1):
             for k in range(SIDES):
                 a, b = ring * SIDES + k, ring * SIDES + (k + 1) % SIDES
                 c, d = a + SIDES, b + SIDES
@@ -61,5 +63,5 @@ class Tool:
         up = np.cross(across, self.axis)
         turn = 2.0 * np.pi * np.arange(SIDES) / SIDES
         ring = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
-        rings = [tip + distance * self.axis + radius * ring for distance, radius in RADII_M]
+        rings = [tip + distance * self.axis + radius * ring for distance, radius in self.radii_m]
         return np.concatenate(rings)

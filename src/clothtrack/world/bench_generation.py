@@ -1,0 +1,335 @@
+"""Makes the benchmark, goes on where it stopped, and checks it against its checksums.
+
+`OUT/bench.json` lists every finished trajectory. It is written anew after each one, so that what
+it lists is whole, and what it does not list was never finished.
+"""
+
+import hashlib
+import json
+import logging
+import os
+import platform
+import shutil
+import signal
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict
+from multiprocessing import active_children, get_context
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from clothtrack import __version__
+from clothtrack.errors import (
+    ClothTrackError,
+    InvalidConfigError,
+    InvalidResultError,
+    SimulationDivergedError,
+)
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.recordings.store import storage
+from clothtrack.world.bench import BenchTrajectory, trajectories
+from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
+
+logger = logging.getLogger(__name__)
+
+LIST_FILE = "bench.json"
+NAME = "clothtrack-bench"
+FORMAT = 1
+
+Entry = dict[str, Any]
+"""One trajectory in `bench.json`."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with a trajectory's name, how many are done and how many there are."""
+
+
+def generate_bench(
+    out: Path,
+    wanted: Sequence[BenchTrajectory] | None = None,
+    *,
+    processes: int = 1,
+    progress: Progress | None = None,
+) -> list[Entry]:
+    """Film trajectories of the benchmark into `out/recordings` and `out/truth`.
+
+    A trajectory that is listed in `out/bench.json` and still has its checksums is kept; any other
+    is filmed, over what is left of an earlier try. An interrupt keeps what was finished.
+
+    Args:
+        out: folder of the benchmark.
+        wanted: which trajectories; all of the benchmark when None.
+        processes: worker processes.
+        progress: called after each trajectory, kept ones included.
+
+    Returns:
+        The entries of the wanted trajectories, in their order.
+
+    Raises:
+        InvalidConfigError: `out` holds a benchmark that was made with other settings.
+        SimulationDivergedError: the physics of a trajectory diverges with all its spare seeds.
+        StorageError: the disk refuses.
+    """
+    out, wanted = Path(out), list(trajectories() if wanted is None else wanted)
+    listed = _read_list(out)
+    for one in wanted:
+        _refuse_other_settings(out, one, listed.get(one.name))
+    missing, done = [], 0
+    for one in wanted:
+        if one.name in listed and not damage(out, listed[one.name]):
+            done += 1
+            if progress is not None:
+                progress(one.name, done, len(wanted))
+        else:
+            missing.append(one)
+            listed.pop(one.name, None)
+            _remove(out, one.name)
+    for entry in _filmed(missing, out, processes):
+        listed[entry["name"]] = entry
+        _write_list(out, listed)
+        done += 1
+        if progress is not None:
+            progress(entry["name"], done, len(wanted))
+    return [listed[one.name] for one in wanted]
+
+
+def table(entries: Sequence[Entry]) -> str:
+    """One line per trajectory: its seed, how hard it turned out, and what it cost."""
+    lines = [f"{'trajectory':<24}{'seed':>6}{'frames':>8}{'hidden':>8}{'missing':>9}{'CPU':>8}"]
+    for entry in entries:
+        shown = entry["measured"]
+        lines.append(
+            f"{entry['name']:<24}{entry['seed']:>6}{shown['frames']:>8}"
+            f"{100.0 * shown['hidden_by_tool_while_carried']:>6.0f} %"
+            f"{100.0 * shown['depth_missing']:>7.0f} %{entry['cpu_s']:>6.0f} s"
+        )
+    return "\n".join(lines)
+
+
+def verify_bench(out: Path, wanted: Sequence[BenchTrajectory] | None = None) -> list[str]:
+    """What is wrong with a benchmark on disk: one line per trajectory that is not as listed.
+
+    Args:
+        out: folder of the benchmark.
+        wanted: trajectories that must be there; those of the list when None.
+
+    Raises:
+        InvalidResultError: there is no list, or it cannot be read.
+    """
+    listed = _read_list(out)
+    if not listed:
+        raise InvalidResultError(
+            f"{out}: no {LIST_FILE} with trajectories in it; give the folder that the benchmark "
+            "was generated or unpacked into"
+        )
+    names = listed if wanted is None else [one.name for one in wanted]
+    found = []
+    for name in names:
+        wrong = damage(out, listed[name]) if name in listed else f"not in {LIST_FILE}"
+        if wrong:
+            found.append(f"{name}: {wrong}")
+    return found
+
+
+def damage(out: Path, entry: Mapping[str, Any]) -> str:
+    """How the files of a listed trajectory differ from its checksums; empty when they do not."""
+    recording, truth = _paths(out, entry["name"])
+    for path, key in ((recording, "recording_sha256"), (truth, "truth_sha256")):
+        if not path.exists():
+            return f"{path} is missing"
+        if checksum(path) != entry[key]:
+            return f"{path} is not what was made; its SHA-256 differs"
+    return ""
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a file, or of a folder, in hexadecimal digits.
+
+    That of a folder is the SHA-256 of the list that `sha256sum` prints of its files, sorted by
+    their names relative to the folder (as bytes).
+    """
+    if path.is_file():
+        return _sha256(path)
+    files = sorted(
+        (one.relative_to(path).as_posix() for one in path.rglob("*") if one.is_file()),
+        key=str.encode,
+    )
+    lines = "".join(f"{_sha256(path / name)}  {name}\n" for name in files)
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def _sha256(path: Path) -> str:
+    with storage(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _film(trajectory: BenchTrajectory, out: Path) -> Entry:
+    """Film one trajectory, with the first of its seeds that does not diverge."""
+    start = time.process_time()
+    for seed in trajectory.seeds:
+        config = trajectory.config(seed)
+        try:
+            simulate_trajectory(trajectory.kind, seed, out, config=config, name=trajectory.name)
+        except SimulationDivergedError as error:
+            logger.warning("%s: seed %d left out: %s", trajectory.name, seed, error)
+            continue
+        return _entry(trajectory, seed, config, out, time.process_time() - start)
+    raise SimulationDivergedError(
+        f"{trajectory.name}: the physics diverged with each of the seeds {trajectory.seeds[0]} to "
+        f"{trajectory.seeds[-1]}; report it with your MuJoCo version ({mujoco.__version__})"
+    )
+
+
+def _entry(
+    trajectory: BenchTrajectory, seed: int, config: EpisodeConfig, out: Path, cpu_s: float
+) -> Entry:
+    recording, truth = _paths(out, trajectory.name)
+    return {
+        "name": trajectory.name,
+        "kind": trajectory.kind,
+        "split": trajectory.split,
+        "hardness": trajectory.hardness,
+        "seed": seed,
+        "varied": _plain(config),
+        "measured": _measured(truth),
+        "recording_sha256": checksum(recording),
+        "truth_sha256": checksum(truth),
+        "made_with": f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, "
+        f"{platform.system()} {platform.machine()}",
+        "cpu_s": round(cpu_s, 1),
+    }
+
+
+def _measured(truth: Path) -> dict[str, int | float]:
+    """How hard a trajectory turned out, from its truth file."""
+    with np.load(truth) as arrays:
+        hidden, missing = arrays["hidden_by_tool"], arrays["depth_missing"]
+        carried = arrays["gripper_closed"]
+        return {
+            "frames": len(hidden),
+            "hidden_by_tool_while_carried": round(float(hidden[carried].mean()), 3),
+            "hidden_by_tool_at_most": round(float(hidden.max()), 3),
+            "depth_missing": round(float(missing.mean()), 3),
+            "outside_picture_at_most": round(float(arrays["outside_picture"].max()), 3),
+            "picks_of_folded_cloth": int(arrays["picked_folded"].sum()),
+        }
+
+
+def _filmed(missing: Sequence[BenchTrajectory], out: Path, processes: int) -> Iterable[Entry]:
+    """Film trajectories; their entries in the order in which they are finished."""
+    if processes <= 1 or len(missing) <= 1:
+        yield from (_film(one, out) for one in missing)
+        return
+    with ProcessPoolExecutor(processes, get_context("spawn"), _start_worker) as pool:
+        jobs = [pool.submit(_film_in_worker, one, out) for one in missing]
+        try:
+            for job in as_completed(jobs):
+                yield job.result()
+        except BrokenProcessPool as error:
+            raise ClothTrackError(
+                "a worker process was killed while it filmed (out of memory?); use fewer workers "
+                "and run again: finished trajectories are kept"
+            ) from error
+        finally:
+            # After an interrupt or an error: let the workers not begin anything, nor go on.
+            pool.shutdown(wait=False, cancel_futures=True)
+            if not all(job.done() for job in jobs):
+                for process in active_children():
+                    process.terminate()
+
+
+def _film_in_worker(trajectory: BenchTrajectory, out: Path) -> Entry:
+    try:
+        return _film(trajectory, out)
+    except SystemExit:
+        # What was half-written is gone by now. A pool hands any exception of a task back to its
+        # parent and goes on with the next one; this worker was told to end.
+        os._exit(1)
+
+
+def _start_worker() -> None:
+    """A worker leaves interrupts to its parent; told to end, it removes what is half-written."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    quiet_warp()
+
+
+def _leave(_signal: int, _frame: FrameType | None) -> None:
+    sys.exit(1)
+
+
+def _paths(out: Path, name: str) -> tuple[Path, Path]:
+    return Path(out) / "recordings" / name, Path(out) / "truth" / f"{name}.npz"
+
+
+def _remove(out: Path, name: str) -> None:
+    """Remove what an earlier try left of a trajectory."""
+    recording, truth = _paths(out, name)
+    with storage(recording):
+        for folder in (recording, *recording.parent.glob(f".{name}.*.partial")):
+            if folder.exists():
+                shutil.rmtree(folder)
+        for file in (truth, *truth.parent.glob(f".{name}.*.partial.npz")):
+            file.unlink(missing_ok=True)
+
+
+def _refuse_other_settings(
+    out: Path, trajectory: BenchTrajectory, entry: Mapping[str, Any] | None
+) -> None:
+    if entry is None:
+        return
+    seed = entry["seed"]
+    if seed not in trajectory.seeds or entry["varied"] != _plain(trajectory.config(seed)):
+        raise InvalidConfigError(
+            f"{out / LIST_FILE}: {trajectory.name} was made with other settings than clothtrack "
+            f"{__version__} makes it with; choose another folder, or remove this one"
+        )
+
+
+def _plain(config: EpisodeConfig) -> dict[str, Any]:
+    """A configuration as JSON holds it."""
+    return json.loads(json.dumps(asdict(config)))
+
+
+def _read_list(out: Path) -> dict[str, Entry]:
+    path = Path(out) / LIST_FILE
+    if not path.exists():
+        return {}
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if (document["name"], document["format"]) != (NAME, FORMAT):
+            raise ValueError(f"it is {document['name']}, format {document['format']}")
+        return {entry["name"]: entry for entry in document["trajectories"]}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InvalidResultError(
+            f"{path}: not the list of a {NAME} of format {FORMAT} ({error}); unpack it again, or "
+            "choose another folder"
+        ) from error
+
+
+def _write_list(out: Path, listed: Mapping[str, Entry]) -> None:
+    """Write the list under a temporary name, then rename it."""
+    order = {one.name: number for number, one in enumerate(trajectories())}
+    entries = sorted(listed.values(), key=lambda one: (order.get(one["name"], -1), one["name"]))
+    document = {
+        "name": NAME,
+        "format": FORMAT,
+        "clothtrack": __version__,
+        "rule": "Tune on dev. Score test and hard; choose nothing by them.",
+        "trajectories": entries,
+    }
+    path = Path(out) / LIST_FILE
+    unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
+    with storage(path):
+        try:
+            unfinished.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)
