@@ -24,9 +24,9 @@ def test_scattered_and_gathered_impulses_are_the_same_sums():
     solver = crumpled_solver()
     contact, buffers = solver._contact, solver._buffers
     contact.find()
-    contact.push()
+    contact._push.launch()
     scattered = buffers.moves.numpy().copy(), buffers.stops.numpy().copy()
-    assert (np.linalg.norm(scattered[0], axis=2) > 1e-5).mean() > 0.2
+    assert (np.linalg.norm(scattered[0], axis=2) > 1e-5).mean() > 0.1
     assert not np.array_equal(scattered[1][0], scattered[1][1])  # friction differs
     gathered = GatheredPush(contact)
     gathered.prepare()

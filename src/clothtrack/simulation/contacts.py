@@ -15,6 +15,7 @@ from clothtrack.simulation import particle_contact_kernels as particles
 from clothtrack.simulation import triangle_contact_kernels as triangles
 from clothtrack.simulation import triangle_push_kernels as pushes
 from clothtrack.simulation.buffers import ClothBuffers
+from clothtrack.simulation.edge_contact import EdgeContact
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.triangle_contact_kernels import TRIANGLES_PER_VERTEX
 
@@ -171,6 +172,11 @@ class TriangleContact:
         self._old_counts = wp.zeros_like(self.counts)
         self.overflows = wp.zeros(environments, dtype=int, device=device)
         self._push = (ScatteredPush if wp.get_device(device).is_cpu else GatheredPush)(self)
+        self._edges = (
+            EdgeContact(mesh, buffers, config, particle_friction, self.overflows)
+            if config.edge_contact
+            else None
+        )
 
     def find(self) -> None:
         """List vertex-triangle pairs with their sides, and prepare to push them apart."""
@@ -206,6 +212,8 @@ class TriangleContact:
             device=device,
         )
         self._push.prepare()
+        if self._edges is not None:
+            self._edges.find()
 
     def _sort_faces(self) -> None:
         """Sort the triangles into cells by where they are now."""
@@ -249,6 +257,8 @@ class TriangleContact:
     def push(self) -> None:
         """Compute what contact adds to the positions."""
         self._push.launch()
+        if self._edges is not None:
+            self._edges.push()
 
     @property
     def pair_inputs(self) -> list[object]:
@@ -295,7 +305,7 @@ class ScatteredPush:
     def __init__(self, contact: TriangleContact) -> None:
         self._contact = contact
         buffers = contact.buffers
-        self._active = wp.zeros(buffers.shape, dtype=int, device=buffers.positions.device)
+        self._active = wp.zeros(buffers.shape, dtype=float, device=buffers.positions.device)
 
     def prepare(self) -> None:
         """Nothing to prepare when new pairs are listed."""

@@ -59,6 +59,7 @@ class SolverConfig:
         contact_depth_m: deepest crossing that a contact still knows how to undo [m].
         contact_tolerance: how far outside a triangle a vertex still touches it, in barycentric
             units.
+        edge_contact: let creased edges keep clear of edges too (vertex-triangle contact only).
         push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; twice as much
             while it is still on its own side.
         bend_limit: share of the rest length under which a bend pair resists without compliance.
@@ -78,7 +79,8 @@ class SolverConfig:
     contact_margin_m: float = 0.0025
     contact_depth_m: float = 0.007
     contact_tolerance: float = 0.15
-    push_out_speed: float = 0.3
+    edge_contact: bool = True
+    push_out_speed: float = 1.0
     bend_limit: float = 0.55
 
     def __post_init__(self) -> None:

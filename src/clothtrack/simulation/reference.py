@@ -137,7 +137,7 @@ def _solve(
 
 def _triangle_contact(cloth: ReferenceCloth, positions, start, inverse, substep_s):
     total, stopped = np.zeros_like(positions), np.zeros_like(positions)
-    active = np.zeros(len(positions), dtype=int)
+    active = np.zeros(len(positions))
     longest = cloth.config.push_out_speed * substep_s
     for vertex, pairs in enumerate(cloth.pairs):
         for code, kept in pairs:
@@ -166,8 +166,8 @@ def _triangle_contact(cloth: ReferenceCloth, positions, start, inverse, substep_
             for index, share in ((vertex, 1.0), *zip(corners, -foot, strict=True)):
                 total[index] += share * impulse
                 stopped[index] += share * stop
-                active[index] += 1
-    scale = (inverse / np.maximum(active, 1))[:, None]
+                active[index] += abs(share)
+    scale = (inverse / np.maximum(active, 1.0))[:, None]
     return scale * total, scale * stopped
 
 

@@ -23,12 +23,12 @@ CELLS_X, CELLS_Y, CELLS_Z = 32, 32, 16
 
 CELLS_PER_ENVIRONMENT = CELLS_X * CELLS_Y * CELLS_Z
 
-_MASK_X = wp.constant(CELLS_X - 1)
-_MASK_Y = wp.constant(CELLS_Y - 1)
-_MASK_Z = wp.constant(CELLS_Z - 1)
-_WIDTH = wp.constant(CELLS_X)
-_LAYER = wp.constant(CELLS_X * CELLS_Y)
-_CELLS = wp.constant(CELLS_PER_ENVIRONMENT)
+MASK_X = wp.constant(CELLS_X - 1)
+MASK_Y = wp.constant(CELLS_Y - 1)
+MASK_Z = wp.constant(CELLS_Z - 1)
+WIDTH = wp.constant(CELLS_X)
+LAYER = wp.constant(CELLS_X * CELLS_Y)
+CELLS = wp.constant(CELLS_PER_ENVIRONMENT)
 _HALF = wp.constant(CELLS_X // 2)
 _FARTHEST = wp.constant(1.0e6)
 _NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
@@ -86,10 +86,10 @@ def count_faces(
     radius = widened * widened * farthest
     if doubled_area < 1.0e-9:
         radius = face_reach[face]  # no plane to look along
-    x = cell_along(centre[0], cells_per_metre) & _MASK_X
-    y = cell_along(centre[1], cells_per_metre) & _MASK_Y
-    z = cell_along(centre[2], cells_per_metre) & _MASK_Z
-    cell = environment * _CELLS + z * _LAYER + y * _WIDTH + x
+    x = cell_along(centre[0], cells_per_metre) & MASK_X
+    y = cell_along(centre[1], cells_per_metre) & MASK_Y
+    z = cell_along(centre[2], cells_per_metre) & MASK_Z
+    cell = environment * CELLS + z * LAYER + y * WIDTH + x
     cells[environment, face] = cell
     ranks[environment, face] = wp.atomic_add(counts, cell, 1)
     balls[environment, face] = wp.vec4(centre[0], centre[1], centre[2], face_reach[face])
@@ -326,20 +326,20 @@ def find_pairs(
     rebuild_s = clocks[0].rebuild_s
     found = wp.int32(0)
     x0 = cell_along(point[0] - reach, cells_per_metre)
-    x1 = wp.min(cell_along(point[0] + reach, cells_per_metre), x0 + _MASK_X)
+    x1 = wp.min(cell_along(point[0] + reach, cells_per_metre), x0 + MASK_X)
     y0 = cell_along(point[1] - reach, cells_per_metre)
-    y1 = wp.min(cell_along(point[1] + reach, cells_per_metre), y0 + _MASK_Y)
+    y1 = wp.min(cell_along(point[1] + reach, cells_per_metre), y0 + MASK_Y)
     z0 = cell_along(point[2] - reach, cells_per_metre)
-    z1 = wp.min(cell_along(point[2] + reach, cells_per_metre), z0 + _MASK_Z)
+    z1 = wp.min(cell_along(point[2] + reach, cells_per_metre), z0 + MASK_Z)
     # Cells side by side are one run of triangles; where space repeats between them, the whole row.
-    left = x0 & _MASK_X
-    right = x1 & _MASK_X
+    left = x0 & MASK_X
+    right = x1 & MASK_X
     if right < left:
         left = int(0)
-        right = int(_MASK_X)
+        right = int(MASK_X)
     for z in range(z0, z1 + 1):
         for y in range(y0, y1 + 1):
-            row = environment * _CELLS + (z & _MASK_Z) * _LAYER + (y & _MASK_Y) * _WIDTH
+            row = environment * CELLS + (z & MASK_Z) * LAYER + (y & MASK_Y) * WIDTH
             following = first[row + left]
             end = first[row + right + 1]
             while following < end:

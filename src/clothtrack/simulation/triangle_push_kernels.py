@@ -134,12 +134,12 @@ def add_to(
     vertex: int,
     share: float,
     impulse: Impulse,
-    active: wp.array(dtype=int),
+    active: wp.array(dtype=float),
     moves: wp.array(dtype=wp.vec3),
     stops: wp.array(dtype=wp.vec3),
 ):
     """Add a share of an impulse to what one vertex gets."""
-    active[vertex] = active[vertex] + 1
+    active[vertex] = active[vertex] + wp.abs(share)
     moves[vertex] = moves[vertex] + share * impulse.moving
     stops[vertex] = stops[vertex] + share * impulse.stopping
 
@@ -158,7 +158,7 @@ def scatter_impulses(
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
     start: wp.array2d(dtype=wp.vec3),
-    active: wp.array2d(dtype=int),
+    active: wp.array2d(dtype=float),
     moves: wp.array2d(dtype=wp.vec3),
     stops: wp.array2d(dtype=wp.vec3),
 ):
@@ -176,7 +176,7 @@ def scatter_impulses(
     longest = push_out_speed * clocks[0].substep_s
     rubbing = friction[environment]
     for vertex in range(count.shape[0]):
-        pushed[vertex] = 0
+        pushed[vertex] = 0.0
         moved[vertex] = wp.vec3(0.0, 0.0, 0.0)
         stopped[vertex] = wp.vec3(0.0, 0.0, 0.0)
     number = int(0)
@@ -201,8 +201,8 @@ def scatter_impulses(
             listed += 1
         number += 1
     for vertex in range(count.shape[0]):
-        if pushed[vertex] > 0:
-            share = mass[vertex] / float(pushed[vertex])
+        if pushed[vertex] > 0.0:
+            share = mass[vertex] / wp.max(pushed[vertex], 1.0)
             moved[vertex] = share * moved[vertex]
             stopped[vertex] = share * stopped[vertex]
 
@@ -255,18 +255,20 @@ def gather_impulses(
 ):
     """Average over the active pairs of what each wants to move this vertex (Jacobi) [m].
 
-    `stops` is the part that ends an approach and so changes the velocity too.
+    A pair counts by its share in the vertex: a corner far from the foot is no reason to give way
+    less to what presses on the vertex itself. `stops` is the part that ends an approach and so
+    changes the velocity too.
     """
     environment, vertex = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
     stopped = wp.vec3(0.0, 0.0, 0.0)
-    active = wp.int32(0)
+    active = wp.float32(0.0)
     for slot in range(counts[environment, vertex]):
         impulse = impulses[environment, vertex, slot]
         if wp.dot(impulse, impulse) > 0.0:
             total += impulse
             stopped += stopping[environment, vertex, slot]
-            active += 1
+            active += 1.0
     for index in range(reaction_counts[environment, vertex]):
         code = reactions[environment, vertex, index]
         pair = code // 3
@@ -275,7 +277,7 @@ def gather_impulses(
             share = weights[environment, pair // SLOTS, pair % SLOTS][code % 3]
             total -= impulse * share
             stopped -= stopping[environment, pair // SLOTS, pair % SLOTS] * share
-            active += 1
-    share = inverse_masses[environment, vertex] / float(wp.max(active, 1))
+            active += wp.abs(share)
+    share = inverse_masses[environment, vertex] / wp.max(active, 1.0)
     moves[environment, vertex] = share * total
     stops[environment, vertex] = share * stopped

@@ -1,0 +1,132 @@
+"""Contact between edges, which keeps creases of one layer out of another."""
+
+import numpy as np
+import warp as wp
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation import edge_contact_kernels as kernels
+from clothtrack.simulation.buffers import ClothBuffers
+from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.simulation.triangle_contact_kernels import CELLS_PER_ENVIRONMENT
+
+DISTANCE_SHARE = 0.5
+"""Distance that edges keep over that of layers: flat layers are left to vertices and triangles."""
+
+MARGIN_SHARE = 0.2
+"""Edges are listed this far beyond it, over the distance of layers, and by how fast they near."""
+
+FLAT_COSINE = 0.94
+"""An edge whose triangles' normals are nearer than this (20 degrees) is flat."""
+
+
+class EdgeContact:
+    """Edges against bent or open edges nearby; sides are those of the last search.
+
+    Adds to what vertex-triangle contact has computed, and remembers nothing between searches.
+    """
+
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        buffers: ClothBuffers,
+        config: SolverConfig,
+        particle_friction: wp.array,
+        overflows: wp.array,
+    ) -> None:
+        self._buffers, self._config, self._friction = buffers, config, particle_friction
+        self._device = device = buffers.positions.device
+        self._overflows = overflows
+        environments, vertices = buffers.shape
+        edges = len(mesh.edges)
+        self._edges = wp.array(mesh.edges.astype(np.int32), dtype=wp.vec2i, device=device)
+        self._sides = wp.array(_faces_beside(mesh), dtype=wp.vec2i, device=device)
+        longest = 1.05 * float(mesh.edge_lengths.max())
+        self._distance = DISTANCE_SHARE * config.thickness_m
+        self._margin = MARGIN_SHARE * config.thickness_m
+        # Two edges that pass between their ends have middles less than one length apart.
+        self._reach = longest + config.thickness_m
+        cells = environments * CELLS_PER_ENVIRONMENT
+        self._cell_counts = wp.zeros(cells + 1, dtype=int, device=device)
+        self._cell_first = wp.zeros(cells + 1, dtype=int, device=device)
+        self._cells = wp.zeros((environments, edges), dtype=int, device=device)
+        self._ranks = wp.zeros((environments, edges), dtype=int, device=device)
+        self._sorted = wp.zeros(environments * edges, dtype=int, device=device)
+        slots = (environments, edges, kernels.EDGES_PER_EDGE)
+        self._partners = wp.zeros(slots, dtype=int, device=device)
+        self._distances = wp.zeros(slots, dtype=float, device=device)
+        self._counts = wp.zeros((environments, edges), dtype=int, device=device)
+        self._totals = wp.zeros(environments, dtype=int, device=device)
+        self._sums = wp.zeros((environments, vertices, 7), dtype=wp.int64, device=device)
+
+    def find(self) -> None:
+        """List the pairs of edges that may touch until the next call."""
+        buffers, device, shape = self._buffers, self._device, self._counts.shape
+        self._cell_counts.zero_()
+        self._totals.zero_()
+        wp.launch(
+            kernels.count_bent,
+            dim=shape,
+            inputs=[
+                1.0 / self._reach, FLAT_COSINE, self._edges, self._sides, buffers.faces,
+                buffers.positions,
+            ],
+            outputs=[self._cell_counts, self._cells, self._ranks],
+            device=device,
+        )  # fmt: skip
+        wp.utils.array_scan(self._cell_counts, self._cell_first, inclusive=False)
+        wp.launch(
+            kernels.sort_bent,
+            dim=shape,
+            inputs=[self._cell_first, self._cells, self._ranks],
+            outputs=[self._sorted],
+            device=device,
+        )
+        wp.launch(
+            kernels.find_edges,
+            dim=shape,
+            inputs=[
+                buffers.clocks, 1.0 / self._reach, self._cell_first, self._cells, self._sorted,
+                self._reach, self._distance, self._margin, self._edges, buffers.rest,
+                buffers.positions, buffers.velocities,
+            ],
+            outputs=[
+                self._partners, self._distances, self._counts, self._totals, self._overflows,
+            ],
+            device=device,
+        )  # fmt: skip
+
+    def push(self) -> None:
+        """Add what the edges want to what the triangles want."""
+        buffers, device = self._buffers, self._device
+        wp.launch(
+            kernels.push_edges,
+            dim=self._counts.shape,
+            inputs=[
+                buffers.clocks, self._config.push_out_speed, self._friction, self._edges,
+                self._partners, self._distances, self._counts, buffers.inverse_masses,
+                buffers.positions, buffers.start,
+            ],
+            outputs=[self._sums],
+            device=device,
+        )  # fmt: skip
+        wp.launch(
+            kernels.add_to_moves,
+            dim=buffers.shape,
+            inputs=[self._totals, self._sums],
+            outputs=[buffers.moves, buffers.stops],
+            device=device,
+        )
+
+
+def _faces_beside(mesh: ClothMesh) -> np.ndarray:
+    """The two triangles beside each edge; the second is -1 for an open or a branching edge."""
+    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    keys = sides[:, 0].astype(np.int64) * mesh.vertex_count + sides[:, 1]
+    wanted = np.sort(mesh.edges, axis=1)
+    wanted = wanted[:, 0].astype(np.int64) * mesh.vertex_count + wanted[:, 1]
+    order = np.argsort(keys, kind="stable")
+    begin = np.searchsorted(keys[order], wanted, side="left")
+    count = np.searchsorted(keys[order], wanted, side="right") - begin
+    first = order[begin] // 3
+    second = order[np.minimum(begin + 1, len(order) - 1)] // 3
+    return np.stack([first, np.where(count == 2, second, -1)], axis=1).astype(np.int32)
