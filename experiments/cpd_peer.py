@@ -42,7 +42,7 @@ class PeerConfig:
         neighbours: nearest cloud points that a vertex may correspond to.
         start_sigma_m: standard deviation that a frame's registration starts from [m]: how far the
             cloth may move between frames.
-        lengths: edges may become this much shorter and longer than in the first mesh; CDCPD bounds
+        lengths: bounds of an edge, as shares of its length in the first mesh; CDCPD bounds
             them from above alone.
         sweeps: passes over all edges.
         rest_height_m: no vertex lies lower over the table [m].
@@ -51,14 +51,14 @@ class PeerConfig:
         picking: how a picker takes hold.
     """
 
-    alpha: float = 0.5
-    beta_m: float = 0.05
+    alpha: float = 3.0
+    beta_m: float = 0.1
     outliers: float = 0.1
     iterations: int = 30
     modes: int = 150
     neighbours: int = 10
     start_sigma_m: float = 0.01
-    lengths: tuple[float, float] = (0.0, 1.0)
+    lengths: tuple[float, float] = (0.95, 1.0)
     sweeps: int = 20
     rest_height_m: float = 0.0015
     use_tool: bool = True
