@@ -43,20 +43,17 @@ class Trajectory:
 
     Attributes:
         name: of the recording.
+        kind: the garment.
         split: "dev", "test", "hard", or "" in a world without splits.
         recording: its folder.
         truth: the file that only the evaluation and the named controls read.
     """
 
     name: str
+    kind: str
     split: str
     recording: Path
     truth: Path
-
-    @property
-    def kind(self) -> str:
-        """The garment: the recording's name without its number."""
-        return self.name.rsplit("_", 1)[0].removeprefix("hard_")
 
     @property
     def digest(self) -> str:
@@ -142,15 +139,17 @@ def trajectories(
         InvalidConfigError: when nothing is left.
     """
     listed = bench / BENCH_FILE
-    splits = {}
     if listed.exists():
         entries = json.loads(listed.read_text(encoding="utf-8"))["trajectories"]
-        splits = {entry["name"]: entry["split"] for entry in entries}
+        labels = [(one["name"], one["kind"], one["split"]) for one in entries]
+        labels = [label for label in labels if split in (None, label[2])]
+    else:
+        names = sorted(each.name for each in (bench / "recordings").glob("[!.]*"))
+        labels = [(name, name.rpartition("_")[0], "") for name in names]
     found = [
-        Trajectory(folder.name, splits.get(folder.name, ""), folder, truth)
-        for folder in sorted((bench / "recordings").glob("[!.]*"))
-        if (truth := bench / "truth" / f"{folder.name}.npz").exists()
-        if not splits or (folder.name in splits and split in (None, splits[folder.name]))
+        Trajectory(name, kind, of, bench / "recordings" / name, truth)
+        for name, kind, of in labels
+        if (truth := bench / "truth" / f"{name}.npz").exists()
     ]
     if not found:
         raise InvalidConfigError(f"{bench} has no recordings with truth in split {split!r}")
