@@ -4,18 +4,23 @@ from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 
 from clothtrack.evaluation.metrics import CLOSE_PAIR_M
 from clothtrack.evaluation.results import evaluate
 from clothtrack.evaluation.truth import Truth, material_map, material_points
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import close_pairs, crossings, edge_strain
+from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.recording import Recording
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 Row = dict[str, object]
 """One mesh: the end of one action, before or after TTO2. Units stand in the names."""
+
+ROW_FORMAT = 1
+"""Raise it when a measure is added or changes its meaning: kept rows are then made anew."""
 
 REGIONS = ("all", "visible", "hidden")
 STAGES = {"before_final_alignment": "before", "after_final_alignment": "after"}
@@ -39,8 +44,11 @@ def measure(tracked: TrackedTrajectory, recording: Recording, truth: Truth) -> l
         if row.action not in worlds:
             surface = truth.at(action.last_frame)
             points = material_points(surface, truth.faces, where)
-            worlds[row.action] = points, _world(tracked.mesh, points, surface, truth)
-        points, world = worlds[row.action]
+            seen = visible_vertices(surface, truth.faces, recording.cameras)
+            weights = np.einsum("ij,ij->i", where[1], seen[truth.faces[where[0]]].astype(float))
+            world = _world(tracked.mesh, points, surface, truth)
+            worlds[row.action] = points, weights > 0.5, world
+        points, visible, world = worlds[row.action]
         vertices = np.asarray(getattr(action, f"positions_{row.stage}"), np.float64)
         edges = len(tracked.mesh.edges)
         cloth = {key: value for key, value in asdict(row.cloth).items() if key != "coverage"}
@@ -52,6 +60,7 @@ def measure(tracked: TrackedTrajectory, recording: Recording, truth: Truth) -> l
                 "frame": row.frame,
                 **_errors(row.vertex_error_mm),
                 **_parts_of_error(vertices, points),
+                **_groups_of_error(vertices, points, visible, tracked.mesh),
                 "chamfer_pc_m2": row.chamfer_pc,
                 "chamfer_floor_m2": row.chamfer_floor,
                 "chamfer_surface_m2": row.chamfer_surface,
@@ -88,6 +97,54 @@ def _parts_of_error(
         "error_vertical_mm": 1e3 * float(np.abs(gaps[:, 2]).mean()),
         "error_without_slip_mm": 1e3 * without_slip(vertices, points),
     }
+
+
+def _groups_of_error(
+    vertices: Float[np.ndarray, "vertices 3"],
+    points: Float[np.ndarray, "vertices 3"],
+    visible: Bool[np.ndarray, " vertices"],
+    mesh: ClothMesh,
+) -> Row:
+    """What vertices in the wrong layer, visible and hidden ones each add to the mean error."""
+    errors = 1e3 * np.linalg.norm(vertices - points, axis=1)
+    wrong = swapped_layers(vertices, points, mesh)
+    groups = {"swapped": wrong, "visible": visible & ~wrong, "hidden": ~visible & ~wrong}
+    parts = {f"part_{name}_mm": float(errors[own].sum()) for name, own in groups.items()}
+    return {
+        "share_swapped": float(wrong.mean()),
+        **{name: total / len(errors) for name, total in parts.items()},
+    }
+
+
+def swapped_layers(
+    vertices: Float[np.ndarray, "vertices 3"],
+    points: Float[np.ndarray, "vertices 3"],
+    mesh: ClothMesh,
+    *,
+    apart_m: float = 0.001,
+) -> Bool[np.ndarray, " vertices"]:
+    """Vertices that lie under what they should lie on, or on what they should lie under.
+
+    Two vertices count as layers of each other where they are nearer than three quarters of an edge
+    seen from above, in truth and in the mesh, and four times as far apart in the flat cloth.
+
+    Args:
+        vertices: to judge [m].
+        points: where they really are [m].
+        mesh: the flat first mesh: it tells layers from neighbours.
+        apart_m: layers nearer than this in truth [m] have no order.
+    """
+    reach_m = 0.75 * float(np.median(mesh.edge_lengths))
+    pairs = cKDTree(points[:, :2]).query_pairs(reach_m, output_type="ndarray")
+    a, b = pairs.T
+    rest = np.asarray(mesh.canonical if mesh.canonical is not None else mesh.vertices)
+    near = np.linalg.norm(vertices[a, :2] - vertices[b, :2], axis=1) < reach_m
+    layers = near & (np.linalg.norm(rest[a] - rest[b], axis=1) > 4.0 * reach_m)
+    true_gap, gap = points[a, 2] - points[b, 2], vertices[a, 2] - vertices[b, 2]
+    wrong = layers & (np.abs(true_gap) > apart_m) & (true_gap * gap < 0.0)
+    swapped = np.zeros(len(vertices), bool)
+    swapped[pairs[wrong].ravel()] = True
+    return swapped
 
 
 def without_slip(

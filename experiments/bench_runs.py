@@ -18,7 +18,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from bench_measures import Row, finite, measure
+from bench_measures import ROW_FORMAT, Row, finite, measure
 from cpd_peer import PeerConfig, follow
 from first_meshes import resampled, with_first_mesh_error
 from ranked_tracker import RankedTracker
@@ -110,7 +110,7 @@ class Task:
     @property
     def file(self) -> Path:
         """The run's rows; its meshes lie beside it with the suffix .npz."""
-        key = f"{self.variant.digest}-{self.trajectory.digest}"
+        key = f"{self.variant.digest}-{self.trajectory.digest}-{ROW_FORMAT}"
         return self.store / self.trajectory.name / f"{key}.jsonl"
 
 

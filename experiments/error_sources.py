@@ -6,7 +6,8 @@ Four questions, each a panel; a panel whose rows are missing says which experime
 
 - Drift: how the default's error grows from action to action, and how much of it is the cloth as a
   whole in the wrong place (what the best rigid motion takes away).
-- Hidden parts: what visible and hidden vertices contribute to the mean error, by garment.
+- Layers and hidden parts: what vertices whose layers are in the wrong order contribute to the mean
+  error, and of the others the visible and the hidden ones; by garment.
 - Shape or place: the same for every method: slip of the whole, and what is left.
 - Causes: by how much the error falls when one cause is taken away, paired by recording: another
   first mesh, a camera without noise, true friction, true thickness.
@@ -28,6 +29,7 @@ from clothtrack.report.palette import HIDDEN, INK, INSIDE, OBSERVED, OUTSIDE, PA
 
 ERROR = Column("error", "error_all_mm")
 KINDS = {"towel": "towel", "tshirt": "T-shirt"}
+GROUPS = {"visible": OUTSIDE, "hidden": HIDDEN, "swapped": INSIDE}
 METHOD_NAMES = {
     "full_held_paper": "paper",
     "no_pseudo_action": "no pseudo-action",
@@ -75,18 +77,18 @@ def drift(rows: dict[str, list[Row]]) -> tuple[list[int], dict[str, list[float]]
     return actions, lines
 
 
-def contributions(rows: dict[str, list[Row]]) -> list[tuple[str, float, float]]:
-    """Per garment and action: what visible and hidden vertices add to the mean error [mm]."""
+def contributions(rows: dict[str, list[Row]]) -> list[tuple[str, float, float, float]]:
+    """Per garment and action: what three groups of vertices add to the mean error [mm].
+
+    The groups are the visible and the hidden ones whose layers are in order, and the swapped ones.
+    """
     chosen = _of(rows, "table1", "default") or _of(rows, "model_free", "default")
     bars = []
     for kind, label in KINDS.items():
         for action in sorted({int(row["action"]) for row in chosen}):
             own = [r for r in chosen if (r["kind"], r["action"]) == (kind, action)]
             if own:
-                parts = [
-                    _mean(row[f"share_{part}"] * (row[f"error_{part}_mm"] or 0.0) for row in own)
-                    for part in ("visible", "hidden")
-                ]
+                parts = [_mean(row.get(f"part_{group}_mm") for row in own) for group in GROUPS]
                 bars.append((f"{label} {action}", *parts))
     return bars
 
@@ -184,13 +186,16 @@ def _drift_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:
 def _hidden_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:
     bars = contributions(rows)
     if bars:
-        names, seen, unseen = zip(*bars, strict=True)
-        axis.bar(names, seen, 0.6, color=OUTSIDE, label="visible vertices")
-        axis.bar(names, unseen, 0.6, bottom=seen, color=HIDDEN, label="hidden vertices")
-        axis.set_ylim(top=1.3 * max(a + b for a, b in zip(seen, unseen, strict=True)))
-        axis.set(title="Hidden parts: who contributes to the mean", ylabel="error [mm]")
+        names, *parts = (np.array(each) for each in zip(*bars, strict=True))
+        labels = ("visible vertices", "hidden vertices", "layers in wrong order")
+        base = np.zeros(len(names))
+        for part, label, color in zip(parts, labels, GROUPS.values(), strict=True):
+            axis.bar(names, part, 0.6, bottom=base, color=color, label=label)
+            base = base + part
+        axis.set_ylim(top=1.3 * base.max())
+        axis.set(title="Layers and hidden parts: who makes the mean", ylabel="error [mm]")
         axis.set_xlabel("garment and action")
-        axis.legend(frameon=False, loc="upper left", ncols=2)
+        axis.legend(frameon=False, loc="upper left", ncols=3, fontsize=8)
     return bool(bars)
 
 
@@ -201,8 +206,9 @@ def _place_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:
         axis.barh(names, rest, color=INSIDE, label="shape: left after the best rigid motion")
         axis.barh(names, slip, left=rest, color=OBSERVED, label="place: slip of the whole")
         axis.set(title="Shape or place: every method", xlabel="error [mm]")
-        axis.set_xlim(right=1.35 * max(a + b for a, b in zip(slip, rest, strict=True)))
-        axis.legend(frameon=False, loc="lower right", fontsize=8)
+        axis.margins(y=0.12)
+        axis.set_ylim(top=len(bars) + 0.6)
+        axis.legend(frameon=False, loc="upper left", fontsize=8, ncols=2)
     return bool(bars)
 
 

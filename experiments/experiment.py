@@ -41,6 +41,7 @@ SMOKE_WORLD = EpisodeConfig(
     sensor=SensorConfig(width=320, height=240, focal=300.0),
 )
 SMOKE_AXES = {"table_friction": (0.3, 1.0, 3.0)}
+SMOKE_SUBSTEP_S = 3.3e-3
 FILMED_SEED = 5000
 """Of the first trajectory that an experiment films itself; the benchmark's seeds lie below."""
 
@@ -192,6 +193,7 @@ def _wanted(variant: Variant, names: Sequence[str]) -> bool:
 def _short(config: TrackerConfig) -> TrackerConfig:
     return replace(
         config,
+        solver=replace(config.solver, substep_s=SMOKE_SUBSTEP_S),
         calibration=replace(config.calibration, axes=SMOKE_AXES),
         alignment=replace(config.alignment, iterations=30),
         final_alignment=replace(config.final_alignment, iterations=30),

@@ -85,8 +85,9 @@ def draw(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """All strips under each other."""
     points = chosen[0].vertices
-    above = three_quarter_view(points, width=WIDTH, height=HEIGHT)
-    below = three_quarter_view(points, width=WIDTH, height=HEIGHT, elevation_deg=-38.0)
+    everything = np.concatenate([strip.vertices for strip in chosen])
+    above = three_quarter_view(everything, width=WIDTH, height=HEIGHT)
+    below = three_quarter_view(everything, width=WIDTH, height=HEIGHT, elevation_deg=-38.0)
     lines = []
     for number, strip in enumerate(chosen):
         colors = heat(1e3 * strip.errors, limit_mm)
@@ -97,6 +98,8 @@ def draw(
             _still(strip, below, None, colors, light=FROM_BELOW),
         ]
         if number == 0:
+            # The truth has no error: its place in this column is free for the scale.
+            pictures[2][:] = rgb255(PAPER)
             heat_legend(pictures[2], "error, mm", limit_mm)
         gap = np.full((HEIGHT, GAP, 3), rgb255(PAPER), np.uint8)
         line = np.hstack([part for each in pictures for part in (each, gap)][:-1])
@@ -153,7 +156,7 @@ def _draw_mesh(picture: UInt8[np.ndarray, "height width 3"], camera: Camera, str
     outlines = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[
         0
     ]
-    cv2.drawContours(picture, outlines, -1, rgb255(INK), 2, cv2.LINE_AA)
+    cv2.drawContours(picture, outlines, -1, rgb255(INK), 1, cv2.LINE_AA)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

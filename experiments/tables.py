@@ -95,22 +95,23 @@ PAIRS_BEFORE = Column("pairs < 5 mm before TTO2", "close_pairs", stage="before",
 PAIRS = Column("pairs < 5 mm", "close_pairs", digits=0, spread=True)
 PAIRS_RATE = Column("per 1,000 vertices", "close_pairs_per_1000_vertices", digits=0)
 PAIRS_TRUTH = Column("truth on these vertices", "truth_close_pairs", digits=0)
+SWAPPED = Column("layers swapped %", "share_swapped", 100, 1)
 BELOW = Column("below table %", "below_table", 100, 1)
 CPU = Column("CPU s", "cpu_s", digits=0)
 
 LEADING = (CHAMFER_LAST, CHAMFER, CHAMFER_AFTER, FLOOR, ERROR, VISIBLE, HIDDEN, P95)
 COLUMNS: Mapping[str, tuple[Column, ...]] = {
-    "table1": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, BELOW, CPU),
+    "table1": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, SWAPPED, BELOW, CPU),
     "calibration": (CHAMFER_LAST, CHAMFER, FLOOR, ERROR, VISIBLE, HIDDEN, CPU),
     "final_alignment": (CHAMFER_LAST, CHAMFER, CHAMFER_AFTER, FLOOR, ERROR_BEFORE, ERROR, HIDDEN),
     "collision": (
         PAIRS, PAIRS_RATE, PAIRS_TRUTH, PAIRS_BEFORE, CROSSINGS, CROSSINGS_RATE, WORLD_CROSSINGS,
-        CHAMFER_LAST, FLOOR, ERROR, STRAIN,
+        SWAPPED, CHAMFER_LAST, FLOOR, ERROR, STRAIN,
     ),
     "sensitivity": (
         ERROR, VISIBLE, HIDDEN, P95, CHAMFER_LAST, FLOOR, STRAIN, CROSSINGS_RATE, CPU
     ),
-    "model_free": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, CPU),
+    "model_free": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, SWAPPED, CPU),
 }  # fmt: skip
 TITLES = {
     "table1": "Table 1: what each part of the method is worth",
@@ -146,6 +147,8 @@ def markdown(experiment: str, rows: Sequence[Row]) -> str:
         ]
     if any(row["actions"] > 1 for row in good):
         parts += ["Error by action [mm], all vertices / hidden:", by_action(good, variants)]
+    if len({row["kind"] for row in good}) > 1:
+        parts += ["Error by garment [mm], all vertices / visible / hidden:", by_garment(good)]
     failed = [row for row in rows if "error" in row]
     parts += [f"- failed: {r['variant']}, {r['recording']}: {r['error']}" for r in failed]
     return "\n\n".join(parts) + "\n"
@@ -227,6 +230,19 @@ def by_action(rows: Sequence[Row], variants: Sequence[str]) -> str:
             line.append(" / ".join(each.cells(chosen)[0] for each in (_ALL, HIDDEN)))
         lines.append(line)
     return table(["method", *(f"action {action}" for action in actions)], lines)
+
+
+def by_garment(rows: Sequence[Row]) -> str:
+    """Errors per garment: two layers are another task than one."""
+    kinds = sorted({str(row["kind"]) for row in rows})
+    lines = []
+    for variant in dict.fromkeys(str(row["variant"]) for row in rows):
+        line = [variant]
+        for kind in kinds:
+            chosen = [r for r in rows if (r["variant"], r["kind"]) == (variant, kind)]
+            line.append(" / ".join(each.cells(chosen)[0] for each in (_ALL, VISIBLE, HIDDEN)))
+        lines.append(line)
+    return table(["method", *kinds], lines)
 
 
 _ALL = Column("all", "error_all_mm")
