@@ -172,6 +172,8 @@ def draw(rows: dict[str, list[Row]], image: Path) -> Path:
 
 def _drift_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:
     actions, lines = drift(rows)
+    if not actions:
+        return False
     looks = {"visible": (OUTSIDE, "-"), "hidden": (HIDDEN, "-"), "all": (INK, "-")}
     for label, values in lines.items():
         color, dashes = looks.get(label, (INK, ":"))
@@ -180,7 +182,7 @@ def _drift_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:
     axis.set_xticks(actions)
     axis.set_ylim(bottom=0.0)
     axis.legend(frameon=False, fontsize=8)
-    return bool(actions)
+    return True
 
 
 def _hidden_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:

@@ -2,7 +2,8 @@
 
 Claim judged: the final alignment makes up for a bad calibration. Per action every combination of
 the grid is rolled out and ranked; the tracker then takes the best, the one that half of the others
-outscore, or the one that 90 % outscore. The method is the paper's.
+outscore, or the one that 90 % outscore. The method is the paper's, the grid that of our calibration
+(18 combinations; the paper prints 180).
 
     python experiments/final_alignment.py --bench OUT --split test --workers 2
 """

@@ -14,6 +14,7 @@ PAPER: Mapping[str, Mapping[str, float]] = {
         "no_dynamics_initialisation": 1.40,
         "no_action_conditioning": 3.72,
         "no_final_alignment": 2.19,
+        "reconstruction_network": 3.0,
     },
     "calibration": {"paper, online": 1.13, "paper, offline": 1.90},
     "final_alignment": {

@@ -57,7 +57,7 @@ def _variants(setup: Setup, default: TrackerConfig, axis: str) -> list:
     if axis == "rigidity":
         return [
             setup.variant(f"rigidity={value:g}", weighted(default, rigidity_weight=value))
-            for value in RIGIDITY
+            for value in _with(RIGIDITY, default.alignment.rigidity_weight)
         ]
     if axis == "explosion":
         return [
@@ -73,10 +73,13 @@ def _variants(setup: Setup, default: TrackerConfig, axis: str) -> list:
                 f"thickness={value:g} mm",
                 replace(default, solver=replace(solver, thickness_m=1e-3 * value)),
             )
-            for value in THICKNESS_MM
+            for value in _with(THICKNESS_MM, 1e3 * solver.thickness_m)
         ]
     if axis == "cloud":
-        return [_thinned(setup, default, value) for value in CLOUD_MM]
+        return [
+            _thinned(setup, default, value)
+            for value in _with(CLOUD_MM, 1e3 * RunConfig().cloud_spacing_m)
+        ]
     return [
         setup.variant(f"first mesh={value:g}", default, first_mesh_error=value)
         for value in FIRST_MESH
@@ -113,6 +116,11 @@ def _actions(setup: Setup) -> list[Run]:
     filmed = setup.filmed(f"actions_{count}", replace(setup.world, actions=count))
     variant = setup.variant(f"actions=1 to {count}", "default")
     return [(each, variant) for each in filmed]
+
+
+def _with(values: Sequence[float], default: float) -> list[float]:
+    """The axis with the default on it, whatever that is by now."""
+    return sorted({*values, round(default, 6)})
 
 
 def _few(setup: Setup, values: list) -> list:
