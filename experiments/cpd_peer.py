@@ -33,6 +33,9 @@ UNCALIBRATED = Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
 class PeerConfig:
     """Settings of the peer.
 
+    `alpha`, `beta_m` and `lengths` were chosen by the true error of one action of a towel and one
+    of a T-shirt, out of 12 combinations; CDCPD's alpha and one-sided lengths did worse.
+
     Attributes:
         alpha: weight of coherence against fit; 0.5 in CDCPD.
         beta_m: width of the kernel within which vertices move alike [m].

@@ -153,7 +153,7 @@ def draw(rows: dict[str, list[Row]], image: Path) -> Path:
         "axes.titlesize": 10, "axes.titleweight": "bold", "axes.titlelocation": "left",
     }  # fmt: skip
     with plt.rc_context(style):
-        figure, axes = plt.subplots(2, 2, figsize=(10.0, 7.0), layout="constrained")
+        figure, axes = plt.subplots(2, 2, figsize=(11.0, 7.5), layout="constrained")
         panels: Sequence[tuple[Any, Callable[..., bool], str]] = (
             (axes[0, 0], _drift_panel, "table1.py or sensitivity.py --axes actions"),
             (axes[0, 1], _hidden_panel, "table1.py"),
@@ -189,15 +189,16 @@ def _hidden_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:
     bars = contributions(rows)
     if bars:
         names, *parts = (np.array(each) for each in zip(*bars, strict=True))
+        names = [name.replace(" ", "\n") for name in names]
         labels = ("visible vertices", "hidden vertices", "layers in wrong order")
         base = np.zeros(len(names))
         for part, label, color in zip(parts, labels, GROUPS.values(), strict=True):
             axis.bar(names, part, 0.6, bottom=base, color=color, label=label)
             base = base + part
-        axis.set_ylim(top=1.3 * base.max())
+        axis.set_ylim(top=1.45 * np.nanmax(base))
         axis.set(title="Layers and hidden parts: who makes the mean", ylabel="error [mm]")
         axis.set_xlabel("garment and action")
-        axis.legend(frameon=False, loc="upper left", ncols=3, fontsize=8)
+        axis.legend(frameon=False, loc="upper left", fontsize=8)
     return bool(bars)
 
 
@@ -205,12 +206,12 @@ def _place_panel(axis: Any, rows: dict[str, list[Row]]) -> bool:
     bars = shape_or_place(rows)[::-1]
     if bars:
         names, slip, rest = zip(*bars, strict=True)
-        axis.barh(names, rest, color=INSIDE, label="shape: left after the best rigid motion")
-        axis.barh(names, slip, left=rest, color=OBSERVED, label="place: slip of the whole")
+        axis.barh(names, rest, color=INSIDE, label="shape: left after a rigid motion")
+        axis.barh(names, slip, left=rest, color=OBSERVED, label="place: slip of the whole cloth")
         axis.set(title="Shape or place: every method", xlabel="error [mm]")
         axis.margins(y=0.12)
-        axis.set_ylim(top=len(bars) + 0.6)
-        axis.legend(frameon=False, loc="upper left", fontsize=8, ncols=2)
+        axis.set_ylim(top=len(bars) + 1.1)
+        axis.legend(frameon=False, loc="upper right", fontsize=8)
     return bool(bars)
 
 

@@ -121,13 +121,15 @@ TITLES = {
     "sensitivity": "Sensitivity: one setting at a time",
     "model_free": "Why a simulator? A model-free peer",
 }
-REFERENCE = {
-    "table1": "full_held_paper",
-    "calibration": "paper, online",
-    "final_alignment": "best, with TTO2",
-    "collision": "paper, with rigidity",
-    "model_free": "default",
+REFERENCES: Mapping[str, tuple[str, ...]] = {
+    "table1": ("full_held_paper",),
+    "calibration": ("paper, online", "default, online"),
+    "final_alignment": ("best, with TTO2",),
+    "collision": ("paper, with rigidity", "default, with rigidity"),
+    "model_free": ("default",),
 }
+"""What the others are paired with; of several, each with those that begin like it."""
+
 PAIRED = (CHAMFER_LAST, ERROR)
 
 
@@ -139,12 +141,15 @@ def markdown(experiment: str, rows: Sequence[Row]) -> str:
     for heading, chosen in _groups(variants):
         parts += [heading] if heading else []
         parts.append(means(experiment, good, chosen))
-    reference = REFERENCE.get(experiment)
-    if reference in variants and len(variants) > 1:
-        parts += [
-            f"Paired by recording, minus *{reference}* (mean ± standard error):",
-            pairs(good, variants, str(reference)),
-        ]
+    references = REFERENCES.get(experiment, ())
+    for reference in references:
+        like = reference.partition(",")[0] if len(references) > 1 else ""
+        chosen = [variant for variant in variants if variant.startswith(like)]
+        if reference in chosen and len(chosen) > 1:
+            parts += [
+                f"Paired by recording, minus *{reference}* (mean ± standard error):",
+                pairs(good, chosen, reference),
+            ]
     if any(row["actions"] > 1 for row in good):
         parts += ["Error by action [mm], all vertices / hidden:", by_action(good, variants)]
     if len({row["kind"] for row in good}) > 1:
@@ -162,9 +167,12 @@ def about(rows: Sequence[Row]) -> str:
     commits = sorted({str(stamp["commit"]) for stamp in stamps})
     versions = sorted({str(stamp["clothtrack"]) for stamp in stamps})
     vertices = [int(row["vertices"]) for row in rows]
-    text = f"{len(names)} recordings" + (f" of the split {', '.join(splits)}" if splits else "")
+    text = f"{len(names)} recording{'s' if len(names) != 1 else ''}" + (
+        f" of the split {', '.join(splits)}" if splits else ""
+    )
     if vertices:
-        text += f", {min(vertices)} to {max(vertices)} vertices"
+        ends = dict.fromkeys((min(vertices), max(vertices)))
+        text += f", {' to '.join(map(str, ends))} vertices"
     return text + f"; clothtrack {', '.join(versions) or '?'} at {', '.join(commits) or '?'}."
 
 

@@ -72,9 +72,7 @@ def test_what_failed_is_named_and_not_averaged(rows):
     broken = {"variant": "default", "recording": "towel_2", "split": "test", "error": "it burst"}
     text = tables.markdown("table1", [*rows, broken])
     assert "- failed: default, towel_2: it burst" in text
-    assert (
-        "2 recordings of the split test, 100 to 100 vertices; clothtrack 0.1.0 at abc1234" in text
-    )
+    assert "2 recordings of the split test, 100 vertices; clothtrack 0.1.0 at abc1234" in text
     assert "action 1" in text
 
 
@@ -99,5 +97,16 @@ def test_tables_come_from_files_and_go_to_one(rows, tmp_path, capsys):
 
 def test_every_experiment_of_the_paper_has_columns_and_a_title():
     assert set(tables.PAPER) <= set(tables.TITLES) == set(tables.COLUMNS)
-    for experiment, reference in tables.REFERENCE.items():
-        assert reference in tables.PAPER.get(experiment, {reference: 0})
+    assert set(tables.REFERENCES) <= set(tables.TITLES)
+
+
+def test_of_several_references_each_is_paired_with_its_own(rows):
+    names = {"full_held_paper": "paper, online", "default": "default, offline"}
+    own = [{**each, "variant": names[each["variant"]]} for each in rows]
+    own += [{**each, "variant": "default, online"} for each in rows if each["variant"] == "default"]
+    text = tables.markdown("calibration", own)
+    assert "minus *default, online*" in text
+    assert "minus *paper, online*" not in text
+    paired = text.partition("minus *default, online*")[2].partition("Error by action")[0]
+    assert line_of(paired, "default, offline")[-2:] == ["+0.0 ± 0.0", "0 of 2"]
+    assert "paper" not in paired
