@@ -132,10 +132,10 @@ def drifted(
     config: PeerConfig,
 ) -> Float[np.ndarray, "vertices 3"]:
     """Vertices [m] after the visible ones drifted coherently to the cloud, the others with them."""
-    from biocpd import DeformableRegistration
-
     if seen.sum() < config.modes or len(cloud) < config.neighbours:
         return vertices
+    from biocpd import DeformableRegistration
+
     # In units of the kernel's width, so that single precision has digits to spare.
     middle, unit = vertices.mean(axis=0), config.beta_m
     source, target = (vertices - middle) / unit, (cloud - middle) / unit
