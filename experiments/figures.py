@@ -5,7 +5,12 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import cv2
 import numpy as np
+from jaxtyping import UInt8
+
+COLOR_STEP = 6
+"""Colours of a picture in a document are rounded to this: nobody sees it, and files are small."""
 
 
 def say(text: str) -> None:
@@ -19,6 +24,16 @@ def write_json(file: Path, figures: Mapping[str, object]) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     temporary = file.with_name(f".{file.name}.partial")
     temporary.write_text(json.dumps(_finite(figures), indent=1, allow_nan=False) + "\n")
+    temporary.replace(file)
+
+
+def write_png(file: Path, picture: UInt8[np.ndarray, "height width 3"]) -> None:
+    """Write a picture (red first) for a document, small; the file is whole or absent."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    coarse = np.rint(picture / COLOR_STEP).clip(0, 255 // COLOR_STEP) * COLOR_STEP
+    bgr = cv2.cvtColor(coarse.astype(np.uint8), cv2.COLOR_RGB2BGR)
+    temporary = file.with_name(f".{file.stem}.partial.png")
+    cv2.imwrite(str(temporary), bgr, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     temporary.replace(file)
 
 

@@ -11,8 +11,7 @@ import tempfile
 from pathlib import Path
 
 import cv2
-import numpy as np
-from figures import say
+from figures import say, write_png
 
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
@@ -21,7 +20,6 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 ROWS = 3
 WIDTH_PX = 800
-COLOR_STEP = 6
 
 
 def draw(tracked: Path, recording: Path, image: Path) -> Path:
@@ -35,9 +33,7 @@ def draw(tracked: Path, recording: Path, image: Path) -> Path:
         sheet = cv2.imread(str(write_contact_sheet(overlay, Path(folder) / "s.png", rows=ROWS)))
     height = round(WIDTH_PX * sheet.shape[0] / sheet.shape[1])
     small = cv2.resize(sheet, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
-    coarse = np.rint(small / COLOR_STEP).clip(0, 255 // COLOR_STEP) * COLOR_STEP
-    image.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(image), coarse.astype(np.uint8), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    write_png(image, cv2.cvtColor(small, cv2.COLOR_BGR2RGB))
     return image
 
 

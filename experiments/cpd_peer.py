@@ -1,0 +1,250 @@
+"""A model-free peer: coherent point drift with a projection onto the edge lengths.
+
+In the manner of CDCPD (Chi and Berenson, "Occlusion-robust deformable object tracking without
+physics simulation", IROS 2019), without its commercial solver: the visible vertices drift
+coherently to the cloud (Myronenko and Song, DOI 10.1109/TPAMI.2010.46; the registration itself is
+biocpd's), the hidden ones follow the same smooth field, held vertices follow the tool, and then
+edges that became too long are shortened. No gravity, no contact, no friction: what a simulator
+brings is what this lacks.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Frame, Recording, Table
+from clothtrack.tracking.picking import Grasp, PickingConfig, find_grasps
+from clothtrack.tracking.tracked_trajectory import (
+    Calibration,
+    StepRecords,
+    TrackedAction,
+    TrackedTrajectory,
+)
+
+UNCALIBRATED = Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+
+
+@dataclass(frozen=True)
+class PeerConfig:
+    """Settings of the peer.
+
+    `alpha`, `beta_m` and `lengths` were chosen by the true error of one action of a towel and one
+    of a T-shirt, out of 12 combinations; CDCPD's alpha and one-sided lengths did worse.
+
+    Attributes:
+        alpha: weight of coherence against fit; 0.5 in CDCPD.
+        beta_m: width of the kernel within which vertices move alike [m].
+        outliers: share of the cloud that is not cloth; 0.1 in CDCPD.
+        iterations: most steps of expectation and maximisation per frame.
+        modes: of the kernel's low-rank form.
+        neighbours: nearest cloud points that a vertex may correspond to.
+        start_sigma_m: standard deviation that a frame's registration starts from [m]: how far the
+            cloth may move between frames.
+        lengths: bounds of an edge, as shares of its length in the first mesh; CDCPD bounds
+            them from above alone.
+        sweeps: passes over all edges.
+        rest_height_m: no vertex lies lower over the table [m].
+        use_tool: held vertices follow the tool, as CDCPD's grasped points do.
+        visibility_width: width [pixels] of the z-buffer that decides visibility.
+        picking: how a picker takes hold.
+    """
+
+    alpha: float = 3.0
+    beta_m: float = 0.1
+    outliers: float = 0.1
+    iterations: int = 30
+    modes: int = 150
+    neighbours: int = 10
+    start_sigma_m: float = 0.01
+    lengths: tuple[float, float] = (0.95, 1.0)
+    sweeps: int = 20
+    rest_height_m: float = 0.0015
+    use_tool: bool = True
+    visibility_width: int = 320
+    picking: PickingConfig = field(default_factory=PickingConfig)
+
+
+def follow(
+    recording: Recording,
+    mesh: ClothMesh,
+    observe: Callable[[Frame], Observation],
+    config: PeerConfig,
+    *,
+    device: str = "cpu",
+) -> TrackedTrajectory:
+    """Follow the cloth through a recording without dynamics; shaped like the tracker's result.
+
+    Args:
+        recording: what was recorded.
+        mesh: the flat first mesh in the world [m].
+        observe: turns a frame into a cloud.
+        config: settings of the peer.
+        device: "cpu" or "cuda:0", for visibility.
+    """
+    cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
+    visible = VisibilityCheck(mesh.faces, cameras, tolerance_m=0.003, device=device)
+    edges = EdgeLengths(mesh)
+    vertices = mesh.vertices.astype(np.float64)
+    positions = np.repeat(vertices[None].astype(np.float32), len(recording.frames), axis=0)
+    actions = []
+    for action in recording.actions:
+        grasps = find_grasps(recording, action, vertices, config.picking)
+        for frame in recording.frames[action.first_frame + 1 : action.last_frame + 1]:
+            seen = visible(vertices.astype(np.float32))
+            moved = drifted(vertices, seen, observe(frame).points, config)
+            held, fixed = _held(moved, frame.time_s, grasps if config.use_tool else ())
+            vertices = edges.project(held, fixed, lengths=config.lengths, sweeps=config.sweeps)
+            vertices = _above_table(vertices, recording.table, config.rest_height_m)
+            positions[frame.index :] = vertices
+        actions.append(
+            TrackedAction(
+                first_frame=action.first_frame,
+                last_frame=action.last_frame,
+                positions_before_final_alignment=positions[action.last_frame],
+                positions_after_final_alignment=positions[action.last_frame],
+                final_alignment_losses=np.full(2, np.nan),
+                parameters={},
+                calibration=UNCALIBRATED,
+                held_vertices={g.picker: tuple(g.vertices.tolist()) for g in grasps},
+            )
+        )
+    return TrackedTrajectory(
+        name=recording.name,
+        mesh=mesh,
+        frames=np.array([frame.index for frame in recording.frames]),
+        time_s=np.array([frame.time_s for frame in recording.frames]),
+        positions=positions,
+        visible=np.stack([visible(each) for each in positions]),
+        actions=tuple(actions),
+        steps=StepRecords.empty(len(recording.frames)),
+    )
+
+
+def drifted(
+    vertices: Float[np.ndarray, "vertices 3"],
+    seen: Bool[np.ndarray, " vertices"],
+    cloud: Float[np.ndarray, "points 3"],
+    config: PeerConfig,
+) -> Float[np.ndarray, "vertices 3"]:
+    """Vertices [m] after the visible ones drifted coherently to the cloud, the others with them."""
+    if seen.sum() < config.modes or len(cloud) < config.neighbours:
+        return vertices
+    from biocpd import DeformableRegistration
+
+    # In units of the kernel's width, so that single precision has digits to spare.
+    middle, unit = vertices.mean(axis=0), config.beta_m
+    source, target = (vertices - middle) / unit, (cloud - middle) / unit
+    registration = DeformableRegistration(
+        X=target,
+        Y=source[seen],
+        sigma2=(config.start_sigma_m / unit) ** 2,
+        alpha=config.alpha,
+        beta=1.0,
+        w=config.outliers,
+        k=config.neighbours,
+        num_eig=config.modes,
+        low_rank_method="pivoted_cholesky",
+        max_iterations=config.iterations,
+        tolerance=1e-5,
+        dtype=np.float64,
+    )
+    drift = registration.register()[0] - source[seen]
+    return vertices + unit * _carried(source, seen, drift)
+
+
+def _carried(
+    source: Float[np.ndarray, "vertices 3"],
+    seen: Bool[np.ndarray, " vertices"],
+    drift: Float[np.ndarray, "seen 3"],
+) -> Float[np.ndarray, "vertices 3"]:
+    """The drift of all vertices: hidden ones take the mean of the visible ones under the kernel."""
+    motion = np.zeros(source.shape)
+    motion[seen] = drift
+    if not seen.all():
+        squared = ((source[~seen, None] - source[None, seen]) ** 2).sum(axis=2)
+        # Much narrower than the kernel, so that a hidden vertex goes with what lies over it.
+        weights = np.exp(-8.0 * (squared - squared.min(axis=1, keepdims=True)))
+        motion[~seen] = weights @ drift / weights.sum(axis=1, keepdims=True)
+    return motion
+
+
+class EdgeLengths:
+    """Puts edges right that became too long or short, colour by colour (Gauss-Seidel)."""
+
+    def __init__(self, mesh: ClothMesh) -> None:
+        """Take the rest lengths from the first mesh, and colour its edges."""
+        self._edges = np.asarray(mesh.edges)
+        self._rest = np.asarray(mesh.edge_lengths, np.float64)
+        self._colors = _edge_colors(self._edges, len(mesh.vertices))
+
+    def project(
+        self,
+        vertices: Float[np.ndarray, "vertices 3"],
+        fixed: Bool[np.ndarray, " vertices"],
+        *,
+        lengths: tuple[float, float],
+        sweeps: int,
+    ) -> Float[np.ndarray, "vertices 3"]:
+        """Vertices [m] after so many passes over all edges; `fixed` ones stay.
+
+        Args:
+            vertices: before [m].
+            fixed: which of them stay where they are.
+            lengths: least and largest length of an edge, as shares of its rest length.
+            sweeps: how many passes.
+        """
+        shortest, longest = lengths
+        vertices = np.array(vertices, np.float64)
+        free = np.where(fixed, 0.0, 1.0)
+        for _ in range(sweeps):
+            for chosen in self._colors:
+                a, b = self._edges[chosen].T
+                gap = vertices[b] - vertices[a]
+                length = np.maximum(np.linalg.norm(gap, axis=1), 1e-12)
+                rest = self._rest[chosen]
+                excess = length - np.clip(length, shortest * rest, longest * rest)
+                share = excess / (length * np.maximum(free[a] + free[b], 1.0))
+                vertices[a] += (free[a] * share)[:, None] * gap
+                vertices[b] -= (free[b] * share)[:, None] * gap
+        return vertices
+
+
+def _edge_colors(edges: Int[np.ndarray, "edges 2"], count: int) -> list[Int[np.ndarray, " of"]]:
+    """Sets of edges that share no vertex, first fit."""
+    used: list[set[int]] = [set() for _ in range(count)]
+    colors: list[list[int]] = []
+    for number, (a, b) in enumerate(edges.tolist()):
+        taken = used[a] | used[b]
+        color = next(c for c in range(len(taken) + 1) if c not in taken)
+        if color == len(colors):
+            colors.append([])
+        colors[color].append(number)
+        used[a].add(color)
+        used[b].add(color)
+    return [np.array(each) for each in colors]
+
+
+def _held(
+    vertices: Float[np.ndarray, "vertices 3"], time_s: float, grasps: tuple[Grasp, ...]
+) -> tuple[Float[np.ndarray, "vertices 3"], Bool[np.ndarray, " vertices"]]:
+    """Vertices [m] with the held ones at the tool, and which those are."""
+    vertices, fixed = np.array(vertices), np.zeros(len(vertices), bool)
+    for grasp in grasps:
+        if grasp.path.closed_at(time_s):
+            vertices[grasp.vertices] = grasp.path.position_at(time_s) + grasp.offsets
+            fixed[grasp.vertices] = True
+    return vertices, fixed
+
+
+def _above_table(
+    vertices: Float[np.ndarray, "vertices 3"], table: Table | None, rest_height_m: float
+) -> Float[np.ndarray, "vertices 3"]:
+    if table is None:
+        return vertices
+    sunk = np.maximum(rest_height_m - table.heights(vertices), 0.0)
+    return vertices + sunk[:, None] * table.normal

@@ -1,0 +1,63 @@
+"""Measures that only the benchmark has: slip of the whole, layers in the wrong order."""
+
+import numpy as np
+import pytest
+from bench_measures import finite, swapped_layers, without_slip
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation.garments import towel
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return towel(0.2, 0.2, spacing_m=0.01)
+
+
+def folded(flat, gap_m=0.004):
+    """The right half over the left half."""
+    points = np.array(flat.vertices, np.float64)
+    over = points[:, 0] > 0
+    points[over, 2] += gap_m
+    points[over, 0] *= -1
+    return points, over
+
+
+def test_a_rigid_motion_leaves_no_error(flat):
+    points = folded(flat)[0]
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    assert without_slip(points @ turn.T + [0.1, 0.0, 0.02], points) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_mirror_image_is_no_slip(flat):
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    assert without_slip(points * [1, 1, -1], points) > 0.1
+
+
+def test_the_truth_has_its_layers_in_order(flat):
+    points, _ = folded(flat)
+    assert not swapped_layers(points, points, flat).any()
+    assert not swapped_layers(flat.vertices.astype(float), flat.vertices.astype(float), flat).any()
+
+
+def test_a_layer_pushed_through_the_other_is_swapped_where_they_overlap(flat):
+    points, over = folded(flat)
+    through = points.copy()
+    through[over, 2] -= 0.008
+    swapped = swapped_layers(through, points, flat)
+    # Near the fold the two halves are neighbours in the flat cloth.
+    far = np.abs(flat.vertices[:, 0]) > 0.03
+    assert swapped[far & over].all()
+    assert swapped[far & ~over].all()
+    assert not swapped_layers(through + [0.05, 0.0, 0.0], points + [0.05, 0, 0], flat)[~far].all()
+
+
+def test_layers_that_touch_have_no_order(flat):
+    points, over = folded(flat, gap_m=0.0005)
+    through = points.copy()
+    through[over, 2] -= 0.001
+    assert not swapped_layers(through, points, ClothMesh(flat.vertices, flat.faces)).any()
+
+
+def test_rows_hold_what_json_holds():
+    row = {"a": np.float32(np.nan), "b": [np.int64(2), np.inf], "c": {"d": 0.5}}
+    assert finite(row) == {"a": None, "b": [2, None], "c": {"d": 0.5}}

@@ -1,0 +1,41 @@
+"""Each axis changes its own setting and nothing else, and the default is one of its values."""
+
+from pathlib import Path
+
+import pytest
+import sensitivity
+from collision import weighted
+from experiment import Setup
+
+from clothtrack.tracking.configuration import mode
+
+DEFAULT_ON = ("rigidity", "thickness", "cloud", "first mesh")
+
+
+@pytest.fixture
+def setup():
+    return Setup(Path("bench"), Path("out"))
+
+
+@pytest.mark.parametrize("axis", [*DEFAULT_ON, "explosion", "vertices"])
+def test_values_of_an_axis_are_different_runs(setup, axis):
+    variants = sensitivity._variants(setup, mode("default"), axis)
+    assert all(each.name.startswith(f"{axis}=") for each in variants)
+    assert len({each.name for each in variants}) == len({each.digest for each in variants}) >= 4
+
+
+@pytest.mark.parametrize("axis", DEFAULT_ON)
+def test_the_default_is_on_the_axis_and_shares_its_run(setup, axis):
+    variants = sensitivity._variants(setup, mode("default"), axis)
+    assert setup.variant("default", "default").digest in {each.digest for each in variants}
+
+
+def test_one_threshold_holds_whatever_the_picker_does():
+    search = sensitivity.exploding_at(mode("default"), 0.3).line_search
+    assert search.threshold(5.0, 5.0) == 0.3
+
+
+def test_a_weight_goes_to_both_alignments():
+    config = weighted(mode("default"), rigidity_weight=0.0)
+    assert config.alignment.rigidity_weight == config.final_alignment.rigidity_weight == 0.0
+    assert config.alignment.length_weight == mode("default").alignment.length_weight

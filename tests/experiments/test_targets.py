@@ -1,0 +1,64 @@
+"""Targets are met or missed by what the rows say."""
+
+import pytest
+import targets
+from bench_runs import write_rows
+
+
+def row(variant, recording, action, error, **measures):
+    return {
+        "variant": variant, "recording": recording, "split": "test", "kind": "towel",
+        "action": action, "actions": 3, "stage": "after", "vertices": 100,
+        "error_all_mm": error, "error_hidden_mm": 2 * error, "crossings_per_1000_edges": 0.5,
+        "world_crossings_per_1000_edges": 0.3, "chamfer_pc_m2": 3e-5, "chamfer_floor_m2": 1e-5,
+        "provenance": {"commit": "abc", "clothtrack": "0.1.0"},
+    } | measures  # fmt: skip
+
+
+@pytest.fixture
+def rows():
+    return [
+        *(row("default", "towel_0", action, 3.0 * action) for action in (1, 2, 3)),
+        *(row("default", "towel_0", a, 9.0, stage="before") for a in (1, 2, 3)),
+        *(row("full_held_paper", "towel_0", action, 12.0) for action in (1, 2, 3)),
+        row("full_held_paper", "towel_0", 3, 12.0, stage="before", chamfer_pc_m2=2e-5),
+        row("no_final_alignment", "towel_0", 3, 12.0, stage="before", chamfer_pc_m2=1e-5),
+    ]
+
+
+def test_each_target_is_judged_by_its_own_measure(rows):
+    found = {one.name: one for one in targets.targets(rows)}
+    values = [one.value for one in found.values()]
+    assert values == pytest.approx([6.0, 50.0, 12.0, 3.0, 0.5, 0, 3.0, 0])
+    verdicts = [one.verdict for one in found.values()]
+    assert verdicts == ["met", "met", "met", "missed", "met", "met", "missed", "met"]
+
+
+def test_a_mesh_may_not_cross_itself_where_the_world_does_not(rows):
+    rows.append(row("default", "towel_1", 1, 3.0, world_crossings_per_1000_edges=0.0))
+    found = {one.name: one for one in targets.targets(rows)}
+    assert found["meshes with over twice the world's crossings"].verdict == "missed"
+
+
+def test_what_is_not_in_the_rows_is_not_judged(rows):
+    only = [each for each in rows if each["variant"] == "default" and each["action"] < 3]
+    found = {one.name: one.verdict for one in targets.targets(only)}
+    assert found["third action / first action"] == "not measured"
+    assert found["share of the paper's mode [%]"] == "not measured"
+
+
+def test_a_failure_counts(rows):
+    rows.append({"variant": "default", "recording": "towel_9", "split": "test", "error": "burst"})
+    assert targets.targets(rows)[-1].verdict == "missed"
+
+
+def test_the_order_is_the_papers_or_not(rows, tmp_path, capsys):
+    assert targets.order(rows) == (
+        ["full_held_paper", "no_final_alignment"],
+        ["no_final_alignment", "full_held_paper"],
+    )
+    write_rows(rows, tmp_path / "table1.jsonl")
+    assert targets.main(["--rows", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "not reproduced" in printed
+    assert "| hidden vertices [mm] | 12 | 12.0 | met |" in printed
