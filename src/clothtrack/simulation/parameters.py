@@ -80,7 +80,7 @@ class SolverConfig:
     contact_depth_m: float = 0.007
     contact_tolerance: float = 0.15
     edge_contact: bool = True
-    push_out_speed: float = 1.0
+    push_out_speed: float = 2.0
     bend_limit: float = 0.55
 
     def __post_init__(self) -> None:
