@@ -24,6 +24,11 @@ def _default_parameters() -> dict[str, float]:
     }
 
 
+def _final_alignment() -> AlignmentConfig:
+    # Once per action it may take its time; what is left to correct may be far.
+    return AlignmentConfig(iterations=400)
+
+
 def _alignment() -> AlignmentConfig:
     # As near to the cloud as 400 steps of Adam in a quarter of the time.
     return AlignmentConfig(solver="icp", icp_outer=20)
@@ -90,7 +95,7 @@ class TrackerConfig:
     parameters: Mapping[str, float] = field(default_factory=_default_parameters)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     alignment: AlignmentConfig = field(default_factory=_alignment)
-    final_alignment: AlignmentConfig = field(default_factory=_alignment)
+    final_alignment: AlignmentConfig = field(default_factory=_final_alignment)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
     picking: PickingConfig = field(default_factory=PickingConfig)
     dynamics: DynamicsConfig = field(default_factory=lambda: DynamicsConfig(velocity_kept=0.0))
