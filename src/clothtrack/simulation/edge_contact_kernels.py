@@ -283,7 +283,8 @@ def push_edges(
         push = distances[environment, edge, slot] - gap
         if push <= 0.0:
             continue
-        push = wp.min(push, longest * wp.where(gap > 0.0, 2.0, 1.0))
+        if gap <= 0.0:
+            push = wp.min(push, longest)
         s = crossing.along_first
         t = crossing.along_second
         weight = (1.0 - s) * (1.0 - s) * inverse_masses[environment, ends[0]]

@@ -60,8 +60,8 @@ class SolverConfig:
         contact_tolerance: how far outside a triangle a vertex still touches it, in barycentric
             units.
         edge_contact: let creased edges keep clear of edges too (vertex-triangle contact only).
-        push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; twice as much
-            while it is still on its own side.
+        push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; one that is
+            still on its own side is kept there whatever it takes.
         bend_limit: share of the rest length under which a bend pair resists without compliance.
     """
 
@@ -80,7 +80,7 @@ class SolverConfig:
     contact_depth_m: float = 0.007
     contact_tolerance: float = 0.15
     edge_contact: bool = True
-    push_out_speed: float = 2.0
+    push_out_speed: float = 0.6
     bend_limit: float = 0.55
 
     def __post_init__(self) -> None:

@@ -154,7 +154,7 @@ def _triangle_contact(cloth: ReferenceCloth, positions, start, inverse, substep_
                 continue
             if inverse[vertex] == 0.0 and (inverse[corners] == 0.0).any():
                 continue
-            push = min(kept - height, longest * (2.0 if height > 0.0 else 1.0))
+            push = kept - height if height > 0.0 else min(kept - height, longest)
             weight = inverse[vertex] + foot**2 @ inverse[corners]
             moved = positions - start
             slip = moved[vertex] - foot @ moved[corners]

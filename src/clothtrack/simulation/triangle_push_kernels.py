@@ -107,7 +107,8 @@ def pair_impulse(
     foot = barycentric(point, a, b, c, normal)
     if wp.min(foot) < -tolerance:
         return impulse
-    push = wp.min(push, longest * wp.where(height > 0.0, 2.0, 1.0))
+    if height <= 0.0:
+        push = wp.min(push, longest)
     own = inverse_masses[vertex]
     weights = wp.vec3(inverse_masses[i], inverse_masses[j], inverse_masses[k])
     if own == 0.0 and (weights[0] == 0.0 or weights[1] == 0.0 or weights[2] == 0.0):
