@@ -52,6 +52,7 @@ def test_tracking_beats_the_dynamics_alone(towels, results, capsys):
             [
                 row["vertex_error_mm"]["all"]["mean"]
                 for row in evaluated(towels, results, mode, capsys)
+                if row["stage"] == "after_final_alignment"
             ]
         )
         for mode in ("default", "open_loop")
