@@ -31,7 +31,7 @@ def _final_alignment() -> AlignmentConfig:
 
 def _alignment() -> AlignmentConfig:
     # As near to the cloud as 400 steps of Adam in a quarter of the time.
-    return AlignmentConfig(solver="icp", icp_outer=20, icp_inner=24)
+    return AlignmentConfig(solver="icp", icp_outer=20)
 
 
 @dataclass(frozen=True)
