@@ -61,8 +61,7 @@ def configured(solver: str) -> TrackerConfig:
     return replace(
         config,
         calibration=CalibrationConfig(method="none"),
-        alignment=replace(config.alignment, solver=solver),
-        final_alignment=replace(config.final_alignment, solver=solver),
+        alignment=replace(config.alignment, solver=solver, iterations=400),
     )
 
 

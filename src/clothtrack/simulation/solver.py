@@ -58,9 +58,9 @@ class ClothSolver:
     Environment i of a batch has the same bits as a single run with its parameters, and a restored
     state replays bit for bit on the same device.
 
-    Limitations: contact is between vertices and triangles only, so an edge may cut through an
-    edge at a sharp crease; contact averages its impulses, which conserves momentum exactly only
-    where the touching vertices have the same number of pairs.
+    Limitations: edges keep clear of creased and open edges only, and forget between searches on
+    which side they were; contact averages its impulses, which conserves momentum exactly only
+    where the touching vertices have equal shares in their pairs.
 
     Attributes:
         mesh: the cloth; its vertices are the rest shape.
