@@ -118,7 +118,13 @@ CASES = {
     ),
     "swapped focal length and centre": (
         swapped(("fx", "cx"), ("fy", "cy")),
-        ["recording.json", "cameras[0]", "cy is 150", "outside the image", "swapped?"],
+        [
+            "recording.json",
+            "cameras[0]",
+            "cy is 150",
+            "outside the image",
+            "fx, fy and cx, cy swapped?",
+        ],
     ),
     "picker outside": (picker_outside_the_frames, ["picker.csv", "time_s", "record the whole"]),
     "empty mask": (empty_mask, ["mask/000000.png", "empty", "paint the cloth white"]),

@@ -81,11 +81,15 @@ FILES = {
     ),
     "no document": (
         lambda folder: (folder / "recording.json").unlink(),
-        ["recording.json", "missing", "clothtrack import"],
+        ["recording.json", "missing", "docs/data_format.md"],
     ),
     "text in a CSV number": (
         replace_text("picker.csv", "0.1,0.0,0.3", "0.1,zero,0.3"),
         ["picker.csv", "line 4", "y_m is 'zero'", "write a number"],
+    ),
+    "picker in millimetres": (
+        replace_text("picker.csv", "0.1,0.0,0.3", "100,0,30000"),
+        ["picker.csv", "x_m, y_m, z_m of picker 'arm' at", "(100, 0, 30000)", "write metres"],
     ),
     "CSV head": (
         replace_text("picker.csv", "x_m", "x_mm"),

@@ -4,6 +4,9 @@ import re
 import threading
 import time
 
+import pytest
+
+from clothtrack.errors import InvalidConfigError
 from clothtrack.report.live import view_live
 
 
@@ -30,3 +33,8 @@ def test_the_page_is_served_until_it_is_stopped(tracked, clouds_only, caplog):
         stop.set()
         thread.join(timeout=20)
     assert not thread.is_alive()
+
+
+def test_a_port_that_cannot_be_is_refused_and_not_waited_for(tracked, clouds_only):
+    with pytest.raises(InvalidConfigError, match="port is 99999; choose one"):
+        view_live(tracked, clouds_only, 99_999)

@@ -47,6 +47,22 @@ def test_only_the_hidden_part_is_drawn_in_the_hidden_hue(tracked, two_cameras):
     assert columns.min() >= pixels[:, 0].min() - view.columns.start - 12
 
 
+def test_the_colour_of_the_cloth_does_not_make_it_look_hidden(tracked, two_cameras, monkeypatch):
+    bare = replace(two_cameras, picker_paths={})
+    all_seen = replace(tracked, visible=np.ones_like(tracked.visible))
+    overlay = Overlay(all_seen, bare, config=replace(SMALL, cameras=1, wires=0.0))
+    camera = overlay.views[0].camera
+    red = np.full((camera.height, camera.width, 3), (190, 30, 30), np.uint8)
+    monkeypatch.setattr(overlay, "_observations", lambda step: [red])
+    drawn = overlay.draw(0).astype(int)
+    bluer = drawn[..., 2] > drawn[..., 0]
+    pixels, _ = camera.project(tracked.positions[0].astype(float))
+    column, row = np.rint(pixels.mean(axis=0)).astype(int)
+    row, column = row - overlay.views[0].rows.start, column - overlay.views[0].columns.start
+    assert bluer[row - 8 : row + 9, column - 8 : column + 9].all()
+    assert not bluer[0].any()
+
+
 def test_a_recording_without_pictures_is_drawn_on_paper(tracked, clouds_only):
     overlay = Overlay(tracked, clouds_only, config=SMALL)
     seen = overlay.observation(0)

@@ -47,7 +47,7 @@ class Camera:
             if not 0 <= getattr(self, name) < size:
                 raise InvalidRecordingError(
                     f"camera {self.name!r}: {name} is {getattr(self, name)}, outside the image "
-                    f"(0 to {size}); were cx and cy swapped?"
+                    f"(0 to {size}); {self._likely_swap()}"
                 )
         rotation = self.world_from_camera[:3, :3]
         error = np.abs(rotation.T @ rotation - np.eye(3)).max()
@@ -62,6 +62,14 @@ class Camera:
                 f"camera {self.name!r}: the last row of world_from_camera is "
                 f"{self.world_from_camera[3].tolist()}; it must be 0 0 0 1"
             )
+
+    def _likely_swap(self) -> str:
+        """What to do about a principal point outside the image."""
+        if 0 <= self.fx < self.width and 0 <= self.fy < self.height:
+            return "were fx, fy and cx, cy swapped? The focal lengths are fx and fy"
+        if 0 <= self.cy < self.width and 0 <= self.cx < self.height:
+            return "were cx and cy swapped? cx is the column, cy the row"
+        return "give the intrinsics of pictures of this size"
 
     @property
     def position(self) -> Float[np.ndarray, " 3"]:

@@ -123,7 +123,7 @@ def _where_to_look(folder: Path) -> str:
     inside = sorted(path.parent.name for path in folder.glob(f"*/{DOCUMENT}"))
     if inside:
         return f"{folder} holds recordings, it is none: give one of them, such as {inside[0]}"
-    return "write one as docs/data_format.md shows, or use `clothtrack import`"
+    return "check the name, or write one as docs/data_format.md shows"
 
 
 def _refuse_constant(word: str) -> NoReturn:

@@ -12,7 +12,7 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.colors import NAMED_COLORS
 from clothtrack.recordings.document import DOCUMENT, load_document
-from clothtrack.recordings.frame_files import check_pictures, find_frames, inside
+from clothtrack.recordings.frame_files import FARTHEST_MEDIAN_M, check_pictures, find_frames, inside
 from clothtrack.recordings.picker_table import read_picker_paths
 from clothtrack.recordings.recording import (
     ClothDescription,
@@ -67,6 +67,7 @@ def check_recording(folder: Path, *, thorough: bool = False) -> CheckedRecording
     found += misnamed
     _require_units(frames, names, units, found)
     paths = _picker_paths(folder, found)
+    found += _far_pickers(paths or {}, cameras)
     actions = _actions(document.get("actions", []), frames, paths, found)
     cloth = _cloth(folder, document.get("cloth", {}), paths, found)
     observed = document.get("observed", {})
@@ -235,6 +236,24 @@ def _uncovered(
     remedy = "record the whole path, with the clock of the frames"
     value = f"{start:g} to {end:g}"
     return [Violation(PICKER_FILE, f"time_s of picker {name!r}", value, problem, remedy)]
+
+
+def _far_pickers(paths: Mapping[str, PickerPath], cameras: Sequence[Camera]) -> list[Violation]:
+    """Pickers farther from every camera than anything that is measured: not metres, most likely."""
+    found = []
+    for name, path in paths.items():
+        distances = [np.linalg.norm(path.positions - one.position, axis=1) for one in cameras]
+        nearest = np.min(distances, axis=0, initial=np.inf)
+        far = np.flatnonzero(np.isfinite(nearest) & (nearest > FARTHEST_MEDIAN_M))
+        if len(far):
+            x, y, z = path.positions[far[0]]
+            problem = (
+                f"{nearest[far[0]]:.3g} m from the nearest camera (at most {FARTHEST_MEDIAN_M:g} m)"
+            )
+            remedy = f"write metres, in the world frame of the cameras in {DOCUMENT}"
+            field = f"x_m, y_m, z_m of picker {name!r} at {path.time_s[far[0]]:g} s"
+            found.append(Violation(PICKER_FILE, field, f"({x:g}, {y:g}, {z:g})", problem, remedy))
+    return found
 
 
 def _cloth(

@@ -4,11 +4,14 @@ import threading
 
 import numpy as np
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.evidence import CloudReader, observed_points
 from clothtrack.report.palette import HIDDEN, rgb255
 from clothtrack.report.scene import ClothScene, local_server
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+HIGHEST_PORT = 65_535
 
 
 def view_live(
@@ -24,7 +27,14 @@ def view_live(
     Outer and inner side have their colours, hidden vertices are dots in the hidden hue, and the
     cloth can be made transparent to see the layers inside. Without a `port` any free one is taken;
     the address is written to the log.
+
+    Raises:
+        InvalidConfigError: when there is no such port.
     """
+    if port is not None and not 0 <= port <= HIGHEST_PORT:
+        raise InvalidConfigError(
+            f"port is {port}; choose one from 1024 to {HIGHEST_PORT}, or leave it out"
+        )
     stop = stop or threading.Event()
     frames = {frame.index: frame for frame in recording.frames}
     with local_server(port) as server:

@@ -121,6 +121,9 @@ class Overlay:
             camera, still = view.camera, shader.render(vertices)
             photographed = has_picture(self.frame(step), camera)
             image = _toned_down(picture) if photographed else picture.astype(np.float32)
+            # Blue over red cloth would be the hue that says "hidden": under the mesh only light
+            # and shade of the photograph are kept.
+            image[still.cloth] = _grey(image)[still.cloth]
             shaded = still.image[still.cloth]
             image[still.cloth] += self.config.surface * (shaded - image[still.cloth])
             self._draw_wires(image, camera, vertices, visible)
@@ -320,8 +323,11 @@ def _words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
 def _toned_down(picture: Picture) -> Float[np.ndarray, "height width 3"]:
     """A calmer copy: less colour, a little lighter, so that the drawing stands out."""
     image = picture.astype(np.float32)
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
-    return 0.54 * image + (0.36 * grey + 12.0)
+    return 0.54 * image + (0.36 * _grey(image) + 12.0)
+
+
+def _grey(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 1"]:
+    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
 
 
 def _outline(image: Picture, cloth: Bool[np.ndarray, "height width"]) -> None:

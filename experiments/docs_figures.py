@@ -1,7 +1,7 @@
 """The figures of the documents: what was seen, the tracked mesh over it, the mesh alone.
 
     make demo
-    python experiments/readme_figure.py --tracked out/demo/fold_the_tshirt.zarr
+    .venv/bin/python experiments/docs_figures.py --tracked out/demo/fold_the_tshirt.zarr
 
 writes docs/images/demo.png, the README's; another recording with `--recording` and `--image`.
 """
@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 from figures import say, write_png
 
+from clothtrack.geometry.devices import quiet_warp
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.overlay import Overlay, OverlayConfig, write_contact_sheet
@@ -44,6 +45,7 @@ def main() -> None:
     parser.add_argument("--recording", type=Path, default=shipped_recording())
     parser.add_argument("--image", type=Path, default=Path("docs/images/demo.png"))
     arguments = parser.parse_args()
+    quiet_warp()
     image = draw(arguments.tracked, arguments.recording, arguments.image)
     say(f"{image}: {image.stat().st_size / 1e3:.0f} kB\n")
 
