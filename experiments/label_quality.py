@@ -176,6 +176,8 @@ def scores(parts: dict[str, tuple[list[Judged], np.ndarray]]) -> str:
 def single_evidence(labels: Sequence[Judged], model: QualityModel) -> str:
     """Each piece of evidence alone on `dev`: its rank correlation, and its weight."""
     own = [one for one in labels if one.row["split"] == FITTED_ON]
+    if not own:
+        return f"No labels of the split {FITTED_ON}: nothing is said of single evidence."
     errors = [one.error_m for one in own]
     lines = []
     for name in EVIDENCE_NAMES:
