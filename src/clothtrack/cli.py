@@ -243,6 +243,9 @@ def evaluate(
 ) -> int:
     """Measure tracked trajectories against their clouds, and against the truth where it is known.
 
+    The label of each action is also judged by what is observed of it, without truth: the error to
+    expect, and a weight for training.
+
     Args:
         tracked: NAME.zarr folders that `track` wrote.
         recordings: the recording, or the folder in which recordings lie by name.

@@ -119,6 +119,15 @@ def test_what_no_camera_could_see_does_not_count(dense):
     assert silhouette_gap(SHEET, far, dense) > 0.08
 
 
+def test_what_was_cut_away_from_the_cloud_does_not_count(dense):
+    raised = FLAT + np.where(FLAT[:, :1] > 0.0, [0.0, 0.0, 0.05], 0.0)
+    points = dense.points[dense.points[:, 0] > 0.0] + [0.0, 0.0, 0.05]
+    cut = Observation(points, (CAMERA,), {}, 0.02, np.zeros((0, 3)), 0.0)
+    whole = Observation(points, (CAMERA,), {}, None, np.zeros((0, 3)), 0.0)
+    assert silhouette_gap(SHEET, raised, whole) > 0.4
+    assert silhouette_gap(SHEET, raised, cut) < 0.05
+
+
 def test_points_beside_a_face_are_as_far_as_they_are_high():
     points = np.array([[0.01, 0.013, 0.004], [-0.02, 0.031, 0.004]])
     assert cloud_gap_m(SHEET, SHEET.vertices, points) == pytest.approx(0.004)

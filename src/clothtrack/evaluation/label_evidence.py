@@ -48,7 +48,7 @@ class LabelEvidence:
 
     Attributes:
         silhouette_gap: 1 minus intersection over union of the mesh's and the cloth's pictures,
-            without pixels where cloth could not have been seen.
+            without what could not have been seen or was cut away from the cloud.
         cloud_gap_m: mean distance of the cloud's points to the mesh [m].
         mesh_gap_m: distance to the cloud [m] that 90 % of the visible vertices stay under; those
             that may lack points without fault do not count.
@@ -159,9 +159,12 @@ def silhouette_gap(
         0 for equal outlines, 1 for disjoint ones; NaN where nothing is in view.
     """
     both = either = 0
+    # The cloud may have been cut away there, so that its absence says nothing.
+    silent_face = np.append(observation.silent(vertices)[mesh.faces].any(axis=1), False)
     for camera in observation.cameras:
-        drawn = Rasteriser(mesh.faces, camera, device=device).render(vertices).faces >= 0
+        faces = Rasteriser(mesh.faces, camera, device=device).render(vertices).faces
         seen = _picture(observation.points, camera)
+        drawn = (faces >= 0) & (seen | ~silent_face[faces])
         hidden = observation.hidden.get(camera.name)
         if hidden is not None:
             drawn, seen = drawn & ~hidden, seen & ~hidden

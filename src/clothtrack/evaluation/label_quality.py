@@ -49,9 +49,12 @@ SCALES: Mapping[str, float] = {
 In the evidence's own units; about what a sensor's noise makes, not fitted.
 """
 
-SHRINKAGE = 0.05
-"""Weight of the squared coefficients against the mean squared residual: evidence that tells the
-same shares the weight. Not fitted; between 0.02 and 0.1 nothing changes."""
+SHRINKAGE = 0.1
+"""Weight of the squared coefficients against the mean squared residual.
+
+Pieces of evidence that tell the same share the weight. Not fitted: from 0.02 to 0.3 the
+cross-validated rank correlation moves by 0.01.
+"""
 
 
 @dataclass(frozen=True)
