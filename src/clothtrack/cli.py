@@ -241,10 +241,7 @@ def evaluate(
     seed: Seed = 0,
     json: AsJson = False,
 ) -> int:
-    """Measure tracked trajectories against their clouds, and against the truth where it is known.
-
-    The label of each action is also judged by what is observed of it, without truth: the error to
-    expect, and a weight for training.
+    """Measure tracked trajectories, judge their labels, and compare with the truth if it is known.
 
     Args:
         tracked: NAME.zarr folders that `track` wrote.
