@@ -241,7 +241,7 @@ def evaluate(
     seed: Seed = 0,
     json: AsJson = False,
 ) -> int:
-    """Measure tracked trajectories against their clouds, and against the truth where it is known.
+    """Measure tracked trajectories, judge their labels, and compare with the truth if it is known.
 
     Args:
         tracked: NAME.zarr folders that `track` wrote.

@@ -4,9 +4,11 @@ import importlib
 import json
 
 import error_sources
+import label_quality
 import method_strip
 import pytest
 import tables
+from bench_runs import read_rows
 
 EXPERIMENTS = {
     "table1": 7,
@@ -85,3 +87,17 @@ def test_pictures_are_drawn_from_the_rows(bench, tmp_path, capsys):
     assert error_sources.main(["--rows", rows, "--image", str(figure)]) == 0
     assert figure.stat().st_size > 10_000
     assert "error by action" in capsys.readouterr().out
+
+
+def test_labels_are_judged_from_what_a_run_leaves(bench, tmp_path, capsys):
+    table1 = importlib.import_module("table1")
+    table1.main(["--smoke", "--bench", str(bench), "--only", "default"])
+    rows = bench / "experiments"
+    capsys.readouterr()
+    assert label_quality.main(["--bench", str(bench), "--rows", str(rows)]) == 0
+    assert "rank correlation" in capsys.readouterr().out
+    (judged,) = read_rows(rows / "label_quality.jsonl")
+    assert 0.0 < judged["expected_error_mm"] < 50.0
+    arguments = ["--fit", "--model", str(tmp_path / "model.json")]
+    assert label_quality.main(["--bench", str(bench), "--rows", str(rows), *arguments]) == 1
+    assert "table1.py --split dev" in capsys.readouterr().err

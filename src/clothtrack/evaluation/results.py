@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.metrics import (
     ClothMeasures,
     ErrorSummary,
@@ -76,11 +77,14 @@ class Evaluation:
     Attributes:
         name: name of the recording.
         rows: per action, before and after the final alignment.
+        labels: per action, how good its mesh after the final alignment is as far as one can
+            observe; the truth has no part in it.
         provenance: of the tracking run: commit, configuration hash, versions, seed, device.
     """
 
     name: str
     rows: tuple[Row, ...]
+    labels: tuple[LabelQuality, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -135,7 +139,8 @@ def evaluate(
                 tracked, recording, (number, stage), vertices, reference, device=device, seed=seed
             )
             rows.append(row)
-    return Evaluation(tracked.name, tuple(rows), tracked.provenance)
+    labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
+    return Evaluation(tracked.name, tuple(rows), labels, tracked.provenance)
 
 
 def method_name(config: Mapping[str, Any]) -> str:
@@ -246,7 +251,9 @@ def table(evaluations: Iterable[Evaluation]) -> str:
     """The rows as text, one line per action and stage, and what the columns mean."""
     lines = [_HEADER]
     for evaluation in evaluations:
+        judged = {one.action: one for one in evaluation.labels}
         for row in evaluation.rows:
+            label = judged.get(row.action) if row.stage == "after_final_alignment" else None
             errors = [row.vertex_error_mm.get(key) for key in ("all", "visible", "hidden")]
             means = [f"{one.mean:.1f}" if one and one.count else "-" for one in errors]
             p95 = f"{errors[0].p95:.1f}" if errors[0] else "-"
@@ -256,7 +263,7 @@ def table(evaluations: Iterable[Evaluation]) -> str:
                 f"{row.chamfer_pc_rms_mm:6.2f}  {means[0]:>6} {means[1]:>7} {means[2]:>6} {p95:>6} "
                 f"{100 * row.cloth.edge_strain:7.2f} {row.cloth.crossings:6d} "
                 f"{row.cloth.close_pairs:6d} {_percent(row.cloth.below_table):>6} "
-                f"{1e4 * row.cloth.coverage:9.1f}"
+                f"{1e4 * row.cloth.coverage:9.1f}  {_judged(label)}"
             )
     return "\n".join([*lines, _LEGEND])
 
@@ -264,12 +271,20 @@ def table(evaluations: Iterable[Evaluation]) -> str:
 _HEADER = (
     f"{'recording':22} {'act':>3} {'TTO2':6} {'Ch.PC':>7} {'floor':>7} {'rms':>6}  "
     f"{'error':>6} {'visible':>7} {'hidden':>6} {'p95':>6} "
-    f"{'strain':>7} {'cross':>6} {'close':>6} {'below':>6} {'coverage':>9}"
+    f"{'strain':>7} {'cross':>6} {'close':>6} {'below':>6} {'coverage':>9}  "
+    f"{'expect':>6} {'quality':>7}"
 )
 _LEGEND = (
     "Ch.PC, floor [1e-4 m^2]; rms and vertex errors against the truth [mm], '-' without truth; "
-    "strain, below [%]; coverage [cm^2]; TTO2: before or after the final alignment"
+    "strain, below [%]; coverage [cm^2]; TTO2: before or after the final alignment; expect: error "
+    "of the label to expect from what is observed [mm], quality: its weight, 0 to 1"
 )
+
+
+def _judged(label: LabelQuality | None) -> str:
+    if label is None or np.isnan(label.expected_error_mm):
+        return f"{'-':>6} {'-':>7}"
+    return f"{label.expected_error_mm:6.1f} {label.label_quality:7.2f}"
 
 
 def _percent(share: float) -> str:

@@ -1,0 +1,221 @@
+"""What can be observed of how right a label is: the mesh against its cloud, and against cloth.
+
+A label is the mesh at the end of an action, after the final alignment. Nothing here takes the
+truth. What is observed becomes one number in `clothtrack.evaluation.label_quality`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import InvalidResultError
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import crossings
+from clothtrack.geometry.visibility import Rasteriser, visible_vertices
+from clothtrack.recordings.point_cloud import Observation, observe, thin
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+CLOUD_SPACING_M = 0.004
+"""Clouds are thinned to this before distances are taken [m]: what a vertex is tracked with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """A mesh that may be trained on.
+
+    Attributes:
+        frame: frame of the recording that it belongs to.
+        vertices: after the final alignment [m].
+        before: before the final alignment [m].
+    """
+
+    frame: int
+    vertices: Float[np.ndarray, "vertices 3"]
+    before: Float[np.ndarray, "vertices 3"]
+
+
+@dataclass(frozen=True)
+class LabelEvidence:
+    """What speaks against a label; of each, more is worse, and none needs the truth.
+
+    Attributes:
+        silhouette_gap: 1 minus intersection over union of the mesh's and the cloth's pictures,
+            without what could not have been seen or was cut away from the cloud.
+        cloud_gap_m: mean distance of the cloud's points to the mesh [m].
+        mesh_gap_m: distance to the cloud [m] that 90 % of the visible vertices stay under; those
+            that may lack points without fault do not count.
+        edge_strain_p95: relative change of length that 95 % of the edges stay under.
+        crossing_rate: edges that pass through a triangle, per 1,000 edges.
+        final_shift_m: how far the final alignment moved the vertices on average [m].
+        travelled_m: mean way of the vertices from label to label, summed up to this one [m].
+        share_hidden: share of the vertices that no camera sees.
+        action: number of the action, from 1: errors are handed on.
+    """
+
+    silhouette_gap: float
+    cloud_gap_m: float
+    mesh_gap_m: float
+    edge_strain_p95: float
+    crossing_rate: float
+    final_shift_m: float
+    travelled_m: float
+    share_hidden: float
+    action: int
+
+    def as_dict(self) -> dict[str, float]:
+        """The evidence by name."""
+        return asdict(self)
+
+
+EVIDENCE_NAMES = tuple(field.name for field in fields(LabelEvidence))
+
+
+def labels_of(tracked: TrackedTrajectory) -> tuple[Label, ...]:
+    """The labels that a tracked trajectory holds: one per action."""
+    return tuple(
+        Label(
+            action.last_frame,
+            np.asarray(action.positions_after_final_alignment, np.float64),
+            np.asarray(action.positions_before_final_alignment, np.float64),
+        )
+        for action in tracked.actions
+    )
+
+
+def label_evidence(
+    mesh: ClothMesh,
+    labels: Sequence[Label],
+    recording: Recording,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
+) -> tuple[LabelEvidence, ...]:
+    """Look at every label of one trajectory.
+
+    Args:
+        mesh: the first mesh; its edges are the rest lengths.
+        labels: in the order of the actions.
+        recording: what they were tracked from.
+        segmenter: finds the cloth in a picture; the recording's own way by default.
+        device: "cpu" or "cuda:0", for visibility.
+
+    Raises:
+        InvalidResultError: a label belongs to a frame that the recording does not have.
+    """
+    found = []
+    travelled, previous = 0.0, np.asarray(mesh.vertices, np.float64)
+    for number, label in enumerate(labels, 1):
+        if label.frame >= len(recording.frames):
+            raise InvalidResultError(
+                f"a label belongs to frame {label.frame}, but {recording.folder} has "
+                f"{len(recording.frames)} frames; give the recording that it was tracked from"
+            )
+        travelled += _mean_distance(label.vertices, previous)
+        previous = label.vertices
+        dense = observe(recording, recording.frames[label.frame], segmenter, spacing_m=None)
+        cloud = thin(dense.points, CLOUD_SPACING_M)
+        seen = visible_vertices(label.vertices, mesh.faces, recording.cameras, device=device)
+        judged = seen & ~dense.silent(label.vertices)
+        found.append(
+            LabelEvidence(
+                silhouette_gap=silhouette_gap(mesh, label.vertices, dense, device=device),
+                cloud_gap_m=cloud_gap_m(mesh, label.vertices, cloud),
+                mesh_gap_m=_far_quantile(cloud, label.vertices[judged]),
+                edge_strain_p95=_edge_strain_p95(mesh, label.vertices),
+                crossing_rate=1e3 * crossings(label.vertices, mesh.faces) / len(mesh.edges),
+                final_shift_m=_mean_distance(label.vertices, label.before),
+                travelled_m=travelled,
+                share_hidden=float(1.0 - seen.mean()),
+                action=number,
+            )
+        )
+    return tuple(found)
+
+
+def silhouette_gap(
+    mesh: ClothMesh,
+    vertices: Float[np.ndarray, "vertices 3"],
+    observation: Observation,
+    *,
+    device: str = "cpu",
+) -> float:
+    """1 minus intersection over union of the mesh's and the cloud's picture, over all cameras.
+
+    Args:
+        mesh: the topology.
+        vertices: where its vertices are [m].
+        observation: the cloud, as dense as it is, and where the cameras were blind.
+        device: "cpu" or "cuda:0".
+
+    Returns:
+        0 for equal outlines, 1 for disjoint ones; NaN where nothing is in view.
+    """
+    both = either = 0
+    # The cloud may have been cut away there, so that its absence says nothing.
+    silent_face = np.append(observation.silent(vertices)[mesh.faces].any(axis=1), False)
+    for camera in observation.cameras:
+        faces = Rasteriser(mesh.faces, camera, device=device).render(vertices).faces
+        seen = _picture(observation.points, camera)
+        drawn = (faces >= 0) & (seen | ~silent_face[faces])
+        hidden = observation.hidden.get(camera.name)
+        if hidden is not None:
+            drawn, seen = drawn & ~hidden, seen & ~hidden
+        both += int((drawn & seen).sum())
+        either += int((drawn | seen).sum())
+    return 1.0 - both / either if either else float("nan")
+
+
+def cloud_gap_m(
+    mesh: ClothMesh,
+    vertices: Float[np.ndarray, "vertices 3"],
+    cloud: Float[np.ndarray, "points 3"],
+) -> float:
+    """Mean distance [m] of a cloud's points to the surface of the mesh."""
+    if not (len(cloud) and np.isfinite(vertices).all()):
+        return float("nan")
+    face, weights = closest_on_mesh(cloud, vertices, mesh.faces)
+    nearest = np.einsum("ij,ijk->ik", weights, vertices[mesh.faces[face]])
+    return _mean_distance(nearest, cloud)
+
+
+def _picture(
+    points: Float[np.ndarray, "points 3"], camera: Camera
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels that a cloud covers: those of its points, and the gaps between them."""
+    pixels, depth = camera.project(points)
+    pixels = np.rint(pixels[depth > 0]).astype(np.int64)
+    size = (camera.width, camera.height)
+    pixels = np.unique(pixels[((pixels >= 0) & (pixels < size)).all(axis=1)], axis=0)
+    shown = np.zeros(size[::-1], np.uint8)
+    if len(pixels) > 1:
+        shown[pixels[:, 1], pixels[:, 0]] = 1
+        spacing = np.median(cKDTree(pixels).query(pixels[:: 1 + len(pixels) // 1000], k=2)[0][:, 1])
+        side = 2 * int(np.ceil(spacing)) + 1
+        shown = cv2.morphologyEx(shown, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
+    return shown.view(bool)
+
+
+def _far_quantile(
+    cloud: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "judged 3"]
+) -> float:
+    if not (len(vertices) and len(cloud)):
+        return float("nan")
+    return float(np.percentile(cKDTree(cloud).query(vertices)[0], 90))
+
+
+def _edge_strain_p95(mesh: ClothMesh, vertices: Float[np.ndarray, "vertices 3"]) -> float:
+    ends = vertices[mesh.edges]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    return float(np.percentile(np.abs(lengths / mesh.edge_lengths - 1.0), 95))
+
+
+def _mean_distance(a: Float[np.ndarray, "points 3"], b: Float[np.ndarray, "points 3"]) -> float:
+    return float(np.linalg.norm(a - b, axis=1).mean())

@@ -1,0 +1,165 @@
+"""What is observed of a label: closed forms, and nothing that only the truth could tell."""
+
+import ast
+import inspect
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidResultError
+from clothtrack.evaluation import label_evidence as module
+from clothtrack.evaluation import label_quality
+from clothtrack.evaluation.label_evidence import (
+    EVIDENCE_NAMES,
+    Label,
+    LabelEvidence,
+    cloud_gap_m,
+    label_evidence,
+    silhouette_gap,
+)
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.recordings.point_cloud import Observation, observe, thin
+from clothtrack.recordings.recording import Table
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.simulation.garments import towel
+
+HEIGHT_M = 0.6
+DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
+DOWN[2, 3] = HEIGHT_M
+CAMERA = Camera("top", 320, 240, 440.0, 440.0, 159.5, 119.5, DOWN)
+WIDTH_M = 0.24
+SHEET = towel(WIDTH_M, 0.16, 0.01)
+FLAT = SHEET.vertices + [0.0, 0.0, 0.0015]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """Two frames of a flat towel, seen without noise from above."""
+    folder = tmp_path_factory.mktemp("recording") / "flat"
+    flat_table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    view = Rasteriser(SHEET.faces, CAMERA).render(FLAT)
+    shown = view.faces >= 0
+    depth = np.where(shown, view.depth, HEIGHT_M)
+    with RecordingWriter(folder, [CAMERA], {"top": 0.0001}, table=flat_table) as film:
+        for index in range(2):
+            film.add_frame(0.1 * index, depth={"top": depth}, mask={"top": shown})
+    return read_recording(folder)
+
+
+@pytest.fixture(scope="module")
+def dense(recording):
+    return observe(recording, recording.frames[1], spacing_m=None)
+
+
+def look_at(recording, vertices, before=None):
+    label = Label(1, vertices, vertices if before is None else before)
+    (found,) = label_evidence(SHEET, [label], recording)
+    return found
+
+
+def test_no_part_of_it_can_see_the_truth():
+    for source in (module, label_quality):
+        tree = ast.parse(Path(source.__file__).read_text())
+        imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        assert not {name for name in imported if "truth" in name or "world" in name}
+    for function in (module.labels_of, label_evidence, label_quality.judge_labels):
+        assert "truth" not in inspect.signature(function).parameters
+
+
+def test_the_right_mesh_has_little_against_it(recording):
+    found = look_at(recording, FLAT)
+    assert found.silhouette_gap < 0.02
+    assert found.cloud_gap_m < 2e-4
+    assert found.mesh_gap_m < 0.004
+    assert found.edge_strain_p95 == pytest.approx(0.0, abs=1e-6)
+    assert found.travelled_m == pytest.approx(0.0015)
+    assert (found.crossing_rate, found.final_shift_m, found.share_hidden) == (0, 0, 0)
+    assert found.action == 1
+
+
+def test_the_further_a_mesh_is_off_its_cloud_the_worse_it_looks(recording):
+    found = [look_at(recording, FLAT + [way, 0.0, 0.0]) for way in (0.0, 0.005, 0.01, 0.02)]
+    for name in ("silhouette_gap", "cloud_gap_m", "travelled_m"):
+        values = [one.as_dict()[name] for one in found]
+        assert values == sorted(values), name
+        assert values[-1] > 3.0 * values[0], name
+    # Of the vertices more than one in ten must leave the cloud before this one says anything.
+    assert found[-1].mesh_gap_m == pytest.approx(found[0].mesh_gap_m, abs=2e-3)
+    assert look_at(recording, FLAT + [0.06, 0.0, 0.0]).mesh_gap_m > 0.02
+    lifted = look_at(recording, FLAT + [0.0, 0.0, 0.02])
+    assert lifted.cloud_gap_m == pytest.approx(0.02, abs=2e-3)
+    assert lifted.mesh_gap_m == pytest.approx(0.02, abs=2e-3)
+
+
+@pytest.mark.parametrize("way", [0.02, 0.05, 0.08])
+def test_two_rectangles_beside_each_other_have_the_overlap_of_two_rectangles(dense, way):
+    gap = silhouette_gap(SHEET, FLAT + [way, 0.0, 0.0], dense)
+    assert gap == pytest.approx(2.0 * way / (WIDTH_M + way), abs=0.02)
+
+
+def test_meshes_that_do_not_touch_the_cloth_have_no_overlap(dense):
+    assert silhouette_gap(towel(0.04, 0.04, 0.01), FLAT[:25] * 0.1 + [0.19, 0.0, 0.0], dense) == 1.0
+
+
+def test_a_thinned_cloud_has_the_outline_of_a_dense_one(dense):
+    thinned = Observation(thin(dense.points, 0.006), (CAMERA,), {}, None, np.zeros((0, 3)), 0.0)
+    assert silhouette_gap(SHEET, FLAT, thinned) < 0.06
+
+
+def test_what_no_camera_could_see_does_not_count(dense):
+    outline = np.zeros((CAMERA.height, CAMERA.width), bool)
+    outline[:, 230:] = True
+    blind = Observation(dense.points, (CAMERA,), {"top": outline}, None, np.zeros((0, 3)), 0.0)
+    far = FLAT.copy()
+    far[FLAT[:, 0] > 0.105, 0] += 0.03
+    assert silhouette_gap(SHEET, far, blind) < 0.02
+    assert silhouette_gap(SHEET, far, dense) > 0.08
+
+
+def test_what_was_cut_away_from_the_cloud_does_not_count(dense):
+    raised = FLAT + np.where(FLAT[:, :1] > 0.0, [0.0, 0.0, 0.05], 0.0)
+    points = dense.points[dense.points[:, 0] > 0.0] + [0.0, 0.0, 0.05]
+    cut = Observation(points, (CAMERA,), {}, 0.02, np.zeros((0, 3)), 0.0)
+    whole = Observation(points, (CAMERA,), {}, None, np.zeros((0, 3)), 0.0)
+    assert silhouette_gap(SHEET, raised, whole) > 0.4
+    assert silhouette_gap(SHEET, raised, cut) < 0.05
+
+
+def test_points_beside_a_face_are_as_far_as_they_are_high():
+    points = np.array([[0.01, 0.013, 0.004], [-0.02, 0.031, 0.004]])
+    assert cloud_gap_m(SHEET, SHEET.vertices, points) == pytest.approx(0.004)
+    assert np.isnan(cloud_gap_m(SHEET, SHEET.vertices, points[:0]))
+
+
+def test_ways_add_up_from_label_to_label(recording):
+    there, back = FLAT + [0.03, 0.0, 0.0], FLAT
+    labels = [Label(0, there, there - [0.0, 0.002, 0.0]), Label(1, back, back)]
+    first, second = label_evidence(SHEET, labels, recording)
+    assert (first.action, second.action) == (1, 2)
+    assert first.final_shift_m == pytest.approx(0.002)
+    assert second.travelled_m - first.travelled_m == pytest.approx(0.03)
+
+
+def test_stretch_and_crossing_are_noticed(recording):
+    stretched = look_at(recording, FLAT * [1.1, 1.1, 1.0])
+    assert stretched.edge_strain_p95 == pytest.approx(0.1)
+    bent = FLAT.copy()
+    bent[FLAT[:, 0] > 0.0] *= [-1.0, 1.0, 1.0]
+    bent[FLAT[:, 0] > 0.0] += [0.0, 0.003, 0.002]
+    bent[FLAT[:, 0] > 0.06, 2] -= 0.004
+    found = look_at(recording, bent)
+    assert found.crossing_rate > 1.0
+    assert found.share_hidden > 0.2
+
+
+def test_a_label_of_another_recording_is_refused(recording):
+    with pytest.raises(InvalidResultError, match="has 2 frames"):
+        label_evidence(SHEET, [Label(7, FLAT, FLAT)], recording)
+
+
+def test_the_names_are_those_of_the_fields():
+    assert tuple(field.name for field in fields(LabelEvidence)) == EVIDENCE_NAMES
+    assert set(label_quality.SCALES) == set(EVIDENCE_NAMES)

@@ -1,0 +1,139 @@
+"""The expected error of a label: monotone, recoverable, and judged without its own trajectory."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError, StorageError
+from clothtrack.evaluation.label_evidence import EVIDENCE_NAMES, LabelEvidence
+from clothtrack.evaluation.label_quality import (
+    SCALES,
+    QualityModel,
+    cross_validated,
+    fit_quality,
+    shipped_model,
+)
+
+PLANTED = QualityModel(
+    math.log(0.001),
+    {"silhouette_gap": 0.5, "cloud_gap_m": 0.8, "action": 0.3},
+    0.006,
+)
+
+
+def some_evidence(count, seed=0):
+    rng = np.random.default_rng(seed)
+    spread = np.exp(rng.normal(0.7, 1.0, (count, len(EVIDENCE_NAMES) - 1)))
+    scales = [SCALES[name] for name in EVIDENCE_NAMES[:-1]]
+    return [LabelEvidence(*row, action=1 + index % 3) for index, row in enumerate(spread * scales)]
+
+
+def test_a_planted_relation_is_found_again():
+    evidence = some_evidence(200)
+    errors = np.array([PLANTED.expected_error_m(one) for one in evidence])
+    found = fit_quality(evidence, errors, shrinkage=0.0)
+    assert found.log_error == pytest.approx(PLANTED.log_error, abs=1e-6)
+    for name in EVIDENCE_NAMES:
+        assert found.weights[name] == pytest.approx(PLANTED.weights.get(name, 0.0), abs=1e-6)
+    assert found.typical_error_m == pytest.approx(np.median(errors))
+
+
+def test_evidence_that_speaks_for_an_error_never_speaks_against_it():
+    evidence = some_evidence(200)
+    errors = np.array([0.005 / (1.0 + 100.0 * one.silhouette_gap) for one in evidence])
+    assert fit_quality(evidence, errors).weights["silhouette_gap"] == 0.0
+
+
+@pytest.mark.parametrize("name", EVIDENCE_NAMES)
+@pytest.mark.parametrize("model", [PLANTED, shipped_model()], ids=["planted", "shipped"])
+def test_what_looks_worse_is_never_expected_to_be_better(model, name):
+    for one in some_evidence(20, seed=3):
+        worse = replace(one, **{name: 2 * one.as_dict()[name]})
+        assert model.expected_error_m(worse) >= model.expected_error_m(one)
+        assert model.quality(worse) <= model.quality(one)
+        if model.weights.get(name, 0.0) > 0:
+            assert model.expected_error_m(worse) > model.expected_error_m(one)
+
+
+def test_a_typical_label_has_half_the_weight():
+    flat = QualityModel(math.log(0.006), {}, 0.006)
+    (one,) = some_evidence(1)
+    assert flat.quality(one) == pytest.approx(0.5)
+    bad = QualityModel(math.log(0.6), {}, 0.006)
+    assert bad.quality(one) == pytest.approx(1e-4, rel=1e-3)
+
+
+def test_unknown_evidence_makes_an_unknown_error_only_where_it_counts():
+    (one,) = some_evidence(1)
+    assert math.isnan(PLANTED.expected_error_m(replace(one, cloud_gap_m=math.nan)))
+    assert math.isnan(PLANTED.quality(replace(one, cloud_gap_m=math.nan)))
+    same = replace(one, mesh_gap_m=math.nan)
+    assert PLANTED.expected_error_m(same) == PLANTED.expected_error_m(one)
+    evidence = [*some_evidence(50), replace(one, cloud_gap_m=math.nan)]
+    errors = np.linspace(0.002, 0.02, 51)
+    assert fit_quality(evidence, errors).weights == fit_quality(evidence[:-1], errors[:-1]).weights
+
+
+def test_a_trajectory_is_judged_by_the_others():
+    evidence = some_evidence(60)
+    errors = np.array([PLANTED.expected_error_m(one) for one in evidence])
+    groups = [f"towel_{index // 3}" for index in range(60)]
+    expected = cross_validated(evidence, errors, groups, shrinkage=0.0)
+    assert expected == pytest.approx(errors, rel=1e-6)
+    lied = errors.copy()
+    lied[:3] *= 50.0
+    again = cross_validated(evidence, lied, groups, shrinkage=0.0)
+    assert again[:3] == pytest.approx(errors[:3], rel=1e-6)
+    assert not np.allclose(again[3:], errors[3:], rtol=1e-3)
+
+
+def test_a_model_is_read_as_it_was_written(tmp_path):
+    model = replace(PLANTED, provenance={"split": "dev", "labels": 60})
+    model.save(tmp_path / "model.json")
+    assert QualityModel.load(tmp_path / "model.json") == model
+    assert [file.name for file in tmp_path.iterdir()] == ["model.json"]
+
+
+def test_the_shipped_model_says_where_it_comes_from():
+    model = shipped_model()
+    assert model.provenance["split"] == "dev"
+    assert model.provenance["labels"] >= 30
+    assert model.provenance["commits"]
+    assert sum(weight > 0 for weight in model.weights.values()) >= 3
+
+
+def test_another_file_is_no_model(tmp_path):
+    file = tmp_path / "model.json"
+    with pytest.raises(InvalidResultError, match="--fit"):
+        QualityModel.load(file)
+    PLANTED.save(file)
+    document = json.loads(file.read_text())
+    file.write_text(json.dumps(document | {"version": 99}))
+    with pytest.raises(InvalidResultError, match="99"):
+        QualityModel.load(file)
+    with pytest.raises(StorageError):
+        PLANTED.save(tmp_path / "nowhere" / "model.json")
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"weights": {"action": -0.1}}, "weights.action is -0.1"),
+        ({"weights": {"beauty": 0.1}}, "beauty"),
+        ({"log_error": math.nan}, "log_error"),
+        ({"typical_error_m": 0.0}, "typical_error_m"),
+    ],
+)
+def test_a_model_that_is_not_monotone_is_refused(changes, word):
+    with pytest.raises(InvalidConfigError, match=word):
+        replace(PLANTED, **changes)
+
+
+def test_a_fit_needs_labels_with_errors():
+    with pytest.raises(InvalidConfigError, match="2 labels"):
+        fit_quality(some_evidence(2), np.array([0.01, 0.02]))
+    with pytest.raises(InvalidConfigError, match="positive"):
+        fit_quality(some_evidence(3), np.array([0.01, 0.02, 0.0]))
