@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -140,9 +141,10 @@ class TrackedTrajectory:
         Raises:
             StorageError: when the disk refuses; nothing is left under `path` then.
         """
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        temporary = None
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
             _write(zarr.open_group(temporary, mode="w"), self)
             if path.exists():
                 shutil.rmtree(path)
@@ -153,7 +155,8 @@ class TrackedTrajectory:
                 "free space or choose another --output, then run again: finished ones are kept"
             ) from error
         finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+            if temporary is not None:
+                _remove(temporary)
 
     @classmethod
     def load(cls, path: Path) -> "TrackedTrajectory":
@@ -184,6 +187,15 @@ def _put(group: zarr.Group, name: str, values: np.ndarray, *, unit: str = "") ->
     array[...] = values
     if unit:
         array.attrs["unit"] = unit
+
+
+def _remove(folder: Path, *, patience_s: float = 2.0) -> None:
+    """Remove a folder into which writers that have not heard of a failure may still write."""
+    deadline = time.monotonic() + patience_s
+    shutil.rmtree(folder, ignore_errors=True)
+    while folder.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
