@@ -43,14 +43,6 @@ Settings = Annotated[
     UseAppendAction,
 ]
 
-LIGHT_CALIBRATION = (
-    "tracker.calibration.axes.bend_compliance=[0.1, 1, 10]",
-    "tracker.calibration.axes.table_friction=[0.2, 0.5, 1]",
-    "tracker.calibration.axes.particle_friction=[0.2, 0.5]",
-    "tracker.calibration.sweeps=1",
-)
-"""What `demo` changes: fewer cloth parameters to try, so that it is done in a minute."""
-
 VERBS: list[Callable[..., int]] = []
 
 
@@ -78,8 +70,6 @@ def demo(
 ) -> int:
     """Track a recording that comes with clothtrack, and write its report.
 
-    Calibration tries fewer cloth parameters than `track` does.
-
     Args:
         recording: name of a shipped recording; the first one by default.
         output: folder for the tracked trajectory and the report.
@@ -94,7 +84,7 @@ def demo(
     from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
     folder = shipped_recording(recording)
-    config = _run_config(mode, LIGHT_CALIBRATION, seed=0)
+    config = _run_config(mode, (), seed=0)
     outcome = _track([folder], output, config, device=device)[0]
     if outcome.result is None:
         complain(outcome.error)
