@@ -190,35 +190,7 @@ def continue_substep(
 
 @no_type_check
 @wp.kernel
-def solve_stretch(
-    clocks: wp.array(dtype=Clock),
-    pairs: wp.array(dtype=wp.vec2i),
-    lengths: wp.array(dtype=float),
-    first: int,
-    compliances: wp.array(dtype=float),
-    inverse_masses: wp.array2d(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
-):
-    """One Gauss-Seidel pass over the edges of one colour (XPBD, equation 18), a thread each."""
-    environment, place = wp.tid()
-    softness = compliances[environment] * clocks[0].inverse_square
-    number = first + place
-    pair = pairs[number]
-    weight_a = inverse_masses[environment, pair[0]]
-    weight_b = inverse_masses[environment, pair[1]]
-    a = positions[environment, pair[0]]
-    b = positions[environment, pair[1]]
-    across = b - a
-    distance = wp.length(across)
-    weight = weight_a + weight_b + softness
-    impulse = across * ((distance - lengths[number]) / (distance * weight + TINY))
-    positions[environment, pair[0]] = a + weight_a * impulse
-    positions[environment, pair[1]] = b - weight_b * impulse
-
-
-@no_type_check
-@wp.kernel
-def solve_bend(
+def solve_distances(
     clocks: wp.array(dtype=Clock),
     pairs: wp.array(dtype=wp.vec2i),
     lengths: wp.array(dtype=float),
@@ -228,7 +200,11 @@ def solve_bend(
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """One pass over the bend pairs of one colour; a sharp crease resists without compliance."""
+    """One Gauss-Seidel pass over the pairs of one colour (XPBD, equation 18), a thread each.
+
+    A pair shorter than `limit` of its length resists without compliance: a sharp crease, for bend
+    pairs; for edges the limit is 0.
+    """
     environment, place = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square
     number = first + place

@@ -316,13 +316,9 @@ class ClothSolver:
         self._launch_end()
 
     def _launch_constraints(self) -> None:
-        stretch, bend = self._material[0], self._material[1]
-        if self._is_cpu:
-            self._sweep_at_once(self._stretch, stretch, 0.0)
-            self._sweep_at_once(self._bend, bend, self.config.bend_limit)
-            return
-        self._sweep_colours(kernels.solve_stretch, self._stretch, [stretch])
-        self._sweep_colours(kernels.solve_bend, self._bend, [bend, self.config.bend_limit])
+        sweep = self._sweep_at_once if self._is_cpu else self._sweep_colours
+        sweep(self._stretch, self._material[0], 0.0)
+        sweep(self._bend, self._material[1], self.config.bend_limit)
 
     def _sweep_at_once(
         self, constraints: _DeviceConstraints, compliances: wp.array, limit: float
@@ -345,19 +341,20 @@ class ClothSolver:
         )
 
     def _sweep_colours(
-        self, kernel: wp.Kernel, constraints: _DeviceConstraints, material: list
+        self, constraints: _DeviceConstraints, compliances: wp.array, limit: float
     ) -> None:
         buffers = self._buffers
         for first, count in constraints.colours:
             wp.launch(
-                kernel,
+                kernels.solve_distances,
                 dim=(self.environments, count),
                 inputs=[
                     buffers.clocks,
                     constraints.pairs,
                     constraints.lengths,
                     first,
-                    *material,
+                    compliances,
+                    limit,
                     buffers.inverse_masses,
                     buffers.positions,
                 ],

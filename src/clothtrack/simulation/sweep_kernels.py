@@ -1,8 +1,8 @@
 """Stretch and bend on a CPU: one thread goes through all constraints of an environment.
 
-The same as `solve_stretch` and `solve_bend` colour by colour, but written in C++, because only
-there the compiler can be told what a colour is: its constraints share no vertex, so eight or
-sixteen of them may be solved at once by vector instructions. That is more than twice as fast.
+The same as `solve_distances` colour by colour, but written in C++, because only there the compiler
+can be told what a colour is: its constraints share no vertex, so eight or sixteen of them may be
+solved at once by vector instructions. That is more than twice as fast.
 """
 
 from typing import no_type_check
