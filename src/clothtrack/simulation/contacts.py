@@ -15,6 +15,7 @@ from clothtrack.simulation import particle_contact_kernels as particles
 from clothtrack.simulation import triangle_contact_kernels as triangles
 from clothtrack.simulation import triangle_push_kernels as pushes
 from clothtrack.simulation.buffers import ClothBuffers
+from clothtrack.simulation.cells import CELLS_PER_ENVIRONMENT
 from clothtrack.simulation.edge_contact import EdgeContact
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.triangle_contact_kernels import TRIANGLES_PER_VERTEX
@@ -152,7 +153,7 @@ class TriangleContact:
         self._reach = float(reach.max())
         self._face_reach = wp.array(np.square(reach).astype(np.float32), dtype=float, device=device)
         self._cells_per_metre = 1.0 / (CELL_PER_REACH * self._reach)
-        cells = environments * triangles.CELLS_PER_ENVIRONMENT
+        cells = environments * CELLS_PER_ENVIRONMENT
         # One more than there are cells: the scan's last entry is the end of the last cell.
         self._cell_counts = wp.zeros(cells + 1, dtype=int, device=device)
         self._cell_first = wp.zeros(cells + 1, dtype=int, device=device)

@@ -6,8 +6,8 @@ import warp as wp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation import edge_contact_kernels as kernels
 from clothtrack.simulation.buffers import ClothBuffers
+from clothtrack.simulation.cells import CELLS_PER_ENVIRONMENT
 from clothtrack.simulation.parameters import SolverConfig
-from clothtrack.simulation.triangle_contact_kernels import CELLS_PER_ENVIRONMENT
 
 DISTANCE_SHARE = 0.5
 """Distance that edges keep over that of layers: flat layers are left to vertices and triangles."""

@@ -10,17 +10,9 @@ from typing import no_type_check
 
 import warp as wp
 
+from clothtrack.simulation.cells import block_around, cell_of, row_at
 from clothtrack.simulation.kernels import Clock
-from clothtrack.simulation.triangle_contact_kernels import (
-    CELLS,
-    LAYER,
-    MASK_X,
-    MASK_Y,
-    MASK_Z,
-    WIDTH,
-    cell_along,
-    segment_distance,
-)
+from clothtrack.simulation.triangle_contact_kernels import segment_distance
 
 wp.set_module_options({"enable_backward": False})
 
@@ -122,10 +114,7 @@ def count_bent(
             return
     ends = edges[edge]
     middle = 0.5 * (positions[environment, ends[0]] + positions[environment, ends[1]])
-    x = cell_along(middle[0], cells_per_metre) & MASK_X
-    y = cell_along(middle[1], cells_per_metre) & MASK_Y
-    z = cell_along(middle[2], cells_per_metre) & MASK_Z
-    cell = environment * CELLS + z * LAYER + y * WIDTH + x
+    cell = cell_of(environment, middle, cells_per_metre)
     cells[environment, edge] = cell
     ranks[environment, edge] = wp.atomic_add(counts, cell, 1)
 
@@ -177,21 +166,11 @@ def find_edges(
     middle = 0.5 * (a + b)
     bent = cells[environment, edge] >= 0
     found = wp.int32(0)
-    x0 = cell_along(middle[0] - reach, cells_per_metre)
-    x1 = wp.min(cell_along(middle[0] + reach, cells_per_metre), x0 + MASK_X)
-    y0 = cell_along(middle[1] - reach, cells_per_metre)
-    y1 = wp.min(cell_along(middle[1] + reach, cells_per_metre), y0 + MASK_Y)
-    z0 = cell_along(middle[2] - reach, cells_per_metre)
-    z1 = wp.min(cell_along(middle[2] + reach, cells_per_metre), z0 + MASK_Z)
-    left = x0 & MASK_X
-    right = x1 & MASK_X
-    if right < left:
-        left = int(0)
-        right = int(MASK_X)
-    for z in range(z0, z1 + 1):
-        for y in range(y0, y1 + 1):
-            row = environment * CELLS + (z & MASK_Z) * LAYER + (y & MASK_Y) * WIDTH
-            for place in range(first[row + left], first[row + right + 1]):
+    block = block_around(middle, reach, cells_per_metre)
+    for z in range(block.z0, block.z1 + 1):
+        for y in range(block.y0, block.y1 + 1):
+            row = row_at(environment, y, z)
+            for place in range(first[row + block.left], first[row + block.right + 1]):
                 other = sorted_edges[place]
                 if bent and other <= edge:
                     continue

@@ -8,6 +8,7 @@ from typing import no_type_check
 
 import warp as wp
 
+from clothtrack.simulation.cells import block_around, cell_of, nth, row_at
 from clothtrack.simulation.kernels import Clock
 
 wp.set_module_options({"enable_backward": False})
@@ -16,39 +17,6 @@ TRIANGLES_PER_VERTEX = 16
 """Slots of each vertex for triangles that it may touch."""
 
 SLOTS = wp.constant(TRIANGLES_PER_VERTEX)
-
-
-CELLS_X, CELLS_Y, CELLS_Z = 32, 32, 16
-"""Cells of each environment; space repeats beyond them, which costs time but no contact."""
-
-CELLS_PER_ENVIRONMENT = CELLS_X * CELLS_Y * CELLS_Z
-
-MASK_X = wp.constant(CELLS_X - 1)
-MASK_Y = wp.constant(CELLS_Y - 1)
-MASK_Z = wp.constant(CELLS_Z - 1)
-WIDTH = wp.constant(CELLS_X)
-LAYER = wp.constant(CELLS_X * CELLS_Y)
-CELLS = wp.constant(CELLS_PER_ENVIRONMENT)
-_HALF = wp.constant(CELLS_X // 2)
-_FARTHEST = wp.constant(1.0e6)
-_NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
-
-
-@no_type_check
-@wp.func
-def nth(number: int):
-    """The number, which is not negative: a compiler that knows need not ask at every access."""
-    return number & _NOT_NEGATIVE
-
-
-@no_type_check
-@wp.func
-def cell_along(value: wp.float32, cells_per_metre: wp.float32):
-    """Number of the cell along one axis, before space repeats; finite for whatever exploded.
-
-    The origin, around which cloths tend to lie, is in the middle of what repeats along x.
-    """
-    return int(wp.floor(wp.clamp(value * cells_per_metre, -_FARTHEST, _FARTHEST))) + _HALF
 
 
 @no_type_check
@@ -86,10 +54,7 @@ def count_faces(
     radius = widened * widened * farthest
     if doubled_area < 1.0e-9:
         radius = face_reach[face]  # no plane to look along
-    x = cell_along(centre[0], cells_per_metre) & MASK_X
-    y = cell_along(centre[1], cells_per_metre) & MASK_Y
-    z = cell_along(centre[2], cells_per_metre) & MASK_Z
-    cell = environment * CELLS + z * LAYER + y * WIDTH + x
+    cell = cell_of(environment, centre, cells_per_metre)
     cells[environment, face] = cell
     ranks[environment, face] = wp.atomic_add(counts, cell, 1)
     balls[environment, face] = wp.vec4(centre[0], centre[1], centre[2], face_reach[face])
@@ -325,23 +290,12 @@ def find_pairs(
     point = positions[environment, vertex]
     rebuild_s = clocks[0].rebuild_s
     found = wp.int32(0)
-    x0 = cell_along(point[0] - reach, cells_per_metre)
-    x1 = wp.min(cell_along(point[0] + reach, cells_per_metre), x0 + MASK_X)
-    y0 = cell_along(point[1] - reach, cells_per_metre)
-    y1 = wp.min(cell_along(point[1] + reach, cells_per_metre), y0 + MASK_Y)
-    z0 = cell_along(point[2] - reach, cells_per_metre)
-    z1 = wp.min(cell_along(point[2] + reach, cells_per_metre), z0 + MASK_Z)
-    # Cells side by side are one run of triangles; where space repeats between them, the whole row.
-    left = x0 & MASK_X
-    right = x1 & MASK_X
-    if right < left:
-        left = int(0)
-        right = int(MASK_X)
-    for z in range(z0, z1 + 1):
-        for y in range(y0, y1 + 1):
-            row = environment * CELLS + (z & MASK_Z) * LAYER + (y & MASK_Y) * WIDTH
-            following = first[row + left]
-            end = first[row + right + 1]
+    block = block_around(point, reach, cells_per_metre)
+    for z in range(block.z0, block.z1 + 1):
+        for y in range(block.y0, block.y1 + 1):
+            row = row_at(environment, y, z)
+            following = first[row + block.left]
+            end = first[row + block.right + 1]
             while following < end:
                 place = nth(following)
                 following += 1
