@@ -5,19 +5,17 @@ import importlib.metadata
 import json
 import logging
 import platform
-import signal
 import subprocess
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
-from multiprocessing import active_children, get_context
+from multiprocessing import get_context
 from pathlib import Path
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.geometry.devices import quiet_warp
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
@@ -26,6 +24,7 @@ from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.first_mesh import FirstMeshConfig, first_mesh
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
+from clothtrack.workers import end_workers, require_workers, start_worker
 
 logger = logging.getLogger(__name__)
 
@@ -120,7 +119,11 @@ def track_recordings(
 
     Returns:
         One outcome per recording, in the given order.
+
+    Raises:
+        InvalidConfigError: there are no workers, or two recordings have one name.
     """
+    require_workers(workers)
     folders = [Path(folder) for folder in recordings]
     names = [folder.resolve().name for folder in folders]
     twice = {name for name in names if names.count(name) > 1}
@@ -130,7 +133,7 @@ def track_recordings(
             "other; rename one folder"
         )
     output.mkdir(parents=True, exist_ok=True)
-    if workers <= 1 or len(folders) == 1:
+    if workers == 1 or len(folders) == 1:
         return [_track_folder(folder, output, config, device, progress) for folder in folders]
     return _track_in_parallel(folders, output, config, workers, device=device, progress=progress)
 
@@ -145,7 +148,7 @@ def _track_in_parallel(
     progress: Progress | None,
 ) -> list[Outcome]:
     outcomes: dict[Path, Outcome] = {}
-    with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), start_worker) as pool:
         jobs = {
             pool.submit(_track_folder, folder, output, config, device, None): folder
             for folder in folders
@@ -162,8 +165,7 @@ def _track_in_parallel(
         except KeyboardInterrupt:
             # Leaving the block waits for the workers: let them not begin anything, nor go on.
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in active_children():
-                process.terminate()
+            end_workers()
             raise
     return [outcomes[folder] for folder in folders]
 
@@ -172,12 +174,6 @@ _DIED = (
     "a worker process was killed while it was tracked (out of memory?); use fewer --workers and "
     "run again: finished ones are kept"
 )
-
-
-def _start_worker() -> None:
-    """A worker is silent; an interrupt from the keyboard is for its parent to handle."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    quiet_warp()
 
 
 def result_path(recording: Path, output: Path) -> Path:

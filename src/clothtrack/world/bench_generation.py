@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
-from multiprocessing import active_children, get_context
+from multiprocessing import get_context
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -33,8 +33,8 @@ from clothtrack.errors import (
     InvalidResultError,
     SimulationDivergedError,
 )
-from clothtrack.geometry.devices import quiet_warp
 from clothtrack.recordings.store import storage
+from clothtrack.workers import end_workers, require_workers, start_worker
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
 
@@ -73,10 +73,12 @@ def generate_bench(
         The entries of the wanted trajectories, in their order.
 
     Raises:
-        InvalidConfigError: `out` holds a benchmark that was made with other settings.
+        InvalidConfigError: there are no workers, or `out` holds a benchmark that was made with
+            other settings.
         SimulationDivergedError: the physics of a trajectory diverges with all its spare seeds.
         StorageError: the disk refuses.
     """
+    require_workers(processes)
     out, wanted = Path(out), list(trajectories() if wanted is None else wanted)
     listed = _read_list(out)
     for one in wanted:
@@ -224,7 +226,7 @@ def _measured(truth: Path) -> dict[str, int | float]:
 
 def _filmed(missing: Sequence[BenchTrajectory], out: Path, processes: int) -> Iterable[Entry]:
     """Film trajectories; their entries in the order in which they are finished."""
-    if processes <= 1 or len(missing) <= 1:
+    if processes == 1 or len(missing) <= 1:
         yield from (_film(one, out) for one in missing)
         return
     with ProcessPoolExecutor(processes, get_context("spawn"), _start_worker) as pool:
@@ -239,10 +241,12 @@ def _filmed(missing: Sequence[BenchTrajectory], out: Path, processes: int) -> It
             ) from error
         finally:
             # After an interrupt or an error: let the workers not begin anything, nor go on.
+            unfinished = [one for one, job in zip(missing, jobs, strict=True) if not job.done()]
             pool.shutdown(wait=False, cancel_futures=True)
-            if not all(job.done() for job in jobs):
-                for process in active_children():
-                    process.terminate()
+            if unfinished:
+                end_workers()
+            for one in unfinished:
+                _remove(out, one.name)
 
 
 def _film_in_worker(trajectory: BenchTrajectory, out: Path) -> Entry:
@@ -255,10 +259,9 @@ def _film_in_worker(trajectory: BenchTrajectory, out: Path) -> Entry:
 
 
 def _start_worker() -> None:
-    """A worker leaves interrupts to its parent; told to end, it removes what is half-written."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Told to end, a worker removes what is half-written."""
+    start_worker()
     signal.signal(signal.SIGTERM, _leave)
-    quiet_warp()
 
 
 def _leave(_signal: int, _frame: FrameType | None) -> None:
@@ -307,7 +310,12 @@ def _read_list(out: Path) -> dict[str, Entry]:
         if (document["name"], document["format"]) != (NAME, FORMAT):
             raise ValueError(f"it is {document['name']}, format {document['format']}")
         return {entry["name"]: entry for entry in document["trajectories"]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except KeyError as error:
+        raise InvalidResultError(
+            f"{path}: not the list of a {NAME}: the field {error} is missing; unpack it again, or "
+            "choose another folder"
+        ) from error
+    except (OSError, ValueError, TypeError) as error:
         raise InvalidResultError(
             f"{path}: not the list of a {NAME} of format {FORMAT} ({error}); unpack it again, or "
             "choose another folder"

@@ -26,6 +26,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter, storage
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
+from clothtrack.workers import require_workers
 from clothtrack.world.actions import ActionConfig, carrying_path, free_path, plan_action
 from clothtrack.world.appearance import Appearance
 from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
@@ -104,8 +105,10 @@ def simulate(
         The folders of the recordings that exist now.
 
     Raises:
+        InvalidConfigError: there are no workers.
         StorageError: when the disk refuses.
     """
+    require_workers(processes)
     config = config or EpisodeConfig()
     film = partial(_simulate_or_skip, kind, out=Path(out), config=config)
     seeds = range(seed, seed + trajectories)

@@ -1,0 +1,65 @@
+import signal
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import active_children, get_context
+from pathlib import Path
+
+import pytest
+
+from clothtrack import cli
+from clothtrack.errors import InvalidConfigError
+from clothtrack.workers import end_workers, require_workers
+
+LONG_S = 120.0
+
+
+def busy(told: Path, deaf_to: int) -> None:
+    """Works on, deaf to so many requests to end, as when the exception of a request is lost."""
+    requests = []
+
+    def hear(_signal: int, _frame: object) -> None:
+        requests.append(time.monotonic())
+        if len(requests) > deaf_to:
+            raise SystemExit(1)
+
+    signal.signal(signal.SIGTERM, hear)
+    told.touch()
+    time.sleep(LONG_S)
+
+
+@pytest.mark.parametrize("deaf_to", [0, 1, 10**6])
+def test_workers_end_although_they_miss_a_request(tmp_path, deaf_to):
+    told = tmp_path / "started"
+    process = get_context("spawn").Process(target=busy, args=(told, deaf_to))
+    process.start()
+    while not told.exists():
+        time.sleep(0.02)
+    begin = time.monotonic()
+    end_workers(patience_s=3.0)
+    assert not process.is_alive()
+    assert not active_children()
+    assert time.monotonic() - begin < 0.5 * LONG_S
+
+
+def test_a_pool_can_be_left_after_its_workers_were_ended(tmp_path):
+    told = tmp_path / "started"
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        job = pool.submit(busy, told, 1)
+        while not told.exists():
+            time.sleep(0.02)
+        pool.shutdown(wait=False, cancel_futures=True)
+        end_workers(patience_s=3.0)
+    assert job.exception(timeout=10.0) is not None
+
+
+@pytest.mark.parametrize("number", [0, -1])
+def test_no_workers_are_refused(number):
+    with pytest.raises(InvalidConfigError, match=f"workers is {number}"):
+        require_workers(number)
+
+
+@pytest.mark.parametrize("verb", ["simulate", "bench"])
+def test_the_command_line_refuses_no_workers(verb, tmp_path, capsys):
+    assert cli.main([verb, str(tmp_path / "out"), "--workers", "0"]) == 1
+    assert "number of workers is 0" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
