@@ -51,15 +51,16 @@ def searched(
     solver_config = replace(config.solver, table=TABLE)
     state = ClothSolver(mesh, solver_config).save()
     action = recording.actions[0]
-    grasps = find_grasps(recording, action, state.positions[0], config.picking)
+    cloth = mesh.with_vertices(state.positions[0])
+    grasps = find_grasps(recording, action, cloth, config.picking)
     cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
     visible = VisibilityCheck(
         mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m
     )  # fmt: skip
     start = time.process_time()
     open_loop = OpenLoopScore(
-        recording, mesh, solver_config, config, TimedEyes(recording), visible
-    )  # fmt: skip
+        recording, mesh, replace(config, solver=solver_config), TimedEyes(recording), visible
+    )
     score = open_loop.of(state, action, grasps)
     chosen, record = calibrate(score, dict(config.parameters), config.calibration)
     return {

@@ -21,7 +21,6 @@ import numpy as np
 from bench_measures import ROW_FORMAT, Row, finite, measure
 from cpd_peer import PeerConfig, follow
 from first_meshes import resampled, with_first_mesh_error
-from ranked_tracker import RankedTracker
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.truth import Truth
@@ -68,8 +67,6 @@ class Variant:
     Attributes:
         name: as the tables call it.
         config: the tracker and what feeds it.
-        rank: share of the calibrated candidates that score better than the one that is taken; None
-            takes the best (and needs no access to the tracker's inside).
         vertex_count: resample the first mesh to about so many vertices; None leaves it.
         first_mesh_error: factor on the first mesh's deviation from the truth. Anything but 1 is a
             control that reads the truth of the first frame, and no result.
@@ -78,7 +75,6 @@ class Variant:
 
     name: str
     config: RunConfig = field(default_factory=RunConfig)
-    rank: float | None = None
     vertex_count: int | None = None
     first_mesh_error: float = 1.0
     peer: PeerConfig | None = None
@@ -242,9 +238,6 @@ def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTraj
     mesh = first_mesh(recording, cloud(recording.frames[0]), config.first_mesh)
     if variant.peer is not None:
         tracked = follow(recording, mesh, cloud, variant.peer, device=device)
-    elif variant.rank is not None:
-        tracker = RankedTracker(recording, mesh, config.tracker, cloud, device=device)
-        tracked = tracker.at_rank(variant.rank).track()
     else:
         tracked = Tracker(recording, mesh, config.tracker, cloud, device=device).track()
     stored = {"peer": asdict(variant.peer)} if variant.peer is not None else asdict(config)

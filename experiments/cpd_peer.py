@@ -93,7 +93,7 @@ def follow(
     positions = np.repeat(vertices[None].astype(np.float32), len(recording.frames), axis=0)
     actions = []
     for action in recording.actions:
-        grasps = find_grasps(recording, action, vertices, config.picking)
+        grasps = find_grasps(recording, action, mesh.with_vertices(vertices), config.picking)
         for frame in recording.frames[action.first_frame + 1 : action.last_frame + 1]:
             seen = visible(vertices.astype(np.float32))
             moved = drifted(vertices, seen, observe(frame).points, config)

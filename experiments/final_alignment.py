@@ -22,12 +22,11 @@ RANKS = {"best": 0.0, "50 %": 0.5, "90 %": 0.9}
 def plan(setup: Setup) -> list[Run]:
     """Three ranks, with and without TTO2."""
     paper = mode("full_held_paper")
-    paper = replace(paper, calibration=replace(paper.calibration, method="grid"))
+    grid = replace(paper.calibration, method="grid")
     variants = [
         setup.variant(
             f"{label}, {'with' if aligned else 'without'} TTO2",
-            replace(paper, use_final_alignment=aligned),
-            rank=rank,
+            replace(paper, calibration=replace(grid, rank=rank), use_final_alignment=aligned),
         )
         for aligned in (True, False)
         for label, rank in RANKS.items()

@@ -53,7 +53,6 @@ def test_a_run_is_another_one_when_any_setting_changes_but_its_name():
     base = Variant("a")
     same = replace(base, name="b")
     others = [
-        replace(base, rank=0.5),
         replace(base, vertex_count=500),
         replace(base, first_mesh_error=0.0),
         replace(base, config=RunConfig(tracker=mode("open_loop"))),

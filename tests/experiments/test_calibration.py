@@ -1,12 +1,8 @@
-"""Offline parameters are the modes of the online ones; ranks are shares of the candidates."""
+"""Offline parameters are the modes of the online ones."""
 
 import calibration
-import numpy as np
-import pytest
-from ranked_tracker import ranked
 
 from clothtrack.tracking.configuration import mode
-from clothtrack.tracking.tracked_trajectory import Calibration
 
 
 def chosen(**parameters):
@@ -30,10 +26,3 @@ def test_offline_parameters_are_not_searched_again():
     assert config.calibration.method == "none"
     assert config.parameters["table_friction"] == 3.0
     assert config.parameters["bend_compliance"] == mode("default").parameters["bend_compliance"]
-
-
-@pytest.mark.parametrize(("rank", "score"), [(0.0, 1.0), (0.5, 3.0), (0.9, 5.0), (1.0, 5.0)])
-def test_a_rank_is_a_share_of_the_candidates_that_score_better(rank, score):
-    scores = np.array([5.0, 1.0, np.inf, 3.0, 2.0, 4.0])
-    found = Calibration("grid", ("a",), np.arange(6.0)[:, None], scores, 1, 6.0)
-    assert scores[ranked(found, rank)] == score

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, calibrate
+from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, calibrate, ranked
 from clothtrack.tracking.configuration import TrackerConfig
 
 START = TrackerConfig().parameters
@@ -93,3 +93,14 @@ def test_unknown_and_empty_axes_are_refused() -> None:
         CalibrationConfig(axes={"stickiness": (1.0,)})
     with pytest.raises(InvalidConfigError, match="no value"):
         CalibrationConfig(axes={"table_friction": ()})
+
+
+@pytest.mark.parametrize(("rank", "score"), [(0.0, 1.0), (0.5, 3.0), (0.9, 5.0), (1.0, 5.0)])
+def test_a_rank_is_a_share_of_the_candidates_that_score_better(rank: float, score: float) -> None:
+    scores = np.array([5.0, 1.0, np.inf, 3.0, 2.0, 4.0])
+    assert scores[ranked(scores, rank)] == score
+
+
+def test_layers_cannot_be_searched_open_loop() -> None:
+    with pytest.raises(InvalidConfigError, match=r"held_layers.*judge"):
+        CalibrationConfig(axes={"held_layers": (1.0, 2.0)})

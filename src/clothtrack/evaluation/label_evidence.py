@@ -7,20 +7,19 @@ truth. What is observed becomes one number in `clothtrack.evaluation.label_quali
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidResultError
-from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings
-from clothtrack.geometry.visibility import Rasteriser, visible_vertices
-from clothtrack.recordings.point_cloud import Observation, observe, thin
+from clothtrack.geometry.visibility import visible_vertices
+from clothtrack.recordings.point_cloud import observe, thin
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.tracking.silhouette import silhouette_gap
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 CLOUD_SPACING_M = 0.004
@@ -140,39 +139,6 @@ def label_evidence(
     return tuple(found)
 
 
-def silhouette_gap(
-    mesh: ClothMesh,
-    vertices: Float[np.ndarray, "vertices 3"],
-    observation: Observation,
-    *,
-    device: str = "cpu",
-) -> float:
-    """1 minus intersection over union of the mesh's and the cloud's picture, over all cameras.
-
-    Args:
-        mesh: the topology.
-        vertices: where its vertices are [m].
-        observation: the cloud, as dense as it is, and where the cameras were blind.
-        device: "cpu" or "cuda:0".
-
-    Returns:
-        0 for equal outlines, 1 for disjoint ones; NaN where nothing is in view.
-    """
-    both = either = 0
-    # The cloud may have been cut away there, so that its absence says nothing.
-    silent_face = np.append(observation.silent(vertices)[mesh.faces].any(axis=1), False)
-    for camera in observation.cameras:
-        faces = Rasteriser(mesh.faces, camera, device=device).render(vertices).faces
-        seen = _picture(observation.points, camera)
-        drawn = (faces >= 0) & (seen | ~silent_face[faces])
-        hidden = observation.hidden.get(camera.name)
-        if hidden is not None:
-            drawn, seen = drawn & ~hidden, seen & ~hidden
-        both += int((drawn & seen).sum())
-        either += int((drawn | seen).sum())
-    return 1.0 - both / either if either else float("nan")
-
-
 def cloud_gap_m(
     mesh: ClothMesh,
     vertices: Float[np.ndarray, "vertices 3"],
@@ -184,23 +150,6 @@ def cloud_gap_m(
     face, weights = closest_on_mesh(cloud, vertices, mesh.faces)
     nearest = np.einsum("ij,ijk->ik", weights, vertices[mesh.faces[face]])
     return _mean_distance(nearest, cloud)
-
-
-def _picture(
-    points: Float[np.ndarray, "points 3"], camera: Camera
-) -> Bool[np.ndarray, "height width"]:
-    """Pixels that a cloud covers: those of its points, and the gaps between them."""
-    pixels, depth = camera.project(points)
-    pixels = np.rint(pixels[depth > 0]).astype(np.int64)
-    size = (camera.width, camera.height)
-    pixels = np.unique(pixels[((pixels >= 0) & (pixels < size)).all(axis=1)], axis=0)
-    shown = np.zeros(size[::-1], np.uint8)
-    if len(pixels) > 1:
-        shown[pixels[:, 1], pixels[:, 0]] = 1
-        spacing = np.median(cKDTree(pixels).query(pixels[:: 1 + len(pixels) // 1000], k=2)[0][:, 1])
-        side = 2 * int(np.ceil(spacing)) + 1
-        shown = cv2.morphologyEx(shown, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
-    return shown.view(bool)
 
 
 def _far_quantile(

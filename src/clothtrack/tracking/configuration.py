@@ -18,6 +18,7 @@ def _default_parameters() -> dict[str, float]:
         "bend_compliance": 1.0,
         "table_friction": 0.5,
         "particle_friction": 0.5,
+        "held_layers": 0.0,
         "grasp_offset_x_m": 0.0,
         "grasp_offset_y_m": 0.0,
         "grasp_offset_z_m": 0.0,

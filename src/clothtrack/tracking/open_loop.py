@@ -11,7 +11,7 @@ from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
 from clothtrack.simulation.dynamics import ClothDynamics
-from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.parameters import ClothParameters
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import ClothState
 from clothtrack.tracking.calibration import PARAMETERS, Score
@@ -26,7 +26,7 @@ def cloth_parameters(values: Mapping[str, float]) -> ClothParameters:
 
 def grasp_offset(values: Mapping[str, float]) -> Float[np.ndarray, " 3"]:
     """The tool's share: from where the tip was commanded to where it holds the cloth [m]."""
-    return np.array([values[name] for name in PARAMETERS[4:]])
+    return np.array([values[name] for name in PARAMETERS[5:]])
 
 
 class OpenLoopScore:
@@ -36,11 +36,10 @@ class OpenLoopScore:
     a wide batch in the time of a narrow one and keeps one solver; a CPU pays for every environment.
     """
 
-    def __init__(  # noqa: PLR0917
+    def __init__(
         self,
         recording: Recording,
         mesh: ClothMesh,
-        solver_config: SolverConfig,
         config: TrackerConfig,
         observe: Callable[[Frame], Observation],
         visible: VisibilityCheck,
@@ -52,7 +51,7 @@ class OpenLoopScore:
         if config.calibration.method != "descent":
             widest = min(config.calibration.batch, config.calibration.size)
         self._widest, self._device = widest, device
-        self._mesh, self._solver_config, self._config = mesh, solver_config, config.dynamics
+        self._mesh, self._solver_config, self._config = mesh, config.solver, config.dynamics
         self._dynamics: dict[int, ClothDynamics] = {}
         self._recording, self._observe, self._visible = recording, observe, visible
         self._score_frames = config.score_frames

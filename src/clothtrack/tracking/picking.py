@@ -6,12 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
 from clothtrack.simulation.dynamics import HeldMotion
 from clothtrack.simulation.picker import grasp_vertices
 
 logger = logging.getLogger(__name__)
+
+COLUMN_M = 0.01
+"""Reach of a tip sideways, in which layers are told apart [m]."""
 
 KNOTS_PER_FRAME = 5
 """Way points at which the recorded path is read inside one frame; linear between them."""
@@ -65,18 +71,21 @@ class Grasp:
 def find_grasps(
     recording: Recording,
     action: PickAndPlace,
-    positions: Float[np.ndarray, "vertices 3"],
+    cloth: ClothMesh,
     config: PickingConfig,
+    layers: int = 0,
 ) -> tuple[Grasp, ...]:
     """Decide what each picker of an action holds, from where the cloth lies when it starts.
 
-    Vertices named in the recording win; otherwise the nearest to the tip when it first closes.
+    Vertices named in the recording win; otherwise those nearest to the tip when it first closes.
 
     Args:
         recording: holds the picker paths and, if known, the held vertices.
         action: the pick-and-place.
-        positions: the mesh at the action's first frame [m], world frame.
+        cloth: the mesh where it lies at the action's first frame [m], world frame.
         config: reach and number of vertices.
+        layers: hold one vertex of each of so many layers under the tip, counted from above; with 0,
+            or with no cloth right under the tip, the nearest vertices of whatever layer.
     """
     start_s = recording.frames[action.first_frame].time_s
     end_s = recording.frames[action.last_frame].time_s
@@ -88,22 +97,50 @@ def find_grasps(
             logger.warning("picker %s never closes between %.2f and %.2f s", name, start_s, end_s)
             continue
         tip = path.position_at(closing_s)
-        known = _known(recording.cloth.held_vertices, name)
-        vertices = (
-            known
-            if known is not None
-            else grasp_vertices(positions, tip, config.radius_m, config.count)
-        )
+        vertices = _known(recording.cloth.held_vertices, name)
+        if vertices is None:
+            vertices = layers_under(cloth, tip, config.radius_m)[:layers]
         if len(vertices) == 0:
-            nearest = float(np.linalg.norm(positions - tip, axis=1).min())
+            vertices = grasp_vertices(cloth.vertices, tip, config.radius_m, config.count)
+        if len(vertices) == 0:
+            nearest = float(np.linalg.norm(cloth.vertices - tip, axis=1).min())
             logger.warning(
                 "picker %s closes at %.2f s with the nearest vertex %.1f mm away (reach %.1f mm): "
                 "it holds nothing",
                 name, closing_s, 1e3 * nearest, 1e3 * config.radius_m,
             )  # fmt: skip
             continue
-        grasps.append(Grasp(name, path, vertices, positions[vertices] - tip))
+        grasps.append(Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
     return tuple(grasps)
+
+
+def layers_under(
+    cloth: ClothMesh, tip: Float[np.ndarray, " 3"], radius_m: float
+) -> Int[np.ndarray, " layers"]:
+    """The vertex nearest to a tip in each layer of cloth under it, the uppermost layer first.
+
+    A layer is a part of the mesh that hangs together inside the column under the tip.
+
+    Args:
+        cloth: the mesh where it lies [m], world frame, z up.
+        tip: the tip of the picker [m].
+        radius_m: vertices farther from the tip than this [m] are not taken hold of.
+    """
+    aside = np.linalg.norm(cloth.vertices[:, :2] - tip[:2], axis=1)
+    spacing_m = float(np.median(cloth.edge_lengths))
+    # A column narrower than the mesh would miss layers.
+    column = np.flatnonzero(aside < max(COLUMN_M, 1.2 * spacing_m))
+    if not len(column):
+        return column.astype(np.int32)
+    inside = np.isin(cloth.edges, column).all(axis=1)
+    joined = np.searchsorted(column, cloth.edges[inside])
+    graph = coo_matrix((np.ones(len(joined)), joined.T), shape=(len(column), len(column)))
+    count, layer = connected_components(graph, directed=False)
+    distance = np.linalg.norm(cloth.vertices[column] - tip, axis=1)
+    distance[distance > radius_m] = np.inf
+    nearest = [int(np.argmin(np.where(layer == each, distance, np.inf))) for each in range(count)]
+    held = column[[each for each in nearest if np.isfinite(distance[each])]]
+    return held[np.argsort(-cloth.vertices[held, 2], kind="stable")].astype(np.int32)
 
 
 def held_motion(

@@ -33,7 +33,8 @@ class Calibration:
         method: "none", "grid", "halving" or "descent".
         names: the calibrated parameters, in the order of `candidates`' columns.
         candidates: every combination that was rolled out to the end.
-        scores: Chamfer distance [m^2] of each candidate against the last cloud of the action.
+        scores: of each candidate, lower is better: Chamfer distance [m^2] of an open-loop roll-out
+            against the clouds of the action, or gap of the tracked outline (0 to 1).
         best: index of the chosen candidate, -1 when nothing was calibrated.
         roll_outs: full roll-outs spent, early-stopped ones counted by the share they ran.
     """
@@ -104,6 +105,11 @@ class StepRecords:
         blank["trials"] = np.zeros(frame_count, np.int32)
         blank["gave_up"] = np.zeros(frame_count, bool)
         return cls(**blank)
+
+    def adopt(self, other: "StepRecords", frames: slice) -> None:
+        """Take these frames from another record."""
+        for name in self.__annotations__:
+            getattr(self, name)[frames] = getattr(other, name)[frames]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ truth: the only inputs are a recording and a first mesh.
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,41 +18,26 @@ from scipy.spatial import cKDTree
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
-from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
+from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion, RollOut
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState
 from clothtrack.tracking.alignment import Aligner, Alignment
-from clothtrack.tracking.calibration import calibrate
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.line_search import LineSearchResult, search_line
-from clothtrack.tracking.open_loop import (
-    OpenLoopScore,
-    cloth_parameters,
-    grasp_offset,
-    within_reach,
+from clothtrack.tracking.open_loop import cloth_parameters, grasp_offset, within_reach
+from clothtrack.tracking.parameter_search import (
+    ActionContext,
+    FollowedAction,
+    Observe,
+    ParameterSearch,
 )
-from clothtrack.tracking.picking import Grasp, find_grasps, held_motion, picker_speed
-from clothtrack.tracking.tracked_trajectory import (
-    Calibration,
-    StepRecords,
-    TrackedAction,
-    TrackedTrajectory,
-)
+from clothtrack.tracking.picking import held_motion, picker_speed
+from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedAction, TrackedTrajectory
 
 logger = logging.getLogger(__name__)
 
-Observe = Callable[[Frame], Observation]
 Progress = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True, eq=False)
-class ActionContext:
-    """What stays fixed during one action: who holds what, and with which parameters."""
-
-    action: PickAndPlace
-    grasps: tuple[Grasp, ...]
-    parameters: dict[str, float]
 
 
 class Tracker:
@@ -89,7 +74,10 @@ class Tracker:
         )
         self._align = Aligner(first_mesh, config.alignment, device=device)
         self._align_last = Aligner(first_mesh, config.final_alignment, device=device)
-        self._open_loop: OpenLoopScore | None = None
+        self._search = ParameterSearch(
+            recording, first_mesh, replace(config, solver=self._solver_config), observe,
+            self._visible, device=device,
+        )  # fmt: skip
 
     def track(self, progress: Progress | None = None) -> TrackedTrajectory:
         """Run Algorithm 1 over every action of the recording."""
@@ -100,25 +88,24 @@ class Tracker:
         records = StepRecords.empty(len(frames))
         actions = []
         for action in self._recording.actions:
-            context, calibration = self._calibrated(state, action, parameters)
+
+            def follow(context: ActionContext, start: ClothState = state) -> FollowedAction:
+                return self._follow(start, context, progress)
+
+            followed, calibration = self._search.best(state, action, parameters, follow)
+            context, state = followed.context, followed.state
             parameters = context.parameters
-            self._dynamics.solver.set_parameters(cloth_parameters(parameters))
-            positions[action.first_frame :] = state.positions[0]
-            for frame in frames[action.first_frame + 1 : action.last_frame + 1]:
-                state = self._step(state, context, frame, records)
-                positions[frame.index :] = state.positions[0]
-                if progress is not None:
-                    progress(self._recording.name, frame.index + 1, len(frames))
-            before = state.positions[0]
-            state, losses = self._final_alignment(state, frames[action.last_frame])
+            within = slice(action.first_frame + 1, action.last_frame + 1)
+            positions[within] = followed.positions
             positions[action.last_frame :] = state.positions[0]
+            records.adopt(followed.records, within)
             actions.append(
                 TrackedAction(
                     first_frame=action.first_frame,
                     last_frame=action.last_frame,
-                    positions_before_final_alignment=before,
+                    positions_before_final_alignment=followed.before,
                     positions_after_final_alignment=state.positions[0],
-                    final_alignment_losses=np.array(losses),
+                    final_alignment_losses=np.array(followed.losses),
                     parameters=parameters,
                     calibration=calibration,
                     held_vertices={g.picker: tuple(g.vertices.tolist()) for g in context.grasps},
@@ -134,6 +121,23 @@ class Tracker:
             actions=tuple(actions),
             steps=records,
         )
+
+    def _follow(
+        self, state: ClothState, context: ActionContext, progress: Progress | None
+    ) -> FollowedAction:
+        """Algorithm 1's inner loop over one action, and its final alignment."""
+        frames, action = self._recording.frames, context.action
+        self._dynamics.solver.set_parameters(cloth_parameters(context.parameters))
+        records = StepRecords.empty(len(frames))
+        positions = np.repeat(state.positions, action.last_frame - action.first_frame, axis=0)
+        for frame in frames[action.first_frame + 1 : action.last_frame + 1]:
+            state = self._step(state, context, frame, records)
+            positions[frame.index - action.first_frame - 1] = state.positions[0]
+            if progress is not None:
+                progress(self._recording.name, frame.index + 1, len(frames))
+        before = state.positions[0]
+        state, losses = self._final_alignment(state, frames[action.last_frame])
+        return FollowedAction(context, before, positions, state, losses, records)
 
     def _step(
         self, state: ClothState, context: ActionContext, frame: Frame, records: StepRecords
@@ -273,32 +277,3 @@ class Tracker:
             solver.place(targets)
         solver.set_velocities(np.zeros_like(state.velocities))
         return solver.save()
-
-    def _calibrated(
-        self, state: ClothState, action: PickAndPlace, parameters: dict[str, float]
-    ) -> tuple[ActionContext, Calibration]:
-        """Decide what is held, and find the cloth's parameters for this action."""
-        grasps = find_grasps(self._recording, action, state.positions[0], self._config.picking)
-        config = self._config.calibration.with_grasp_offset(
-            self._recording.cloth.grasp_uncertainty_m
-        )
-        too_short = action.last_frame - action.first_frame < self._config.score_frames
-        still = not any(grasp.moves for grasp in grasps)
-        if not self._config.use_action or still or too_short:
-            # An open-loop roll-out in which nothing is moved says nothing about the cloth, and
-            # fewer clouds than are to be compared do not tell one parameter from another.
-            config = replace(config, method="none")
-        if self._open_loop is None and config.method != "none":
-            self._open_loop = OpenLoopScore(
-                self._recording, self._mesh, self._solver_config,
-                replace(self._config, calibration=config),
-                self._observe, self._visible, device=self._device,
-            )  # fmt: skip
-        score = None if self._open_loop is None else self._open_loop.of(state, action, grasps)
-        chosen, calibration = calibrate(score, parameters, config)
-        logger.info(
-            "%s, frames %d-%d: %s after %.1f roll-outs",
-            self._recording.name, action.first_frame, action.last_frame,
-            {name: chosen[name] for name in calibration.names}, calibration.roll_outs,
-        )  # fmt: skip
-        return ActionContext(action, grasps, chosen), calibration

@@ -1,0 +1,73 @@
+"""Candidates that are judged by tracking: followed once, and the one whose outline fits taken."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothtrack.pipeline import RunConfig, track_recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking import tracker as tracker_module
+from clothtrack.tracking.calibration import CalibrationConfig
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.world.actions import ActionConfig
+from clothtrack.world.episodes import EpisodeConfig, TemplateConfig, simulate
+from clothtrack.world.sensor import SensorConfig
+
+WORLD = EpisodeConfig(
+    vertex_count=200,
+    actions=1,
+    template=TemplateConfig(vertex_count=200),
+    size_m=(0.2, 0.2),
+    action=ActionConfig(frame_rate=10.0),
+    sensor=SensorConfig(width=320, height=240, focal=300.0),
+)
+AXES = {"held_layers": (1.0, 2.0), "table_friction": (0.05, 1.0)}
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("world")
+    simulate(folder, "towel", 1, config=WORLD)
+    return next((folder / "recordings").glob("towel*"))
+
+
+@pytest.fixture(scope="module")
+def config() -> TrackerConfig:
+    search = CalibrationConfig(method="grid", judge="tracking", axes=AXES)
+    base = TrackerConfig()
+    return replace(base, calibration=search, solver=replace(base.solver, substep_s=3.3e-3))
+
+
+def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recording, config):
+    tracked = track_recording(read_recording(recording), RunConfig(tracker=config))
+    (action,) = tracked.actions
+    found = action.calibration
+    assert len(found.scores) == len(AXES["held_layers"]) * len(AXES["table_friction"])
+    assert found.scores[found.best] == found.scores.min()
+    assert 0.0 < found.scores.min() < 0.2
+    taken = dict(zip(found.names, found.candidates[found.best].tolist(), strict=True))
+    assert {name: action.parameters[name] for name in taken} == taken
+
+    alone = replace(
+        config,
+        parameters={**config.parameters, **taken},
+        calibration=replace(config.calibration, method="none"),
+    )
+    again = track_recording(read_recording(recording), RunConfig(tracker=alone))
+    np.testing.assert_array_equal(tracked.positions, again.positions)
+    np.testing.assert_array_equal(tracked.steps.loss_after, again.steps.loss_after)
+
+
+def test_where_one_layer_lies_no_second_one_is_tried(recording, config, monkeypatch):
+    followed = []
+    follow = tracker_module.Tracker._follow
+
+    def counted(self, *arguments):
+        followed.append(arguments)
+        return follow(self, *arguments)
+
+    monkeypatch.setattr(tracker_module.Tracker, "_follow", counted)
+    track_recording(read_recording(recording), RunConfig(tracker=config))
+    assert len(followed) == len(AXES["table_friction"])
