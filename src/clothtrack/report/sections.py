@@ -164,29 +164,43 @@ def _calibration_html(calibration: Calibration) -> str:
     if calibration.best < 0 or not len(fine):
         return '<p class="note">Not calibrated for this action.</p>'
     order = fine[np.argsort(scores[fine], kind="stable")]
+    values, what, unit = _readable(calibration.judge, scores)
     words = (
         f"{_count(len(scores), 'candidate')} by {calibration.method}, "
-        f"{calibration.roll_outs:.4g} roll-outs. Each dot is one candidate's distance to the "
-        "action's last cloud [mm], best first; the chosen one is red."
+        f"{calibration.roll_outs:.4g} roll-outs. Each dot is one candidate's {what} [{unit}], "
+        "best first; the chosen one is red."
     )
     heads = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in calibration.names)
     rows = "".join(
         "<tr>"
         + "".join(f"<td>{value:.4g}</td>" for value in calibration.candidates[k])
-        + f"<td>{1000 * np.sqrt(scores[k] / 2):.2f}</td></tr>"
+        + f"<td>{values[k]:.2f}</td></tr>"
         for k in order[:5]
     )
     return (
-        f'<p class="note">{escape(words)}</p>{_dots(scores, order, calibration.best)}'
+        f'<p class="note">{escape(words)}</p>{_dots(values, order, calibration.best)}'
         "<details><summary>The five best</summary><table>"
-        f"<thead><tr>{heads}<th>distance [mm]</th></tr></thead><tbody>{rows}</tbody>"
+        f"<thead><tr>{heads}<th>score [{unit}]</th></tr></thead><tbody>{rows}</tbody>"
         "</table></details>"
+    )
+
+
+def _readable(
+    judge: str, scores: Float[np.ndarray, " candidates"]
+) -> tuple[Float[np.ndarray, " candidates"], str, str]:
+    """Scores as one reads them, what they are, and their unit."""
+    if judge == "tracking":
+        return 100 * scores, "gap between the tracked and the observed outline", "%"
+    return (
+        1000 * np.sqrt(scores / 2),
+        "distance to the clouds of the action, rolled open loop",
+        "mm",
     )
 
 
 def _dots(scores: Float[np.ndarray, " candidates"], order: np.ndarray, best: int) -> str:
     width, height, left, foot = 640, 120, 40, 8
-    values = 1000 * np.sqrt(scores[order] / 2)
+    values = scores[order]
     low, high = float(values.min()), float(values.max())
     span = max(high - low, 1e-6)
     places = left + (np.arange(len(order)) + 0.5) / len(order) * (width - left - 8)

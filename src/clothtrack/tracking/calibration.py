@@ -135,7 +135,9 @@ def calibrate(
     chosen = dict(start)
     if best >= 0:
         chosen |= dict(zip(names, candidates[best].tolist(), strict=True))
-    return chosen, Calibration(config.method, names, candidates, scores, best, counted.roll_outs)
+    return chosen, Calibration(
+        config.method, names, candidates, scores, best, counted.roll_outs, config.judge
+    )
 
 
 def ranked(scores: Float[np.ndarray, " candidates"], rank: float) -> int:

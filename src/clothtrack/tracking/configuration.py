@@ -16,9 +16,9 @@ def _default_parameters() -> dict[str, float]:
     return {
         "stretch_compliance": 0.0,
         "bend_compliance": 1.0,
-        "table_friction": 0.5,
-        "particle_friction": 0.5,
-        "held_layers": 0.0,
+        "table_friction": 1.0,
+        "particle_friction": 1.0,
+        "held_layers": 1.0,
         "grasp_offset_x_m": 0.0,
         "grasp_offset_y_m": 0.0,
         "grasp_offset_z_m": 0.0,
@@ -28,6 +28,12 @@ def _default_parameters() -> dict[str, float]:
 def _final_alignment() -> AlignmentConfig:
     # Once per action it may take its time; what is left to correct may be far.
     return AlignmentConfig(iterations=400)
+
+
+def _calibration() -> CalibrationConfig:
+    # Judged by tracking, a candidate costs a pass: the start is one, each axis adds its others.
+    axes = {"held_layers": (1.0, 2.0), "table_friction": (0.3, 1.0, 3.0)}
+    return CalibrationConfig(judge="tracking", axes=axes, sweeps=1)
 
 
 def _alignment() -> AlignmentConfig:
@@ -82,7 +88,7 @@ class TrackerConfig:
     use_dynamics_initialisation: bool = True
     use_action: bool = True
     use_final_alignment: bool = True
-    attachment_strength: float = 0.99
+    attachment_strength: float = 0.999
     final_rounds: int = 2
     final_roll_s: float = 0.1
     final_strength: float = 1.0 - 1e-5
@@ -94,7 +100,7 @@ class TrackerConfig:
     visibility_width: int = 320
     visibility_tolerance_m: float = 0.003
     parameters: Mapping[str, float] = field(default_factory=_default_parameters)
-    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    calibration: CalibrationConfig = field(default_factory=_calibration)
     alignment: AlignmentConfig = field(default_factory=_alignment)
     final_alignment: AlignmentConfig = field(default_factory=_final_alignment)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
@@ -131,6 +137,13 @@ class TrackerConfig:
 
 
 _PAPER = TrackerConfig(
+    parameters={
+        **_default_parameters(),
+        "table_friction": 0.5,
+        "particle_friction": 0.5,
+        "held_layers": 0.0,
+    },
+    calibration=CalibrationConfig(),
     attachment_strength=1.0,
     final_rounds=1,
     final_roll_s=0.0,

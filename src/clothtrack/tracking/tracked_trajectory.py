@@ -37,6 +37,7 @@ class Calibration:
             against the clouds of the action, or gap of the tracked outline (0 to 1).
         best: index of the chosen candidate, -1 when nothing was calibrated.
         roll_outs: full roll-outs spent, early-stopped ones counted by the share they ran.
+        judge: "open_loop" or "tracking": what the scores are.
     """
 
     method: str
@@ -45,6 +46,7 @@ class Calibration:
     scores: Float[np.ndarray, " candidates"]
     best: int
     roll_outs: float
+    judge: str = "open_loop"
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +224,8 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
             _put(part, name, getattr(action, name).astype(np.float32), unit="m")
         _put(part, "final_alignment_losses", action.final_alignment_losses, unit="m^2")
         _put(part, "calibration_candidates", action.calibration.candidates)
-        _put(part, "calibration_scores", action.calibration.scores, unit="m^2")
+        unit = "m^2" if action.calibration.judge == "open_loop" else "1"
+        _put(part, "calibration_scores", action.calibration.scores, unit=unit)
         part.attrs.update(
             {
                 "first_frame": action.first_frame,
@@ -234,6 +237,7 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
                     "names": list(action.calibration.names),
                     "best": action.calibration.best,
                     "roll_outs": action.calibration.roll_outs,
+                    "judge": action.calibration.judge,
                 },
             }
         )
@@ -280,7 +284,7 @@ def _read(group: zarr.Group, path: Path) -> TrackedTrajectory:
 
 
 def _read_action(part: zarr.Group) -> TrackedAction:
-    calibration = part.attrs["calibration"]
+    calibration: Any = part.attrs["calibration"]
     return TrackedAction(
         first_frame=part.attrs["first_frame"],
         last_frame=part.attrs["last_frame"],
@@ -295,6 +299,8 @@ def _read_action(part: zarr.Group) -> TrackedAction:
             part["calibration_scores"][...],
             calibration["best"],
             calibration["roll_outs"],
+            # Results of versions that knew no other judge do not name it.
+            calibration.get("judge", "open_loop"),
         ),
         held_vertices={k: tuple(v) for k, v in dict(part.attrs["held_vertices"]).items()},
     )
