@@ -27,24 +27,42 @@ def crossings(vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, 
     Returns:
         How many edges pass through at least one triangle.
     """
+    return len(crossing_edges(vertices, faces)[0])
+
+
+def crossing_edges(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> tuple[Int[np.ndarray, "crossing 2"], Int[np.ndarray, "crossed 3"]]:
+    """The edges that pass through a triangle with which they share no vertex.
+
+    Args:
+        vertices: positions [m].
+        faces: vertex indices per triangle.
+
+    Returns:
+        The vertices of those edges, and of the triangles that they pass through.
+    """
     points = np.asarray(vertices, np.float64)
     edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
     corners, ends = points[faces], points[edges]
     centres = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centres[:, None], axis=2).max()
     reach = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) + radius
-    near = cKDTree(centres).query_ball_point(ends.mean(axis=1), reach)
+    near = cKDTree(centres).query_ball_point(ends.mean(axis=1), reach, return_sorted=False)
     counts = np.array([len(each) for each in near])
     group = np.cumsum(counts) // _PAIRS_AT_ONCE
-    total = 0
+    crossing, crossed = np.zeros(len(edges), bool), np.zeros(len(faces), bool)
     for members in np.split(np.arange(len(edges)), np.flatnonzero(np.diff(group)) + 1):
         edge = np.repeat(members, counts[members])
         face = np.concatenate([near[each] for each in members]).astype(np.int64)
+        meet = _boxes_meet(ends, corners, edge, face)
+        edge, face = edge[meet], face[meet]
         apart = (faces[face][:, :, None] != edges[edge][:, None, :]).all(axis=(1, 2))
         edge, face = edge[apart], face[apart]
         through = _pass_through(ends[edge], corners[face])
-        total += len(np.unique(edge[through]))
-    return total
+        crossing[edge[through]] = True
+        crossed[face[through]] = True
+    return edges[crossing], faces[crossed]
 
 
 def close_pairs(
@@ -89,6 +107,18 @@ def below(
         A share between 0 and 1.
     """
     return float(np.mean(heights < resting_height_m - tolerance_m))
+
+
+def _boxes_meet(
+    ends: np.ndarray, corners: np.ndarray, edge: np.ndarray, face: np.ndarray
+) -> np.ndarray:
+    """Whether the boxes around edges and triangles overlap: most pairs need no closer look."""
+    meet = np.ones(len(edge), bool)
+    for axis in range(3):
+        one, other = ends[:, :, axis], corners[:, :, axis]
+        meet &= one.min(axis=1)[edge] < other.max(axis=1)[face]
+        meet &= one.max(axis=1)[edge] > other.min(axis=1)[face]
+    return meet
 
 
 def _pass_through(ends: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -64,6 +64,9 @@ class TrackerConfig:
         final_strength: strength of that pseudo-action over `final_roll_s`.
         attach_observed_only: attach only vertices that the sensor could have contradicted; the
             paper attaches every visible vertex.
+        attach_crossed: attach vertices, too, where the predicted cloth passes through itself; the
+            paper does. Left free they sort themselves out: contact undoes a crossing, but not
+            against a pull.
         support_m: a vertex with a cloud point this near [m] counts as observed even where the
             sensor could not have contradicted it.
         cloud_reach_m: cloud points farther from every visible vertex [m] are not this cloth.
@@ -93,6 +96,7 @@ class TrackerConfig:
     final_roll_s: float = 0.1
     final_strength: float = 1.0 - 1e-5
     attach_observed_only: bool = True
+    attach_crossed: bool = False
     support_m: float = 0.01
     cloud_reach_m: float = 0.1
     minimum_observed: float = 0.1
@@ -148,6 +152,7 @@ _PAPER = TrackerConfig(
     final_rounds=1,
     final_roll_s=0.0,
     attach_observed_only=False,
+    attach_crossed=True,
     score_frames=1,
     dynamics=DynamicsConfig(velocity_kept=1.0),
     alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import crossing_edges
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame, Recording
@@ -180,6 +181,17 @@ class Tracker:
         records.highest_speed[frame.index] = result.roll_out.highest_speed.max()
         return result.roll_out.state
 
+    def _at_crossings(
+        self, positions: Float[np.ndarray, "vertices 3"]
+    ) -> Bool[np.ndarray, " vertices"]:
+        """Vertices of edges and triangles that pass through each other, and their neighbours."""
+        crossed = np.zeros(len(positions), dtype=bool)
+        for part in crossing_edges(positions, self._mesh.faces):
+            crossed[part] = True
+        ends = self._mesh.edges
+        crossed[ends[crossed[ends].any(axis=1)]] = True
+        return crossed
+
     def _line_search(  # noqa: PLR0917
         self,
         state: ClothState,
@@ -226,17 +238,28 @@ class Tracker:
             table=self._recording.table,
             rest_height_m=self._solver_config.resting_height_m,
         )
-        if not self._config.attach_observed_only:
-            return alignment, visible
-        # Where silence means nothing, a vertex is still observed if it found points beside it.
-        unsure = np.flatnonzero(visible & ~observed)
-        if len(unsure):
+        attached = visible
+        if self._config.attach_observed_only:
+            # Where silence means nothing, a vertex is observed if it found points beside it.
+            unsure = np.flatnonzero(visible & ~observed)
             aligned = positions[unsure] + alignment.corrections[unsure]
-            found = cKDTree(points, balanced_tree=False).query(
-                aligned, distance_upper_bound=self._config.support_m
-            )[0]
-            observed[unsure] = np.isfinite(found)
-        return alignment, observed
+            attached = observed
+            attached[unsure] = self._supported(aligned, points)
+        if not self._config.attach_crossed:
+            attached = attached & ~self._at_crossings(positions)
+        return alignment, attached
+
+    def _supported(
+        self,
+        vertices: Float[np.ndarray, "vertices 3"],
+        points: Float[np.ndarray, "points 3"],
+    ) -> Bool[np.ndarray, " vertices"]:
+        """Vertices with a cloud point beside them."""
+        if not len(vertices):
+            return np.zeros(0, dtype=bool)
+        tree = cKDTree(points, balanced_tree=False)
+        distance = tree.query(vertices, distance_upper_bound=self._config.support_m)[0]
+        return np.isfinite(distance)
 
     def _final_alignment(
         self, state: ClothState, frame: Frame
