@@ -184,12 +184,10 @@ class Tracker:
     def _at_crossings(
         self, positions: Float[np.ndarray, "vertices 3"]
     ) -> Bool[np.ndarray, " vertices"]:
-        """Vertices of edges and triangles that pass through each other, and their neighbours."""
+        """Vertices of the edges and triangles that pass through each other."""
         crossed = np.zeros(len(positions), dtype=bool)
         for part in crossing_edges(positions, self._mesh.faces):
             crossed[part] = True
-        ends = self._mesh.edges
-        crossed[ends[crossed[ends].any(axis=1)]] = True
         return crossed
 
     def _line_search(  # noqa: PLR0917
