@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.quality import below, close_pairs, crossings, edge_strain
+from clothtrack.geometry.quality import below, close_pairs, crossing_edges, crossings, edge_strain
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -69,6 +69,21 @@ def test_one_needle_through_a_sheet_is_counted_and_a_flat_stack_is_not():
     # Its two long sides pierce the sheet, and edges of the sheet pierce it in turn.
     joined = np.concatenate([faces, [[25, 26, 27]]])
     assert crossings(vertices, joined) == brute_crossings(vertices, joined) >= 2
+
+
+def test_what_crosses_is_named_by_its_vertices():
+    sheet, faces = grid(5, 0.4)
+    needle = np.array([[0.03, 0.02, -0.1], [0.031, 0.022, 0.1], [0.03, 0.021, 0.3]])
+    vertices = np.concatenate([sheet, needle])
+    joined = np.concatenate([faces, [[25, 26, 27]]])
+    edges, triangles = crossing_edges(vertices, joined)
+    assert {25, 26} in [set(edge) for edge in edges.tolist()]
+    pierced = [each for each in triangles.tolist() if max(each) < 25]
+    corners = vertices[pierced[0]]
+    assert (corners[:, :2].min(axis=0) <= needle[0, :2]).all()
+    assert (corners[:, :2].max(axis=0) >= needle[0, :2]).all()
+    nothing = crossing_edges(sheet, faces)
+    assert [part.shape for part in nothing] == [(0, 2), (0, 3)]
 
 
 def test_close_pairs_skip_neighbours_and_their_neighbours():
