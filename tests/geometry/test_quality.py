@@ -86,6 +86,17 @@ def test_what_crosses_is_named_by_its_vertices():
     assert [part.shape for part in nothing] == [(0, 2), (0, 3)]
 
 
+def test_a_vertex_that_is_nowhere_crosses_nothing():
+    rng = np.random.default_rng(3)
+    vertices, faces = grid(6, 1.0)
+    vertices = vertices + rng.normal(scale=0.25, size=vertices.shape)
+    lost = vertices.copy()
+    lost[7] = np.nan
+    whole = faces[(faces != 7).all(axis=1)]
+    assert crossings(lost, faces) == crossings(vertices, whole) > 0
+    assert crossings(np.full_like(vertices, np.nan), faces) == 0
+
+
 def test_close_pairs_skip_neighbours_and_their_neighbours():
     vertices, faces = grid(9, 0.032)  # 4 mm spacing: neighbours are within 5 mm, as in fine meshes
     assert close_pairs(vertices, faces) == 0
