@@ -23,7 +23,7 @@ from figures import say
 from scipy.stats import spearmanr
 from tables import table
 
-from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_evidence import (
     EVIDENCE_NAMES,
     Label,
@@ -73,7 +73,12 @@ def judged_labels(bench: Path, folders: Sequence[Path], variant: str) -> list[Ju
     """The labels of a variant's runs in folders of rows, with their evidence."""
     runs: dict[tuple[Path, str], list[Row]] = {}
     for folder in folders:
-        for row in read_rows(folder / "table1.jsonl"):
+        file = folder / "table1.jsonl"
+        if not file.exists():
+            raise InvalidResultError(
+                f"{folder} has no table1.jsonl; give the --out folder of table1.py"
+            )
+        for row in read_rows(file):
             wanted = "error" not in row and row["variant"] == variant and row["stage"] == "after"
             if wanted and row["error_all_mm"] is not None:
                 runs.setdefault((folder, str(row["run"])), []).append(row)

@@ -50,7 +50,13 @@ def test_help_loads_no_stage():
 
 @pytest.mark.parametrize(
     "words",
-    [["trak"], ["track", "folder"], ["track", "--output", "out"], ["demo", "--mode", "best"]],
+    [
+        ["trak"],
+        ["track", "folder"],
+        ["track", "--output", "out"],
+        ["demo", "--mode", "best"],
+        ["evaluate", "--recordings", "folder"],
+    ],
 )
 def test_wrong_usage_exits_with_2(words):
     assert run(*words).returncode == 2
@@ -62,6 +68,12 @@ def test_bad_input_is_one_line_on_standard_error(tmp_path):
     assert told.stdout == ""
     assert told.stderr.count("\n") == 1
     assert "nothing.zarr" in told.stderr
+
+
+def test_no_trajectories_cannot_be_simulated(tmp_path):
+    told = run("simulate", str(tmp_path / "out"), "--trajectories", "0")
+    assert told.returncode == 1
+    assert "trajectories is 0" in told.stderr
 
 
 def test_an_unusable_recording_is_inspected_with_exit_code_1(tmp_path, capsys):

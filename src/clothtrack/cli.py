@@ -247,6 +247,9 @@ def evaluate(
     from clothtrack.evaluation.truth import Truth
     from clothtrack.geometry.devices import require_device
 
+    if not tracked:
+        complain("no tracked trajectory given; name at least one NAME.zarr folder")
+        return 2
     require_device(device)
     evaluations = []
     for path in tracked:

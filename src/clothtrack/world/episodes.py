@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import SimulationDivergedError
+from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
@@ -105,10 +105,12 @@ def simulate(
         The folders of the recordings that exist now.
 
     Raises:
-        InvalidConfigError: there are no workers.
+        InvalidConfigError: there are no workers, or no trajectories are asked for.
         StorageError: when the disk refuses.
     """
     require_workers(processes)
+    if trajectories < 1:
+        raise InvalidConfigError(f"the number of trajectories is {trajectories}; give at least 1")
     config = config or EpisodeConfig()
     film = partial(_simulate_or_skip, kind, out=Path(out), config=config)
     seeds = range(seed, seed + trajectories)
