@@ -55,6 +55,8 @@ class TrackerConfig:
         attachment_strength: 1 holds the attached vertices at their targets ("held", the paper's
             pseudo-action); less pulls them there inside the solver loop ("soft"), so that
             contacts, stretch and table win over the observation.
+        final_slide: before the final alignment, slide and turn a cloth that nobody holds on its
+            table as a whole until its outline fits; the paper does not.
         final_rounds: how often the final alignment is computed and applied; each round starts from
             what the dynamics made of the last.
         final_roll_s: time over which the dynamics carry the final alignment out [s], as a soft
@@ -92,6 +94,7 @@ class TrackerConfig:
     use_action: bool = True
     use_final_alignment: bool = True
     attachment_strength: float = 0.999
+    final_slide: bool = True
     final_rounds: int = 2
     final_roll_s: float = 0.1
     final_strength: float = 1.0 - 1e-5
@@ -149,6 +152,7 @@ _PAPER = TrackerConfig(
     },
     calibration=CalibrationConfig(),
     attachment_strength=1.0,
+    final_slide=False,
     final_rounds=1,
     final_roll_s=0.0,
     attach_observed_only=False,

@@ -7,12 +7,18 @@ hardly see cloth that lies in the wrong place on other cloth, an outline does.
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Table
+
+FIRST_STEP_M = 0.006
+"""First shift that is tried when an outline is to be fitted [m]."""
 
 
 def silhouette_gap(
@@ -46,6 +52,52 @@ def silhouette_gap(
         both += int((drawn & seen).sum())
         either += int((drawn | seen).sum())
     return 1.0 - both / either if either else float("nan")
+
+
+def slide_to_outline(
+    mesh: ClothMesh,
+    vertices: Float[np.ndarray, "vertices 3"],
+    observation: Observation,
+    table: Table,
+    *,
+    trials: int = 50,
+    device: str = "cpu",
+) -> Float[np.ndarray, "vertices 3"]:
+    """Slide and turn a whole mesh on the table until its outline fits best.
+
+    Nearest points hold a mesh where it is: all but the few at the rim have a partner right where
+    they are, wherever the cloth has slipped to. The outline does not.
+
+    Args:
+        mesh: the topology.
+        vertices: where its vertices are [m].
+        observation: the cloud, and where the cameras were blind.
+        table: the plane on which it slides.
+        trials: outlines that are drawn (Nelder and Mead's search over two shifts and a turn).
+        device: "cpu" or "cuda:0".
+
+    Returns:
+        The moved vertices [m]; the same ones where no move fits better.
+    """
+    middle = vertices.mean(axis=0)
+    # A turn moves the rim about as far as a shift of the same number does.
+    lever_m = max(float(np.linalg.norm(vertices - middle, axis=1).mean()), 1e-6)
+    across = np.linalg.svd(table.normal[None])[2][1:]
+
+    def moved(step: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "vertices 3"]:
+        turn = Rotation.from_rotvec(step[2] / lever_m * table.normal)
+        return turn.apply(vertices - middle) + middle + step[:2] @ across
+
+    def gap(step: Float[np.ndarray, " 3"]) -> float:
+        return silhouette_gap(mesh, moved(step), observation, device=device)
+
+    first = gap(np.zeros(3))
+    if not np.isfinite(first):
+        return vertices
+    simplex = np.vstack([np.zeros(3), FIRST_STEP_M * np.eye(3)])
+    options = {"initial_simplex": simplex, "maxfev": trials, "xatol": 3e-4, "fatol": 1e-4}
+    found = minimize(gap, np.zeros(3), method="Nelder-Mead", options=options)
+    return moved(found.x) if found.fun < first else vertices
 
 
 def _picture(

@@ -34,6 +34,7 @@ from clothtrack.tracking.parameter_search import (
     ParameterSearch,
 )
 from clothtrack.tracking.picking import held_motion, picker_speed
+from clothtrack.tracking.silhouette import slide_to_outline
 from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedAction, TrackedTrajectory
 
 logger = logging.getLogger(__name__)
@@ -137,7 +138,10 @@ class Tracker:
             if progress is not None:
                 progress(self._recording.name, frame.index + 1, len(frames))
         before = state.positions[0]
-        state, losses = self._final_alignment(state, frames[action.last_frame])
+        last = frames[action.last_frame]
+        if self._config.use_final_alignment and self._config.final_slide:
+            state = self._slid(state, context, last)
+        state, losses = self._final_alignment(state, last)
         return FollowedAction(context, before, positions, state, losses, records)
 
     def _step(
@@ -258,6 +262,22 @@ class Tracker:
         tree = cKDTree(points, balanced_tree=False)
         distance = tree.query(vertices, distance_upper_bound=self._config.support_m)[0]
         return np.isfinite(distance)
+
+    def _slid(self, state: ClothState, context: ActionContext, frame: Frame) -> ClothState:
+        """The cloth slid over the table as a whole until its outline fits; at rest."""
+        table, positions = self._recording.table, state.positions[0]
+        held = any(grasp.path.closed_at(frame.time_s) for grasp in context.grasps)
+        if table is None or held or not np.isfinite(positions).all():
+            return state
+        moved = slide_to_outline(
+            self._mesh, positions.astype(np.float64), self._observe(frame), table,
+            device=self._device,
+        )  # fmt: skip
+        solver = self._dynamics.solver
+        solver.restore(state)
+        solver.place(moved)
+        solver.set_velocities(np.zeros_like(state.velocities))
+        return solver.save()
 
     def _final_alignment(
         self, state: ClothState, frame: Frame
