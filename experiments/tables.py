@@ -102,6 +102,7 @@ CPU = Column("CPU s", "cpu_s", digits=0)
 LEADING = (CHAMFER_LAST, CHAMFER, CHAMFER_AFTER, FLOOR, ERROR, VISIBLE, HIDDEN, P95)
 COLUMNS: Mapping[str, tuple[Column, ...]] = {
     "table1": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, SWAPPED, BELOW, CPU),
+    "default_ablations": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, SWAPPED, CPU),
     "calibration": (CHAMFER_LAST, CHAMFER, FLOOR, ERROR, VISIBLE, HIDDEN, CPU),
     "final_alignment": (CHAMFER_LAST, CHAMFER, CHAMFER_AFTER, FLOOR, ERROR_BEFORE, ERROR, HIDDEN),
     "collision": (
@@ -115,6 +116,7 @@ COLUMNS: Mapping[str, tuple[Column, ...]] = {
 }  # fmt: skip
 TITLES = {
     "table1": "Table 1: what each part of the method is worth",
+    "default_ablations": "From the paper's method to the default, and the default ablated",
     "calibration": "Calibration: online against offline",
     "final_alignment": "TTO2 against a bad calibration",
     "collision": "Collision: with and without the rigidity loss",
@@ -123,6 +125,7 @@ TITLES = {
 }
 REFERENCES: Mapping[str, tuple[str, ...]] = {
     "table1": ("full_held_paper",),
+    "default_ablations": ("default",),
     "calibration": ("paper, online", "default, online"),
     "final_alignment": ("best, with TTO2",),
     "collision": ("paper, with rigidity", "default, with rigidity"),

@@ -12,6 +12,7 @@ from bench_runs import read_rows
 
 EXPERIMENTS = {
     "table1": 7,
+    "default_ablations": 11,
     "calibration": 8,
     "final_alignment": 6,
     "collision": 5,
