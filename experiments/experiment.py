@@ -28,18 +28,8 @@ from clothtrack.errors import ClothTrackError
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.pipeline import RunConfig
 from clothtrack.tracking.configuration import TrackerConfig, mode
-from clothtrack.world.actions import ActionConfig
-from clothtrack.world.episodes import EpisodeConfig, TemplateConfig, simulate
-from clothtrack.world.sensor import SensorConfig
+from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate
 
-SMOKE_WORLD = EpisodeConfig(
-    vertex_count=200,
-    actions=1,
-    template=TemplateConfig(vertex_count=200),
-    size_m=(0.2, 0.2),
-    action=ActionConfig(frame_rate=10.0),
-    sensor=SensorConfig(width=320, height=240, focal=300.0),
-)
 SMOKE_AXES = {"table_friction": (0.3, 1.0, 3.0)}
 SMOKE_SUBSTEP_S = 3.3e-3
 FILMED_SEED = 5000
@@ -102,7 +92,7 @@ class Setup:
     @property
     def world(self) -> EpisodeConfig:
         """How an experiment's own trajectories are filmed, before it changes a setting."""
-        return SMOKE_WORLD if self.smoke else EpisodeConfig()
+        return SMALL_WORLD if self.smoke else EpisodeConfig()
 
     def rows(self, experiment: str, runs: Sequence[Run]) -> list[Row]:
         """Make the runs that are missing; every row with its labels."""
@@ -149,7 +139,7 @@ def run_experiment(
             smoke=options.smoke,
         )
         if options.smoke:
-            simulate(bench, "towel", 1, config=SMOKE_WORLD)
+            simulate(bench, "towel", 1, config=SMALL_WORLD)
         try:
             runs = plan(setup)
         except ClothTrackError as error:

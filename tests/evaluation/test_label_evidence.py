@@ -17,11 +17,9 @@ from clothtrack.evaluation.label_evidence import (
     LabelEvidence,
     cloud_gap_m,
     label_evidence,
-    silhouette_gap,
 )
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.recordings.point_cloud import Observation, observe, thin
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 from clothtrack.simulation.garments import towel
@@ -47,11 +45,6 @@ def recording(tmp_path_factory):
         for index in range(2):
             film.add_frame(0.1 * index, depth={"top": depth}, mask={"top": shown})
     return read_recording(folder)
-
-
-@pytest.fixture(scope="module")
-def dense(recording):
-    return observe(recording, recording.frames[1], spacing_m=None)
 
 
 def look_at(recording, vertices, before=None):
@@ -92,40 +85,6 @@ def test_the_further_a_mesh_is_off_its_cloud_the_worse_it_looks(recording):
     lifted = look_at(recording, FLAT + [0.0, 0.0, 0.02])
     assert lifted.cloud_gap_m == pytest.approx(0.02, abs=2e-3)
     assert lifted.mesh_gap_m == pytest.approx(0.02, abs=2e-3)
-
-
-@pytest.mark.parametrize("way", [0.02, 0.05, 0.08])
-def test_two_rectangles_beside_each_other_have_the_overlap_of_two_rectangles(dense, way):
-    gap = silhouette_gap(SHEET, FLAT + [way, 0.0, 0.0], dense)
-    assert gap == pytest.approx(2.0 * way / (WIDTH_M + way), abs=0.02)
-
-
-def test_meshes_that_do_not_touch_the_cloth_have_no_overlap(dense):
-    assert silhouette_gap(towel(0.04, 0.04, 0.01), FLAT[:25] * 0.1 + [0.19, 0.0, 0.0], dense) == 1.0
-
-
-def test_a_thinned_cloud_has_the_outline_of_a_dense_one(dense):
-    thinned = Observation(thin(dense.points, 0.006), (CAMERA,), {}, None, np.zeros((0, 3)), 0.0)
-    assert silhouette_gap(SHEET, FLAT, thinned) < 0.06
-
-
-def test_what_no_camera_could_see_does_not_count(dense):
-    outline = np.zeros((CAMERA.height, CAMERA.width), bool)
-    outline[:, 230:] = True
-    blind = Observation(dense.points, (CAMERA,), {"top": outline}, None, np.zeros((0, 3)), 0.0)
-    far = FLAT.copy()
-    far[FLAT[:, 0] > 0.105, 0] += 0.03
-    assert silhouette_gap(SHEET, far, blind) < 0.02
-    assert silhouette_gap(SHEET, far, dense) > 0.08
-
-
-def test_what_was_cut_away_from_the_cloud_does_not_count(dense):
-    raised = FLAT + np.where(FLAT[:, :1] > 0.0, [0.0, 0.0, 0.05], 0.0)
-    points = dense.points[dense.points[:, 0] > 0.0] + [0.0, 0.0, 0.05]
-    cut = Observation(points, (CAMERA,), {}, 0.02, np.zeros((0, 3)), 0.0)
-    whole = Observation(points, (CAMERA,), {}, None, np.zeros((0, 3)), 0.0)
-    assert silhouette_gap(SHEET, raised, whole) > 0.4
-    assert silhouette_gap(SHEET, raised, cut) < 0.05
 
 
 def test_points_beside_a_face_are_as_far_as_they_are_high():

@@ -95,6 +95,26 @@ def test_unknown_and_empty_axes_are_refused() -> None:
         CalibrationConfig(axes={"table_friction": ()})
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        ("method", "annealing", "none, grid, halving, descent"),
+        ("judge", "truth", "open_loop, tracking"),
+        ("sweeps", 0, "at least 1"),
+        ("batch", 0, "at least 1"),
+        ("offset_steps", 0, "at least 1"),
+        ("halving_ratio", 1, "at least 2"),
+        ("rank", 1.5, "0..1"),
+    ],
+)
+def test_settings_that_no_search_can_have_are_refused(field, value, told) -> None:
+    # The type checks of the tests would refuse a wrong word before the configuration itself does.
+    config = CalibrationConfig()
+    object.__setattr__(config, field, value)
+    with pytest.raises(InvalidConfigError, match=f"{field} is .*{told}"):
+        config.__post_init__()
+
+
 @pytest.mark.parametrize(("rank", "score"), [(0.0, 1.0), (0.5, 3.0), (0.9, 5.0), (1.0, 5.0)])
 def test_a_rank_is_a_share_of_the_candidates_that_score_better(rank: float, score: float) -> None:
     scores = np.array([5.0, 1.0, np.inf, 3.0, 2.0, 4.0])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
 
 
@@ -16,12 +17,36 @@ from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
         ("final_strength", 1.0),
         ("final_rounds", 0),
         ("final_roll_s", -0.1),
+        ("score_frames", 0),
+        ("visibility_width", 0),
+        ("support_m", 0.0),
+        ("cloud_reach_m", -0.1),
         ("parameters", {"stretch_compliance": 0.0}),
     ],
 )
 def test_contradictions_name_the_field(field: str, value: object) -> None:
     with pytest.raises(InvalidConfigError, match=field):
         replace(TrackerConfig(), **{field: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("held_layers", -1.0),
+        ("held_layers", 1.5),
+        ("table_friction", -0.1),
+        ("bend_compliance", float("inf")),
+        ("grasp_offset_x_m", float("nan")),
+    ],
+)
+def test_values_that_a_parameter_cannot_take_are_refused_as_start_and_on_an_axis(
+    name: str, value: float
+) -> None:
+    start = {**TrackerConfig().parameters, name: value}
+    with pytest.raises(InvalidConfigError, match=f"{name} is {value}"):
+        TrackerConfig(parameters=start)
+    with pytest.raises(InvalidConfigError, match=f"{name} is {value}"):
+        CalibrationConfig(judge="tracking", axes={name: (1.0, value)})
 
 
 def test_every_ablation_differs_from_the_paper_in_one_switch() -> None:

@@ -1,36 +1,16 @@
 """Candidates that are judged by tracking: followed once, and the one whose outline fits taken."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clothtrack.pipeline import RunConfig, track_recording
-from clothtrack.recordings.store import read_recording
 from clothtrack.tracking import tracker as tracker_module
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.world.actions import ActionConfig
-from clothtrack.world.episodes import EpisodeConfig, TemplateConfig, simulate
-from clothtrack.world.sensor import SensorConfig
 
-WORLD = EpisodeConfig(
-    vertex_count=200,
-    actions=1,
-    template=TemplateConfig(vertex_count=200),
-    size_m=(0.2, 0.2),
-    action=ActionConfig(frame_rate=10.0),
-    sensor=SensorConfig(width=320, height=240, focal=300.0),
-)
 AXES = {"held_layers": (1.0, 2.0), "table_friction": (0.05, 1.0)}
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("world")
-    simulate(folder, "towel", 1, config=WORLD)
-    return next((folder / "recordings").glob("towel*"))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +21,7 @@ def config() -> TrackerConfig:
 
 
 def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recording, config):
-    tracked = track_recording(read_recording(recording), RunConfig(tracker=config))
+    tracked = track_recording(recording, RunConfig(tracker=config))
     (action,) = tracked.actions
     found = action.calibration
     assert len(found.scores) == len(AXES["held_layers"]) * len(AXES["table_friction"])
@@ -55,7 +35,7 @@ def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recordin
         parameters={**config.parameters, **taken},
         calibration=replace(config.calibration, method="none"),
     )
-    again = track_recording(read_recording(recording), RunConfig(tracker=alone))
+    again = track_recording(recording, RunConfig(tracker=alone))
     np.testing.assert_array_equal(tracked.positions, again.positions)
     np.testing.assert_array_equal(tracked.steps.loss_after, again.steps.loss_after)
 
@@ -69,5 +49,5 @@ def test_where_one_layer_lies_no_second_one_is_tried(recording, config, monkeypa
         return follow(self, *arguments)
 
     monkeypatch.setattr(tracker_module.Tracker, "_follow", counted)
-    track_recording(read_recording(recording), RunConfig(tracker=config))
+    track_recording(recording, RunConfig(tracker=config))
     assert len(followed) == len(AXES["table_friction"])

@@ -1,16 +1,19 @@
 """The outline of a mesh: zero gap for the right place, and a slip that nearest points miss."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.sampling import sample_surface
-from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import towel
 from clothtrack.tracking.silhouette import silhouette_gap, slide_to_outline
 
+WIDTH_M = 0.2
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 
 
@@ -24,7 +27,7 @@ def camera() -> Camera:
 
 @pytest.fixture
 def mesh() -> ClothMesh:
-    return towel(0.2, 0.14, 0.01)
+    return towel(WIDTH_M, 0.14, 0.01)
 
 
 @pytest.fixture
@@ -44,10 +47,44 @@ def slipped(mesh: ClothMesh, shift_m: tuple[float, float], turn_rad: float) -> n
 
 
 def test_the_right_place_leaves_hardly_a_gap(mesh, observation):
-    right = silhouette_gap(mesh, mesh.vertices, observation)
-    wrong = silhouette_gap(mesh, slipped(mesh, (0.02, 0.0), 0.0), observation)
-    # A fifth of the area, twice, over the area of both.
-    assert right < 0.05 < wrong == pytest.approx(2 * 0.1 / 1.1, abs=0.06)
+    assert silhouette_gap(mesh, mesh.vertices, observation) < 0.05
+
+
+@pytest.mark.parametrize("way", [0.02, 0.05, 0.08])
+def test_two_rectangles_beside_each_other_have_the_overlap_of_two_rectangles(
+    mesh, observation, way
+):
+    gap = silhouette_gap(mesh, slipped(mesh, (way, 0.0), 0.0), observation)
+    assert gap == pytest.approx(2.0 * way / (WIDTH_M + way), abs=0.03)
+
+
+def test_meshes_that_do_not_touch_the_cloth_have_no_overlap(mesh, observation):
+    assert silhouette_gap(mesh, slipped(mesh, (0.22, 0.0), 0.0), observation) == 1.0
+
+
+def test_a_thinned_cloud_has_the_outline_of_a_dense_one(mesh, observation, camera):
+    thinned = seen(thin(observation.points, 0.006), camera)
+    assert silhouette_gap(mesh, mesh.vertices, thinned) < 0.06
+
+
+def test_what_no_camera_could_see_does_not_count(mesh, observation, camera):
+    pixels, _ = camera.project(np.array([[0.09, 0.0, 0.0]]))
+    arm = np.zeros((camera.height, camera.width), bool)
+    arm[:, int(pixels[0, 0]) :] = True
+    blind = replace(observation, hidden={camera.name: arm})
+    moved = mesh.vertices.copy()
+    moved[mesh.vertices[:, 0] > 0.095, 0] += 0.03
+    assert silhouette_gap(mesh, moved, blind) < 0.05
+    assert silhouette_gap(mesh, moved, observation) > 0.1
+
+
+def test_what_was_cut_away_from_the_cloud_does_not_count(mesh, observation):
+    lift = np.array([0.0, 0.0, 0.05])
+    raised = mesh.vertices + np.where(mesh.vertices[:, :1] > 0.0, lift, 0.0)
+    whole = replace(observation, points=observation.points[observation.points[:, 0] > 0.0] + lift)
+    cut = replace(whole, lowest_height_m=0.02)
+    assert silhouette_gap(mesh, raised, whole) > 0.4
+    assert silhouette_gap(mesh, raised, cut) < 0.06
 
 
 @pytest.mark.parametrize(("shift", "turn"), [((0.012, 0.0), 0.0), ((-0.006, 0.009), 0.05)])

@@ -1,6 +1,7 @@
 """A tiny world, filmed end to end: a valid recording, a repeatable truth, and a wall between."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,14 +9,15 @@ import pytest
 
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.store import read_recording
-from clothtrack.world.episodes import PICKER, EpisodeConfig, TemplateConfig, simulate
+from clothtrack.world.actions import ActionConfig
+from clothtrack.world.episodes import PICKER, SMALL_WORLD, TemplateConfig, simulate
 from clothtrack.world.sensor import SensorConfig
 
-TINY = EpisodeConfig(
-    size_m=(0.2, 0.2),
+TINY = replace(
+    SMALL_WORLD,
     vertex_count=150,
-    actions=1,
     template=TemplateConfig(vertex_count=100),
+    action=ActionConfig(),
     sensor=SensorConfig(width=80, height=60, focal=75.0),
 )
 

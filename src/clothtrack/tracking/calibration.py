@@ -9,7 +9,7 @@ reach the same Chamfer distance within a few percent for a fraction of the roll-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -28,6 +28,9 @@ PARAMETERS = (
     "grasp_offset_z_m",
 )
 """Everything that can be calibrated: four properties of the cloth, and how the tool holds it."""
+
+Method = Literal["none", "grid", "halving", "descent"]
+Judge = Literal["open_loop", "tracking"]
 
 Score = Callable[
     [Float[np.ndarray, "candidates parameters"], float], Float[np.ndarray, " candidates"]
@@ -67,8 +70,8 @@ class CalibrationConfig:
         sweeps: most passes over the axes in coordinate descent.
     """
 
-    method: Literal["none", "grid", "halving", "descent"] = "descent"
-    judge: Literal["open_loop", "tracking"] = "open_loop"
+    method: Method = "descent"
+    judge: Judge = "open_loop"
     axes: Mapping[str, tuple[float, ...]] = field(default_factory=_default_axes)
     rank: float = 0.0
     offset_steps: int = 5
@@ -77,11 +80,27 @@ class CalibrationConfig:
     sweeps: int = 2
 
     def __post_init__(self) -> None:
-        """Refuse axes that do not exist or are empty.
+        """Refuse names that do not exist, axes that are empty and values that cannot be meant.
 
         Raises:
-            InvalidConfigError: with the axis and the names that do exist.
+            InvalidConfigError: with the field, its value and what is allowed.
         """
+        for name, allowed in (("method", Method), ("judge", Judge)):
+            if getattr(self, name) not in get_args(allowed):
+                raise InvalidConfigError(
+                    f"calibration: {name} is {getattr(self, name)!r}; use one of "
+                    f"{', '.join(get_args(allowed))}"
+                )
+        for name, least in (("offset_steps", 1), ("batch", 1), ("halving_ratio", 2), ("sweeps", 1)):
+            if getattr(self, name) < least:
+                raise InvalidConfigError(
+                    f"calibration: {name} is {getattr(self, name)}; it must be at least {least}"
+                )
+        if not 0.0 <= self.rank <= 1.0:
+            raise InvalidConfigError(f"calibration: rank is {self.rank}; it must be in 0..1")
+        self._check_axes()
+
+    def _check_axes(self) -> None:
         for name, values in self.axes.items():
             if name not in PARAMETERS:
                 raise InvalidConfigError(
@@ -89,12 +108,12 @@ class CalibrationConfig:
                 )
             if not values:
                 raise InvalidConfigError(f"calibration: axis {name!r} has no value to try")
+            for value in values:
+                check_parameter(name, value)
         if self.judge == "open_loop" and "held_layers" in self.axes:
             raise InvalidConfigError(
                 "calibration: held_layers cannot be searched open loop; set judge to 'tracking'"
             )
-        if not 0.0 <= self.rank <= 1.0:
-            raise InvalidConfigError(f"calibration: rank is {self.rank}; it must be in 0..1")
 
     def with_grasp_offset(self, uncertainty_m: float) -> "CalibrationConfig":
         """The same search, with the height of the grasp within this distance [m] of the tip."""
@@ -108,6 +127,23 @@ class CalibrationConfig:
     def size(self) -> int:
         """Number of combinations in the full grid."""
         return int(np.prod([len(values) for values in self.axes.values()]))
+
+
+def check_parameter(name: str, value: float) -> None:
+    """Refuse a value that the named one of PARAMETERS cannot take.
+
+    Raises:
+        InvalidConfigError: with the name, the value and what is allowed.
+    """
+    if not np.isfinite(value):
+        raise InvalidConfigError(f"{name} is {value}; it must be finite")
+    if not name.startswith("grasp_offset") and value < 0.0:
+        raise InvalidConfigError(f"{name} is {value}; it must be 0 or more")
+    if name == "held_layers" and value != int(value):
+        raise InvalidConfigError(
+            f"held_layers is {value}; it must be a whole number (0: the nearest vertices, whatever "
+            "layer they are of)"
+        )
 
 
 def calibrate(

@@ -7,7 +7,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.simulation.dynamics import DynamicsConfig
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.tracking.alignment import AlignmentConfig
-from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig
+from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, check_parameter
 from clothtrack.tracking.line_search import LineSearchConfig
 from clothtrack.tracking.picking import PickingConfig
 
@@ -136,12 +136,22 @@ class TrackerConfig:
                 f"final_rounds is {self.final_rounds} and final_roll_s {self.final_roll_s}; give "
                 "at least one round, and 0 s (at once) or more"
             )
+        for name in ("score_frames", "visibility_width"):
+            if getattr(self, name) < 1:
+                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        for name in ("support_m", "cloud_reach_m"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidConfigError(
+                    f"{name} is {getattr(self, name)}; it must be positive [m]"
+                )
         missing = [name for name in PARAMETERS if name not in self.parameters]
         unknown = [name for name in self.parameters if name not in PARAMETERS]
         if missing or unknown:
             raise InvalidConfigError(
                 f"parameters: missing {missing}, unknown {unknown}; known are {list(PARAMETERS)}"
             )
+        for name, value in self.parameters.items():
+            check_parameter(name, value)
 
 
 _PAPER = TrackerConfig(

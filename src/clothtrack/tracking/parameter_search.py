@@ -39,15 +39,14 @@ class FollowedAction:
 
     Attributes:
         context: who held what, and the parameters.
-        before: vertices [m] at the last frame, before the final alignment.
-        positions: vertices [m] at every frame after the action's first, the last as `before`.
+        positions: vertices [m] at every frame after the action's first; none of them aligned for
+            the last time yet.
         state: the cloth after the final alignment.
         losses: objective [m^2] of the final alignment before and after.
         records: what happened at each frame; those outside the action are empty.
     """
 
     context: ActionContext
-    before: Float[np.ndarray, "vertices 3"]
     positions: Float[np.ndarray, "frames vertices 3"]
     state: ClothState
     losses: tuple[float, float]

@@ -39,19 +39,37 @@ def silhouette_gap(
     Returns:
         0 for equal outlines, 1 for disjoint ones; NaN where nothing is in view.
     """
-    both = either = 0
-    # The cloud may have been cut away there, so that its absence says nothing.
-    silent_face = np.append(observation.silent(vertices)[mesh.faces].any(axis=1), False)
-    for camera in observation.cameras:
-        faces = Rasteriser(mesh.faces, camera, device=device).render(vertices).faces
-        seen = _picture(observation.points, camera)
-        drawn = (faces >= 0) & (seen | ~silent_face[faces])
-        hidden = observation.hidden.get(camera.name)
-        if hidden is not None:
-            drawn, seen = drawn & ~hidden, seen & ~hidden
-        both += int((drawn & seen).sum())
-        either += int((drawn | seen).sum())
-    return 1.0 - both / either if either else float("nan")
+    return _Outline(mesh, observation, device).gap(vertices)
+
+
+class _Outline:
+    """The cloud's picture in every camera, drawn once for all meshes that are held against it."""
+
+    def __init__(self, mesh: ClothMesh, observation: Observation, device: str) -> None:
+        self._faces, self._observation = mesh.faces, observation
+        self._views = [
+            (
+                Rasteriser(mesh.faces, camera, device=device),
+                _picture(observation.points, camera),
+                observation.hidden.get(camera.name),
+            )
+            for camera in observation.cameras
+        ]
+
+    def gap(self, vertices: Float[np.ndarray, "vertices 3"]) -> float:
+        """What `silhouette_gap` returns for the mesh with these vertices [m]."""
+        both = either = 0
+        # The cloud may have been cut away there, so that its absence says nothing.
+        silent = self._observation.silent(vertices)[self._faces].any(axis=1)
+        silent_face = np.append(silent, False)
+        for rasteriser, seen, hidden in self._views:
+            faces = rasteriser.render(vertices).faces
+            drawn, shown = (faces >= 0) & (seen | ~silent_face[faces]), seen
+            if hidden is not None:
+                drawn, shown = drawn & ~hidden, seen & ~hidden
+            both += int((drawn & shown).sum())
+            either += int((drawn | shown).sum())
+        return 1.0 - both / either if either else float("nan")
 
 
 def slide_to_outline(
@@ -88,8 +106,10 @@ def slide_to_outline(
         turn = Rotation.from_rotvec(step[2] / lever_m * table.normal)
         return turn.apply(vertices - middle) + middle + step[:2] @ across
 
+    outline = _Outline(mesh, observation, device)
+
     def gap(step: Float[np.ndarray, " 3"]) -> float:
-        return silhouette_gap(mesh, moved(step), observation, device=device)
+        return outline.gap(moved(step))
 
     first = gap(np.zeros(3))
     if not np.isfinite(first):

@@ -105,7 +105,7 @@ class Tracker:
                 TrackedAction(
                     first_frame=action.first_frame,
                     last_frame=action.last_frame,
-                    positions_before_final_alignment=followed.before,
+                    positions_before_final_alignment=followed.positions[-1],
                     positions_after_final_alignment=state.positions[0],
                     final_alignment_losses=np.array(followed.losses),
                     parameters=parameters,
@@ -137,12 +137,11 @@ class Tracker:
             positions[frame.index - action.first_frame - 1] = state.positions[0]
             if progress is not None:
                 progress(self._recording.name, frame.index + 1, len(frames))
-        before = state.positions[0]
         last = frames[action.last_frame]
         if self._config.use_final_alignment and self._config.final_slide:
             state = self._slid(state, context, last)
         state, losses = self._final_alignment(state, last)
-        return FollowedAction(context, before, positions, state, losses, records)
+        return FollowedAction(context, positions, state, losses, records)
 
     def _step(
         self, state: ClothState, context: ActionContext, frame: Frame, records: StepRecords

@@ -79,6 +79,17 @@ class EpisodeConfig:
     calibration_error_m: float = 0.0
 
 
+SMALL_WORLD = EpisodeConfig(
+    size_m=(0.2, 0.2),
+    vertex_count=200,
+    actions=1,
+    template=TemplateConfig(vertex_count=200),
+    action=ActionConfig(frame_rate=10.0),
+    sensor=SensorConfig(width=320, height=240, focal=300.0),
+)
+"""One action with a napkin, in a few seconds: for smoke runs and tests, and proof of nothing."""
+
+
 def simulate(
     out: Path,
     kind: GarmentKind,

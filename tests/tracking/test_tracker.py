@@ -1,0 +1,102 @@
+"""What the tracker does between its parts: when it slides a cloth, and what it takes hold of."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from clothtrack.geometry.quality import crossing_edges
+from clothtrack.pipeline import RunConfig, track_recording
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import Recording
+from clothtrack.tracking import tracker as tracker_module
+from clothtrack.tracking.alignment import Aligner
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.tracker import Tracker
+
+
+@pytest.fixture
+def config() -> TrackerConfig:
+    """The default without a search, at the substep of a smoke run."""
+    base = TrackerConfig()
+    return replace(
+        base,
+        calibration=replace(base.calibration, method="none"),
+        solver=replace(base.solver, substep_s=3.3e-3),
+    )
+
+
+@pytest.fixture
+def slides(monkeypatch) -> list:
+    """Every slide to the outline that is made: vertices before and after."""
+    made = []
+    slide = tracker_module.slide_to_outline
+
+    def noted(mesh, vertices, *others, **named):
+        after = slide(mesh, vertices, *others, **named)
+        made.append((vertices, after))
+        return after
+
+    monkeypatch.setattr(tracker_module, "slide_to_outline", noted)
+    return made
+
+
+def tracked(recording: Recording, config: TrackerConfig):
+    return track_recording(recording, RunConfig(tracker=config))
+
+
+def test_a_cloth_that_nobody_holds_is_slid_before_the_final_alignment(recording, config, slides):
+    result = tracked(recording, config)
+    (action,) = result.actions
+    ((before, after),) = slides
+    np.testing.assert_array_equal(before, action.positions_before_final_alignment)
+    # As a whole, along the table: every edge as long as before, every vertex as high.
+    edges = result.mesh.edges
+    np.testing.assert_allclose(_lengths(after, edges), _lengths(before, edges), rtol=1e-6)
+    np.testing.assert_allclose(after[:, 2], before[:, 2], atol=1e-9)
+    assert np.isfinite(action.positions_after_final_alignment).all()
+
+
+def _lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
+
+
+@pytest.mark.parametrize("why", ["held", "no table", "switched off", "no TTO2"])
+def test_a_cloth_that_must_not_slide_is_left_where_it_is(recording, config, slides, why):
+    if why == "held":
+        last = recording.actions[-1].last_frame
+        pickers = {
+            name: replace(path, closed=path.closed | (path.time_s >= path.time_s[path.closed][0]))
+            for name, path in recording.picker_paths.items()
+        }
+        recording = replace(recording, picker_paths=pickers)
+        assert any(p.closed_at(recording.frames[last].time_s) for p in pickers.values())
+    elif why == "no table":
+        recording = replace(recording, table=None)
+    elif why == "switched off":
+        config = replace(config, final_slide=False)
+    else:
+        config = replace(config, use_final_alignment=False)
+    tracked(recording, config)
+    assert not slides
+
+
+@pytest.mark.parametrize("attach_crossed", [False, True])
+def test_vertices_at_crossings_are_left_free_unless_the_paper_is_followed(
+    recording, config, attach_crossed
+):
+    config = replace(config, attach_crossed=attach_crossed)
+    mesh = recording.cloth.template
+    tracker = Tracker(recording, mesh, config, partial(observe, recording))
+    # A third is folded over, and dips through what lies under it.
+    beyond = np.clip(mesh.vertices[:, 0] - mesh.vertices[:, 0].mean() - 0.03, 0.0, None)[:, None]
+    crossing = mesh.vertices - beyond * [2.0, 0.0, 0.1] + (beyond > 0.0) * [0.0, 0.003, 0.004]
+    edges, faces = crossing_edges(crossing, mesh.faces)
+    crossed = np.unique(np.concatenate([edges.ravel(), faces.ravel()]))
+    assert 10 < len(crossed) < 0.5 * len(crossing)
+
+    aligner = Aligner(mesh, config.alignment)
+    _, attached = tracker._alignment(aligner, crossing, observe(recording, recording.frames[0]))
+    assert attached[crossed].any() == attach_crossed
+    assert attached.sum() > 0.3 * len(attached)
