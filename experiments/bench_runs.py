@@ -25,9 +25,8 @@ from first_meshes import resampled, with_first_mesh_error
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.pipeline import RunConfig, provenance
-from clothtrack.recordings.point_cloud import Observation, observe
-from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.pipeline import RunConfig, observer, provenance
+from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.first_mesh import first_mesh
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -223,18 +222,7 @@ def prepared(recording: Recording, truth: Truth, variant: Variant) -> Recording:
 def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTrajectory:
     """Follow the cloth through a recording as the variant says."""
     config = variant.config
-    clouds: dict[int, Observation] = {}
-
-    def cloud(frame: Frame) -> Observation:
-        # Clouds are asked for several times in a row, and a handful is enough.
-        if frame.index not in clouds:
-            if len(clouds) >= 8:
-                clouds.pop(next(iter(clouds)))
-            clouds[frame.index] = observe(
-                recording, frame, spacing_m=config.cloud_spacing_m or None
-            )
-        return clouds[frame.index]
-
+    cloud = observer(recording, config.cloud_spacing_m)
     mesh = first_mesh(recording, cloud(recording.frames[0]), config.first_mesh)
     if variant.peer is not None:
         tracked = follow(recording, mesh, cloud, variant.peer, device=device)

@@ -28,6 +28,9 @@ from clothtrack.workers import end_workers, require_workers, start_worker
 
 logger = logging.getLogger(__name__)
 
+CLOUDS_KEPT = 128
+"""Most clouds in memory, however long an action is: some 50 MB with pictures of 640 x 480."""
+
 Progress = Callable[[str, int, int], None]
 """Called with a recording's name, frames done and frames in all."""
 
@@ -66,6 +69,28 @@ class Outcome:
     error: str = ""
 
 
+def observer(
+    recording: Recording, spacing_m: float, segmenter: Segmenter | None = None
+) -> Callable[[Frame], Observation]:
+    """The clouds of a recording, those of the latest frames kept.
+
+    A search follows one action several times and would segment every picture of it each time.
+
+    Args:
+        recording: read and validated.
+        spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
+        segmenter: finds the cloth in a picture; the recording's masks or colours by default.
+    """
+    longest = max((a.last_frame - a.first_frame for a in recording.actions), default=0)
+
+    @lru_cache(maxsize=min(longest + 2, CLOUDS_KEPT))
+    def observed(frame_index: int) -> Observation:
+        frame = recording.frames[frame_index]
+        return observe(recording, frame, segmenter, spacing_m=spacing_m or None)
+
+    return lambda frame: observed(frame.index)
+
+
 def track_recording(
     recording: Recording,
     config: RunConfig,
@@ -83,15 +108,7 @@ def track_recording(
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame.
     """
-
-    @lru_cache(maxsize=8)
-    def observed(frame_index: int) -> Observation:
-        frame = recording.frames[frame_index]
-        return observe(recording, frame, segmenter, spacing_m=config.cloud_spacing_m or None)
-
-    def cloud(frame: Frame) -> Observation:
-        return observed(frame.index)
-
+    cloud = observer(recording, config.cloud_spacing_m, segmenter)
     mesh = first_mesh(recording, cloud(recording.frames[0]), config.first_mesh)
     tracker = Tracker(recording, mesh, config.tracker, cloud, device=device)
     tracked = tracker.track(progress)
