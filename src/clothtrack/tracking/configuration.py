@@ -32,7 +32,11 @@ def _final_alignment() -> AlignmentConfig:
 
 def _calibration() -> CalibrationConfig:
     # Judged by tracking, a candidate costs a pass: the start is one, each axis adds its others.
-    axes = {"held_layers": (1.0, 2.0), "table_friction": (0.3, 1.0, 3.0)}
+    axes = {
+        "held_layers": (1.0, 2.0),
+        "table_friction": (0.3, 1.0, 3.0),
+        "bend_compliance": (1.0, 10.0),
+    }
     return CalibrationConfig(judge="tracking", axes=axes, sweeps=1)
 
 
