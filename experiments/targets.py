@@ -55,6 +55,9 @@ def targets(rows: Iterable[Row]) -> list[Target]:
     after = [row for row in ours if row["stage"] == "after"]
     before = [row for row in ours if row["stage"] == "before"]
     error = _mean(ERROR, ours)
+    # The paper's mode may have been run on fewer recordings: a share is one of the same ones.
+    shared = {row["recording"] for row in papers}
+    beside = _mean(ERROR, [row for row in ours if row["recording"] in shared])
     first, third = (_mean(ERROR, [r for r in ours if r["action"] == each]) for each in (1, 3))
     over = [
         row
@@ -67,7 +70,7 @@ def targets(rows: Iterable[Row]) -> list[Target]:
     )
     return [
         Target("mean vertex error [mm]", 8.0, error),
-        Target("share of the paper's mode [%]", 60.0, _ratio(100 * error, _mean(ERROR, papers))),
+        Target("share of the paper's mode [%]", 60.0, _ratio(100 * beside, _mean(ERROR, papers))),
         Target("hidden vertices [mm]", 12.0, _mean(HIDDEN, ours)),
         Target("third action / first action", 2.0, _ratio(third, first), 2),
         Target("crossings per 1,000 edges", 1.0, _mean(_RATE, ours), 2),

@@ -34,6 +34,13 @@ def test_each_target_is_judged_by_its_own_measure(rows):
     assert verdicts == ["met", "met", "met", "missed", "met", "met", "missed", "met"]
 
 
+def test_a_share_of_the_papers_error_is_one_of_the_same_recordings(rows):
+    rows += [row("default", "towel_1", action, 30.0) for action in (1, 2, 3)]
+    found = {one.name: one for one in targets.targets(rows)}
+    assert found["share of the paper's mode [%]"].value == pytest.approx(50.0)
+    assert found["mean vertex error [mm]"].value == pytest.approx(18.0)
+
+
 def test_a_mesh_may_not_cross_itself_where_the_world_does_not(rows):
     rows.append(row("default", "towel_1", 1, 3.0, world_crossings_per_1000_edges=0.0))
     found = {one.name: one for one in targets.targets(rows)}
