@@ -24,11 +24,11 @@ from first_meshes import resampled, with_first_mesh_error
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.truth import Truth
+from clothtrack.first_cloth import first_cloth
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.pipeline import RunConfig, observer, provenance
+from clothtrack.pipeline import RunConfig, counted_settings, observer, provenance
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.first_mesh import first_mesh
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
 
@@ -82,6 +82,7 @@ class Variant:
     def digest(self) -> str:
         """Twelve hexadecimal digits that change with every setting."""
         settings = {key: value for key, value in asdict(self).items() if key != "name"}
+        settings["config"] = counted_settings(self.config)
         text = json.dumps(settings, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -223,11 +224,14 @@ def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTraj
     """Follow the cloth through a recording as the variant says."""
     config = variant.config
     cloud = observer(recording, config.cloud_spacing_m)
-    mesh = first_mesh(recording, cloud(recording.frames[0]), config.first_mesh)
+    first = first_cloth(recording, cloud(recording.frames[0]), config.first_mesh, device=device)
     if variant.peer is not None:
-        tracked = follow(recording, mesh, cloud, variant.peer, device=device)
+        tracked = follow(recording, first.mesh, cloud, variant.peer, device=device)
     else:
-        tracked = Tracker(recording, mesh, config.tracker, cloud, device=device).track()
+        tracker = Tracker(
+            recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
+        )
+        tracked = tracker.track()
     stored = {"peer": asdict(variant.peer)} if variant.peer is not None else asdict(config)
     return replace(tracked, config=stored, provenance=provenance(recording, config, device))
 

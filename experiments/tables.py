@@ -12,68 +12,18 @@ mean distances to the true material points [mm], after TTO2 where a method has o
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from bench_measures import Row
 from bench_runs import read_rows
 from figures import say
-from paper_numbers import PAPER
+from learning_columns import LEARNING_COLUMNS, LEARNING_PAIRED, LEARNING_TITLES, gains
+from paper_numbers import PAPER, PAPER_MESH
+from table_column import Column, table
 
 Select = Callable[[Row], bool]
-
-
-@dataclass(frozen=True)
-class Column:
-    """One column of a table.
-
-    Attributes:
-        title: its heading.
-        key: the measure in the rows.
-        scale: factor on it.
-        digits: after the point.
-        stage: "before" or "after" TTO2.
-        last: only the last action of each recording, as the paper measures.
-        spread: standard deviation and median too.
-    """
-
-    title: str
-    key: str
-    scale: float = 1.0
-    digits: int = 1
-    stage: str = "after"
-    last: bool = False
-    spread: bool = False
-
-    def values(self, rows: Iterable[Row]) -> dict[object, float]:
-        """Mean over the actions of each recording, by recording; unknown values left out."""
-        of: dict[object, list[float]] = {}
-        for row in rows:
-            value = row.get(self.key)
-            if row.get("stage") != self.stage or value is None:
-                continue
-            if self.last and row["action"] != row["actions"]:
-                continue
-            of.setdefault(row["recording"], []).append(self.scale * float(value))
-        return {name: float(np.mean(each)) for name, each in of.items()}
-
-    def cells(self, rows: Iterable[Row]) -> list[str]:
-        """The column's cells for one line: mean, and with spread also deviation and median."""
-        values = np.array(list(self.values(rows).values()))
-        if not len(values):
-            return ["-"] * (2 if self.spread else 1)
-        mean = f"{values.mean():.{self.digits}f}"
-        if not self.spread:
-            return [mean]
-        deviation = "-" if len(values) < 2 else f"{values.std(ddof=1):.{self.digits}f}"
-        return [f"{mean} ± {deviation}", f"{np.median(values):.{self.digits}f}"]
-
-    @property
-    def titles(self) -> list[str]:
-        """Headings of the cells."""
-        return [self.title, "median"] if self.spread else [self.title]
 
 
 CHAMFER_LAST = Column(
@@ -113,6 +63,7 @@ COLUMNS: Mapping[str, tuple[Column, ...]] = {
         ERROR, VISIBLE, HIDDEN, P95, CHAMFER_LAST, FLOOR, STRAIN, CROSSINGS_RATE, CPU
     ),
     "model_free": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, SWAPPED, CPU),
+    **LEARNING_COLUMNS,
 }  # fmt: skip
 TITLES = {
     "table1": "Table 1: what each part of the method is worth",
@@ -122,6 +73,7 @@ TITLES = {
     "collision": "Collision: with and without the rigidity loss",
     "sensitivity": "Sensitivity: one setting at a time",
     "model_free": "Why a simulator? A model-free peer",
+    **LEARNING_TITLES,
 }
 REFERENCES: Mapping[str, tuple[str, ...]] = {
     "table1": ("full_held_paper",),
@@ -130,6 +82,9 @@ REFERENCES: Mapping[str, tuple[str, ...]] = {
     "final_alignment": ("best, with TTO2",),
     "collision": ("paper, with rigidity", "default, with rigidity"),
     "model_free": ("default",),
+    "table2": ("before",),
+    "label_count": ("trajectories=0",),
+    "network_alone": ("network, template",),
 }
 """What the others are paired with; of several, each with those that begin like it."""
 
@@ -151,12 +106,14 @@ def markdown(experiment: str, rows: Sequence[Row]) -> str:
         if reference in chosen and len(chosen) > 1:
             parts += [
                 f"Paired by recording, minus *{reference}* (mean ± standard error):",
-                pairs(good, chosen, reference),
+                pairs(good, chosen, reference, LEARNING_PAIRED.get(experiment, PAIRED)),
             ]
     if any(row["actions"] > 1 for row in good):
         parts += ["Error by action [mm], all vertices / hidden:", by_action(good, variants)]
     if len({row["kind"] for row in good}) > 1:
         parts += ["Error by garment [mm], all vertices / visible / hidden:", by_garment(good)]
+    if experiment == "table2":
+        parts.append(gains(good))
     failed = [row for row in rows if "error" in row]
     parts += [f"- failed: {r['variant']}, {r['recording']}: {r['error']}" for r in failed]
     return "\n\n".join(parts) + "\n"
@@ -184,26 +141,32 @@ def means(experiment: str, rows: Sequence[Row], variants: Sequence[str]) -> str:
     columns = COLUMNS[experiment]
     paper = PAPER.get(experiment, {})
     titles = [title for column in columns for title in column.titles]
-    with_paper = any(variant in paper for variant in variants)
-    head = ["method", *(["paper"] if with_paper else []), "n", *titles]
+    stated = {"paper": paper, "paper, mesh": PAPER_MESH.get(experiment, {})}
+    stated = {title: own for title, own in stated.items() if any(v in own for v in variants)}
+    head = ["method", *stated, "n", *titles]
     lines = []
     for variant in variants:
         chosen = [row for row in rows if row["variant"] == variant]
         cells = [cell for column in columns for cell in column.cells(chosen)]
-        stated = [f"{paper[variant]:,g}" if variant in paper else "-"] if with_paper else []
+        papers = [f"{own[variant]:,g}" if variant in own else "-" for own in stated.values()]
         count = len({row["recording"] for row in chosen})
-        lines.append([variant, *stated, str(count), *cells])
+        lines.append([variant, *papers, str(count), *cells])
     return table(head, lines)
 
 
-def pairs(rows: Sequence[Row], variants: Sequence[str], reference: str) -> str:
+def pairs(
+    rows: Sequence[Row],
+    variants: Sequence[str],
+    reference: str,
+    columns: Sequence[Column] = PAIRED,
+) -> str:
     """Differences against the reference on the same recordings, and in how many it is lower."""
     lines = []
     for variant in variants:
         if variant == reference:
             continue
         line = [variant]
-        for column in PAIRED:
+        for column in columns:
             gaps = differences(rows, variant, reference, column)
             if not len(gaps):
                 line += ["-", "-"]
@@ -216,7 +179,7 @@ def pairs(rows: Sequence[Row], variants: Sequence[str], reference: str) -> str:
             ]
         lines.append(line)
     head = ["method"]
-    for column in PAIRED:
+    for column in columns:
         head += [column.title, "lower in"]
     return table(head, lines)
 
@@ -257,12 +220,6 @@ def by_garment(rows: Sequence[Row]) -> str:
 
 
 _ALL = Column("all", "error_all_mm")
-
-
-def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
-    rule = ["---", *("---:" for _ in head[1:])]
-    return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *lines))
 
 
 def _groups(variants: Sequence[str]) -> list[tuple[str, list[str]]]:

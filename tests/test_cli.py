@@ -123,3 +123,44 @@ def test_every_mode_of_the_tracker_is_offered():
     from clothtrack.tracking.configuration import MODES
 
     assert set(cli.Mode.__args__) == set(MODES)
+
+
+WITHOUT_THE_EXTRA = """
+import importlib, pkgutil, sys
+from importlib.machinery import PathFinder
+
+EXTRA = ("torch", "safetensors", "skimage", "igl", "tensorboard")
+find = PathFinder.find_spec
+
+def find_others(name, path=None, target=None):
+    return None if name.partition(".")[0] in EXTRA else find(name, path, target)
+
+PathFinder.find_spec = find_others  # as if they were not installed
+import clothtrack
+for found in pkgutil.walk_packages(clothtrack.__path__, "clothtrack."):
+    if not found.name.startswith("clothtrack.reconstruction"):
+        importlib.import_module(found.name)
+
+from clothtrack.cli import main
+for words in (
+    ["label", "x.zarr", "--recordings", "x", "--output", "x"],
+    ["pretrain", "x", "--output", "x"],
+    ["finetune", "x", "x", "--output", "x"],
+    ["reconstruct", "x.png"],
+):
+    print(main(words))
+assert not set(EXTRA) & set(sys.modules)
+"""
+
+
+def test_without_the_extra_all_but_learning_works_and_learning_says_what_it_needs():
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_THE_EXTRA],
+        capture_output=True, text=True, check=True, timeout=300,
+    )  # fmt: skip
+    assert done.stdout.split() == ["1"] * 4
+    lines = done.stderr.splitlines()
+    assert len(lines) == 4
+    for line in lines:
+        assert "learning needs torch" in line
+        assert line.endswith("pip install 'clothtrack[learn]'")

@@ -8,7 +8,7 @@ import pytest
 
 from clothtrack import cli
 from clothtrack.errors import InvalidConfigError
-from clothtrack.workers import end_workers, require_workers
+from clothtrack.workers import end_workers, finished_in_workers, require_workers
 
 LONG_S = 120.0
 
@@ -33,6 +33,7 @@ def test_workers_end_although_they_miss_a_request(tmp_path, deaf_to):
     process = get_context("spawn").Process(target=busy, args=(told, deaf_to))
     process.start()
     while not told.exists():
+        assert process.is_alive()
         time.sleep(0.02)
     begin = time.monotonic()
     end_workers(patience_s=3.0)
@@ -46,6 +47,7 @@ def test_a_pool_can_be_left_after_its_workers_were_ended(tmp_path):
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         job = pool.submit(busy, told, 1)
         while not told.exists():
+            assert not job.done()
             time.sleep(0.02)
         pool.shutdown(wait=False, cancel_futures=True)
         end_workers(patience_s=3.0)
@@ -63,3 +65,27 @@ def test_the_command_line_refuses_no_workers(verb, tmp_path, capsys):
     assert cli.main([verb, str(tmp_path / "out"), "--workers", "0"]) == 1
     assert "number of workers is 0" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def touch_and_wait(told: Path) -> Path:
+    told.touch()
+    if told.name != "first":
+        time.sleep(LONG_S)
+    return told
+
+
+def test_closed_results_end_their_workers(tmp_path):
+    items = [tmp_path / name for name in ("first", "second", "third", "fourth")]
+    begin = time.monotonic()
+    results = finished_in_workers(touch_and_wait, items, 2)
+    assert next(results) == items[0]
+    results.close()
+    assert not active_children()
+    assert not items[3].exists()
+    assert time.monotonic() - begin < 0.5 * LONG_S
+
+
+def test_the_results_of_workers_come_as_they_are_finished(tmp_path):
+    items = [tmp_path / str(number) for number in range(5)]
+    assert list(finished_in_workers(Path.touch, items, 2)) == [None] * 5
+    assert all(item.exists() for item in items)

@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
-from clothtrack.errors import InvalidResultError
-from clothtrack.terminal import complain, end_progress, exit_code, progress, say
+from clothtrack.artefacts import inside, load_tracked, recording_of
+from clothtrack.learning import LEARNING_VERBS
+from clothtrack.options import AsJson, Device, Seed, Settings
+from clothtrack.terminal import complain, exit_code, progress, say
 
 if TYPE_CHECKING:
     from clothtrack.pipeline import Outcome, RunConfig
-    from clothtrack.recordings.recording import Recording
-    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 Mode = Literal[
     "default",
@@ -34,15 +34,6 @@ Mode = Literal[
     "no_action_conditioning",
     "no_final_alignment",
 ]
-AsJson = Annotated[bool, arg(name="json", help="write one JSON document to standard output")]
-Device = Annotated[str, arg(help="cpu, or cuda:0")]
-Seed = Annotated[int, arg(help="seed of everything random")]
-Settings = Annotated[
-    tuple[str, ...],
-    arg(name="set", metavar="NAME=VALUE", help="a setting, e.g. tracker.alignment.iterations=50"),
-    UseAppendAction,
-]
-
 VERBS: list[Callable[..., int]] = []
 
 
@@ -116,33 +107,51 @@ def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
 def simulate(
     output: Positional[Path],
     *,
-    garment: Literal["towel", "tshirt"] = "towel",
-    trajectories: int = 1,
-    actions: int = 3,
+    garment: Annotated[Literal["towel", "tshirt"], arg(aliases=["--kind"])] = "towel",
+    states: int | None = None,
+    trajectories: int | None = None,
+    actions: int | None = None,
     settings: Settings = (),
     workers: int = 1,
     seed: Seed = 0,
 ) -> int:
-    """Film a stand-in world: OUTPUT/recordings, and the truth kept apart in OUTPUT/truth.
+    """Film a stand-in world; or, with --states, crumple garments for a network to learn from.
 
     Args:
-        output: folder for both; recordings that are there are left as they are.
+        output: folder for recordings/ and truth/, or shards/; what is finished there is kept.
         garment: what lies on the table.
-        trajectories: how many recordings; they get the seeds SEED, SEED + 1 and so on.
-        actions: pick-and-places per recording.
+        states: film nothing; make at least so many labelled states with our own solver.
+        trajectories: how many recordings, 1 by default; they get the seeds SEED, SEED + 1, ...
+        actions: pick-and-places per recording, 3 by default.
         settings: changes to what is filmed, such as sensor.width=320 or vertex_count=300.
         workers: processes.
         seed: of garment, pose, actions, camera and noise.
     """
     from clothtrack.tracking.settings import with_settings
-    from clothtrack.world.episodes import EpisodeConfig
-    from clothtrack.world.episodes import simulate as film
+    from clothtrack.world import episodes
+    from clothtrack.world.states import StatesConfig, generate_states
 
-    config = with_settings(EpisodeConfig(actions=actions), settings)
-    folders = film(output, garment, trajectories, seed=seed, config=config, processes=workers)
-    for folder in folders:
-        say(str(folder))
-    return 0 if len(folders) == trajectories else 1
+    if states is not None:
+        if trajectories is not None or actions is not None:
+            complain(
+                "--states films nothing, so that --trajectories and --actions mean nothing; leave "
+                "them out, or --states"
+            )
+            return 2
+        recipe = with_settings(StatesConfig(), settings)
+        made = generate_states(
+            output, garment, states, seed=seed, config=recipe, processes=workers, progress=progress
+        )
+        say(f"{made.folder / 'README.md'}   ({len(made.shards)} garments)")
+        return 0
+    wanted = 1 if trajectories is None else trajectories
+    told = {} if actions is None else {"actions": actions}
+    config = with_settings(episodes.EpisodeConfig(**told), settings)
+    folders = episodes.simulate(
+        output, garment, wanted, seed=seed, config=config, processes=workers
+    )
+    say("\n".join(map(str, folders)))
+    return 0 if len(folders) == wanted else 1
 
 
 @_verb
@@ -174,7 +183,6 @@ def bench(
         say(json_module.dumps({"trajectories": len(wanted), "wrong": wrong}) if json else told)
         return 1 if wrong else 0
     entries = generation.generate_bench(output, wanted, processes=workers, progress=progress)
-    end_progress()
     say(json_module.dumps(entries, indent=2) if json else generation.table(entries))
     return 0
 
@@ -185,6 +193,7 @@ def track(
     *,
     output: Path,
     mode: Mode = "default",
+    weights: Path | None = None,
     settings: Settings = (),
     workers: int = 1,
     device: Device = "cpu",
@@ -198,7 +207,9 @@ def track(
         output: folder that gets one NAME.zarr per recording; those that are there are skipped,
             so that an interrupted run goes on when it is started again.
         mode: the tracker's default, the paper's method, or an ablation of it.
-        settings: changes to the mode.
+        weights: of the network that makes the first mesh of a recording without a template; the
+            ones that come with clothtrack by default, and without any a flat garment is fitted.
+        settings: changes to the mode, or first_mesh.source=template, network or flat.
         workers: processes; each tracks one recording at a time.
         device: where to compute.
         seed: stored with the result.
@@ -207,6 +218,8 @@ def track(
     if not recordings:
         complain("no recording given; name at least one recording folder")
         return 2
+    if weights is not None:
+        settings = (f"first_mesh.weights={json_module.dumps(str(weights))}", *settings)
     outcomes = _track(
         recordings, output, _run_config(mode, settings, seed=seed), device=device, workers=workers
     )
@@ -253,9 +266,9 @@ def evaluate(
     require_device(device)
     evaluations = []
     for path in tracked:
-        result = _load_tracked(path)
-        known = None if truth is None else Truth.load(_inside(truth, f"{result.name}.npz"))
-        recording = _recording_of(result, recordings)
+        result = load_tracked(path)
+        known = None if truth is None else Truth.load(inside(truth, f"{result.name}.npz"))
+        recording = recording_of(result, recordings)
         evaluations.append(measure(result, recording, known, device=device, seed=seed))
     if output is not None:
         save_json(evaluations, output)
@@ -279,8 +292,8 @@ def view(
         html: write one self-contained page here instead of serving.
         port: of the local server, which listens on this machine only; any free one by default.
     """
-    tracked = _load_tracked(artefact)
-    recording = _recording_of(tracked, recordings)
+    tracked = load_tracked(artefact)
+    recording = recording_of(tracked, recordings)
     if html is not None:
         from clothtrack.report.page import write_report
 
@@ -310,8 +323,12 @@ def export(
     """
     from clothtrack.report.export import export as export_meshes
 
-    say(str(export_meshes(_load_tracked(artefact), output, format)))
+    say(str(export_meshes(load_tracked(artefact), output, format)))
     return 0
+
+
+for _learns in LEARNING_VERBS:
+    _verb(_learns)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -361,32 +378,9 @@ def _track(
     from clothtrack.pipeline import track_recordings
 
     require_device(device)
-    outcomes = track_recordings(
+    return track_recordings(
         recordings, output, config, workers=workers, device=device, progress=progress
     )
-    end_progress()
-    return outcomes
-
-
-def _load_tracked(path: Path) -> "TrackedTrajectory":
-    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-
-    if not path.exists():
-        raise InvalidResultError(f"{path}: there is no such tracked trajectory; check the name")
-    return TrackedTrajectory.load(path)
-
-
-def _recording_of(tracked: "TrackedTrajectory", path: Path) -> "Recording":
-    from clothtrack.recordings.store import read_recording
-
-    if (path / "recording.json").exists():
-        return read_recording(path)
-    return read_recording(_inside(path, tracked.name))
-
-
-def _inside(path: Path, name: str) -> Path:
-    """The entry of a folder, or the path itself when it is a file."""
-    return path / name if path.is_dir() else path
 
 
 if __name__ == "__main__":

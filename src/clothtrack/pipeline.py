@@ -9,19 +9,22 @@ import subprocess
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.first_cloth import first_cloth
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.first_mesh import FirstMeshConfig, first_mesh
+from clothtrack.tracking.first_mesh import FirstMeshConfig
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
 from clothtrack.workers import end_workers, require_workers, start_worker
@@ -41,7 +44,7 @@ class RunConfig:
 
     Attributes:
         tracker: Algorithm 1 and all that it uses.
-        first_mesh: the mesh it starts from, when the recording has no template.
+        first_mesh: where the mesh that it starts from comes from.
         cloud_spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
         seed: stored with the result; nothing in tracking draws random numbers so far.
     """
@@ -109,10 +112,15 @@ def track_recording(
         progress: called after every frame.
     """
     cloud = observer(recording, config.cloud_spacing_m, segmenter)
-    mesh = first_mesh(recording, cloud(recording.frames[0]), config.first_mesh)
-    tracker = Tracker(recording, mesh, config.tracker, cloud, device=device)
+    first = first_cloth(
+        recording, cloud(recording.frames[0]), config.first_mesh, segmenter=segmenter, device=device
+    )
+    tracker = Tracker(
+        recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
+    )
     tracked = tracker.track(progress)
-    return replace(tracked, config=asdict(config), provenance=provenance(recording, config, device))
+    stamp = {**provenance(recording, config, device), "first_mesh": dict(first.origin)}
+    return replace(tracked, config=asdict(config), provenance=stamp)
 
 
 def track_recordings(
@@ -226,8 +234,28 @@ def _refuse_other_settings(path: Path, config: RunConfig) -> None:
 
 def config_hash(config: RunConfig) -> str:
     """Ten hexadecimal digits that change with any setting."""
-    text = json.dumps(asdict(config), sort_keys=True, default=str)
+    text = json.dumps(counted_settings(config), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:10]
+
+
+def counted_settings(config: RunConfig) -> dict[str, Any]:
+    """The settings that a kept result is known by.
+
+    Settings that came when results had already been kept count where they are not as they were, so
+    that those results stay valid; weights count by what is in their file, not by its name.
+    """
+    settings = asdict(config)
+    first, usual = settings["first_mesh"], asdict(FirstMeshConfig())
+    for name in _CAME_LATER:
+        if first[name] == usual[name]:
+            del first[name]
+    if weights := first.get("weights"):
+        with suppress(OSError):
+            first["weights"] = hashlib.sha256(Path(weights).read_bytes()).hexdigest()
+    return settings
+
+
+_CAME_LATER = ("source", "weights", "refined", "refinement")
 
 
 def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str, object]:

@@ -13,6 +13,7 @@ from clothtrack.errors import ClothTrackError, StorageError
 
 def say(text: str) -> None:
     """Write a result."""
+    end_progress()
     sys.stdout.write(text + "\n")
 
 

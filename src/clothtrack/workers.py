@@ -1,11 +1,21 @@
 """Worker processes: how many, how they start, and that they end when their parent is stopped."""
 
+import os
 import signal
+import sys
 import time
-from multiprocessing import active_children
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import active_children, get_context
+from types import FrameType
+from typing import TypeVar
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.devices import quiet_warp
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 PATIENCE_S = 10.0
 """How long workers may take to clear away what is half-written before they are killed [s]."""
@@ -43,3 +53,63 @@ def end_workers(patience_s: float = PATIENCE_S) -> None:
     for process in active_children():
         process.kill()
         process.join()
+
+
+def finished_in_workers(
+    work: Callable[[Item], Result], items: Sequence[Item], processes: int
+) -> Generator[Result, None, None]:
+    """Do the same work on many items, in this process or in several; results as they come.
+
+    After an interrupt or an error no worker begins anything or goes on; each clears away what it
+    has half-written, as the work's own `finally` blocks say, or is killed after a while.
+
+    An interrupt may also come while the caller is busy with a result: close the results then
+    (`contextlib.closing`), or the workers go on for as long as a traceback holds on to them.
+
+    Args:
+        work: a function of a module, so that a worker can find it.
+        items: what to work on, handed to the workers in this order.
+        processes: how many; one works right here.
+
+    Raises:
+        InvalidConfigError: when there are no workers.
+        ClothTrackError: when a worker was killed.
+    """
+    require_workers(processes)
+    if processes == 1 or len(items) <= 1:
+        yield from map(work, items)
+        return
+    jobs: list[Future[Result]] = []
+    with ProcessPoolExecutor(processes, get_context("spawn"), _start_stoppable_worker) as pool:
+        try:
+            jobs.extend(pool.submit(_work_or_leave, work, item) for item in items)
+            for job in as_completed(jobs):
+                yield job.result()
+        except BrokenProcessPool as error:
+            raise ClothTrackError(
+                "a worker process was killed (out of memory?); use fewer workers and run again: "
+                "what is finished is kept"
+            ) from error
+        finally:
+            unfinished = len(jobs) < len(items) or not all(job.done() for job in jobs)
+            pool.shutdown(wait=False, cancel_futures=True)
+            if unfinished:
+                end_workers()
+
+
+def _work_or_leave(work: Callable[[Item], Result], item: Item) -> Result:
+    try:
+        return work(item)
+    except SystemExit:
+        # What was half-written is gone by now. A pool hands any exception of a task back to its
+        # parent and goes on with the next one; this worker was told to end.
+        os._exit(1)
+
+
+def _start_stoppable_worker() -> None:
+    start_worker()
+    signal.signal(signal.SIGTERM, _leave)
+
+
+def _leave(_signal: int, _frame: FrameType | None) -> None:
+    sys.exit(1)

@@ -225,9 +225,12 @@ def test_a_trajectory_that_always_diverges_is_an_error(
 def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
     out = tmp_path / "bench"
     file = tmp_path / "script.py"
+    # What starts in a shell's background ignores the signal, and hands that on.
     file.write_text(
+        "import signal\n"
         "from clothtrack.cli import main\n"
         "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"    raise SystemExit(main(['bench', {str(out)!r}, '--workers', '2']))\n"
     )
     with subprocess.Popen([sys.executable, str(file)], stderr=subprocess.PIPE, text=True) as run:

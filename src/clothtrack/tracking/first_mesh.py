@@ -1,14 +1,14 @@
 """The mesh that tracking starts from: the recording's template, or a garment fitted to the cloth.
 
-A reconstruction network will take this place; until then a flat towel or T-shirt is laid on the
-first cloud, its size measured from the cloud when the recording does not state it. What is fitted
-is the outline: the inside of a flat cloth says nothing about its size, and would only draw the
-edges inwards. Depth alone cannot tell a shirt's front from its back nor one corner of a towel from
-another: the front is taken to face up.
+Where the reconstruction network is not asked (`clothtrack.first_cloth`) a flat towel or T-shirt is
+laid on the first cloud, its size measured from the cloud when the recording does not state it. What
+is fitted is the outline: the inside of a flat cloth says nothing about its size, and would only
+draw the edges inwards. Depth alone cannot tell a shirt's front from its back nor one corner of a
+towel from another: the front is taken to face up.
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -17,22 +17,33 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
 from clothtrack.simulation.garments import garment
+from clothtrack.tracking.refinement import RefinementConfig
 
 logger = logging.getLogger(__name__)
 
 FITTED_KINDS = ("towel", "tshirt")
 
+SOURCES = ("auto", "template", "network", "flat")
+"""Where a first mesh may come from."""
+
 
 @dataclass(frozen=True)
 class FirstMeshConfig:
-    """How a first mesh is made when the recording has no template.
+    """Where the first mesh comes from, and how it is made when the recording has no template.
 
     Attributes:
+        source: "template": the recording's own; "network": reconstructed from the first depth
+            picture, whether or not there is a template; "flat": a flat garment fitted to the first
+            cloud, likewise; "auto": the template, else the network where there are weights for the
+            garment, else the flat fit.
+        weights: file with the network's weights; empty: those that come with the package, if any.
+        refined: whether a network's mesh is fine-tuned to the first cloud.
+        refinement: how.
         vertex_count: about how many vertices the mesh gets.
         resting_height_m: height of its lowest vertices above the table [m].
         rim_m: how far inside the cloth's edge the outermost points lie [m]. Where the edge cuts the
@@ -48,6 +59,21 @@ class FirstMeshConfig:
     rim_m: float = 0.001
     turns: int = 12
     doubtful_m: float = 0.01
+    source: str = "auto"
+    weights: str = ""
+    refined: bool = True
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse a source that there is not.
+
+        Raises:
+            InvalidConfigError: with the sources that there are.
+        """
+        if self.source not in SOURCES:
+            raise InvalidConfigError(
+                f"first_mesh.source is {self.source!r}; choose one of {', '.join(SOURCES)}"
+            )
 
 
 def first_mesh(
@@ -68,6 +94,25 @@ def first_mesh(
     """
     if recording.cloth.template is not None:
         return recording.cloth.template
+    return fitted_mesh(recording, observation, config)
+
+
+def fitted_mesh(
+    recording: Recording, observation: Observation, config: FirstMeshConfig
+) -> ClothMesh:
+    """A flat garment fitted to the first cloud, whether or not the recording has a template.
+
+    Args:
+        recording: says what the cloth is and where the table is.
+        observation: the cloud of the first frame, flat cloth.
+        config: size of the mesh.
+
+    Returns:
+        The flat cloth in the world frame [m].
+
+    Raises:
+        InvalidRecordingError: the kind has no outline, or table or cloud are missing.
+    """
     if recording.cloth.kind not in FITTED_KINDS:
         raise InvalidRecordingError(
             f"{recording.folder}: cloth.kind is {recording.cloth.kind!r} and there is no template; "

@@ -34,6 +34,7 @@ from clothtrack.tracking.parameter_search import (
     ParameterSearch,
 )
 from clothtrack.tracking.picking import held_motion, picker_speed
+from clothtrack.tracking.refinement import SETTLE_IN_S
 from clothtrack.tracking.silhouette import slide_to_outline
 from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedAction, TrackedTrajectory
 
@@ -52,6 +53,7 @@ class Tracker:
         config: TrackerConfig,
         observe: Observe,
         *,
+        start: Float[np.ndarray, "vertices 3"] | None = None,
         device: str = "cpu",
     ) -> None:
         """Set up the dynamics, the aligners and the cameras.
@@ -61,6 +63,8 @@ class Tracker:
             first_mesh: the flat cloth in the world [m]; its edges are the rest lengths for good.
             config: the whole configuration.
             observe: turns a frame into a cloud.
+            start: where its vertices are at the first frame [m], when the cloth does not lie flat
+                there.
             device: "cpu" or "cuda:0".
         """
         self._recording, self._mesh, self._config, self._observe = (
@@ -69,6 +73,11 @@ class Tracker:
         self._solver_config = replace(config.solver, table=recording.table)
         self._device = device
         solver = ClothSolver(first_mesh, self._solver_config, device=device)
+        if start is not None:
+            # Flat, the layers have a side of each other, and a place to remember it.
+            solver.step(SETTLE_IN_S)
+            solver.place(start)
+            solver.set_velocities(np.zeros_like(start))
         self._dynamics = ClothDynamics(solver, config.dynamics)
         cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
         self._visible = VisibilityCheck(

@@ -1,0 +1,394 @@
+"""The verbs of learning: label, pretrain, finetune, reconstruct. They need the extra [learn]."""
+
+import json as json_module
+import logging
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from clothtrack.artefacts import load_tracked, recording_of
+from clothtrack.errors import InvalidConfigError, InvalidResultError, StorageError
+from clothtrack.options import AsJson, Device, Seed, Settings
+from clothtrack.reconstruction.availability import EXTRA, INSTALL, missing_modules
+from clothtrack.terminal import complain, end_progress, progress, say
+
+if TYPE_CHECKING:
+    from clothtrack.evaluation.label_quality import LabelQuality
+    from clothtrack.geometry.mesh import ClothMesh
+    from clothtrack.reconstruction.pseudo_labels import PseudoLabel
+    from clothtrack.reconstruction.two_stages import LearningConfig, LearningOutcome
+    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+logger = logging.getLogger(__name__)
+
+
+def label(
+    tracked: Positional[tuple[Path, ...]],
+    *,
+    recordings: Path,
+    output: Path,
+    garment: Literal["as recorded", "towel", "tshirt"] = "as recorded",
+    weighted: bool = True,
+    flat_weight: float = 1.0,
+    device: Device = "cpu",
+    json: AsJson = False,
+) -> int:
+    """Make pseudo-labels of tracked trajectories: the data set that `finetune` learns from.
+
+    Args:
+        tracked: NAME.zarr folders that `track` wrote.
+        recordings: the recording, or the folder in which recordings lie by name.
+        output: folder that gets one NAME.labels.npz per trajectory.
+        garment: what it is, where the recording does not say or says otherwise.
+        weighted: weigh each label by its quality; otherwise all count alike.
+        flat_weight: weight of the first frame, before any action; 0 leaves it out.
+        device: where to compute.
+        json: machine-readable.
+    """
+    require_learning()
+    from clothtrack.evaluation.label_quality import judge_labels
+    from clothtrack.reconstruction.pseudo_labels import label_recording, write_labels
+
+    if not tracked:
+        complain("no tracked trajectory given; name at least one NAME.zarr")
+        return 2
+    if not 0.0 <= flat_weight <= 1.0:
+        raise InvalidConfigError(f"flat_weight is {flat_weight}; it must be in 0..1")
+    rows = []
+    for path in tracked:
+        result = load_tracked(path)
+        recording = recording_of(result, recordings)
+        judged = judge_labels(result, recording, device=device)
+        chosen = _pseudo_labels(result, judged, weighted=weighted, flat_weight=flat_weight)
+        if result.mesh.canonical is None:
+            raise InvalidResultError(
+                f"{path}: its first mesh has no canonical coordinates; track the recording again "
+                "from a template that has them"
+            )
+        labelled = label_recording(
+            recording,
+            result.mesh,
+            chosen,
+            kind=_kind(garment, recording.cloth.kind, path),
+            provenance={"tracked": dict(result.provenance), "weighted": weighted},
+        )
+        file = output / f"{result.name}.labels.npz"
+        write_labels(labelled, file)
+        weights = [one.weight for one in chosen]
+        rows.append({"labels": str(file), "frames": labelled.frames, "weights": weights})
+        if not json:
+            told = " ".join(f"{weight:.2f}" for weight in weights)
+            say(f"{file}   {len(weights)} labels, weights {told}")
+    if json:
+        say(json_module.dumps(rows, indent=2))
+    return 0
+
+
+def pretrain(
+    states: Positional[tuple[Path, ...]],
+    *,
+    output: Path,
+    network: Literal["small", "reference"] = "small",
+    settings: Settings = (),
+    device: Device = "cpu",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> int:
+    """Train the network from nothing on simulated states (`simulate --states`).
+
+    The same command goes on where an interrupted one stopped, to the same bits. For several GPUs:
+    torchrun --nproc-per-node N --module clothtrack.cli pretrain ... --device cuda
+
+    Args:
+        states: folders of states, all of one kind of garment.
+        output: folder for progress, scalars and model.safetensors.
+        network: its sizes: small for two processor cores, reference as published.
+        settings: changes, such as canonicalisation.epochs=20 or completion.batch_size=8.
+        device: where to compute.
+        seed: of weights, order, cameras and noise.
+        json: machine-readable.
+    """
+    require_learning()
+    from clothtrack.reconstruction.configuration import preset
+    from clothtrack.reconstruction.processes import joined
+    from clothtrack.reconstruction.two_stages import pretrain as learn
+    from clothtrack.world.state_store import open_states
+
+    if not states:
+        complain("no states given; make some with: clothtrack simulate OUT --states N")
+        return 2
+    name = "pretrain" if network == "small" else "pretrain_reference"
+    config = _learning_config(name, settings, seed=seed)
+    sets = [open_states(folder) for folder in states]
+    with joined(device) as processes:
+        shown = progress if processes.writes else None
+        outcome = learn(sets, preset(network), config, output, processes=processes, progress=shown)
+    return _told(outcome, json=json) if processes.writes else 0
+
+
+def finetune(
+    weights: Positional[Path],
+    labels: Positional[tuple[Path, ...]],
+    *,
+    output: Path,
+    training: Literal["finetune", "paper"] = "finetune",
+    old: Path | None = None,
+    old_share: float = 0.25,
+    settings: Settings = (),
+    device: Device = "cpu",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> int:
+    """Train a network further on pseudo-labels, held-out trajectories deciding when to stop.
+
+    Args:
+        weights: model.safetensors to begin with.
+        labels: NAME.labels.npz files that `label` wrote, or folders of them.
+        output: folder for progress, scalars and model.safetensors.
+        training: until nothing improves, or the paper's 1,000 and 2,000 epochs.
+        old: folder of simulated states to mix in, against forgetting.
+        old_share: how often an example is one of these, if they are given.
+        settings: changes, such as canonicalisation.high_rate=1e-4.
+        device: where to compute.
+        seed: of order and augmentation.
+        json: machine-readable.
+    """
+    require_learning()
+    from clothtrack.reconstruction.processes import joined
+    from clothtrack.reconstruction.pseudo_labels import read_labels
+    from clothtrack.reconstruction.two_stages import finetune as learn
+    from clothtrack.world.state_store import open_states
+
+    files = [
+        file
+        for path in labels
+        for file in (sorted(path.glob("*.labels.npz")) if path.is_dir() else [path])
+    ]
+    if not files:
+        complain("no labels given; make some with: clothtrack label TRACKED... --output FOLDER")
+        return 2
+    config = _learning_config(training, settings, seed=seed)
+    if old is not None:
+        config = replace(
+            config,
+            canonicalisation=replace(config.canonicalisation, old_share=old_share),
+            completion=replace(config.completion, old_share=old_share),
+        )
+    old_states = [] if old is None else [open_states(old)]
+    labelled = [read_labels(file) for file in files]
+    with joined(device) as processes:
+        shown = progress if processes.writes else None
+        outcome = learn(
+            weights,
+            labelled,
+            config,
+            output,
+            old=old_states,
+            processes=processes,
+            progress=shown,
+        )
+    return _told(outcome, json=json) if processes.writes else 0
+
+
+def reconstruct(
+    depth: Positional[Path],
+    *,
+    output: Path = Path("out/mesh.obj"),
+    garment: Literal["as recorded", "towel", "tshirt"] = "as recorded",
+    weights: Path | None = None,
+    method: Literal["template", "implicit"] = "template",
+    refined: bool = True,
+    frame: int | None = None,
+    mask: Path | None = None,
+    depth_unit: float | None = None,
+    focal: float | None = None,
+    table_distance: float | None = None,
+    device: Device = "cpu",
+    json: AsJson = False,
+) -> int:
+    """Reconstruct the whole cloth, hidden layers included, from one depth picture.
+
+    Args:
+        depth: a 16-bit depth PNG of a camera that looks straight down, or a recording.
+        output: mesh file to write: .obj, .ply or .stl [m]; table at z = 0 for a PNG.
+        garment: what it is; must be said for a PNG.
+        weights: model.safetensors; the ones that come with clothtrack by default.
+        method: the garment's own mesh laid into the picture, or the surface of the predicted
+            winding number, which may find none.
+        refined: fine-tune the mesh to the picture.
+        frame: of a recording; the first by default.
+        mask: picture of where the cloth is, for a PNG; else what stands out of the table.
+        depth_unit: metres per unit of a PNG; 0.001 if not given.
+        focal: focal length of a PNG's camera [pixels]; 0.94 of its width if not given.
+        table_distance: from a PNG's camera to the table [m]; the most frequent depth by default.
+        device: where to compute.
+        json: machine-readable.
+    """
+    require_learning()
+    from clothtrack.network_mesh import network_mesh
+    from clothtrack.reconstruction import depth_input
+    from clothtrack.reconstruction.processes import require_torch_device
+    from clothtrack.tracking.refinement import RefinementConfig
+
+    require_torch_device(device)
+    require_mesh_format(output)
+    of_picture = {
+        "mask": mask,
+        "depth_unit_m": depth_unit,
+        "focal": focal,
+        "table_distance_m": table_distance,
+    }
+    told = {name: value for name, value in of_picture.items() if value is not None}
+    if depth.is_dir():
+        _refuse(told, f"{depth} is a recording, which says itself")
+        given = depth_input.from_recording(depth, frame or 0)
+    else:
+        _refuse({} if frame is None else {"frame": frame}, f"{depth} is not a recording")
+        given = depth_input.from_picture(depth, **told)
+    kind = _kind(garment, given.kind, depth)
+    model = depth_input.load_model(kind, weights, device=device)
+    refinement = RefinementConfig() if refined else None
+    made = network_mesh(model, given, kind, method=method, refinement=refinement)
+    found = made.reconstruction
+    if made.mesh is None:
+        complain(f"{depth}: no mesh ({found.status}); try --method template")
+        return 1
+    write_mesh(made.mesh, output)
+    report = {
+        "mesh": str(output),
+        "status": found.status,
+        "vertices": made.mesh.vertex_count,
+        "confidence": float(found.confidence[found.confidence > 0].mean()),
+        # Not a number where nothing of the mesh was seen, which JSON cannot say.
+        "chamfer_m2": []
+        if made.refinement is None
+        else [None if isnan(one) else one for one in made.refinement.chamfer_m2],
+    }
+    summary = "{mesh}   {vertices} vertices, confidence {confidence:.2f}".format(**report)
+    say(json_module.dumps(report, indent=2) if json else summary)
+    return 0
+
+
+LEARNING_VERBS = (label, pretrain, finetune, reconstruct)
+
+
+def require_learning() -> None:
+    """Check that the extra [learn] is installed.
+
+    Raises:
+        InvalidConfigError: with the command that installs it.
+    """
+    missing = missing_modules(EXTRA)
+    if missing:
+        raise InvalidConfigError(
+            f"learning needs {', '.join(missing)}, which tracking does not; install with: {INSTALL}"
+        )
+
+
+def _kind(told: str, recorded: str | None, source: Path) -> str:
+    """The garment as the command line tells it, or else the recording."""
+    kind = recorded if told == "as recorded" else told
+    if kind not in ("towel", "tshirt"):
+        raise InvalidConfigError(
+            f"{source}: what garment it shows is {kind or 'not said'}; add --garment towel or "
+            "--garment tshirt"
+        )
+    return kind
+
+
+def _refuse(options: Mapping[str, object], why: str) -> None:
+    """Refuse options that would mean nothing here, rather than leave them out silently."""
+    if options:
+        names = " and ".join(f"--{name.removesuffix('_m').replace('_', '-')}" for name in options)
+        raise InvalidConfigError(f"{names}: {why}; leave it out")
+
+
+def require_mesh_format(path: Path) -> None:
+    """Refuse a mesh file whose suffix names no format that is written.
+
+    Raises:
+        InvalidConfigError: naming those that are.
+    """
+    if path.suffix not in (".obj", ".ply", ".stl"):
+        raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; choose .obj, .ply or .stl")
+
+
+def write_mesh(mesh: "ClothMesh", path: Path) -> None:
+    """Write a mesh [m] in the format of its suffix, whole or not at all.
+
+    Raises:
+        InvalidConfigError: no such format.
+        StorageError: when the disk refuses.
+    """
+    import trimesh
+
+    require_mesh_format(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise StorageError.of(error) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def _pseudo_labels(
+    tracked: "TrackedTrajectory",
+    judged: "Sequence[LabelQuality]",
+    *,
+    weighted: bool,
+    flat_weight: float,
+) -> "list[PseudoLabel]":
+    """The first frame and the end of every action; labels nobody can judge are left out."""
+    from clothtrack.reconstruction.pseudo_labels import PseudoLabel
+
+    chosen = []
+    if flat_weight > 0.0:
+        chosen.append(PseudoLabel(int(tracked.frames[0]), tracked.positions[0], flat_weight))
+    for action, quality in zip(tracked.actions, judged, strict=True):
+        weight = quality.label_quality if weighted else 1.0
+        if not weight > 0.0:
+            logger.warning(
+                "%s: frame %d has no label: nothing was seen to judge it by",
+                tracked.name,
+                quality.frame,
+            )
+            continue
+        positions = action.positions_after_final_alignment
+        chosen.append(PseudoLabel(quality.frame, positions, float(weight)))
+    return chosen
+
+
+def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "LearningConfig":
+    from clothtrack.reconstruction.two_stages import LearningConfig
+    from clothtrack.tracking.settings import with_settings
+
+    return with_settings(LearningConfig.preset(name, seed=seed), settings)
+
+
+def _told(outcome: "LearningOutcome", *, json: bool) -> int:
+    """Say how it went; the exit code."""
+    end_progress()
+    if json:
+        say(json_module.dumps(asdict(outcome), indent=2, default=str))
+    else:
+        for name, one in outcome.stages.items():
+            say(
+                f"{name}  {one.status} after {one.steps} steps; best held-out error "
+                f"{one.best_score:.1f} mm after {one.best_step}"
+            )
+        if outcome.model is not None:
+            say(str(outcome.model))
+    if outcome.model is None:
+        complain("interrupted; the same command goes on from there")
+        return 1
+    return 0

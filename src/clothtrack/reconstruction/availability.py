@@ -1,0 +1,26 @@
+"""Whether the network can be asked here: what must be installed, and the weights that come along.
+
+Nothing is loaded to find out: tracking asks this before it decides where its first mesh comes from.
+"""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+EXTRA = ("torch", "safetensors", "igl", "skimage")
+"""Modules of the extra [learn] without which nothing can be learned or reconstructed."""
+
+SHIPPED = Path(__file__).parent / "weights"
+"""Folder of the weights that come with the package, KIND.safetensors."""
+
+INSTALL = "pip install 'clothtrack[learn]'"
+
+
+def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
+    """Those of the modules, by default of the extra, that are not installed."""
+    return [name for name in wanted or EXTRA if find_spec(name) is None]
+
+
+def shipped_weights(kind: str) -> Path | None:
+    """The weights for a kind of garment that come with the package; None when none do."""
+    path = SHIPPED / f"{kind}.safetensors"
+    return path if path.is_file() else None

@@ -1,0 +1,200 @@
+"""Sizes of the reconstruction network, and its two presets."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from clothtrack.errors import InvalidConfigError
+
+_COUNTS = {
+    "image_size": (1, 1024),
+    "widths": (1, 2048),
+    "decoder_width": (1, 2048),
+    "head_width": (0, 2048),
+    "output_stride": (1, 16),
+    "bins": (1, 1024),
+    "window": (0, 64),
+    "volume": (1, 128),
+    "volume_depth": (1, 128),
+    "volume_channels": (1, 1024),
+    "point_hidden": (1, 4096),
+    "volume_widths": (1, 2048),
+    "decoder_hidden": (1, 4096),
+    "grid": (2, 256),
+    "grid_margin": (0, 128),
+    "surface_vertices": (4, 1_000_000),
+}
+"""Least and most of each count: a weights file says how large its network is, and one that was made
+to do harm must not take all memory."""
+
+_PER_LEVEL = ("widths", "volume_widths")
+_LEVELS = 8
+_NUMBERS = ("field_of_view_deg", "view_margin", "least_view_m", "trim", "trim_sigma", "short_edge")
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Everything that the shape of the networks and of the extracted surface depends on.
+
+    Attributes:
+        image_size: width and height of the network's depth picture [pixels].
+        field_of_view_deg: opening angle of the virtual camera that takes it [deg]; 45 as MEDOR.
+        view_margin: free border around the cloth, as a share of its longer side.
+        least_view_m: shortest side of the square that the picture shows [m]: a bunched cloth is
+            not magnified further.
+        depth_channels: 1 feeds metres as they are (MEDOR); 3 feeds the silhouette, the height over
+            the cloth's mean and that mean depth, which shows millimetres to a young network.
+        encoder: "unet", or "hrnet_w32" (arXiv 1908.07919) as MEDOR.
+        widths: channels of the encoder at each resolution, halved from one to the next.
+        decoder_width: channels of the feature of a pixel that the "unet" hands on.
+        head_width: channels of the hidden layer in front of the bins; 0 has none.
+        output_stride: input pixels per output pixel.
+        bins: bins per canonical axis.
+        window: bins on either side of the best one that a coordinate is the mean of.
+        volume: cells along each edge of the cube in the feature volume.
+        volume_depth: cells along z; fewer than `volume` leave the cube's front and back out, where
+            no garment is: a T-shirt fills 0.2 of it. The U-Net's time is proportional to it.
+        volume_channels: channels of a cell.
+        point_hidden: width of the point network in front of the volume.
+        volume_widths: channels of the 3-D U-Net at each resolution.
+        decoder_hidden: width of the two hidden layers of the winding and the warp decoder.
+        grid: nodes along each edge of the cube; the winding number is decoded at those that the
+            category's garments can reach, a third of them or less.
+        grid_margin: nodes decoded beyond the largest garment of the category.
+        trim: faces where the winding number changes less than this per node are openings; 0.25
+            suits perfect fields only, 0.1 survives a field blurred by two cells.
+        trim_sigma: width of the Gaussian under the gradient of the trim [nodes].
+        short_edge: edges of the surface below this share of the grid's spacing are collapsed.
+        surface_vertices: edges are collapsed until the surface has about as many vertices; the
+            paper's meshes have 3,906 on average.
+    """
+
+    image_size: int = 128
+    field_of_view_deg: float = 45.0
+    view_margin: float = 0.08
+    least_view_m: float = 0.15
+    depth_channels: Literal[1, 3] = 3
+    encoder: str = "unet"
+    widths: tuple[int, ...] = (32, 64, 96, 128, 160)
+    decoder_width: int = 64
+    head_width: int = 0
+    output_stride: int = 2
+    bins: int = 64
+    window: int = 2
+    volume: int = 32
+    volume_depth: int = 8
+    volume_channels: int = 32
+    point_hidden: int = 64
+    volume_widths: tuple[int, ...] = (16, 32, 64)
+    decoder_hidden: int = 128
+    grid: int = 96
+    grid_margin: int = 4
+    trim: float = 0.1
+    trim_sigma: float = 0.5
+    short_edge: float = 0.5
+    surface_vertices: int = 4000
+
+    def __post_init__(self) -> None:
+        """Refuse what the networks cannot be built from.
+
+        Raises:
+            InvalidConfigError: with the field, its value and the limit.
+        """
+        _check_numbers(self)
+        if self.encoder not in ("unet", "hrnet_w32"):
+            raise InvalidConfigError(
+                f'NetworkConfig.encoder is {self.encoder!r}; choose "unet" or "hrnet_w32"'
+            )
+        if self.encoder == "hrnet_w32" and len(self.widths) != 4:
+            raise InvalidConfigError(
+                f"NetworkConfig.widths is {self.widths}; hrnet_w32 has 4 resolutions"
+            )
+        if self.depth_channels not in (1, 3):
+            raise InvalidConfigError(
+                f"NetworkConfig.depth_channels is {self.depth_channels}; choose 1 or 3"
+            )
+        if self.image_size % self.output_stride:
+            raise InvalidConfigError(
+                f"NetworkConfig.image_size is {self.image_size}; it must be a multiple of "
+                f"output_stride ({self.output_stride})"
+            )
+        levels = 2 ** (len(self.volume_widths) - 1)
+        for name in ("volume", "volume_depth"):
+            if getattr(self, name) % levels:
+                raise InvalidConfigError(
+                    f"NetworkConfig.{name} is {getattr(self, name)}; {len(self.volume_widths)} "
+                    f"resolutions need a multiple of {levels}"
+                )
+        if self.volume_depth > self.volume:
+            raise InvalidConfigError(
+                f"NetworkConfig.volume_depth is {self.volume_depth}; it must be volume "
+                f"({self.volume}) or less"
+            )
+
+    @property
+    def volume_cells(self) -> tuple[int, int, int]:
+        """Cells of the feature volume along x, y and z."""
+        return self.volume, self.volume, self.volume_depth
+
+    @property
+    def output_size(self) -> int:
+        """Width and height of the canonical picture [pixels]."""
+        return self.image_size // self.output_stride
+
+
+def _check_numbers(config: NetworkConfig) -> None:
+    for name, (least, most) in _COUNTS.items():
+        given = getattr(config, name)
+        if name in _PER_LEVEL and not (isinstance(given, tuple) and 1 <= len(given) <= _LEVELS):
+            raise InvalidConfigError(
+                f"NetworkConfig.{name} is {given!r}; it must be 1 to {_LEVELS} numbers"
+            )
+        counts = given if name in _PER_LEVEL else (given,)
+        if not all(type(one) is int and least <= one <= most for one in counts):
+            raise InvalidConfigError(
+                f"NetworkConfig.{name} is {given!r}; it must be whole, from {least} to {most}"
+            )
+    for name in _NUMBERS:
+        given = getattr(config, name)
+        if type(given) not in (int, float) or not 0.0 <= given < 180.0:
+            raise InvalidConfigError(
+                f"NetworkConfig.{name} is {given!r}; it must be a number from 0 to 180"
+            )
+
+
+PRESETS: dict[str, NetworkConfig] = {
+    # For two processor cores: docs/method.md says what each size costs.
+    "small": NetworkConfig(),
+    # MEDOR (arXiv 2209.03287) as published, on GarmentNets' volume (arXiv 2104.05177).
+    "reference": NetworkConfig(
+        image_size=200,
+        depth_channels=1,
+        encoder="hrnet_w32",
+        widths=(32, 64, 128, 256),
+        decoder_width=480,
+        head_width=480,
+        output_stride=1,
+        volume_depth=32,
+        volume_channels=128,
+        point_hidden=489,
+        volume_widths=(32, 64, 128, 256),
+        decoder_hidden=256,
+        grid=128,
+    ),
+}
+"""The networks that have a name."""
+
+
+def preset(name: str) -> NetworkConfig:
+    """The sizes of a named network.
+
+    Args:
+        name: "small" or "reference".
+
+    Raises:
+        InvalidConfigError: for another name.
+    """
+    if name not in PRESETS:
+        raise InvalidConfigError(
+            f"there is no network {name!r}; choose one of {', '.join(PRESETS)}"
+        )
+    return PRESETS[name]

@@ -1,0 +1,143 @@
+"""A depth picture to reconstruct: from a recording, or one file and what is known of its camera."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
+from clothtrack.geometry.camera import Camera
+from clothtrack.reconstruction.availability import shipped_weights
+from clothtrack.reconstruction.checkpoint import load_weights
+from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.pseudo_labels import cloth_picture
+from clothtrack.reconstruction.two_stages import network_of
+from clothtrack.recordings.pictures import read_depth, read_mask
+from clothtrack.recordings.point_cloud import flying_pixels
+from clothtrack.recordings.recording import Table
+from clothtrack.recordings.segmentation import HeightSegmenter
+from clothtrack.recordings.store import read_recording
+
+USUAL_FOCAL = 0.94
+"""Focal length per width of the picture of a usual depth camera: 56 degrees across."""
+
+_DISTANCE_STEP_M = 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class DepthInput:
+    """What the network is asked about.
+
+    Attributes:
+        depth_m: measured depth [m]; 0 where nothing was measured.
+        mask: where cloth was measured.
+        camera: that took it; world z up.
+        table: what the cloth lies on.
+        kind: the garment, when it is known.
+    """
+
+    depth_m: Float[np.ndarray, "height width"]
+    mask: Bool[np.ndarray, "height width"]
+    camera: Camera
+    table: Table | None
+    kind: str | None = None
+
+
+def from_recording(folder: Path, frame: int) -> DepthInput:
+    """A frame of a recording.
+
+    Raises:
+        InvalidRecordingError: it cannot be read, or has no such frame or no depth.
+    """
+    recording = read_recording(folder)
+    if not 0 <= frame < len(recording.frames):
+        raise InvalidRecordingError(
+            f"{folder}: there is no frame {frame}; it has 0 to {len(recording.frames) - 1}"
+        )
+    depth, mask, camera = cloth_picture(recording, recording.frames[frame])
+    return DepthInput(depth, mask, camera, recording.table, recording.cloth.kind)
+
+
+def from_picture(
+    path: Path,
+    *,
+    mask: Path | None = None,
+    depth_unit_m: float = 0.001,
+    focal: float | None = None,
+    table_distance_m: float | None = None,
+) -> DepthInput:
+    """A 16-bit depth picture of a camera that looks straight down on a table.
+
+    Args:
+        path: PNG file.
+        mask: picture of where the cloth is; what stands out of the table when None.
+        depth_unit_m: metres per unit of the file.
+        focal: focal length [pixels]; that of a usual camera when None.
+        table_distance_m: from the camera to the table [m]; the most frequent depth when None.
+
+    Raises:
+        InvalidRecordingError: a file cannot be read, sizes differ, or nothing was measured.
+        InvalidConfigError: a number that must be positive is not.
+    """
+    given = {"depth_unit": depth_unit_m, "focal": focal, "table_distance": table_distance_m}
+    for name, value in given.items():
+        if value is not None and not 0.0 < value < float("inf"):
+            raise InvalidConfigError(f"{name} is {value}; it must be positive and finite")
+    depth = read_depth(path, depth_unit_m)
+    height, width = depth.shape
+    focal = focal or USUAL_FOCAL * width
+    distance = table_distance_m or _usual_depth(depth, path)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = distance
+    camera = Camera("top", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, pose)
+    table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    found = HeightSegmenter()(None, depth, camera, table) if mask is None else read_mask(mask)
+    if found.shape != depth.shape:
+        raise InvalidRecordingError(
+            f"{mask} has {found.shape[1]} x {found.shape[0]} pixels, {path} has {width} x "
+            f"{height}; give a mask of the same picture"
+        )
+    return DepthInput(depth, found & (depth > 0) & ~flying_pixels(depth, focal), camera, table)
+
+
+def load_model(kind: str, path: Path | None = None, *, device: str = "cpu") -> MeshReconstructor:
+    """The networks for a kind of garment.
+
+    Args:
+        kind: "towel" or "tshirt".
+        path: weights of both stages; those that come with the package when None.
+        device: where to compute.
+
+    Raises:
+        InvalidResultError: there are no such weights, or they are damaged or for another garment.
+    """
+    if path is None:
+        path = shipped_weights(kind)
+        if path is None:
+            raise InvalidResultError(
+                f"no weights for {kind!r} come with this installation; train some with "
+                "clothtrack pretrain, and name them with --weights"
+            )
+    weights = load_weights(path)
+    if weights.kind != kind:
+        raise InvalidResultError(
+            f"{path} is for {weights.kind!r}, the picture shows {kind!r}; give other weights, or "
+            "say what it is with --garment"
+        )
+    model = MeshReconstructor(network_of(weights), kind)
+    weights.load_into(model)
+    return model.to(device).eval()
+
+
+def _usual_depth(depth: Float[np.ndarray, "height width"], path: Path) -> float:
+    """The most frequent depth [m]: the table's, in a picture of a cloth on a table."""
+    measured = depth[depth > 0]
+    if len(measured) == 0:
+        raise InvalidRecordingError(
+            f"{path}: no pixel has a depth; check that the camera measured, and the file's unit"
+        )
+    steps = np.bincount((measured / _DISTANCE_STEP_M).astype(np.int64))
+    step = int(steps.argmax())
+    near = measured[np.abs(measured / _DISTANCE_STEP_M - step - 0.5) < 1.0]
+    return float(np.median(near))

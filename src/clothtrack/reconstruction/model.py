@@ -1,0 +1,322 @@
+"""The whole reconstruction: one depth picture in, the full mesh out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, Int
+from torch import Tensor, nn
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.alignment_frame import Alignment, align
+from clothtrack.reconstruction.canonical_frame import CanonicalFrame, canonical_frame, conventional
+from clothtrack.reconstruction.canonicalisation import Canonicaliser, coordinates
+from clothtrack.reconstruction.completion import Completion, ObservedPoints
+from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.surface import extract_surface, field_grid
+from clothtrack.reconstruction.template_fit import (
+    NO_CANONICAL,
+    SeenPoints,
+    TemplateFitConfig,
+    fit_template,
+    template_of,
+)
+from clothtrack.reconstruction.view import ClothPixels, CroppedView, cloth_pixels, crop, points_of
+from clothtrack.reconstruction.warp_field import WarpField
+from clothtrack.recordings.recording import Table
+
+Method = Literal["template", "implicit"]
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """What one depth picture became.
+
+    Attributes:
+        mesh: the garment in the world [m], canonical coordinates filled; None without one.
+        status: "template", "surface", or why there is no mesh.
+        camera: the virtual camera of the network's picture.
+        canonical_image: canonical position [m] of each pixel of cloth; not a number elsewhere.
+        confidence: of that position, the least sure axis, 0 to 1; 0 where no cloth is.
+        seen: the measured points with their canonical positions.
+        rest: the flat garment that was carried, vertex by vertex the mesh's; None for a surface.
+    """
+
+    mesh: ClothMesh | None
+    status: str
+    camera: Camera
+    canonical_image: Float32[np.ndarray, "size size 3"]
+    confidence: Float32[np.ndarray, "size size"]
+    seen: SeenPoints
+    rest: ClothMesh | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Canonicalised:
+    """What the canonicaliser says about a batch of pictures, pixel after pixel.
+
+    Attributes:
+        pixels: picture, row and column in the canonical picture.
+        features: of each pixel.
+        unit: canonical coordinates in the unit cube.
+        confidence: of each coordinate.
+    """
+
+    pixels: Int[Tensor, "pixels 3"]
+    features: Float[Tensor, "pixels channels"]
+    unit: Float[Tensor, "pixels 3"]
+    confidence: Float[Tensor, "pixels 3"]
+
+
+class MeshReconstructor(nn.Module):
+    """Canonicaliser, completion and warp field, and the two ways from them to a mesh.
+
+    Attributes:
+        config: sizes of the networks.
+        frame: the canonical cube of the category that it is for.
+    """
+
+    def __init__(self, config: NetworkConfig, kind: str) -> None:
+        """Untrained networks for one category.
+
+        Raises:
+            InvalidConfigError: for a category without a canonical pose.
+        """
+        super().__init__()
+        self.config = config
+        self.frame: CanonicalFrame = canonical_frame(kind)
+        self.canonicaliser = Canonicaliser(config)
+        self.completion = Completion(config, self.canonicaliser.channels)
+        self.warp = WarpField(config)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return next(self.parameters()).device
+
+    def canonicalise(
+        self, depth: Float[Tensor, "batch 1 h w"], pixels: Int[Tensor, "pixels 3"]
+    ) -> Canonicalised:
+        """Canonical coordinates of chosen pixels of a batch of pictures.
+
+        Args:
+            depth: the networks' pictures [m]; 0 is background.
+            pixels: picture, row and column in the canonical picture.
+        """
+        maps = self.canonicaliser(depth)
+        features = self.canonicaliser.pixel_features(maps, pixels)
+        unit, confidence = coordinates(self.canonicaliser.logits(maps, pixels), self.config.window)
+        return Canonicalised(pixels, features, unit, confidence)
+
+    def volume(
+        self, seen: Canonicalised, aligned: Float[Tensor, "pixels 3"], images: int
+    ) -> Float[Tensor, "images channels x y z"]:
+        """The completed feature volume of each picture.
+
+        Args:
+            seen: from `canonicalise`.
+            aligned: where each pixel was seen, in the canonical frame [m] (`alignment_frame`).
+            images: number of pictures.
+        """
+        points = ObservedPoints(
+            seen.features,
+            seen.unit,
+            seen.confidence,
+            aligned * self.frame.scale,
+            seen.pixels[:, 0],
+            images,
+        )
+        return self.completion(points)
+
+    def reconstruct(
+        self,
+        depth_m: Sequence[Float[np.ndarray, "height width"]],
+        cameras: Sequence[Camera] | Camera,
+        kind: str,
+        *,
+        masks: Sequence[Bool[np.ndarray, "height width"] | None] | None = None,
+        method: Method = "template",
+        template: ClothMesh | None = None,
+        table: Table | None = None,
+        fit: TemplateFitConfig | None = None,
+    ) -> tuple[Reconstruction, ...]:
+        """The full mesh behind each depth picture, as one batch.
+
+        Args:
+            depth_m: measured depth [m]; 0 where nothing was measured.
+            cameras: one for all pictures, or one each; world z up.
+            kind: the category in the pictures.
+            masks: where the cloth is; everywhere that has a depth when None.
+            method: "template" carries the category's mesh and always gives one; "implicit" takes
+                the surface from the winding number and may find none.
+            template: the flat garment when it is known; else its size is taken from the picture.
+            table: what the cloth lies on; under the lowest seen points when None.
+            fit: how the template is fitted.
+
+        Raises:
+            InvalidConfigError: when these networks are for another category.
+            InvalidRecordingError: when a picture shows no cloth, or counts differ.
+        """
+        if kind != self.frame.kind:
+            raise InvalidConfigError(
+                f"kind is {kind!r}, but these weights are for {self.frame.kind!r}; "
+                "load the weights of the category"
+            )
+        if not depth_m:
+            return ()
+        views = _views(depth_m, cameras, masks, self.config)
+        observed = self.observe(views)
+        if method == "implicit":
+            meshes = self._from_field(observed)
+        else:
+            fit = fit or TemplateFitConfig()
+            meshes = [self._from_template(each, template, table, fit) for each in observed]
+        return tuple(
+            _reconstruction(one, *found, self.config)
+            for one, found in zip(observed, meshes, strict=True)
+        )
+
+    @torch.inference_mode()
+    def observe(self, views: Sequence[CroppedView]) -> list["ObservedCloth"]:
+        """The networks' answer to each picture: canonical coordinates, and the completed volume.
+
+        Args:
+            views: the networks' pictures.
+        """
+        self.eval()
+        found = [cloth_pixels(view.depth, self.config) for view in views]
+        points = [
+            points_of(view.depth, view.camera, each.sources)
+            for view, each in zip(views, found, strict=True)
+        ]
+        depth = torch.from_numpy(np.stack([view.depth for view in views])[:, None])
+        picture = np.repeat(np.arange(len(views)), [len(each.pixels) for each in found])
+        pixels = np.column_stack([picture, np.concatenate([each.pixels for each in found])])
+        seen = self.canonicalise(
+            depth.to(self.device), torch.from_numpy(pixels.astype(np.int64)).to(self.device)
+        )
+        canonical = self.frame.to_metres(seen.unit.double().cpu().numpy())
+        confidence = seen.confidence.double().cpu().numpy()
+        starts = np.flatnonzero(np.diff(picture)) + 1
+        parts = [
+            SeenPoints(*each)
+            for each in zip(
+                points,
+                np.split(canonical, starts),
+                np.split(confidence.prod(axis=1), starts),
+                strict=True,
+            )
+        ]
+        frames = [align(one.points, one.canonical, one.confidence) for one in parts]
+        aligned = np.concatenate(
+            [frame.to_canonical(one.points) for frame, one in zip(frames, parts, strict=True)]
+        )
+        volume = self.volume(seen, torch.from_numpy(aligned).float().to(self.device), len(views))
+        least = np.split(confidence.min(axis=1), starts)
+        return [
+            ObservedCloth(*each)
+            for each in zip(views, found, parts, least, frames, volume.split(1), strict=True)
+        ]
+
+    @torch.inference_mode()
+    def carried(
+        self, observed: "ObservedCloth", canonical: Float[np.ndarray, "places 3"]
+    ) -> Float[np.ndarray, "places 3"]:
+        """Where the warp field says that canonical places [m] are, in the world [m]."""
+        unit = torch.from_numpy(self.frame.to_unit(canonical)).float().to(self.device)
+        moved = self.warp(observed.volume, unit[None])[0].double().cpu().numpy()
+        return observed.alignment.to_world(canonical + moved)
+
+    def _from_template(
+        self,
+        observed: "ObservedCloth",
+        template: ClothMesh | None,
+        table: Table | None,
+        fit: TemplateFitConfig,
+    ) -> "_Found":
+        if template is None:
+            template = template_of(self.frame, observed.seen, vertex_count=fit.vertex_count)
+        if template.canonical is None:
+            raise InvalidConfigError(NO_CANONICAL)
+        canonical = conventional(template.canonical, self.frame.kind)
+        asked = replace(template, canonical=canonical)
+        warp = self.carried(observed, canonical) if fit.warp_weight > 0 else None
+        fitted = fit_template(asked, observed.seen, fit, warp=warp, table=table)
+        return template.with_vertices(fitted.vertices), "template", template
+
+    @torch.inference_mode()
+    def _from_field(self, observed: Sequence["ObservedCloth"]) -> "list[_Found]":
+        grid = field_grid(self.frame, self.config)
+        nodes = torch.from_numpy(grid.nodes).float().to(self.device)
+        meshes: list[_Found] = []
+        for one in observed:
+            field = self.completion.field(one.volume, nodes)[0].float().cpu().numpy()
+            surface = extract_surface(field.reshape(grid.shape), self.frame, self.config)
+            mesh = surface.mesh
+            if mesh is not None:
+                mesh = mesh.with_vertices(self.carried(one, mesh.vertices))
+            meshes.append((mesh, surface.status, None))
+        return meshes
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedCloth:
+    """One picture and what the networks make of it.
+
+    Attributes:
+        view: the networks' picture.
+        found: its pixels of cloth.
+        seen: their places and canonical positions.
+        confidence: of the least sure axis of each pixel.
+        alignment: between the world and the canonical frame.
+        volume: the completed feature volume.
+    """
+
+    view: CroppedView
+    found: ClothPixels
+    seen: SeenPoints
+    confidence: Float[np.ndarray, " pixels"]
+    alignment: Alignment
+    volume: Float[Tensor, "1 channels x y z"]
+
+
+def _views(
+    depth_m: Sequence[Float[np.ndarray, "height width"]],
+    cameras: Sequence[Camera] | Camera,
+    masks: Sequence[Bool[np.ndarray, "height width"] | None] | None,
+    config: NetworkConfig,
+) -> list[CroppedView]:
+    count = len(depth_m)
+    cameras = [cameras] * count if isinstance(cameras, Camera) else list(cameras)
+    masks = [None] * count if masks is None else masks
+    if not len(cameras) == len(masks) == count:
+        raise InvalidRecordingError(
+            f"{count} depth pictures, {len(cameras)} cameras and {len(masks)} masks; "
+            "give one of each per picture, or one camera for all"
+        )
+    return [crop(*each, config) for each in zip(depth_m, masks, cameras, strict=True)]
+
+
+_Found = tuple[ClothMesh | None, str, ClothMesh | None]
+"""A mesh, how it came about, and the flat garment that it was made from."""
+
+
+def _reconstruction(
+    observed: ObservedCloth,
+    mesh: ClothMesh | None,
+    status: str,
+    rest: ClothMesh | None,
+    config: NetworkConfig,
+) -> Reconstruction:
+    size = config.output_size
+    canonical = np.full((size, size, 3), np.nan, dtype=np.float32)
+    confidence = np.zeros((size, size), dtype=np.float32)
+    rows, columns = observed.found.pixels.T
+    canonical[rows, columns] = observed.seen.canonical
+    confidence[rows, columns] = observed.confidence
+    camera = observed.view.camera
+    return Reconstruction(mesh, status, camera, canonical, confidence, observed.seen, rest)

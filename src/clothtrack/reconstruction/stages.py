@@ -1,0 +1,265 @@
+"""The two stages of training: which point each pixel shows, then all of the cloth.
+
+Which of a garment's look-alike labellings is true cannot be seen (`canonical_frame.symmetries`).
+Both stages take, for each picture as a whole, the one that fits what the canonicaliser says; errors
+are measured for the labelling as it was drawn, and up to symmetry, which is what selects.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from clothtrack.reconstruction.alignment_frame import Alignment, align
+from clothtrack.reconstruction.canonical_frame import (
+    SHEETS,
+    CanonicalFrame,
+    canonical_frame,
+    symmetries,
+)
+from clothtrack.reconstruction.canonicalisation import (
+    Canonicaliser,
+    canonical_loss,
+    coordinates,
+)
+from clothtrack.reconstruction.completion import Completion, ObservedPoints
+from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.examples import Batch
+from clothtrack.reconstruction.training import Stage
+from clothtrack.reconstruction.warp_field import RESIDUAL_M, WarpField
+
+CLOSE = 0.05
+"""A canonical coordinate nearer to the truth than this [unit cube] counts as found."""
+
+
+class CanonicalisationStage(Stage):
+    """Stage 1: cross entropy of the bins, per picture the least over its look-alike labellings.
+
+    Args:
+        canonicaliser: is trained.
+        kind: the garment.
+    """
+
+    name = "canonicalisation"
+    # The mean is lowest for a network that answers with the mean of all poses; the median is not.
+    score = "median_error_mm"
+    signs: Tensor
+
+    def __init__(self, canonicaliser: Canonicaliser, kind: str) -> None:
+        super().__init__()
+        self.kind = kind
+        self.network = canonicaliser.config
+        self.canonicaliser = canonicaliser
+        self.trained = nn.ModuleDict({"canonicaliser": canonicaliser})
+        self.register_buffer("signs", _signs(kind), persistent=False)
+        self._frame = canonical_frame(kind)
+
+    def forward(self, batch: Batch) -> Mapping[str, Tensor]:
+        """The loss [nat] of a batch, over the pixels that have a label."""
+        pixels, unit = batch.pixels[batch.labelled], batch.unit[batch.labelled]
+        logits = self.canonicaliser.logits(self.canonicaliser(batch.depth), pixels)
+        loss = canonical_loss(logits, unit, pixels[:, 0], self.signs, batch.weights)
+        return {"loss": loss}
+
+    def measure(self, batch: Batch) -> Mapping[str, Tensor]:
+        """Canonical errors of each picture: median and mean [mm], share found; also as drawn."""
+        pixels, unit = batch.pixels[batch.labelled], batch.unit[batch.labelled]
+        logits = self.canonicaliser.logits(self.canonicaliser(batch.depth), pixels)
+        found, _ = coordinates(logits, self.network.window)
+        in_mm = 1e3 / self._frame.scale
+        rows = []
+        for image in range(len(batch.depth)):
+            own = pixels[:, 0] == image
+            errors = torch.stack(
+                [(found[own] - _relabelled(unit[own], s)).norm(dim=1) for s in self.signs]
+            )
+            if errors.shape[1] == 0:
+                # A picture without a label says nothing, and is as bad as the cube is large.
+                errors = errors.new_ones(len(self.signs), 1)
+            best = errors[errors.mean(dim=1).argmin()]
+            rows.append(
+                {
+                    "median_error_mm": in_mm * best.median(),
+                    "mean_error_mm": in_mm * best.mean(),
+                    "median_error_as_drawn_mm": in_mm * errors[0].median(),
+                    "mean_error_as_drawn_mm": in_mm * errors[0].mean(),
+                    "share_found": (best < CLOSE).float().mean(),
+                }
+            )
+        return {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
+
+
+class CompletionStage(Stage):
+    """Stage 2: winding number and displacement of the whole garment; canonicalisation stays.
+
+    The loss is the mean squared error of the winding number plus that of the displacement in units
+    of `RESIDUAL_M`.
+
+    Args:
+        canonicaliser: trained before; it is frozen.
+        completion: is trained.
+        warp: is trained.
+        kind: the garment.
+    """
+
+    name = "completion"
+    score = "vertex_error_mm"
+    signs: Tensor
+
+    def __init__(
+        self, canonicaliser: Canonicaliser, completion: Completion, warp: WarpField, kind: str
+    ) -> None:
+        super().__init__()
+        self.kind = kind
+        self.network = completion.config
+        self.canonicaliser = canonicaliser.requires_grad_(requires_grad=False)
+        self.completion, self.warp = completion, warp
+        self.trained = nn.ModuleDict({"completion": completion, "warp": warp})
+        self.register_buffer("signs", _signs(kind), persistent=False)
+        self._frame = canonical_frame(kind)
+        self._is_sheet = kind in SHEETS
+
+    def train(self, mode: bool = True) -> "CompletionStage":
+        """As any module, but for the canonicaliser, whose statistics stay as they are."""
+        super().train(mode)
+        self.canonicaliser.eval()
+        return self
+
+    def forward(self, batch: Batch) -> Mapping[str, Tensor]:
+        """The loss of a batch and its two parts."""
+        seen, alignments = observe_batch(self.canonicaliser, batch, self._frame)
+        chosen = nearest_labelling(seen, batch, self.signs)
+        volume = self.completion(seen)
+        signs = self.signs[chosen][:, None]
+        winding = batch.winding * (signs[..., 2] if self._is_sheet else 1.0)
+        found = self.completion.winding(volume, _relabelled(batch.volume, signs))
+        surface = _relabelled(batch.surface, signs)
+        wanted = self._aligned_positions(batch, alignments) - self._metres(surface)
+        moved = self.warp(volume, surface)
+        of_winding = ((found - winding) ** 2).mean(dim=1)
+        of_warp = (((moved - wanted) / RESIDUAL_M) ** 2).sum(dim=2).mean(dim=1)
+        total = batch.weights.sum().clamp(min=1e-12)
+        winding_loss = (batch.weights * of_winding).sum() / total
+        warp_loss = (batch.weights * of_warp).sum() / total
+        return {
+            "loss": winding_loss + warp_loss,
+            "winding_loss": winding_loss,
+            "warp_loss": warp_loss,
+        }
+
+    def measure(self, batch: Batch) -> Mapping[str, Tensor]:
+        """Distance [mm] of the material points to the truth, and error (RMS) of the field."""
+        seen, alignments = observe_batch(self.canonicaliser, batch, self._frame)
+        volume = self.completion(seen)
+        positions = self._aligned_positions(batch, alignments)
+        errors, fields = [], []
+        for signs in self.signs:
+            surface = _relabelled(batch.surface, signs)
+            moved = self._metres(surface) + self.warp(volume, surface)
+            # Alignment is rigid: distances in its frame are those in the world.
+            errors.append(1e3 * (moved - positions).norm(dim=2).mean(dim=1))
+            winding = batch.winding * (signs[2] if self._is_sheet else 1.0)
+            found = self.completion.winding(volume, _relabelled(batch.volume, signs))
+            fields.append(((found - winding) ** 2).mean(dim=1).sqrt())
+        table = torch.stack(errors)
+        best = table.argmin(dim=0, keepdim=True)
+        return {
+            "vertex_error_mm": table.gather(0, best)[0],
+            "vertex_error_as_drawn_mm": table[0],
+            "winding_error": torch.stack(fields).gather(0, best)[0],
+        }
+
+    def _aligned_positions(
+        self, batch: Batch, alignments: list[Alignment]
+    ) -> Float[Tensor, "batch surface 3"]:
+        """The material points' places [m] in the frame of the observation."""
+        placed = [
+            alignment.to_canonical(positions)
+            for alignment, positions in zip(
+                alignments, batch.positions.double().cpu().numpy(), strict=True
+            )
+        ]
+        return torch.from_numpy(np.stack(placed)).to(batch.positions)
+
+    def _metres(self, unit: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
+        """Places in the unit cube as canonical positions [m]."""
+        return (unit - 0.5) / self._frame.scale + unit.new_tensor(self._frame.centre_m)
+
+
+def observe_batch(
+    canonicaliser: Canonicaliser, batch: Batch, frame: CanonicalFrame
+) -> tuple[ObservedPoints, list[Alignment]]:
+    """What the frozen canonicaliser makes of a batch: the seen points as completion takes them.
+
+    Args:
+        canonicaliser: in evaluation mode.
+        batch: the pictures.
+        frame: the canonical cube.
+
+    Returns:
+        The points, and for each picture how its world is aligned with the canonical frame.
+    """
+    with torch.no_grad():
+        features = canonicaliser(batch.depth)
+        of_pixel = canonicaliser.pixel_features(features, batch.pixels)
+        logits = canonicaliser.logits(features, batch.pixels)
+        unit, confidence = coordinates(logits, canonicaliser.config.window)
+    metres = frame.to_metres(unit.double().cpu().numpy())
+    sure = confidence.double().prod(dim=1).cpu().numpy()
+    points = batch.points.double().cpu().numpy()
+    owner = batch.pixels[:, 0].cpu().numpy()
+    alignments, aligned = [], np.empty_like(points)
+    for image in range(len(batch.depth)):
+        own = owner == image
+        found = align(points[own], metres[own], sure[own])
+        aligned[own] = frame.to_unit(found.to_canonical(points[own])) - 0.5
+        alignments.append(found)
+    seen = ObservedPoints(
+        features=of_pixel,
+        unit=unit,
+        confidence=confidence,
+        aligned=torch.from_numpy(aligned).to(unit),
+        image=batch.pixels[:, 0],
+        images=len(batch.depth),
+    )
+    return seen, alignments
+
+
+def nearest_labelling(
+    seen: ObservedPoints, batch: Batch, signs: Float[Tensor, "symmetries 3"]
+) -> Int[Tensor, " batch"]:
+    """For each picture the look-alike labelling that the canonicaliser has chosen."""
+    image, unit = seen.image[batch.labelled], batch.unit[batch.labelled]
+    errors = []
+    for one in signs:
+        gaps = (seen.unit[batch.labelled] - _relabelled(unit, one)).norm(dim=1)
+        errors.append(gaps.new_zeros(seen.images).index_add(0, image, gaps))
+    return torch.stack(errors).argmin(dim=0)
+
+
+def canonicalisation_stage(
+    network: NetworkConfig, kind: str, *, seed: int = 0
+) -> CanonicalisationStage:
+    """Stage 1 with fresh weights."""
+    torch.manual_seed(seed)
+    return CanonicalisationStage(Canonicaliser(network), kind)
+
+
+def completion_stage(canonicaliser: Canonicaliser, kind: str, *, seed: int = 0) -> CompletionStage:
+    """Stage 2 with fresh weights behind a trained canonicaliser."""
+    torch.manual_seed(seed)
+    network = canonicaliser.config
+    completion = Completion(network, canonicaliser.channels)
+    return CompletionStage(canonicaliser, completion, WarpField(network), kind)
+
+
+def _relabelled(
+    unit: Float[Tensor, "*points 3"], signs: Float[Tensor, "*#points 3"]
+) -> Float[Tensor, "*points 3"]:
+    return 0.5 + (unit - 0.5) * signs
+
+
+def _signs(kind: str) -> Float[Tensor, "symmetries 3"]:
+    return torch.from_numpy(symmetries(kind)).float()

@@ -1,0 +1,291 @@
+"""Lays the category's mesh into an observation: always a mesh that the solver can take.
+
+Seen points draw the places of the mesh that they show; what is hidden follows from smoothness, from
+the warp field and from the layer it is sewn to, in one sparse least-squares problem; then the cloth
+solver pulls the result straight, so that edges have their lengths, layers do not cross and nothing
+is under the table.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.alignment_frame import align
+from clothtrack.reconstruction.canonical_frame import CanonicalFrame
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
+from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import Attachment
+
+NO_CANONICAL = "the template has no canonical coordinates; make it with clothtrack's garments"
+
+
+@dataclass(frozen=True)
+class TemplateFitConfig:
+    """How a template is fitted. Weights are against 1 for a vertex that is well seen.
+
+    Attributes:
+        vertex_count: about how many vertices the template gets.
+        smoothness: weight of bending away from a flat sheet.
+        layer_weight: weight of a vertex staying with the other layer of its garment.
+        warp_weight: weight of the warp field.
+        pose_weight: weight of the rigidly aligned flat garment; decides only where nothing else
+            does.
+        off_template_m: a canonical coordinate this far from the template counts 1 / e [m].
+        outlier_m: a point that the fit misses by this counts a quarter [m]: its canonical
+            coordinate is wrong (S. Geman, D. McClure, 1987).
+        rounds: fits, each with the weights of the one before.
+        pulls: steps of the solver that pull the fit straight; 0 leaves it as it is.
+        pull_s: length of a step [s].
+        pull: strength of the seen vertices' pull in each (`simulation.state.Attachment`).
+        thickness_m: distance that layers keep [m].
+    """
+
+    vertex_count: int = 1000
+    smoothness: float = 0.5
+    layer_weight: float = 0.02
+    warp_weight: float = 0.02
+    pose_weight: float = 1e-5
+    off_template_m: float = 0.02
+    outlier_m: float = 0.02
+    rounds: int = 3
+    pulls: int = 12
+    pull_s: float = 0.02
+    pull: float = 0.9
+    thickness_m: float = 0.003
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoints:
+    """What the canonicaliser says about one picture.
+
+    Attributes:
+        points: measured places [m], world, z up.
+        canonical: their canonical positions [m].
+        confidence: 0 to 1.
+    """
+
+    points: Float[np.ndarray, "points 3"]
+    canonical: Float[np.ndarray, "points 3"]
+    confidence: Float[np.ndarray, " points"]
+
+
+def template_of(
+    frame: CanonicalFrame,
+    seen: SeenPoints,
+    *,
+    size_m: tuple[float, float] | None = None,
+    vertex_count: int = 1000,
+) -> ClothMesh:
+    """The flat garment of a category in the size that the canonical coordinates tell.
+
+    Args:
+        frame: the category.
+        seen: canonical coordinates; they reach as far as the garment does, where its rim is seen.
+        size_m: width and length when known [m].
+        vertex_count: about how many vertices.
+    """
+    if size_m is None:
+        usual = np.array(DEFAULT_SIZES_M[frame.kind])
+        sure = seen.confidence >= np.median(seen.confidence)
+        reach = 2.0 * np.percentile(np.abs(seen.canonical[sure, :2]), 99.0, axis=0)
+        # What is not seen cannot say that the garment is small.
+        width, length = np.clip(reach, 0.75 * usual, 2.0 * np.array(frame.half_m[:2]))
+        size_m = float(width), float(length)
+    return garment(frame.kind, vertex_count=vertex_count, size_m=size_m)
+
+
+def fit_template(
+    template: ClothMesh,
+    seen: SeenPoints,
+    config: TemplateFitConfig,
+    *,
+    warp: Float[np.ndarray, "vertices 3"] | None = None,
+    table: Table | None = None,
+) -> ClothMesh:
+    """The template where the garment is.
+
+    Args:
+        template: the flat garment at rest, canonical coordinates filled.
+        seen: measured points with canonical coordinates.
+        config: weights and solver steps.
+        warp: where the warp field says that the vertices are [m], world; None leaves it out.
+        table: what the cloth lies on; at the height of the lowest seen points when None.
+
+    Returns:
+        The mesh in the world; its canonical coordinates are the template's.
+
+    Raises:
+        InvalidConfigError: when the template has no canonical coordinates.
+    """
+    vertices, sightings = _least_squares(template, seen, config, warp)
+    if config.pulls:
+        table = table or _table_under(seen.points, config)
+        start = _below_what_is_seen(vertices, sightings, seen.points, table, config)
+        vertices = _pulled_straight(template, start, sightings, table, config)
+    return template.with_vertices(vertices)
+
+
+def smoothness_matrix(template: ClothMesh) -> sparse.csr_array:
+    """Rows that are zero for any flat sheet: a vertex less the mean of its neighbours.
+
+    The cotangents of the flat mesh weight the neighbours (U. Pinkall, K. Polthier, 1993), so that
+    an irregular mesh is as flat as a regular one. Rims and seams have no row: a flat shirt turns
+    back there.
+    """
+    corners = template.vertices[template.faces]
+    count = template.vertex_count
+    rows, columns, weights = [], [], []
+    for k in range(3):
+        a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        area = np.linalg.norm(np.cross(a, b), axis=1)
+        half = 0.5 * np.einsum("fi,fi->f", a, b) / np.maximum(area, 1e-12)
+        i, j = template.faces[:, (k + 1) % 3], template.faces[:, (k + 2) % 3]
+        rows += [i, j]
+        columns += [j, i]
+        weights += [half, half]
+    joined = sparse.coo_array(
+        (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), (count, count)
+    ).tocsr()
+    total = joined.sum(axis=1)
+    inside = ~(_on_rim(template) | _on_seam(template)) & (total > 1e-6)
+    share = sparse.diags_array(np.where(inside, 1.0 / np.where(inside, total, 1.0), 0.0))
+    return (sparse.diags_array(inside.astype(np.float64)) - share @ joined).tocsr()
+
+
+def _least_squares(
+    template: ClothMesh,
+    seen: SeenPoints,
+    config: TemplateFitConfig,
+    warp: Float[np.ndarray, "vertices 3"] | None,
+) -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, " vertices"]]:
+    """Vertices [m], and how much each was seen (1 is well)."""
+    flat = _canonical(template)
+    face, blend = closest_on_mesh(seen.canonical, flat, template.faces)
+    shows = _barycentric(template, face, blend)
+    away = np.linalg.norm(shows @ flat - seen.canonical, axis=1)
+    weight = seen.confidence * np.exp(-((away / config.off_template_m) ** 2)) + 1e-6
+    frame = align(seen.points, seen.canonical, weight)
+    prior, target = _prior(template, config, frame.to_world(flat), warp)
+    trusted, vertices = weight, template.vertices
+    for _ in range(config.rounds):
+        sightings = shows.T @ trusted
+        # The mean seen vertex has weight 1, however many pixels show it.
+        trusted = trusted / np.mean(sightings[sightings > 0.01 * sightings.max()])
+        data = shows.T @ sparse.diags_array(trusted)
+        vertices = splu((data @ shows + prior).tocsc()).solve(data @ seen.points + target)
+        miss = np.linalg.norm(shows @ vertices - seen.points, axis=1)
+        trusted = weight / (1.0 + (miss / config.outlier_m) ** 2) ** 2
+    sightings = shows.T @ trusted
+    return vertices, sightings / np.mean(sightings[sightings > 0.01 * sightings.max()])
+
+
+def _canonical(template: ClothMesh) -> Float[np.ndarray, "vertices 3"]:
+    if template.canonical is None:
+        raise InvalidConfigError(NO_CANONICAL)
+    return template.canonical
+
+
+def _prior(
+    template: ClothMesh,
+    config: TemplateFitConfig,
+    pose: Float[np.ndarray, "vertices 3"],
+    warp: Float[np.ndarray, "vertices 3"] | None,
+) -> tuple[sparse.csc_array, Float[np.ndarray, "vertices 3"]]:
+    """Normal matrix and right side of all that is wanted of the mesh without a seen point."""
+    bends = smoothness_matrix(template)
+    count = template.vertex_count
+    matrix = config.smoothness * (bends.T @ bends)
+    matrix = matrix + config.pose_weight * sparse.eye_array(count)
+    target = config.pose_weight * pose
+    if warp is not None:
+        matrix = matrix + config.warp_weight * sparse.eye_array(count)
+        target = target + config.warp_weight * warp
+    inflated = template.canonical
+    if inflated is not None and np.ptp(inflated[:, 2]) > 0:
+        face, blend = closest_on_mesh(inflated * (1.0, 1.0, -1.0), inflated, template.faces)
+        apart = sparse.eye_array(count) - _barycentric(template, face, blend)
+        matrix = matrix + config.layer_weight * (apart.T @ apart)
+    return matrix.tocsc(), target
+
+
+def _pulled_straight(
+    template: ClothMesh,
+    start: Float[np.ndarray, "vertices 3"],
+    sightings: Float[np.ndarray, " vertices"],
+    table: Table,
+    config: TemplateFitConfig,
+) -> Float[np.ndarray, "vertices 3"]:
+    """The fit after the solver has had its say; seen vertices are pulled to where they are seen."""
+    solver_config = SolverConfig(thickness_m=config.thickness_m, table=table)
+    flat = template.vertices + table.point + (0.0, 0.0, 0.05)
+    solver = ClothSolver(replace(template, vertices=flat), solver_config)
+    # At rest the solver learns on which side of each other a garment's layers are.
+    solver.step(1e-3)
+    solver.place(start)
+    pull = np.minimum(sightings, 1.0) * config.pull
+    attachment = Attachment(start[None], pull[None])
+    for _ in range(config.pulls):
+        solver.set_velocities(np.zeros_like(start))
+        solver.step(config.pull_s, attachment)
+    return solver.positions[0].astype(np.float64)
+
+
+def _below_what_is_seen(
+    vertices: Float[np.ndarray, "vertices 3"],
+    sightings: Float[np.ndarray, " vertices"],
+    points: Float[np.ndarray, "points 3"],
+    table: Table,
+    config: TemplateFitConfig,
+) -> Float[np.ndarray, "vertices 3"]:
+    """The fit with its hidden vertices under the seen surface and above the table, by height."""
+    hidden = sightings < _SEEN
+    floor = table.point[2] + 0.5 * config.thickness_m
+    near, nearest = cKDTree(points[:, :2]).query(vertices[:, :2])
+    covered = hidden & (near < 2.0 * config.thickness_m)
+    moved = vertices.copy()
+    ceiling = points[nearest, 2] - config.thickness_m
+    moved[covered, 2] = np.minimum(moved[covered, 2], ceiling[covered])
+    moved[:, 2] = np.maximum(moved[:, 2], floor)
+    return moved
+
+
+_SEEN = 0.2
+"""A vertex with fewer sightings is hidden."""
+
+
+def _table_under(points: Float[np.ndarray, "points 3"], config: TemplateFitConfig) -> Table:
+    lowest = float(np.percentile(points[:, 2], 1.0)) - 0.5 * config.thickness_m
+    return Table(np.array([0.0, 0.0, lowest]), np.array([0.0, 0.0, 1.0]))
+
+
+def _barycentric(
+    template: ClothMesh, face: Int[np.ndarray, " places"], blend: Float[np.ndarray, "places 3"]
+) -> sparse.csr_array:
+    """Rows that take vertices to places on faces."""
+    rows = np.repeat(np.arange(len(face)), 3)
+    places = (rows, template.faces[face].ravel())
+    return sparse.coo_array((blend.ravel(), places), (len(face), template.vertex_count)).tocsr()
+
+
+def _on_rim(template: ClothMesh) -> Bool[np.ndarray, " vertices"]:
+    sides = np.sort(template.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, counts = np.unique(sides, axis=0, return_counts=True)
+    found = np.zeros(template.vertex_count, dtype=bool)
+    found[edges[counts == 1]] = True
+    return found
+
+
+def _on_seam(template: ClothMesh) -> Bool[np.ndarray, " vertices"]:
+    """Where the layers of an inflated garment meet."""
+    if template.canonical is None or not np.ptp(template.canonical[:, 2]) > 0:
+        return np.zeros(template.vertex_count, dtype=bool)
+    return np.abs(template.canonical[:, 2]) < 1e-6

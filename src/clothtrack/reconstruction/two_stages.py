@@ -1,0 +1,298 @@
+"""Pretraining and fine-tuning: both stages in turn, and one file of weights at the end."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.reconstruction.batches import Examples, Mixture, Subset, split_by_group
+from clothtrack.reconstruction.canonicalisation import Canonicaliser
+from clothtrack.reconstruction.checkpoint import (
+    Weights,
+    check_tensors,
+    load_weights,
+    save_weights,
+)
+from clothtrack.reconstruction.configuration import PRESETS, NetworkConfig
+from clothtrack.reconstruction.dataset import FilmingConfig, StateExamples
+from clothtrack.reconstruction.examples import ExampleConfig, collate
+from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.processes import Processes
+from clothtrack.reconstruction.pseudo_labels import LabelledRecording, PseudoLabelExamples
+from clothtrack.reconstruction.stages import (
+    CanonicalisationStage,
+    CompletionStage,
+    canonicalisation_stage,
+    completion_stage,
+)
+from clothtrack.reconstruction.training import Progress, TrainingOutcome, train
+from clothtrack.reconstruction.training_config import STAGES, TrainingConfig, training_preset
+from clothtrack.world.state_store import StateSet
+
+MODEL = "model.safetensors"
+
+
+@dataclass(frozen=True)
+class LearningConfig:
+    """Everything that a training of both stages depends on, but for the network.
+
+    Attributes:
+        canonicalisation: the loop of stage 1.
+        completion: the loop of stage 2.
+        examples: augmentation and numbers of queries.
+        filming: the cameras that see simulated states.
+    """
+
+    canonicalisation: TrainingConfig = field(
+        default_factory=lambda: training_preset("pretrain", "canonicalisation")
+    )
+    completion: TrainingConfig = field(
+        default_factory=lambda: training_preset("pretrain", "completion")
+    )
+    examples: ExampleConfig = field(default_factory=ExampleConfig)
+    filming: FilmingConfig = field(default_factory=FilmingConfig)
+
+    @classmethod
+    def preset(cls, name: str, *, seed: int = 0) -> "LearningConfig":
+        """The settings of one of `TRAINING_PRESETS` for both stages.
+
+        Raises:
+            InvalidConfigError: there is no such preset.
+        """
+        stages = {stage: replace(training_preset(name, stage), seed=seed) for stage in STAGES}
+        return cls(**stages)
+
+
+@dataclass(frozen=True)
+class LearningOutcome:
+    """What came of a training.
+
+    Attributes:
+        stages: how each stage that was begun ended, by name.
+        model: the file with the weights of both stages; None after an interrupt.
+    """
+
+    stages: Mapping[str, TrainingOutcome]
+    model: Path | None
+
+
+def pretrain(
+    states: Sequence[StateSet],
+    network: NetworkConfig,
+    config: LearningConfig,
+    folder: Path,
+    *,
+    processes: Processes | None = None,
+    progress: Progress | None = None,
+) -> LearningOutcome:
+    """Train both stages from nothing on simulated states.
+
+    Args:
+        states: folders of one kind of garment.
+        network: sizes of the networks.
+        config: how.
+        folder: gets a folder per stage and `model.safetensors`.
+        processes: who trains together.
+        progress: called after every step.
+
+    Raises:
+        InvalidConfigError: the states are too few or of several kinds.
+        InvalidResultError: states or progress are damaged or belong to another training.
+        StorageError: when the disk refuses.
+    """
+    seed = config.canonicalisation.seed
+    examples = StateExamples(states, network, config.examples, filming=config.filming, seed=seed)
+    data = {
+        "states": len(examples),
+        "sets": [one.folder.name for one in states],
+        "examples": asdict(config.examples),
+        "filming": _plain(asdict(config.filming)),
+    }
+    learning = _Learning(network, config, folder, processes=processes, progress=progress)
+    return learning.both(_Material(examples, examples.groups, data))
+
+
+def finetune(
+    start: Path,
+    labels: Sequence[LabelledRecording],
+    config: LearningConfig,
+    folder: Path,
+    *,
+    old: Sequence[StateSet] = (),
+    processes: Processes | None = None,
+    progress: Progress | None = None,
+) -> LearningOutcome:
+    """Train both stages further on pseudo-labels (paper, Sec. III-C).
+
+    Args:
+        start: weights to begin with, of both stages.
+        labels: labelled recordings; one in ten is held out to select by.
+        config: how; `old_share` of its stages mixes in old states.
+        folder: gets a folder per stage and `model.safetensors`.
+        old: states of the old cloth, against forgetting.
+        processes: who trains together.
+        progress: called after every step.
+
+    Raises:
+        InvalidConfigError: there are too few labels, or old states are asked for and not given.
+        InvalidResultError: weights, states or progress are damaged or do not belong together.
+        StorageError: when the disk refuses.
+    """
+    weights = load_weights(start)
+    network = network_of(weights)
+    seed = config.canonicalisation.seed
+    examples = PseudoLabelExamples(labels, network, config.examples, seed=seed)
+    if examples.kind != weights.kind:
+        raise InvalidResultError(
+            f"{start} is for {weights.kind!r}, the labels are of {examples.kind!r}; give weights "
+            "of the same garment"
+        )
+    others = None
+    if old:
+        others = StateExamples(old, network, config.examples, filming=config.filming, seed=seed)
+        if others.kind != examples.kind:
+            raise InvalidConfigError(f"old states are of {others.kind!r}, not {examples.kind!r}")
+    elif config.canonicalisation.old_share or config.completion.old_share:
+        raise InvalidConfigError("old_share is above 0, but no old states are given; name them")
+    data = {
+        "start": {"kind": weights.kind, "trained": _plain(dict(weights.provenance))},
+        "recordings": sorted(set(examples.groups)),
+        "labels": len(examples),
+        "old_states": 0 if others is None else len(others),
+        "examples": asdict(config.examples),
+    }
+    learning = _Learning(network, config, folder, processes=processes, progress=progress)
+    return learning.both(_Material(examples, examples.groups, data, weights, others))
+
+
+def network_of(weights: Weights) -> NetworkConfig:
+    """The configuration of the networks that weights of both stages belong to.
+
+    The weights are compared with it before any network is built: what is built then is as large
+    as the file, and not as large as the file claims.
+
+    Raises:
+        InvalidResultError: it is none that this version knows, or its weights are others.
+    """
+    try:
+        values = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in weights.network.items()
+        }
+        network = NetworkConfig(**values)
+        with torch.device("meta"):
+            shapes = MeshReconstructor(network, weights.kind)
+    except (TypeError, InvalidConfigError) as error:
+        raise InvalidResultError(
+            f"{weights.path}: its network is none that this version knows ({error}); give weights "
+            f"of one of {', '.join(PRESETS)}"
+        ) from error
+    check_tensors(shapes, weights.tensors, weights.path)
+    return network
+
+
+@dataclass(frozen=True, eq=False)
+class _Material:
+    """What both stages learn from.
+
+    Attributes:
+        examples: all of them.
+        groups: of each: episode or trajectory.
+        data: what they are made of, stored with the weights.
+        start: weights to begin with; fresh ones when None.
+        others: examples of the old cloth to mix in.
+    """
+
+    examples: StateExamples | PseudoLabelExamples
+    groups: Sequence[Any]
+    data: Mapping[str, Any]
+    start: Weights | None = None
+    others: StateExamples | None = None
+
+
+class _Learning:
+    """Both stages of one training, one after the other."""
+
+    def __init__(
+        self,
+        network: NetworkConfig,
+        config: LearningConfig,
+        folder: Path,
+        *,
+        processes: Processes | None,
+        progress: Progress | None,
+    ) -> None:
+        self.network, self.config, self.folder = network, config, folder
+        self.processes = processes or Processes()
+        self.progress = progress
+        self.outcomes: dict[str, TrainingOutcome] = {}
+
+    def both(self, material: _Material) -> LearningOutcome:
+        """Train stage 1, then stage 2 behind its best weights, and write both as one file."""
+        seed, kind = self.config.canonicalisation.seed, material.examples.kind
+        first = canonicalisation_stage(self.network, kind, seed=seed)
+        if material.start is not None:
+            material.start.load_into(first.canonicaliser, prefix="canonicaliser.")
+        best = self._one(first, self.config.canonicalisation, material)
+        if best is None:
+            return LearningOutcome(self.outcomes, None)
+        canonicaliser = Canonicaliser(self.network)
+        best.load_into(canonicaliser, prefix="canonicaliser.")
+        second = completion_stage(canonicaliser, kind, seed=seed)
+        if material.start is not None:
+            for name, module in second.trained.named_children():
+                material.start.load_into(module, prefix=f"{name}.")
+        behind = {**material.data, "canonicaliser_step": best.provenance["step"]}
+        rest = self._one(second, self.config.completion, replace(material, data=behind))
+        if rest is None:
+            return LearningOutcome(self.outcomes, None)
+        path = self.folder / MODEL
+        if self.processes.writes:
+            save_weights(
+                path,
+                {**best.tensors, **rest.tensors},
+                self.network,
+                kind=kind,
+                provenance={one.provenance["stage"]: one.provenance for one in (best, rest)},
+            )
+        self.processes.wait()
+        return LearningOutcome(self.outcomes, path)
+
+    def _one(
+        self,
+        stage: CanonicalisationStage | CompletionStage,
+        config: TrainingConfig,
+        material: _Material,
+    ) -> Weights | None:
+        """Train one stage; its best weights, or None after an interrupt."""
+        training, held_out = split_by_group(material.groups, config.held_out_share, config.seed)
+        chosen: Examples = Subset(material.examples, training)
+        if material.others is not None and config.old_share > 0.0:
+            chosen = Mixture(chosen, material.others, config.old_share, seed=config.seed)
+        outcome = train(
+            stage.to(self.processes.device),
+            chosen,
+            Subset(material.examples, held_out),
+            config,
+            self.folder / stage.name,
+            collate=collate,
+            data=material.data,
+            processes=self.processes,
+            progress=self.progress,
+        )
+        self.outcomes[stage.name] = outcome
+        if outcome.status == "interrupted" or outcome.weights is None:
+            return None
+        return load_weights(outcome.weights)
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists, as they come back from a file."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return value

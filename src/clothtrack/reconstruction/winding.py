@@ -1,0 +1,118 @@
+"""Generalised winding numbers of a canonical mesh: the targets of the implicit decoder.
+
+The winding number of a closed surface is 1 inside and 0 outside; of an open one it is the solid
+angle that it fills as seen from the point, divided by 4 pi (A. Jacobson et al., "Robust
+inside-outside segmentation using generalized winding numbers", 2013,
+doi:10.1145/2461912.2461916). A flat sheet jumps by one from side to side, from -1/2 to 1/2.
+"""
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.errors import InvalidConfigError
+
+
+@dataclass(frozen=True)
+class WindingConfig:
+    """Where the field of a garment is asked for, once and for all its states.
+
+    Attributes:
+        pool: points per garment; a training example draws some of them.
+        near_share: share of them that lie near the surface; the others fill the unit cube. The
+            paper's reference has none: 98 % of its points see a field that is almost zero.
+        near_spread: standard deviation of their distance to the surface along each axis
+            [unit cube].
+    """
+
+    pool: int = 32_768
+    near_share: float = 0.5
+    near_spread: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be drawn.
+
+        Raises:
+            InvalidConfigError: with the field, its value and the limit.
+        """
+        if self.pool < 1:
+            raise InvalidConfigError(f"pool is {self.pool}; it must be at least 1 point")
+        if not 0.0 <= self.near_share <= 1.0:
+            raise InvalidConfigError(f"near_share is {self.near_share}; it must be in 0..1")
+        if not self.near_spread > 0.0:
+            raise InvalidConfigError(f"near_spread is {self.near_spread}; it must be positive")
+
+
+@dataclass(frozen=True, eq=False)
+class WindingPool:
+    """Points of the unit cube and the winding number of one garment there."""
+
+    points: Float[np.ndarray, "points 3"]
+    values: Float[np.ndarray, " points"]
+
+
+def winding_numbers(
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    points: Float[np.ndarray, "points 3"],
+) -> Float[np.ndarray, " points"]:
+    """Generalised winding number of a mesh at each point, to about 1e-2.
+
+    Args:
+        vertices: of the mesh, in any unit; the points are in the same.
+        faces: vertex indices per triangle, outward where there is an outside.
+        points: where to ask.
+    """
+    found = igl.fast_winding_number(
+        np.ascontiguousarray(vertices, np.float64),
+        np.ascontiguousarray(faces, np.int64),
+        np.ascontiguousarray(points, np.float64),
+    )
+    return np.asarray(found)
+
+
+def winding_grid(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], resolution: int
+) -> Float[np.ndarray, "x y z"]:
+    """The field on a grid of the unit cube whose outermost nodes lie on its faces.
+
+    Args:
+        vertices: of the mesh [unit cube].
+        faces: vertex indices per triangle.
+        resolution: nodes along each axis; node k lies at k / (resolution - 1).
+    """
+    axis = np.linspace(0.0, 1.0, resolution)
+    nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    return winding_numbers(vertices, faces, nodes.reshape(-1, 3)).reshape((resolution,) * 3)
+
+
+def winding_pool(
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    config: WindingConfig,
+    *,
+    seed: int,
+) -> WindingPool:
+    """Points in the unit cube and near the surface, shuffled, with the winding number at each.
+
+    Args:
+        vertices: of the canonical mesh [unit cube].
+        faces: vertex indices per triangle.
+        config: how many, and where.
+        seed: of the points.
+    """
+    rng = np.random.default_rng(seed)
+    near = round(config.near_share * config.pool)
+    corners = np.asarray(vertices, np.float64)[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    chosen = rng.choice(len(faces), size=near, p=areas / areas.sum())
+    weights = rng.dirichlet(np.ones(3), size=near)
+    surface = np.einsum("pc,pcx->px", weights, corners[chosen])
+    spread = surface + config.near_spread * rng.standard_normal(surface.shape)
+    points = np.concatenate([np.clip(spread, 0.0, 1.0), rng.random((config.pool - near, 3))])
+    points = points[rng.permutation(len(points))]
+    values = winding_numbers(vertices, faces, points)
+    return WindingPool(points.astype(np.float32), values.astype(np.float32))

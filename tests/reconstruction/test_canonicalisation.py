@@ -1,0 +1,226 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch.nn import functional
+
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.canonical_frame import canonical_frame, symmetries
+from clothtrack.reconstruction.canonicalisation import (
+    Canonicaliser,
+    bin_of,
+    canonical_loss,
+    coordinates,
+    relabelled,
+    symmetry_losses,
+)
+from clothtrack.reconstruction.configuration import preset
+from clothtrack.reconstruction.view import cloth_pixels, view_camera
+from clothtrack.simulation.garments import garment
+
+SMALL = preset("small")
+TINY_REFERENCE = replace(preset("reference"), image_size=32)
+
+
+def logits_of(units, bins, sharpness=400.0):
+    """A sure answer: a narrow bell over the bins around each coordinate."""
+    centres = (torch.arange(bins) + 0.5) / bins
+    return -sharpness * bins * (units[..., None] - centres) ** 2
+
+
+def random_logits(rng, pixels, bins=16):
+    return torch.from_numpy(rng.normal(size=(pixels, 3, bins)).astype(np.float32))
+
+
+def random_units(rng, pixels):
+    return torch.from_numpy(rng.uniform(0.05, 0.95, (pixels, 3)).astype(np.float32))
+
+
+def all_pixels(images, size):
+    grid = torch.meshgrid(*(torch.arange(n) for n in (images, size, size)), indexing="ij")
+    return torch.stack(grid, dim=-1).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("bins", [16, 64])
+def test_bins_and_back_within_half_a_bin(bins, rng):
+    units = random_units(rng, 500)
+    one_hot = 50.0 * functional.one_hot(bin_of(units, bins), bins).float()
+    found, confidence = coordinates(one_hot)
+    assert (found - units).abs().max() <= 0.5 / bins + 1e-6
+    assert (confidence > 0.999).all()
+
+
+def test_the_mean_of_the_window_is_finer_than_a_bin(rng):
+    units = random_units(rng, 500)
+    found, _ = coordinates(logits_of(units, 64, sharpness=30.0), window=3)
+    assert (found - units).abs().max() < 0.05 * 0.5 / 64
+
+
+def test_a_rival_answer_does_not_pull_the_coordinate_but_lowers_the_confidence():
+    centres = torch.tensor([[0.2, 0.5, 0.8]])
+    sure, rival = logits_of(centres, 64), logits_of(centres + 10 / 64, 64)
+    found, confidence = coordinates(torch.logaddexp(sure, rival - 0.5))
+    alone, certain = coordinates(sure)
+    torch.testing.assert_close(found, alone)
+    expected = 1.0 / (1.0 + np.exp(-0.5))
+    np.testing.assert_allclose(confidence / certain, expected, atol=5e-3)
+
+
+def test_the_window_ends_at_the_cube():
+    found, confidence = coordinates(60.0 * functional.one_hot(torch.tensor([[0, 8, 15]]), 16))
+    np.testing.assert_allclose(found, [[0.5 / 16, 8.5 / 16, 15.5 / 16]], atol=1e-6)
+    assert (confidence <= 1 + 1e-6).all()
+
+
+@pytest.mark.parametrize("kind", ["towel", "tshirt"])
+def test_the_loss_does_not_change_when_the_cloth_is_relabelled(kind, rng):
+    signs = torch.from_numpy(symmetries(kind)).float()
+    logits, units = random_logits(rng, 60), random_units(rng, 60)
+    image = torch.arange(60) % 3
+    weights = torch.tensor([1.0, 0.5, 2.0])
+    plain = canonical_loss(logits, units, image, signs, weights)
+    for index, one in enumerate(signs):
+        # Every picture may be relabelled by another member.
+        moved = torch.where((image == 1)[:, None], relabelled(units, one), units)
+        again = canonical_loss(logits, moved, image, signs, weights)
+        torch.testing.assert_close(again, plain)
+        identity_only = canonical_loss(logits, moved, image, signs[:1], weights)
+        assert index == 0 or abs(identity_only - plain) > 1e-3
+
+
+def test_the_labelling_is_chosen_per_picture_not_per_pixel(rng):
+    signs = torch.from_numpy(symmetries("tshirt")).float()
+    units = random_units(rng, 40)
+    half = torch.arange(40) < 20
+    torn = torch.where(half[:, None], units, relabelled(units, signs[1]))
+    logits = logits_of(torn, 64)
+    apart = canonical_loss(logits, units, (~half).long(), signs, torch.ones(2))
+    together = canonical_loss(logits, units, torch.zeros(40).long(), signs, torch.ones(1))
+    assert apart < 1.2
+    assert together > 10 * apart
+
+
+def test_the_loss_is_the_cross_entropy_without_symmetry(rng):
+    logits, units = random_logits(rng, 30), random_units(rng, 30)
+    loss = canonical_loss(logits, units, torch.zeros(30).long(), torch.ones(1, 3), torch.ones(1))
+    expected = functional.cross_entropy(logits.reshape(90, 16), bin_of(units, 16).reshape(90))
+    torch.testing.assert_close(loss, expected)
+
+
+def test_weights_and_pictures_without_cloth(rng):
+    logits, units = random_logits(rng, 30), random_units(rng, 30)
+    image = torch.where(torch.arange(30) < 10, 0, 2)
+    signs = torch.ones(1, 3)
+    each = symmetry_losses(logits, units, image, signs, 3)[:, 0]
+    assert each[1] == 0
+    loss = canonical_loss(logits, units, image, signs, torch.tensor([3.0, 7.0, 1.0]))
+    torch.testing.assert_close(loss, (3 * each[0] + each[2]) / 4)
+
+
+@pytest.mark.parametrize("config", [SMALL, TINY_REFERENCE], ids=["small", "reference"])
+def test_logits_of_chosen_pixels_are_those_of_the_whole_picture(config, rng):
+    network = Canonicaliser(config).eval()
+    depth = torch.from_numpy(rng.uniform(0.4, 0.5, (2, 1, *(config.image_size,) * 2))).float()
+    size = config.output_size
+    with torch.inference_mode():
+        features = network(depth)
+        everywhere = all_pixels(2, size)
+        full = network.logits(features, everywhere).reshape(2, size, size, 3, config.bins)
+        chosen = everywhere[rng.choice(len(everywhere), 200, replace=False)]
+        part = network.logits(features, chosen)
+        dense = functional.conv2d(features, network.bins.weight[:, :, None, None])
+        dense = functional.interpolate(dense, size=(size, size), mode="bilinear")
+        dense = dense + network.bins.bias[:, None, None]
+    torch.testing.assert_close(part, full[tuple(chosen.T)], atol=1e-5, rtol=1e-4)
+    expected = dense.permute(0, 2, 3, 1).reshape(2, size, size, 3, config.bins)
+    torch.testing.assert_close(full, expected, atol=1e-4, rtol=1e-3)
+
+
+@pytest.mark.parametrize("config", [SMALL, TINY_REFERENCE], ids=["small", "reference"])
+def test_a_batch_gives_what_its_pictures_give_alone(config, rng):
+    network = Canonicaliser(config).eval()
+    depth = torch.from_numpy(rng.uniform(0.4, 0.5, (3, 1, *(config.image_size,) * 2))).float()
+    depth[1, :, :, :20] = 0.0
+    with torch.inference_mode():
+        together = network(depth)
+        alone = torch.cat([network(one[None]) for one in depth])
+    torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-4)
+
+
+def parameters_of(network):
+    return sum(one.numel() for one in network.parameters())
+
+
+def test_the_reference_has_the_published_number_of_parameters():
+    network = Canonicaliser(TINY_REFERENCE)
+    assert parameters_of(network) / 1e6 == pytest.approx(29.63, abs=0.01)
+    with torch.inference_mode():
+        assert network(torch.rand(2, 1, 32, 32)).shape == (2, 480, 8, 8)
+
+
+def test_the_small_network_is_small():
+    network = Canonicaliser(SMALL)
+    assert 1.0e6 < parameters_of(network) < 2.0e6
+    with torch.inference_mode():
+        assert network(torch.rand(1, 1, 128, 128)).shape == (1, 64, 64, 64)
+
+
+def crumpled_examples(count):
+    """Pictures of a folded, turned towel with the canonical coordinates of their pixels."""
+    frame = canonical_frame("towel")
+    mesh = garment("towel", vertex_count=400)
+    depths, pixels, targets = [], [], []
+    for index in range(count):
+        angle, crease = 0.7 * index, 0.01 + 0.008 * index
+        cosine, sine = np.cos(angle), np.sin(angle)
+        flat = mesh.vertices @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+        over = flat[:, 0] > crease
+        vertices = flat.copy()
+        vertices[over, 0] = 2 * crease - flat[over, 0]
+        vertices[:, 2] = np.where(over, 0.006, 0.0015)
+        camera = view_camera(vertices, SMALL)
+        buffer = Rasteriser(mesh.faces, camera).render(vertices)
+        depth = np.where(np.isfinite(buffer.depth), buffer.depth, 0.0).astype(np.float32)
+        found = cloth_pixels(depth, SMALL)
+        face = buffer.faces[tuple(found.sources.T)]
+        depths.append(depth[None])
+        pixels.append(np.column_stack([np.full(len(found.pixels), index), found.pixels]))
+        targets.append(frame.to_unit(mesh.canonical[mesh.faces[face]].mean(axis=1)))
+    return (
+        torch.from_numpy(np.stack(depths)),
+        torch.from_numpy(np.concatenate(pixels)),
+        torch.from_numpy(np.concatenate(targets)).float(),
+    )
+
+
+@pytest.mark.slow
+def test_the_small_network_can_learn_eight_pictures_by_heart():
+    torch.manual_seed(0)
+    depth, pixels, targets = crumpled_examples(8)
+    network = Canonicaliser(SMALL)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=2e-3)
+    signs = torch.from_numpy(symmetries("towel")).float()
+    image = pixels[:, 0]
+
+    def error(logits):
+        with torch.no_grad():
+            found = coordinates(logits)[0]
+            each = torch.stack(
+                [
+                    torch.zeros(8).index_add(
+                        0, image, (found - relabelled(targets, one)).norm(dim=1)
+                    )
+                    for one in signs
+                ]
+            )
+            return float((each / torch.bincount(image)).amin(dim=0).mean())
+
+    errors = []
+    for _ in range(40):
+        logits = network.logits(network(depth), pixels)
+        errors.append(error(logits))
+        optimiser.zero_grad()
+        canonical_loss(logits, targets, image, signs, torch.ones(8)).backward()
+        optimiser.step()
+    assert np.mean(errors[-3:]) < 0.6 * errors[0]

@@ -1,0 +1,248 @@
+"""Pseudo-labels: projected to what the camera sees, cut where the mesh is far, whole on disk."""
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothtrack import cli
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.evaluation.label_quality import judge_labels
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.examples import ExampleConfig, LabelledPicture
+from clothtrack.reconstruction.pseudo_labels import (
+    LabelledRecording,
+    PseudoLabel,
+    PseudoLabelExamples,
+    label_recording,
+    projected_faces,
+    read_labels,
+    write_labels,
+)
+from clothtrack.reconstruction.winding import WindingConfig
+from clothtrack.recordings.recording import ClothDescription
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.simulation.garments import garment
+from clothtrack.tracking.tracked_trajectory import (
+    Calibration,
+    StepRecords,
+    TrackedAction,
+    TrackedTrajectory,
+)
+
+NETWORK = NetworkConfig()
+CONFIG = ExampleConfig(surface_queries=2048, winding=WindingConfig(pool=2048))
+POSE = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.7], [0, 0, 0, 1]])
+CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5, POSE)
+TOWEL = garment("towel", vertex_count=300, size_m=(0.2, 0.2))
+
+
+def folded(gap_m=0.006):
+    """The towel's right half folded over its left one."""
+    x, y, _ = np.asarray(TOWEL.vertices).T
+    return np.column_stack([-np.abs(x), y, np.where(x > 0, 0.004 + gap_m, 0.004)])
+
+
+def perfect_picture(positions, faces=TOWEL.faces):
+    drawn = Rasteriser(faces, CAMERA).render(positions)
+    seen = drawn.faces >= 0
+    return np.where(seen, drawn.depth, 0.7).astype(np.float32), seen, drawn.faces
+
+
+def test_pixels_show_the_layer_that_is_seen():
+    """The hidden layer is nearer than the noise, and yet no pixel is given to it."""
+    positions = folded(gap_m=0.002)
+    depth, seen, truth = perfect_picture(positions)
+    noisy = depth + 0.002 * np.random.default_rng(0).standard_normal(depth.shape)
+    shown = projected_faces(noisy, seen, CAMERA, positions, TOWEL.faces, cut_m=0.02)
+    assert (shown[~seen] == -1).all()
+    assert (shown[seen] >= 0).mean() > 0.99
+    upper = TOWEL.vertices[TOWEL.faces].mean(axis=1)[:, 0] > 0
+    both = seen & (shown >= 0)
+    assert (upper[shown[both]] == upper[truth[both]]).mean() > 0.97
+
+
+def test_pixels_far_from_the_mesh_have_no_label():
+    positions = folded()
+    depth, seen, _ = perfect_picture(positions)
+    moved = positions + (0.04, 0.0, 0.0)
+    shown = projected_faces(depth, seen, CAMERA, moved, TOWEL.faces, cut_m=0.02)
+    points = CAMERA.back_project(depth, seen)
+    far = points[:, 0] < moved[:, 0].min() - 0.021
+    near = points[:, 0] > moved[:, 0].min() + 0.003
+    assert far.sum() > 50
+    assert (shown[seen][far] == -1).all()
+    assert (shown[seen][near] >= 0).mean() > 0.99
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """Two frames of a towel: flat, then folded."""
+    folder = tmp_path / "fold"
+    flat = np.asarray(TOWEL.vertices) + (0.0, 0.0, 0.004)
+    with RecordingWriter(
+        folder, [CAMERA], {"top": 1e-4}, cloth=ClothDescription(kind="towel")
+    ) as writer:
+        for number, positions in enumerate((flat, folded())):
+            depth, seen, _ = perfect_picture(positions)
+            writer.add_frame(0.1 * number, depth={"top": depth}, mask={"top": seen})
+    return read_recording(folder), (flat, folded())
+
+
+def labelled(recording, *, weights=(1.0, 0.4)):
+    source, states = recording
+    labels = [PseudoLabel(n, p, w) for n, (p, w) in enumerate(zip(states, weights, strict=True))]
+    return label_recording(source, TOWEL, labels, kind="towel", provenance={"mode": "default"})
+
+
+def test_labels_lead_from_pixels_to_the_tracked_material_point(recording):
+    examples = PseudoLabelExamples([labelled(recording)], NETWORK, CONFIG)
+    assert len(examples) == 2
+    assert examples.groups == ["fold", "fold"]
+    for index, weight in enumerate((1.0, 0.4)):
+        example = examples[index, 3]
+        assert example.weight == weight
+        known = example.labelled
+        assert known.mean() > 0.95
+        gaps = np.linalg.norm(example.unit[known][:, None] - example.surface[None], axis=2)
+        way = np.linalg.norm(example.positions[gaps.argmin(axis=1)] - example.points[known], axis=1)
+        assert np.median(way) < 0.006
+
+
+def test_a_frame_that_is_not_there_is_refused(recording):
+    source, states = recording
+    with pytest.raises(InvalidResultError, match="frame 7"):
+        label_recording(source, TOWEL, [PseudoLabel(7, states[0], 1.0)], kind="towel")
+
+
+def test_the_verb_labels_what_was_tracked(recording, tmp_path, capsys):
+    """The first frame counts in full, the end of the action by its quality."""
+    source, (flat, end) = recording
+    none = Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+    action = TrackedAction(0, 1, end, end, np.zeros(2), {}, none, {})
+    tracked = TrackedTrajectory(
+        name="fold",
+        mesh=TOWEL,
+        frames=np.arange(2),
+        time_s=np.array([0.0, 0.1]),
+        positions=np.stack([flat, end]).astype(np.float32),
+        visible=np.ones((2, len(flat)), bool),
+        actions=(action,),
+        steps=StepRecords.empty(2),
+    )
+    tracked.save(tmp_path / "fold.zarr")
+    words = ["label", str(tmp_path / "fold.zarr"), "--recordings", str(source.folder)]
+    assert cli.main([*words, "--output", str(tmp_path / "labels"), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    found = read_labels(tmp_path / "labels" / "fold.labels.npz")
+    (judged,) = judge_labels(tracked, source)
+    assert row["weights"] == pytest.approx([1.0, judged.label_quality], rel=1e-5)
+    assert [one.weight for one in found.pictures] == row["weights"]
+    assert 0.0 < judged.label_quality < 1.0
+    assert found.frames == (0, 1)
+    np.testing.assert_allclose(found.pictures[1].positions, end, atol=1e-6)
+    plain = ["--output", str(tmp_path / "plain"), "--no-weighted", "--flat-weight", "0"]
+    assert cli.main([*words, *plain]) == 0
+    (only,) = read_labels(tmp_path / "plain" / "fold.labels.npz").pictures
+    assert only.weight == 1.0
+
+
+def test_labels_come_back_from_the_disk(recording, tmp_path):
+    written = labelled(recording)
+    path = tmp_path / "fold.labels.npz"
+    write_labels(written, path)
+    found = read_labels(path)
+    assert (found.name, found.kind, found.frames) == ("fold", "towel", (0, 1))
+    assert found.provenance == {"mode": "default"}
+    np.testing.assert_allclose(found.mesh.canonical, TOWEL.canonical, atol=1e-7)
+    before, after = (PseudoLabelExamples([one], NETWORK, CONFIG)[1, 0] for one in (written, found))
+    np.testing.assert_allclose(before.depth, after.depth, atol=1e-5)
+    assert after.weight == 0.4
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
+def test_truncated_labels_are_refused(recording, tmp_path, share):
+    path = tmp_path / "fold.labels.npz"
+    write_labels(labelled(recording), path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(InvalidResultError, match="not whole pseudo-labels"):
+        read_labels(path)
+
+
+def test_a_damaged_chunk_is_noticed(recording, tmp_path):
+    path = tmp_path / "fold.labels.npz"
+    write_labels(labelled(recording), path)
+    content = bytearray(path.read_bytes())
+    place = content.index(b"depth_m.npy") + 200
+    content[place] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(InvalidResultError, match="not whole"):
+        read_labels(path)
+
+
+class Hostile:
+    def __init__(self, target):
+        self.target = str(target)
+
+    def __reduce__(self):
+        return Path.write_text, (Path(self.target), "executed")
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_hostile_labels_run_nothing(tmp_path, wrapped):
+    target, path = tmp_path / "executed", tmp_path / "bad.labels.npz"
+    if wrapped:
+        with path.open("wb") as file:
+            np.savez(file, document=np.array([Hostile(target)], dtype=object))
+    else:
+        path.write_bytes(pickle.dumps(Hostile(target)))
+    with pytest.raises(InvalidResultError, match="not whole"):
+        read_labels(path)
+    assert not target.exists()
+
+
+def test_labels_that_do_not_fit_their_mesh_are_refused(recording, tmp_path):
+    path = tmp_path / "fold.labels.npz"
+    one = labelled(recording)
+    picture = one.pictures[0]
+    wrong = LabelledPicture(
+        picture.depth_m, picture.mask, CAMERA, picture.faces + 10_000, picture.positions
+    )
+    write_labels(LabelledRecording("fold", "towel", TOWEL, (0,), (wrong,)), path)
+    with pytest.raises(InvalidResultError, match="shows face"):
+        read_labels(path)
+
+
+def test_labels_of_two_kinds_are_refused(recording):
+    one = labelled(recording)
+    other = LabelledRecording("x", "tshirt", one.mesh, one.frames, one.pictures)
+    with pytest.raises(InvalidResultError, match="towel, tshirt"):
+        PseudoLabelExamples([one, other], NETWORK, CONFIG)
+
+
+def test_labels_of_another_version_are_refused(tmp_path):
+    path = tmp_path / "old.labels.npz"
+    document = json.dumps({"format": "clothtrack-pseudo-labels", "version": 99}).encode()
+    np.savez(path, document=np.frombuffer(document, np.uint8))
+    with pytest.raises(InvalidResultError, match="99"):
+        read_labels(path)
+
+
+@pytest.mark.parametrize("weight", [-0.5, 2.0, float("nan")])
+def test_a_weight_that_is_no_share_is_refused(recording, tmp_path, weight):
+    path = tmp_path / "fold.labels.npz"
+    write_labels(labelled(recording, weights=(1.0, weight)), path)
+    with pytest.raises(InvalidResultError, match="weight of label 1"):
+        read_labels(path)
+
+
+def test_labels_on_a_shirt_whose_layers_are_one_place_are_refused(recording):
+    one = labelled(recording)
+    flat = LabelledRecording("x", "tshirt", one.mesh, one.frames, one.pictures)
+    with pytest.raises(InvalidConfigError, match="front and back are one place"):
+        PseudoLabelExamples([flat], NETWORK, CONFIG)

@@ -1,0 +1,159 @@
+"""Pretraining and fine-tuning from files to files, as the command line does them."""
+
+import json
+import resource
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+import torch
+
+from clothtrack import cli, learning
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.reconstruction.canonicalisation import Canonicaliser
+from clothtrack.reconstruction.checkpoint import load_weights, save_weights
+from clothtrack.reconstruction.configuration import PRESETS, NetworkConfig
+from clothtrack.reconstruction.examples import LabelledPicture
+from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.pseudo_labels import LabelledRecording, write_labels
+from clothtrack.reconstruction.two_stages import LearningConfig, network_of
+from clothtrack.simulation.garments import garment
+from clothtrack.world.state_store import StateShard, write_states
+
+TINY = NetworkConfig(
+    image_size=64,
+    widths=(8, 16),
+    decoder_width=16,
+    bins=16,
+    volume=8,
+    volume_channels=8,
+    point_hidden=16,
+    volume_widths=(8, 16),
+    decoder_hidden=16,
+    grid=8,
+)
+FEW = [
+    "canonicalisation.epochs=2",
+    "completion.epochs=2",
+    "completion.batch_size=4",
+    "examples.winding.pool=1024",
+    "examples.surface_queries=64",
+    "examples.volume_queries=64",
+]
+
+
+def settings(*more):
+    return [word for one in (*FEW, *more) for word in ("--set", one)]
+
+
+@pytest.fixture
+def towels(tmp_path, monkeypatch):
+    """A folder of states; the smallest network stands in for `small`."""
+    monkeypatch.setitem(PRESETS, "small", TINY)
+    mesh = garment("towel", vertex_count=150)
+    flat = np.asarray(mesh.vertices, np.float32) + np.float32([0.0, 0.0, 0.005])
+    shard = StateShard("towel", mesh, np.stack([flat] * 8), np.arange(8), ("flat",) * 8, 0)
+    write_states(tmp_path / "states", "towel", [shard], {})
+    return tmp_path
+
+
+def labels_of(folder, count=3):
+    mesh = garment("towel", vertex_count=150)
+    from clothtrack.reconstruction.dataset import FilmingConfig, film
+
+    flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
+    for number in range(count):
+        picture = film(flat, mesh, FilmingConfig(), np.random.default_rng(number))
+        assert isinstance(picture, LabelledPicture)
+        one = LabelledRecording(f"t{number}", "towel", mesh, (0,), (picture,))
+        write_labels(one, folder / f"t{number}.labels.npz")
+
+
+def test_pretrained_weights_are_finetuned(towels, capsys):
+    run, tuned, labels = towels / "run", towels / "tuned", towels / "labels"
+    words = ["pretrain", str(towels / "states"), "--output", str(run), *settings()]
+    assert cli.main(words) == 0
+    weights = load_weights(run / "model.safetensors")
+    assert weights.kind == "towel"
+    assert set(weights.provenance) == {"canonicalisation", "completion"}
+    assert network_of(weights) == TINY
+    labels_of(labels)
+    capsys.readouterr()
+    words = ["finetune", str(run / "model.safetensors"), str(labels), "--output", str(tuned)]
+    more = ["--json", "--old", str(towels / "states"), "--seed", "3"]
+    assert cli.main([*words, *more, *settings("canonicalisation.high_rate=1e-3")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["stages"]["canonicalisation"]["status"] in ("finished", "converged")
+    after = load_weights(tuned / "model.safetensors")
+    assert after.tensors.keys() == weights.tensors.keys()
+    for name, value in after.tensors.items():
+        # Fine-tuning keeps the statistics of batch norm.
+        if "running_" in name:
+            assert torch.equal(value, weights.tensors[name]), name
+
+
+def test_weights_for_another_garment_are_refused(towels, capsys):
+    path = towels / "shirt.safetensors"
+    save_weights(path, MeshReconstructor(TINY, "tshirt").state_dict(), TINY, kind="tshirt")
+    labels_of(towels / "labels")
+    words = ["finetune", str(path), str(towels / "labels"), "--output", str(towels / "out")]
+    assert cli.main(words) == 1
+    assert "is for 'tshirt', the labels are of 'towel'" in capsys.readouterr().err
+
+
+def test_old_states_that_are_asked_for_must_be_given(towels, capsys):
+    path = towels / "towel.safetensors"
+    save_weights(path, MeshReconstructor(TINY, "towel").state_dict(), TINY, kind="towel")
+    labels_of(towels / "labels")
+    words = ["finetune", str(path), str(towels / "labels"), "--output", str(towels / "out")]
+    assert cli.main([*words, "--set", "completion.old_share=0.5"]) == 1
+    assert "old states" in capsys.readouterr().err
+
+
+def test_a_network_that_nobody_knows_is_refused(tmp_path):
+    path = tmp_path / "weights.safetensors"
+    save_weights(path, Canonicaliser(TINY).state_dict(), TINY, kind="towel")
+    found = load_weights(path)
+    strange = type(found)(path, found.tensors, {**asdict(TINY), "depth": 3}, "towel")
+    with pytest.raises(InvalidResultError, match="depth"):
+        network_of(strange)
+
+
+def test_the_presets_differ_as_they_say():
+    tuned, paper = (LearningConfig.preset(name, seed=4) for name in ("finetune", "paper"))
+    assert tuned.completion.patience > 0 == paper.completion.patience
+    assert tuned.canonicalisation.seed == paper.completion.seed == 4
+    for one in (tuned.canonicalisation, paper.completion):
+        assert (one.low_rate, one.high_rate) == (1e-6, 1e-5)
+        assert one.freeze_statistics
+
+
+def test_a_missing_extra_is_named_with_its_remedy(monkeypatch):
+    monkeypatch.setattr(learning, "EXTRA", ("torch", "no_such_module"))
+    with pytest.raises(InvalidConfigError, match=r"no_such_module.*pip install 'clothtrack\[learn"):
+        learning.require_learning()
+
+
+@pytest.mark.parametrize("verb", ["label", "pretrain"])
+def test_nothing_to_work_on_is_wrong_usage(verb, tmp_path, capsys):
+    more = ["--recordings", str(tmp_path)] if verb == "label" else []
+    assert cli.main([verb, "--output", str(tmp_path), *more]) == 2
+    assert "given" in capsys.readouterr().err
+
+
+def test_a_file_that_claims_a_huge_network_takes_no_memory(tmp_path):
+    """What the file says is compared with what it holds before anything of that size is made."""
+    path = tmp_path / "weights.safetensors"
+    save_weights(path, MeshReconstructor(TINY, "towel").state_dict(), TINY, kind="towel")
+    found = load_weights(path)
+    assert network_of(found) == TINY
+    huge = {**asdict(TINY), "widths": [2048] * 8, "volume_widths": [2048] * 4}
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InvalidResultError, match="another preset"):
+        network_of(type(found)(path, found.tensors, huge, "towel"))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
+    for wrong in ({"bins": 16.5}, {"image_size": "64"}, {"widths": 8}, {"depth_channels": 2}):
+        with pytest.raises(InvalidResultError, match="none that this version knows"):
+            network_of(type(found)(path, found.tensors, {**asdict(TINY), **wrong}, "towel"))
+    with pytest.raises(InvalidResultError, match="sock"):
+        network_of(type(found)(path, found.tensors, asdict(TINY), "sock"))

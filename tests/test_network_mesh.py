@@ -1,0 +1,97 @@
+"""One picture to one mesh: the network's, and what fine-tuning makes of it."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from clothtrack import cli
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.network_mesh import laid_flat, network_mesh, observation_of
+from clothtrack.reconstruction.checkpoint import save_weights
+from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.depth_input import DepthInput
+from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.garments import garment
+from clothtrack.tracking.refinement import RefinementConfig
+from clothtrack.world.episodes import SMALL_WORLD, simulate
+
+TINY = NetworkConfig(
+    image_size=64, widths=(8, 16), decoder_width=16, bins=16, volume=8, volume_channels=8,
+    point_hidden=16, volume_widths=(8, 16), decoder_hidden=16, grid=8,
+)  # fmt: skip
+TABLE = Table(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0]))
+POSE = np.diag([1.0, -1.0, -1.0, 1.0])
+POSE[2, 3] = 0.8
+CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5, POSE)
+
+
+@pytest.fixture(scope="module")
+def model():
+    torch.manual_seed(0)
+    return MeshReconstructor(TINY, "towel").eval()
+
+
+@pytest.fixture(scope="module")
+def picture():
+    """A towel, wider than long in its own coordinates, on a table at 10 cm."""
+    mesh = garment("towel", vertex_count=300, size_m=(0.2, 0.3))
+    vertices = mesh.vertices + (0.02, -0.01, 0.1015)
+    drawn = Rasteriser(mesh.faces, CAMERA).render(vertices).depth
+    seen = np.isfinite(drawn)
+    return DepthInput(np.where(seen, drawn, 0.0), seen, CAMERA, TABLE, "towel")
+
+
+def test_fine_tuning_never_ends_farther_from_the_cloud(model, picture):
+    plain = network_mesh(model, picture, "towel", vertex_count=200)
+    tuned = network_mesh(model, picture, "towel", vertex_count=200, refinement=RefinementConfig())
+    assert plain.refinement is None
+    np.testing.assert_array_equal(plain.mesh.vertices, tuned.reconstruction.mesh.vertices)
+    scores = tuned.refinement.chamfer_m2
+    assert scores[tuned.refinement.chosen] == min(scores) <= scores[0]
+    np.testing.assert_array_equal(tuned.mesh.vertices, tuned.refinement.positions)
+    np.testing.assert_array_equal(tuned.mesh.faces, plain.mesh.faces)
+
+
+def test_a_known_size_is_the_size(model, picture):
+    found = network_mesh(model, picture, "towel", vertex_count=200, size_m=(0.2, 0.3))
+    np.testing.assert_allclose(np.ptp(found.mesh.canonical[:, :2], axis=0), (0.2, 0.3), rtol=1e-5)
+    rest = found.reconstruction.rest
+    np.testing.assert_array_equal(rest.faces, found.mesh.faces)
+    assert np.ptp(rest.vertices[:, 2]) == 0.0
+
+
+def test_the_cloud_of_a_picture_is_where_it_was_measured(picture):
+    cloud = observation_of(picture)
+    np.testing.assert_allclose(cloud.points[:, 2], 0.1015, atol=1e-4)
+    np.testing.assert_allclose(np.ptp(cloud.points[:, :2], axis=0), (0.2, 0.3), atol=0.012)
+    assert (cloud.hidden["top"] == (picture.depth_m <= 0)).all()
+
+
+@pytest.mark.parametrize("over", [False, True])
+def test_the_flat_garment_is_laid_where_the_cloth_is(over):
+    """Turned, shifted, and on its face or not: a rigid motion onto the table."""
+    rest = garment("tshirt", vertex_count=300)
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    flip = np.diag([-1.0, 1.0, -1.0]) if over else np.eye(3)
+    placed = rest.vertices @ (turn @ flip).T + (0.3, -0.2, 0.17)
+    flat = laid_flat(rest, placed, TABLE, 0.0015)
+    np.testing.assert_allclose(flat.edge_lengths, rest.edge_lengths, rtol=1e-5)
+    np.testing.assert_allclose(flat.vertices[:, :2], placed[:, :2], atol=1e-4)
+    assert flat.vertices[:, 2].min() == pytest.approx(0.1015, abs=1e-6)
+
+
+def test_the_command_fine_tunes_unless_told_not_to(model, tmp_path, capsys):
+    (recording,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)
+    weights = tmp_path / "towel.safetensors"
+    save_weights(weights, model.state_dict(), TINY, kind="towel")
+    told = []
+    for more in ([], ["--no-refined"]):
+        words = ["reconstruct", str(recording), "--weights", str(weights), "--json"]
+        assert cli.main([*words, "--output", str(tmp_path / "mesh.obj"), *more]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    assert len(told[0]["chamfer_m2"]) == 3
+    assert told[1]["chamfer_m2"] == []
