@@ -4,6 +4,7 @@ Only the recording is asked, never a truth. PyTorch is imported when the network
 before.
 """
 
+import hashlib
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.network_mesh import laid_flat, network_mesh
 from clothtrack.reconstruction.availability import INSTALL, missing_modules, shipped_weights
 from clothtrack.recordings.point_cloud import Observation
-from clothtrack.recordings.recording import Recording, Table
+from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.first_mesh import FITTED_KINDS, FirstMeshConfig, fitted_mesh
 
@@ -166,7 +167,7 @@ def _from_network(
         device=device,
     )
     rest = found.reconstruction.rest
-    if found.mesh is None or rest is None or not isinstance(table, Table):
+    if found.mesh is None or rest is None or table is None:
         raise InvalidRecordingError(
             f"{recording.folder}: the network makes no mesh of the first frame "
             f"({found.reconstruction.status}); use first_mesh.source=flat"
@@ -175,6 +176,7 @@ def _from_network(
     origin = {
         "source": "network",
         "weights": weights.name,
+        "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
         "refined": found.refinement is not None and found.refinement.chosen > 0,
     }
     mesh = laid_flat(rest, positions, table, config.resting_height_m)
