@@ -17,6 +17,7 @@ from clothtrack.pipeline import RunConfig, config_hash, counted_settings
 from clothtrack.reconstruction import availability
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording, Table
+from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import garment
 from clothtrack.tracking.first_mesh import FirstMeshConfig
@@ -217,6 +218,14 @@ def test_tracking_starts_where_the_network_saw_the_cloth(filmed, weights, tmp_pa
     assert "finished before" in capsys.readouterr().out
     assert cli.main([*words[:4], *settings]) == 1
     assert "tracked with other settings" in capsys.readouterr().err
+
+
+def test_weights_that_are_not_there_are_refused_even_beside_a_template(tmp_path, capsys):
+    missing = tmp_path / "none.safetensors"
+    arguments = ["track", str(shipped_recording()), "--output", str(tmp_path / "out")]
+    assert cli.main([*arguments, "--weights", str(missing)]) == 1
+    assert "no such weights file" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_weights_for_another_garment_are_one_clear_line(filmed, weights, tmp_path, capsys):

@@ -18,6 +18,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from clothtrack.artefacts import inside, load_tracked, recording_of
+from clothtrack.errors import InvalidConfigError
 from clothtrack.learning import LEARNING_VERBS
 from clothtrack.options import AsJson, Device, Seed, Settings
 from clothtrack.terminal import complain, exit_code, progress, say
@@ -219,6 +220,8 @@ def track(
         complain("no recording given; name at least one recording folder")
         return 2
     if weights is not None:
+        if not weights.is_file():
+            raise InvalidConfigError(f"{weights}: there is no such weights file; check the name")
         settings = (f"first_mesh.weights={json_module.dumps(str(weights))}", *settings)
     outcomes = _track(
         recordings, output, _run_config(mode, settings, seed=seed), device=device, workers=workers

@@ -2,6 +2,7 @@
 
 import logging
 import signal
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
@@ -37,7 +38,7 @@ Progress = Callable[[str, int, int], None]
 """Called with the stage's name, steps done and steps in all."""
 
 
-class Stage(nn.Module):
+class Stage(nn.Module, ABC):
     """What is trained: a module whose call gives the scalars of a batch, "loss" among them.
 
     Attributes:
@@ -54,9 +55,9 @@ class Stage(nn.Module):
     kind: str
     trained: nn.Module
 
+    @abstractmethod
     def measure(self, batch: Any) -> Mapping[str, Tensor]:
         """Errors against the truth, one number per example; no gradients."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -76,27 +76,6 @@ class FirstMeshConfig:
             )
 
 
-def first_mesh(
-    recording: Recording, observation: Observation, config: FirstMeshConfig
-) -> ClothMesh:
-    """The recording's template, or a flat garment fitted to the first cloud.
-
-    Args:
-        recording: says what the cloth is and where the table is.
-        observation: the cloud of the first frame, flat cloth.
-        config: size of the mesh.
-
-    Returns:
-        The flat cloth in the world frame [m].
-
-    Raises:
-        InvalidRecordingError: when there is no template and nothing to fit one with.
-    """
-    if recording.cloth.template is not None:
-        return recording.cloth.template
-    return fitted_mesh(recording, observation, config)
-
-
 def fitted_mesh(
     recording: Recording, observation: Observation, config: FirstMeshConfig
 ) -> ClothMesh:
