@@ -6,6 +6,7 @@ recorded results, not exceptions.
 """
 
 import errno
+from pathlib import Path
 
 
 class ClothTrackError(Exception):
@@ -36,9 +37,9 @@ class StorageError(ClothTrackError):
     """The disk refused: full, read-only or not ours to write."""
 
     @classmethod
-    def of(cls, error: OSError) -> "StorageError":
-        """An error of the operating system, in words that say what to do."""
-        where = error.filename or "the output"
+    def of(cls, error: OSError, path: Path | None = None) -> "StorageError":
+        """What the system refused, at `path` or where it says itself, and what to do."""
+        where = path or error.filename or "the output"
         told = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
         return cls(f"{where}: {told}")
 
@@ -49,6 +50,7 @@ _REMEDIES = {
     errno.EACCES: "no permission; choose another folder or change its owner",
     errno.EROFS: "the disk is read-only; choose another folder",
     errno.EEXIST: "something of this name is in the way; choose another name or remove it",
+    errno.ENOTEMPTY: "something of this name is in the way; choose another name or remove it",
     errno.ENOTDIR: "a file is where a folder belongs; choose another name or remove it",
     errno.ENOENT: "there is no such file or folder; check the name",
 }

@@ -2,9 +2,7 @@
 
 import json as json_module
 import logging
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, replace
 from math import isnan
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 from clothtrack.artefacts import load_tracked, recording_of
-from clothtrack.errors import InvalidConfigError, InvalidResultError, StorageError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.options import AsJson, Device, Seed, Settings
 from clothtrack.reconstruction.availability import EXTRA, INSTALL, missing_modules
 from clothtrack.terminal import complain, end_progress, progress, say
@@ -328,17 +326,11 @@ def write_mesh(mesh: "ClothMesh", path: Path) -> None:
     """
     import trimesh
 
+    from clothtrack.storing import whole_file
+
     require_mesh_format(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise StorageError.of(error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def _pseudo_labels(

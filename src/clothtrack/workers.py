@@ -109,7 +109,14 @@ def _work_or_leave(work: Callable[[Item], Result], item: Item) -> Result:
 def _start_stoppable_worker() -> None:
     start_worker()
     signal.signal(signal.SIGTERM, _leave)
+    sys.unraisablehook = _report_unless_leaving
 
 
 def _leave(_signal: int, _frame: FrameType | None) -> None:
     sys.exit(1)
+
+
+def _report_unless_leaving(lost: "sys.UnraisableHookArgs") -> None:
+    """Being told to end inside a destructor is no fault to report: it will be told again."""
+    if not isinstance(lost.exc_value, SystemExit):
+        sys.__unraisablehook__(lost)

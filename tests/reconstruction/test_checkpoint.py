@@ -194,8 +194,8 @@ def test_a_disk_that_refuses_is_named(line, tmp_path):
             stage.network,
             kind="towel",
         )
-    with pytest.raises(StorageError):
-        save_progress(tmp_path / "nowhere" / "progress.pt", {"step": 1})
+    with pytest.raises(StorageError, match="in the way"):
+        save_progress(tmp_path / "file" / "progress.pt", {"step": 1})
 
 
 def test_a_killed_write_leaves_the_old_file(line, tmp_path, monkeypatch):

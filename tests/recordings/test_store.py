@@ -113,7 +113,7 @@ def test_a_full_disk_is_a_storage_error_and_leaves_nothing(tmp_path, camera, mon
         with RecordingWriter(tmp_path / "r", [camera], {"top": 0.001}) as writer:
             writer.add_frame(0.0, depth={"top": np.full((48, 64), 0.5)})
 
-    with pytest.raises(StorageError, match=r"depth/000000\.png: the disk is full; free space"):
+    with pytest.raises(StorageError, match=r"depth/000000\.png: the disk is full; free some space"):
         record()
     assert list(tmp_path.iterdir()) == []
 

@@ -7,7 +7,6 @@ with the package; `experiments/label_quality.py` fits them on the benchmark's `d
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -18,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError, StorageError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_evidence import (
     EVIDENCE_NAMES,
     LabelEvidence,
@@ -27,6 +26,7 @@ from clothtrack.evaluation.label_evidence import (
 )
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 FORMAT = "clothtrack-label-quality"
@@ -124,14 +124,8 @@ class QualityModel:
             "typical_error_m": self.typical_error_m,
             "provenance": dict(self.provenance),
         }
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
+        with whole_file(path) as temporary:
             temporary.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-            os.replace(temporary, path)
-        except OSError as error:
-            raise StorageError.of(error) from error
-        finally:
-            temporary.unlink(missing_ok=True)
 
     @classmethod
     def load(cls, path: Path = SHIPPED) -> "QualityModel":

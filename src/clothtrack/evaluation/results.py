@@ -1,7 +1,6 @@
 """Rows of measures, one per action and stage, with all that is needed to make them again."""
 
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.metrics import (
     ClothMeasures,
@@ -28,6 +27,7 @@ from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.storing import whole_file
 from clothtrack.tracking.configuration import MODES
 from clothtrack.tracking.tracked_trajectory import TrackedAction, TrackedTrajectory
 
@@ -235,16 +235,8 @@ def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
     Raises:
         StorageError: when the disk refuses.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            temporary.write_text(as_json(evaluations) + "\n", encoding="utf-8")
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        raise StorageError.of(error) from error
+    with whole_file(path) as temporary:
+        temporary.write_text(as_json(evaluations) + "\n", encoding="utf-8")
 
 
 def table(evaluations: Iterable[Evaluation]) -> str:

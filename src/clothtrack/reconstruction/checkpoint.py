@@ -10,7 +10,6 @@ import pickle
 import warnings
 import zipfile
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.storing import whole_file
 
 FORMAT = "clothtrack-weights"
 PROGRESS_FORMAT = "clothtrack-training-progress"
@@ -92,20 +92,13 @@ def save_weights(
         "kind": kind,
         "provenance": json.dumps(provenance or {}, default=str),
     }
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_file(copies, temporary, metadata)
-        os.replace(temporary, path)
+        with whole_file(path) as temporary:
+            save_file(copies, temporary, metadata)
     except SafetensorError as error:
         raise StorageError(
             f"{path}: cannot be written ({error}); free some space or choose another folder"
         ) from error
-    except OSError as error:
-        raise StorageError.of(error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def load_weights(path: Path) -> Weights:
@@ -194,19 +187,11 @@ def save_progress(path: Path, document: Mapping[str, Any]) -> None:
     Raises:
         StorageError: when the disk refuses.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     content = {"format": PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
-    try:
-        with temporary.open("wb") as file:
-            torch.save(content, file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise StorageError.of(error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        torch.save(content, file)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def load_progress(path: Path) -> dict[str, Any]:

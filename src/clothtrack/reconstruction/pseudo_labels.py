@@ -5,11 +5,9 @@ to the part of the tracked mesh that the camera sees, and has no label where the
 """
 
 import json
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ from clothtrack.errors import (
     InvalidMeshError,
     InvalidRecordingError,
     InvalidResultError,
-    StorageError,
 )
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_mesh
@@ -40,6 +37,7 @@ from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import flying_pixels
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
+from clothtrack.storing import whole_file
 
 FORMAT = "clothtrack-pseudo-labels"
 FORMAT_VERSION = 1
@@ -262,17 +260,8 @@ def write_labels(labelled: LabelledRecording, path: Path) -> None:
         arrays[f"{number}/depth_m"] = np.where(picture.mask, picture.depth_m, 0).astype(np.float32)
         arrays[f"{number}/faces"] = picture.faces.astype(np.int32)
         arrays[f"{number}/positions"] = picture.positions.astype(np.float32)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise StorageError.of(error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def read_labels(path: Path) -> LabelledRecording:

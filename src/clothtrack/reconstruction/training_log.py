@@ -1,13 +1,13 @@
 """Every scalar of a training run: one JSON object per line, and TensorBoard where it is there."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from clothtrack.errors import StorageError
+from clothtrack.storing import whole_file
 
 SCALARS = "scalars.jsonl"
 
@@ -80,12 +80,8 @@ def _cut(path: Path, last_step: int) -> None:
     if not path.exists():
         return
     kept = [line for line in read_scalars(path.parent) if line["step"] <= last_step]
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with whole_file(path) as temporary:
         temporary.write_text("".join(json.dumps(line) + "\n" for line in kept), encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _tensorboard(folder: Path, last_step: int) -> Any:

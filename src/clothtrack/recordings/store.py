@@ -1,14 +1,12 @@
 """Recordings on disk: read one, or write one frame by frame while it happens."""
 
-import errno
 import io
 import json
 import math
 import re
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -37,6 +35,7 @@ from clothtrack.recordings.recording import (
 )
 from clothtrack.recordings.template import canonical_text, obj_text
 from clothtrack.recordings.validation import PICKER_FILE, check_recording
+from clothtrack.storing import storage
 
 TEMPLATE_FILE = "template.obj"
 CANONICAL_FILE = "template_canonical.csv"
@@ -309,24 +308,6 @@ class RecordingWriter:
         if camera.name in self._units:
             entry["depth_unit_m"] = self._units[camera.name]
         return entry
-
-
-@contextmanager
-def storage(path: Path) -> Iterator[None]:
-    """Turns what the disk refuses into a `StorageError` that names the file and the remedy."""
-    remedies = {
-        errno.ENOSPC: "the disk is full; free space or write elsewhere",
-        errno.EDQUOT: "the disk quota is used up; free space or write elsewhere",
-        errno.EACCES: "not allowed to write there; choose another folder",
-        errno.EROFS: "the disk is read-only; choose another folder",
-        errno.EEXIST: "it exists; delete it or write to another name",
-        errno.ENOTEMPTY: "it exists; delete it or write to another name",
-    }
-    try:
-        yield
-    except OSError as error:
-        reason = remedies.get(error.errno or 0, f"{error.strerror}; check the disk")
-        raise StorageError(f"{path}: {reason}") from error
 
 
 def _cloth_entry(cloth: ClothDescription) -> dict[str, Any]:

@@ -31,9 +31,9 @@ from clothtrack.report.palette import (
     rgb255,
 )
 from clothtrack.report.shading import Shader, ShadingConfig
-from clothtrack.report.storing import whole_file
 from clothtrack.report.video import frame_rate, write_video
 from clothtrack.report.viewpoint import three_quarter_view, upright
+from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 Picture = UInt8[np.ndarray, "height width 3"]

@@ -30,7 +30,7 @@ from clothtrack.report.sections import (
     lead_line,
     settings_html,
 )
-from clothtrack.report.storing import whole_file
+from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 _POLICY = (

@@ -5,10 +5,6 @@ group under its final name is whole; a finished group is the mark by which a run
 """
 
 import json
-import os
-import shutil
-import tempfile
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,8 +14,9 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int
 
-from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.errors import InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.storing import whole_folder
 
 FORMAT = "clothtrack-tracked-trajectory"
 FORMAT_VERSION = 1
@@ -149,22 +146,8 @@ class TrackedTrajectory:
         Raises:
             StorageError: when the disk refuses; nothing is left under `path` then.
         """
-        temporary = None
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        with whole_folder(path, replace=True) as temporary:
             _write(zarr.open_group(temporary, mode="w"), self)
-            if path.exists():
-                shutil.rmtree(path)
-            os.replace(temporary, path)
-        except OSError as error:
-            raise StorageError(
-                f"{path}: cannot write the tracked trajectory ({error.strerror or error}); "
-                "free space or choose another --output, then run again: finished ones are kept"
-            ) from error
-        finally:
-            if temporary is not None:
-                _remove(temporary)
 
     @classmethod
     def load(cls, path: Path) -> "TrackedTrajectory":
@@ -195,15 +178,6 @@ def _put(group: zarr.Group, name: str, values: np.ndarray, *, unit: str = "") ->
     array[...] = values
     if unit:
         array.attrs["unit"] = unit
-
-
-def _remove(folder: Path, *, patience_s: float = 2.0) -> None:
-    """Remove a folder into which writers that have not heard of a failure may still write."""
-    deadline = time.monotonic() + patience_s
-    shutil.rmtree(folder, ignore_errors=True)
-    while folder.exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:

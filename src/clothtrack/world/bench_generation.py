@@ -13,7 +13,6 @@ import shutil
 import signal
 import sys
 import time
-import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -33,7 +32,7 @@ from clothtrack.errors import (
     InvalidResultError,
     SimulationDivergedError,
 )
-from clothtrack.recordings.store import storage
+from clothtrack.storing import storage, whole_file
 from clothtrack.workers import end_workers, require_workers, start_worker
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
@@ -279,7 +278,7 @@ def _remove(out: Path, name: str) -> None:
         for folder in (recording, *recording.parent.glob(f".{name}.*.partial")):
             if folder.exists():
                 shutil.rmtree(folder)
-        for file in (truth, *truth.parent.glob(f".{name}.*.partial.npz")):
+        for file in (truth, *truth.parent.glob(f".{name}.*.npz")):
             file.unlink(missing_ok=True)
 
 
@@ -334,10 +333,5 @@ def _write_list(out: Path, listed: Mapping[str, Entry]) -> None:
         "trajectories": entries,
     }
     path = Path(out) / LIST_FILE
-    unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
-    with storage(path):
-        try:
-            unfinished.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+    with whole_file(path) as unfinished:
+        unfinished.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -8,7 +8,6 @@ measured by hand would be.
 
 import json
 import logging
-import uuid
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -24,8 +23,9 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
-from clothtrack.recordings.store import RecordingWriter, storage
+from clothtrack.recordings.store import RecordingWriter
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
+from clothtrack.storing import whole_file
 from clothtrack.workers import require_workers
 from clothtrack.world.actions import ActionConfig, carrying_path, free_path, plan_action
 from clothtrack.world.appearance import Appearance
@@ -330,23 +330,17 @@ def _provenance(seed: int, config: EpisodeConfig) -> dict[str, object]:
 
 def _write_truth(path: Path, film: _Film, flat: ClothMesh, fabric: Fabric) -> None:
     """Write what the camera could not see, under a temporary name first."""
-    unfinished = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.partial.npz")
-    with storage(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            np.savez_compressed(
-                unfinished,
-                positions=np.stack(film.positions),
-                faces=flat.faces.astype(np.int32),
-                canonical=np.asarray(flat.canonical, dtype=np.float64),
-                frames=np.arange(len(film.positions)),
-                fabric=np.array(json.dumps(asdict(fabric))),
-                hidden_by_tool=np.array(film.hidden),
-                depth_missing=np.array(film.missing),
-                outside_picture=np.array(film.outside),
-                gripper_closed=np.array(film.closed),
-                picked_folded=np.array(film.folded),
-            )
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+    with whole_file(path) as unfinished:
+        np.savez_compressed(
+            unfinished,
+            positions=np.stack(film.positions),
+            faces=flat.faces.astype(np.int32),
+            canonical=np.asarray(flat.canonical, dtype=np.float64),
+            frames=np.arange(len(film.positions)),
+            fabric=np.array(json.dumps(asdict(fabric))),
+            hidden_by_tool=np.array(film.hidden),
+            depth_missing=np.array(film.missing),
+            outside_picture=np.array(film.outside),
+            gripper_closed=np.array(film.closed),
+            picked_folded=np.array(film.folded),
+        )

@@ -10,9 +10,6 @@ Every array carries the SHA-256 of its values: Zarr reads a chunk that is missin
 
 import hashlib
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,8 +19,9 @@ import numpy as np
 import zarr
 from jaxtyping import Float, Float32, Int
 
-from clothtrack.errors import InvalidMeshError, InvalidResultError, StorageError
+from clothtrack.errors import InvalidMeshError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.storing import whole_file, whole_folder
 
 FORMAT = "clothtrack-states"
 VERSION = 1
@@ -126,24 +124,8 @@ def write_shard(shard: StateShard, path: Path) -> None:
     Raises:
         StorageError: when the disk refuses; nothing is left under `path` then.
     """
-    path = Path(path)
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        temporary.chmod(0o755)
+    with whole_folder(path, replace=True) as temporary:
         _write(zarr.open_group(temporary, mode="w", zarr_format=3), shard)
-        if path.exists():
-            shutil.rmtree(path)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise StorageError(
-            f"{path}: cannot write the states ({error.strerror or error}); free space or choose "
-            "another folder, then run again: finished shards are kept"
-        ) from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def read_shard(path: Path) -> StateShard:
@@ -221,24 +203,8 @@ def write_list(folder: Path, document: Mapping[str, Any]) -> None:
         StorageError: when the disk refuses.
     """
     text = json.dumps({"format": FORMAT, "version": VERSION, **document}, indent=1)
-    write_text(Path(folder) / LIST_FILE, text + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file under a temporary name, then rename it.
-
-    Raises:
-        StorageError: when the disk refuses; what was there before is untouched then.
-    """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(path)
-    except OSError as error:
-        raise StorageError.of(error) from error
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with whole_file(Path(folder) / LIST_FILE) as unfinished:
+        unfinished.write_text(text + "\n", encoding="utf-8")
 
 
 def write_states(

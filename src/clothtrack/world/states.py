@@ -27,9 +27,9 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError, Simulation
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
-from clothtrack.recordings.store import storage
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.storing import storage, whole_file
 from clothtrack.workers import finished_in_workers, require_workers
 from clothtrack.world.bench import Ranges
 from clothtrack.world.crumpling import CrumpledState, Crumpler, CrumplingConfig
@@ -45,7 +45,6 @@ from clothtrack.world.state_store import (
     shard_path,
     write_list,
     write_shard,
-    write_text,
 )
 
 logger = logging.getLogger(__name__)
@@ -196,7 +195,8 @@ def generate_states(
         for number in missing:
             _clear(shard_path(out, number))
     found = open_states(out)
-    write_text(out / CARD_FILE, dataset_card(found))
+    with whole_file(out / CARD_FILE) as unfinished:
+        unfinished.write_text(dataset_card(found), encoding="utf-8")
     return found
 
 

@@ -1,7 +1,10 @@
+import errno
+import shutil
+
 import pytest
 
 from clothtrack.errors import StorageError
-from clothtrack.report.storing import whole_file, whole_folder
+from clothtrack.storing import storage, whole_file, whole_folder
 
 
 def _break_off(opened, path):
@@ -41,3 +44,36 @@ def test_a_place_that_cannot_be_written_to_is_named(opened, tmp_path):
     path = tmp_path / "file" / "result"
     with pytest.raises(StorageError, match="file/result"), opened(path):
         pass
+
+
+def test_a_finished_folder_replaces_the_one_before_when_it_is_to(tmp_path):
+    path = tmp_path / "states.zarr"
+    for words in ("yesterday", "today"):
+        with whole_folder(path, replace=True) as temporary:
+            (temporary / words).touch()
+    assert [found.name for found in path.iterdir()] == ["today"]
+    assert [found.name for found in tmp_path.iterdir()] == ["states.zarr"]
+
+
+def test_what_late_writers_keep_alive_is_removed_too(tmp_path, monkeypatch):
+    """A writer that has not heard of the failure makes the first removals fail."""
+    remove, calls = shutil.rmtree, []
+
+    def fails_twice(folder, **options):
+        calls.append(folder)
+        if len(calls) > 2:
+            remove(folder, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", fails_twice)
+    with pytest.raises(RuntimeError):
+        _break_off(whole_folder, tmp_path / "result")
+    assert len(calls) == 3
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"), [(errno.ENOSPC, "disk is full"), (errno.ENOTEMPTY, "in the way")]
+)
+def test_what_the_system_says_comes_with_a_remedy(number, remedy, tmp_path):
+    with pytest.raises(StorageError, match=rf"result: .*{remedy}"), storage(tmp_path / "result"):
+        raise OSError(number, "what the system says")

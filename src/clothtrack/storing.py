@@ -1,0 +1,94 @@
+"""Files and folders that appear whole under their final name, or not at all."""
+
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from clothtrack.errors import StorageError
+
+LATE_WRITERS_S = 2.0
+"""Writers that have not heard of a failure may go on so long [s] in a folder that is removed."""
+
+
+@contextmanager
+def storage(path: Path) -> Iterator[None]:
+    """Turns what the disk refuses into a `StorageError` that names the file and the remedy."""
+    try:
+        yield
+    except OSError as error:
+        raise StorageError.of(error, path) from error
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A temporary file beside `path` to write to; it takes the name `path` when all went well.
+
+    The temporary name keeps the suffix, from which writers guess the format.
+
+    Raises:
+        StorageError: when the disk refuses; what was at `path` before is untouched then.
+    """
+    path = Path(path)
+    temporary: Path | None = None
+    with storage(path):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, name = tempfile.mkstemp(
+                prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent
+            )
+            os.close(handle)
+            temporary = Path(name)
+            temporary.chmod(0o644)
+            yield temporary
+            os.replace(temporary, path)
+        finally:
+            if temporary is not None:
+                temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
+    """A temporary folder beside `path` to fill; it takes the name `path` when all went well.
+
+    Args:
+        path: the folder's final name.
+        replace: what is there gives way at the end, when all went well.
+
+    Raises:
+        StorageError: when the disk refuses, or when `path` holds something and is not to give way.
+    """
+    path = Path(path)
+    temporary: Path | None = None
+    with storage(path):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if not replace and path.exists() and not _is_empty_folder(path):
+                raise StorageError(
+                    f"{path} exists and is not empty; choose another name or remove it"
+                )
+            temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+            temporary.chmod(0o755)
+            yield temporary
+            if replace and path.exists():
+                shutil.rmtree(path)
+            os.replace(temporary, path)
+        finally:
+            if temporary is not None:
+                _remove(temporary)
+
+
+def _is_empty_folder(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, if it is still there, into which late writers may still write."""
+    deadline = time.monotonic() + LATE_WRITERS_S
+    shutil.rmtree(folder, ignore_errors=True)
+    while folder.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+        shutil.rmtree(folder, ignore_errors=True)
