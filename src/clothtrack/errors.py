@@ -46,6 +46,8 @@ class StorageError(ClothTrackError):
 
 _REMEDIES = {
     errno.ENOSPC: "the disk is full; free some space and run the same command again",
+    errno.EFBIG: "a file would grow beyond the system's limit; raise it (ulimit -f), or free some "
+    "space, and run the same command again",
     errno.EDQUOT: "the quota is used up; free some space and run the same command again",
     errno.EACCES: "no permission; choose another folder or change its owner",
     errno.EROFS: "the disk is read-only; choose another folder",

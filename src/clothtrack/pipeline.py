@@ -6,6 +6,7 @@ import json
 import logging
 import platform
 import subprocess
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -111,6 +112,7 @@ def track_recording(
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame.
     """
+    clock = time.process_time()
     cloud = observer(recording, config.cloud_spacing_m, segmenter)
     first = first_cloth(
         recording, cloud(recording.frames[0]), config.first_mesh, segmenter=segmenter, device=device
@@ -119,7 +121,11 @@ def track_recording(
         recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
     )
     tracked = tracker.track(progress)
-    stamp = {**provenance(recording, config, device), "first_mesh": dict(first.origin)}
+    stamp = {
+        **provenance(recording, config, device),
+        "first_mesh": dict(first.origin),
+        "cpu_s": round(time.process_time() - clock, 2),
+    }
     return replace(tracked, config=asdict(config), provenance=stamp)
 
 

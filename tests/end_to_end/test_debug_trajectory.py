@@ -86,6 +86,8 @@ def test_every_frame_has_a_mesh_and_no_more(towels, results):
         assert len(tracked.positions) == len(recording.frames)
         assert np.isfinite(tracked.positions).all()
         assert tracked.provenance["config_hash"]
+        kept = [tracked.steps.predict_s, tracked.steps.align_s, tracked.steps.correct_s]
+        assert tracked.provenance["cpu_s"] > np.nansum(kept) > 0.0
         assert tracked.provenance["recording"]["seed"] in (1, 2)
 
 

@@ -102,7 +102,7 @@ def test_a_full_disk(many, tmp_path, clothtrack):
     assert "finished before" in told.stdout
     lines = told.stderr.splitlines()
     assert len(lines) == 1, told.stderr
-    for word in ("towel_b.zarr", "free space", "run again"):
+    for word in ("towel_b.zarr", "some space", "run the same command again"):
         assert word in lines[0]
     assert [path.name for path in out.iterdir()] == ["towel_a.zarr"]
     TrackedTrajectory.load(out / "towel_a.zarr")

@@ -80,5 +80,6 @@ def charts(tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]) -> 
                 Line("align", steps.align_s, 1),
                 Line("correct", steps.correct_s, 2),
             ),
+            "With the parameters that were kept; the search for them is not drawn.",
         ),
     )

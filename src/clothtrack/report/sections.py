@@ -52,7 +52,9 @@ def figures_of(
     """The numbers that a reader wants first."""
     steps = tracked.steps
     stepped = int((np.asarray(steps.trials) > 0).sum())
-    cpu = np.nansum([steps.predict_s, steps.align_s, steps.correct_s])
+    # The steps are of the parameters that were kept; the whole holds those that were tried too.
+    kept = np.nansum([steps.predict_s, steps.align_s, steps.correct_s])
+    cpu = float(tracked.provenance.get("cpu_s", kept))
     return [
         ("Distance to cloud, median", _finite(np.nanmedian(rms_mm), ".1f") if _any(rms_mm) else "",
          "mm RMS"),
