@@ -3,6 +3,7 @@
 #   make demo      install, track the shipped recording, name the report
 #   make test      install the test tools too, run the tests
 #   make check     lint, format, types, direction of imports
+#   make docs      the documentation as a site, to out/site
 #   make bench     quick forms of all benchmarks, to out/bench_*.json (docs/benchmarks.md)
 #
 # PYTHON=python3.12 make demo    chooses the interpreter (3.11 or newer)
@@ -18,10 +19,10 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all check format bench clean
+.PHONY: help install demo test test-all check docs format bench clean
 
 help:
-	@sed -n '3,9s/^# \{0,1\}//p' Makefile
+	@sed -n '3,10s/^# \{0,1\}//p' Makefile
 
 install: $(VENV)/.installed
 
@@ -63,6 +64,9 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+docs: $(VENV)/.installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix
