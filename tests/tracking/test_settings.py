@@ -34,6 +34,7 @@ def test_no_setting_changes_nothing():
         ("inner.count=7", Outer(inner=Inner(count=7))),
         ("inner.rate=2", Outer(inner=Inner(rate=2.0))),
         ("inner.on=false", Outer(inner=Inner(on=False))),
+        ("inner.on=False", Outer(inner=Inner(on=False))),
         ("inner.kind=halving", Outer(inner=Inner(kind="halving"))),
         ("inner.gravity=[0, 0, -1]", Outer(inner=Inner(gravity=(0, 0, -1)))),
         ("parameters.friction=0.1", Outer(parameters={"friction": 0.1})),

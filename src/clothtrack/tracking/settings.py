@@ -15,7 +15,8 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
 
     Args:
         config: a frozen dataclass, nested at will; mappings may be entered by their keys.
-        settings: `dotted.name=value`; values are written as in JSON, and bare words are texts.
+        settings: `dotted.name=value`; values are written as in JSON or in Python, and bare words are
+            texts.
 
     Raises:
         InvalidConfigError: naming the setting, what is wrong with it and what is allowed.
@@ -28,7 +29,12 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
     return config
 
 
+_PYTHON_WORDS = {"True": True, "False": False, "None": None}
+
+
 def _parsed(text: str) -> Any:
+    if text in _PYTHON_WORDS:
+        return _PYTHON_WORDS[text]
     try:
         return json.loads(text)
     except json.JSONDecodeError:
