@@ -1,11 +1,8 @@
 """From recordings to tracked trajectories: the method over a data set, in a straight line."""
 
 import hashlib
-import importlib.metadata
 import json
 import logging
-import platform
-import subprocess
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -17,9 +14,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.first_cloth import first_cloth
+from clothtrack.origin import made_with
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
@@ -268,23 +265,9 @@ def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str
     """What one needs to make a result again: versions, commit, seed, device, source."""
     packages = ("numpy", "scipy", "warp-lang", "opencv-python-headless", "zarr")
     return {
-        "clothtrack": __version__,
-        "commit": _commit(),
-        "python": platform.python_version(),
-        "machine": f"{platform.system()} {platform.machine()}",
-        "packages": {name: importlib.metadata.version(name) for name in packages},
+        **made_with(packages),
         "device": device,
         "seed": config.seed,
         "config_hash": config_hash(config),
         "recording": dict(recording.provenance),
     }
-
-
-def _commit() -> str:
-    """The commit of a checkout, or an empty text when this is an installed package."""
-    here = Path(__file__).parent
-    asked = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
-    return asked.stdout.strip() if asked.returncode == 0 else ""

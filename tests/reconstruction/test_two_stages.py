@@ -1,5 +1,6 @@
 """Pretraining and fine-tuning from files to files, as the command line does them."""
 
+import hashlib
 import json
 import resource
 from dataclasses import asdict
@@ -77,6 +78,10 @@ def test_pretrained_weights_are_finetuned(towels, capsys):
     assert weights.kind == "towel"
     assert set(weights.provenance) == {"canonicalisation", "completion"}
     assert network_of(weights) == TINY
+    card = (run / "model_card.md").read_text()
+    digest = hashlib.sha256((run / "model.safetensors").read_bytes()).hexdigest()
+    assert digest in card
+    assert "| completion | vertex error mm | " in card
     labels_of(labels)
     capsys.readouterr()
     words = ["finetune", str(run / "model.safetensors"), str(labels), "--output", str(tuned)]
@@ -90,6 +95,7 @@ def test_pretrained_weights_are_finetuned(towels, capsys):
         # Fine-tuning keeps the statistics of batch norm.
         if "running_" in name:
             assert torch.equal(value, weights.tensors[name]), name
+    assert "3 pseudo-labels of 3 tracked recordings" in (tuned / "model_card.md").read_text()
 
 
 def test_weights_for_another_garment_are_refused(towels, capsys):

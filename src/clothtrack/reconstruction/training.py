@@ -2,6 +2,7 @@
 
 import logging
 import signal
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -70,6 +71,7 @@ class TrainingOutcome:
         best_score: the lowest score on the held-out examples.
         best_step: after how many steps that was.
         weights: file with the weights of that step; None when nothing was measured yet.
+        cpu_s: CPU time of this process and of those it goes on from [s].
     """
 
     status: Literal["finished", "converged", "interrupted"]
@@ -77,6 +79,7 @@ class TrainingOutcome:
     best_score: float
     best_step: int
     weights: Path | None
+    cpu_s: float = 0.0
 
 
 def train(
@@ -163,12 +166,18 @@ class _Run:
         self.processes = processes
         self.step, self.best_score, self.best_step, self.stale = 0, float("inf"), 0, 0
         self.is_judged = False
+        self._clock = time.process_time()
         chosen = [one for one in stage.trained.parameters() if one.requires_grad]
         self.optimiser = torch.optim.Adam(chosen, lr=config.low_rate)
         alone = processes.count == 1
         self.model = stage if alone else DistributedDataParallel(stage)
         # Each process draws its own numbers from here on, and the same in every run.
         torch.manual_seed(config.seed * 1_000_003 + processes.rank)
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time [s] of all runs that have brought the training here."""
+        return time.process_time() - self._clock
 
     @property
     def converged(self) -> bool:
@@ -249,6 +258,7 @@ class _Run:
                 "weights": self.stage.trained.state_dict(),
                 "optimiser": self.optimiser.state_dict(),
                 "generators": generators,
+                "cpu_s": self.cpu_s,
             }
             save_progress(self.folder / PROGRESS, document)
         self.processes.wait()
@@ -267,6 +277,7 @@ class _Run:
             self.best_score, self.best_step = document["best_score"], document["best_step"]
             generators = document["generators"]
             torch.set_rng_state(generators[self.processes.rank % len(generators)])
+            self._clock -= float(document.get("cpu_s", 0.0))
         except (KeyError, ValueError, TypeError, RuntimeError, IndexError) as error:
             raise InvalidResultError(
                 f"{path}: its content does not fit ({error}); remove it to train from the start"
@@ -303,7 +314,7 @@ class _Run:
         """How it ended."""
         weights = self.folder / WEIGHTS
         best = weights if np.isfinite(self.best_score) else None
-        return TrainingOutcome(status, self.step, self.best_score, self.best_step, best)
+        return TrainingOutcome(status, self.step, self.best_score, self.best_step, best, self.cpu_s)
 
 
 class _Measurement:

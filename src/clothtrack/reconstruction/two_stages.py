@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.origin import made_with
 from clothtrack.reconstruction.batches import Examples, Mixture, Subset, split_by_group
 from clothtrack.reconstruction.canonicalisation import Canonicaliser
 from clothtrack.reconstruction.checkpoint import (
@@ -20,6 +21,7 @@ from clothtrack.reconstruction.configuration import PRESETS, NetworkConfig
 from clothtrack.reconstruction.dataset import FilmingConfig, StateExamples
 from clothtrack.reconstruction.examples import ExampleConfig, collate
 from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.model_card import PACKAGES, write_model_card
 from clothtrack.reconstruction.processes import Processes
 from clothtrack.reconstruction.pseudo_labels import LabelledRecording, PseudoLabelExamples
 from clothtrack.reconstruction.stages import (
@@ -258,8 +260,20 @@ class _Learning:
                 kind=kind,
                 provenance={one.provenance["stage"]: one.provenance for one in (best, rest)},
             )
+            write_model_card(
+                load_weights(path),
+                {name: outcome.cpu_s for name, outcome in self.outcomes.items()},
+                {**made_with(PACKAGES), "device": self._device()},
+            )
         self.processes.wait()
         return LearningOutcome(self.outcomes, path)
+
+    def _device(self) -> str:
+        """What computed, in words."""
+        device = self.processes.device
+        if device.startswith("cuda"):
+            return f"{self.processes.count} x {torch.cuda.get_device_name(device)}"
+        return f"a CPU, {self.processes.count * torch.get_num_threads()} threads"
 
     def _one(
         self,

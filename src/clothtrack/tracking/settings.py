@@ -15,8 +15,8 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
 
     Args:
         config: a frozen dataclass, nested at will; mappings may be entered by their keys.
-        settings: `dotted.name=value`; values are written as in JSON or in Python, and bare words are
-            texts.
+        settings: `dotted.name=value`; values are written as in JSON, True, False and None as in
+            Python too, and bare words are texts.
 
     Raises:
         InvalidConfigError: naming the setting, what is wrong with it and what is allowed.

@@ -5,11 +5,9 @@ what they are made of. Shard k depends on the seed and on k alone. A finished sh
 interrupted run goes on where it stopped.
 """
 
-import importlib.metadata
 import json
 import logging
 import math
-import platform
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -22,11 +20,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from clothtrack import __version__
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
+from clothtrack.origin import made_with
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.storing import storage, whole_file
@@ -50,6 +48,9 @@ from clothtrack.world.state_store import (
 logger = logging.getLogger(__name__)
 
 CARD_FILE = "README.md"
+
+PACKAGES = ("numpy", "scipy", "warp-lang", "zarr")
+"""What states depend on."""
 
 Progress = Callable[[str, int, int], None]
 """Called with a shard's name, how many are done and how many there are."""
@@ -374,7 +375,7 @@ def _document(out: Path, kind: GarmentKind, seed: int, config: StatesConfig) -> 
                 f"{out / SHARD_FOLDER} holds shards, but {out / LIST_FILE} is missing; choose "
                 "another folder"
             )
-        return {**asked, "provenance": _provenance(), "shards": {}}
+        return {**asked, "provenance": made_with(PACKAGES), "shards": {}}
     for name, value in asked.items():
         if found.get(name) != value:
             told = "" if name == "config" else f" ({found.get(name)!r}, now {value!r})"
@@ -383,13 +384,3 @@ def _document(out: Path, kind: GarmentKind, seed: int, config: StatesConfig) -> 
                 "another folder, or remove this one"
             )
     return {"shards": {}, **found}
-
-
-def _provenance() -> dict[str, Any]:
-    packages = ("numpy", "scipy", "warp-lang", "zarr")
-    return {
-        "clothtrack": __version__,
-        "python": platform.python_version(),
-        "machine": f"{platform.system()} {platform.machine()}",
-        "packages": {name: importlib.metadata.version(name) for name in packages},
-    }

@@ -1,0 +1,117 @@
+"""The card of a network: what it was trained on, how, how well, and what it cannot do.
+
+Written beside the weights from what the weights file and the training know, and from nothing else.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from clothtrack.reconstruction.checkpoint import Weights
+from clothtrack.reconstruction.training_config import STAGES
+from clothtrack.simulation.garments import DEFAULT_SIZES_M
+from clothtrack.storing import whole_file
+
+CARD = "model_card.md"
+PACKAGES = ("torch", "numpy", "libigl", "safetensors", "warp-lang")
+NAMES = {"towel": "towel", "tshirt": "T-shirt"}
+
+_LIMITS = """\
+- It has seen simulated {name}s only, lying on a table, from a camera that looks down on them. Other
+  garments, cloth that hangs, and tables that are not level are outside of what it knows.
+- Layers that nobody sees are guessed, and so is which of two look-alike sides faces up.
+- A small Chamfer distance says little about whether the right points are in the right places: the
+  errors above are those of material points, up to the symmetries of the garment."""
+
+
+def model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, Any]) -> str:
+    """The card, as Markdown.
+
+    Args:
+        weights: of both stages, as they were written.
+        cpu_s: CPU time of each stage [s], by name.
+        made: versions and machine (`origin.made_with`).
+    """
+    name = NAMES.get(weights.kind, weights.kind)
+    content = weights.path.read_bytes()
+    count = sum(value.numel() for value in weights.tensors.values())
+    data = weights.provenance[STAGES[0]]["data"]
+    parts = [
+        f"# Reconstruction network: {name}",
+        "From one depth picture of a crumpled cloth to its canonical coordinates, winding numbers "
+        f"and the place of every point, hidden ones too. {count / 1e6:.2f} million numbers, "
+        f"{len(content) / 1e6:.1f} MB.",
+        f"`{weights.path.name}`, SHA-256 `{hashlib.sha256(content).hexdigest()}`",
+        "## Data\n\n" + _data(data, weights.kind),
+        "## Held-out measures\n\n"
+        "One example in ten, by whole episodes or trajectories, which training never saw and by "
+        "which the weights were selected.\n\n" + _measures(weights),
+        "## Training\n\n" + _training(weights, cpu_s),
+        "## Made with\n\n" + _made(made),
+        "## What it cannot do\n\n" + _LIMITS.format(name=name),
+        "## Network\n\n```json\n" + json.dumps(dict(weights.network), indent=1) + "\n```",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _data(data: Mapping[str, Any], kind: str) -> str:
+    if "recordings" in data:
+        return (
+            f"{data['labels']} pseudo-labels of {len(data['recordings'])} tracked recordings, "
+            f"beginning with a trained network; {data['old_states']} states of the old cloth "
+            "mixed in."
+        )
+    size = " by ".join(f"{100 * length:.0f}" for length in DEFAULT_SIZES_M[kind])
+    return (
+        f"{data['states']} simulated states (`clothtrack simulate --states`), each drawn anew in "
+        f"every epoch: turned, mirrored, filmed by another camera with noise. Garments vary in "
+        f"size, around {size} cm."
+    )
+
+
+def _measures(weights: Weights) -> str:
+    rows = [
+        (stage, name.replace("_", " "), f"{value:.4g}")
+        for stage in STAGES
+        for name, value in weights.provenance[stage]["held_out"].items()
+    ]
+    return _table(("stage", "measure", "value"), rows)
+
+
+def _training(weights: Weights, cpu_s: Mapping[str, float]) -> str:
+    fields = ("epochs", "batch_size", "low_rate", "high_rate", "rise_epochs", "bfloat16", "seed")
+    rows = []
+    for stage in STAGES:
+        provenance = weights.provenance[stage]
+        values = [str(provenance["training"][name]) for name in fields]
+        rows.append((stage, *values, str(provenance["step"]), f"{cpu_s[stage] / 60:.0f}"))
+    titles = [name.replace("_", " ") for name in fields]
+    return _table(("stage", *titles, "kept step", "CPU minutes"), rows)
+
+
+def _made(made: Mapping[str, Any]) -> str:
+    packages = ", ".join(f"{name} {version}" for name, version in made["packages"].items())
+    commit = f" (`{made['commit']}`)" if made["commit"] else ""
+    return (
+        f"clothtrack {made['clothtrack']}{commit} on {made['device']}; {made['machine']}, Python "
+        f"{made['python']}; {packages}."
+    )
+
+
+def _table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [titles, ["---"] * len(titles), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def write_model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, Any]) -> Path:
+    """Write the card beside the weights, whole or not at all.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    path = weights.path.with_name(CARD)
+    with whole_file(path) as unfinished:
+        unfinished.write_text(model_card(weights, cpu_s, made), encoding="utf-8")
+    return path
