@@ -167,7 +167,13 @@ def _notes(recording: Recording) -> tuple[str, ...]:
     if not recording.actions:
         notes.append("no actions: there is nothing that moves the cloth in the simulation")
     if recording.cloth.template is None:
-        notes.append("no template: tracking needs a first mesh (cloth.template)")
+        notes.append(
+            "no template (cloth.template): tracking starts from the reconstruction network, or "
+            "from a flat garment fitted to the first cloud"
+            if recording.cloth.kind in ("towel", "tshirt") and recording.table is not None
+            else "no template (cloth.template): only a towel or a T-shirt on a table is tracked "
+            f"without one, and this is {recording.cloth.kind!r}"
+        )
     try:
         observation = observe(recording, recording.frames[0])
     except ClothTrackError as error:
