@@ -21,6 +21,11 @@ Charuco = Annotated[
     ),
 ]
 
+TipClick = Annotated[
+    tuple[int, int, int] | None,
+    arg(metavar="FRAME COLUMN ROW", help="a click on the tip, in place of a colour name"),
+]
+
 
 def calibrate_camera(
     recording: Positional[Path],
@@ -104,7 +109,68 @@ def calibrate_hand_eye(
     return _placed(recording, placement, output, force=force, json=json)
 
 
-SETTING_UP_VERBS = (calibrate_camera, calibrate_hand_eye)
+def find_picker(
+    recording: Positional[Path],
+    *,
+    tip_color: str = "",
+    tip_click: TipClick = None,
+    name: str = "tip",
+    camera: str = "",
+    force: bool = False,
+    json: AsJson = False,
+) -> int:
+    """Find the picker in the pictures: its path, and its pick-and-places; written to the recording.
+
+    Args:
+        recording: folder with a recording.json that has a table (see calibrate-camera).
+        tip_color: name of the colour of the tool's tip, such as pink.
+        tip_click: a click on the tip, in place of a colour name.
+        name: what to call the picker.
+        camera: which one to look through, when there are several.
+        force: replace the picker paths and actions that the recording has.
+        json: machine-readable.
+    """
+    from clothtrack.recordings.camera_pose import camera_named
+    from clothtrack.recordings.picker_detection import find_picker as find
+    from clothtrack.recordings.picker_detection import keep_picker, require_unmeasured, tip_members
+    from clothtrack.recordings.store import read_recording
+
+    if bool(tip_color) == (tip_click is not None):
+        complain("say how the tip looks: --tip-color NAME, or --tip-click FRAME COLUMN ROW")
+        return 2
+    source = read_recording(recording)
+    chosen = camera_named(source, camera)
+    require_unmeasured(source, force=force)
+    found = find(source, chosen, tip_members(source, chosen, tip_color or tip_click), name=name)
+    vertex = keep_picker(source, found, name, tip_color or "clicked")
+    told = {
+        "picker": name,
+        "seen": int(found.seen.sum()),
+        "frames": len(found.seen),
+        "closed_by": found.by,
+        "first_pick_vertex": vertex,
+        "actions": [
+            {"first_frame": one.first_frame, "pick": pick, "release": release,
+             "last_frame": one.last_frame}
+            for one, pick, release in zip(found.actions, found.picks, found.releases, strict=True)
+        ],
+    }  # fmt: skip
+    if json:
+        say(json_module.dumps(told, indent=2))
+        return 0
+    say(f"the tip is seen in {told['seen']} of {told['frames']} frames; closed by {found.by}")
+    for number, one in enumerate(told["actions"], start=1):
+        say(
+            f"action {number}: frames {one['first_frame']} to {one['last_frame']}, picks in "
+            f"{one['pick']}, has let go in {one['release']}"
+        )
+    if vertex is not None:
+        say(f"the first pick takes vertex {vertex} of the template")
+    say(f"written to {recording / 'picker.csv'} and {recording / 'recording.json'}")
+    return 0
+
+
+SETTING_UP_VERBS = (calibrate_camera, calibrate_hand_eye, find_picker)
 
 
 def _board(charuco: tuple[int, int, float, float] | None, dictionary: str) -> "Board | None":
