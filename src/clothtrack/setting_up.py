@@ -170,7 +170,57 @@ def find_picker(
     return 0
 
 
-SETTING_UP_VERBS = (calibrate_camera, calibrate_hand_eye, find_picker)
+def segment(
+    recording: Positional[Path],
+    *,
+    click: Annotated[tuple[int, int] | None, arg(metavar="COLUMN ROW")] = None,
+    box: Annotated[tuple[int, int, int, int] | None, arg(metavar="LEFT TOP RIGHT BOTTOM")] = None,
+    frame: int = 0,
+    camera: str = "",
+    keep: bool = False,
+    sheet: Path = Path("masks.png"),
+    port: int | None = None,
+) -> int:
+    """Show which pixels are cloth, by one click or box: on a page, or with --click or --box.
+
+    Args:
+        recording: folder with a recording.json and colour pictures.
+        click: on the cloth; without it and without a box a page opens on this machine.
+        box: around the cloth.
+        frame: in which both are given.
+        camera: whose pictures, when there are several.
+        keep: write the masks into the recording; on the page there is a button for it.
+        sheet: with a click or box, write a picture of masks from all over the recording here.
+        port: of the page's server, which listens on this machine only; any free one by default.
+    """
+    from clothtrack.recordings.camera_pose import camera_named
+    from clothtrack.recordings.segmentation_setup import SegmentationSetup
+    from clothtrack.recordings.store import read_recording
+
+    if click is not None and box is not None:
+        complain("give --click or --box, not both")
+        return 2
+    source = read_recording(recording)
+    setup = SegmentationSetup(source, camera_named(source, camera))
+    if click is None and box is None:
+        from clothtrack.report.segmentation_page import segment_live
+
+        kept = segment_live(setup, port, opened=lambda address: say(f"choose the cloth: {address}"))
+        say("nothing was kept" if kept is None else f"{kept} masks are in {recording}")
+        return 0 if kept is not None else 1
+    from clothtrack.report.mask_pictures import write_mask_sheet
+
+    if click is not None:
+        setup.choose_click(frame, click)
+    elif box is not None:
+        setup.choose_box(frame, box)
+    say(str(write_mask_sheet(setup, sheet)))
+    if keep:
+        say(f"{setup.keep()} masks are in {recording}")
+    return 0
+
+
+SETTING_UP_VERBS = (calibrate_camera, calibrate_hand_eye, segment, find_picker)
 
 
 def _board(charuco: tuple[int, int, float, float] | None, dictionary: str) -> "Board | None":
