@@ -220,7 +220,60 @@ def segment(
     return 0
 
 
-SETTING_UP_VERBS = (calibrate_camera, calibrate_hand_eye, segment, find_picker)
+def record(
+    output: Positional[Path],
+    *,
+    seconds: float | None = None,
+    replay: Path | None = None,
+    width: int = 640,
+    height: int = 480,
+    rate: int = 30,
+    serial: str = "",
+    salvage: bool = False,
+    port: int | None = None,
+) -> int:
+    """Record from a RealSense camera, with a page that shows the picture and says what to do.
+
+    Args:
+        output: folder of the recording; must not exist.
+        seconds: record this long at once, without the page.
+        replay: a recording that stands in for the camera.
+        width: of the pictures [pixels].
+        height: of the pictures [pixels].
+        rate: pictures per second.
+        serial: number of the camera, when several are connected.
+        salvage: record nothing; make a recording of what a broken capture has left.
+        port: of the page's server, which listens on this machine only; any free one by default.
+    """
+    from clothtrack.recordings.capture import ReplayedCamera, salvage_capture
+    from clothtrack.recordings.realsense import open_realsense
+    from clothtrack.recordings.store import read_recording
+    from clothtrack.report.recording_page import Session, record_live
+
+    if salvage:
+        saved = salvage_capture(output)
+        say(f"{output}   ({len(saved.frames)} frames)")
+        return 0
+    if replay is not None:
+        source = ReplayedCamera(read_recording(replay))
+    else:
+        source = open_realsense(width=width, height=height, rate=rate, serial=serial)
+    told = "a replayed recording" if replay is not None else "RealSense"
+    session = Session(source, output, {"recorded_with": f"clothtrack record, {told}"})
+    if seconds is not None:
+        session.start()
+        session.watch(seconds)
+        made = session.finish()
+    else:
+        made = record_live(session, port, opened=lambda address: say(f"record at: {address}"))
+    if made is None:
+        complain("left before the start; nothing was recorded")
+        return 1
+    say(f"{output}   ({len(made.frames)} frames)")
+    return 0
+
+
+SETTING_UP_VERBS = (record, calibrate_camera, calibrate_hand_eye, segment, find_picker)
 
 
 def _board(charuco: tuple[int, int, float, float] | None, dictionary: str) -> "Board | None":
