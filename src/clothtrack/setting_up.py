@@ -1,6 +1,7 @@
 """The verbs of setting up a recording: where its camera is, what is cloth, what moved it."""
 
 import json as json_module
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -262,7 +263,8 @@ def record(
     session = Session(source, output, {"recorded_with": f"clothtrack record, {told}"})
     if seconds is not None:
         session.start()
-        session.watch(seconds)
+        with suppress(KeyboardInterrupt):
+            session.watch(seconds)
         made = session.finish()
     else:
         made = record_live(session, port, opened=lambda address: say(f"record at: {address}"))

@@ -142,7 +142,7 @@ def _first_guess(
             f"{np.degrees(spread[1]):.0f} about others (at least {LEAST_TURN_DEG:.0f}); turn the "
             "hand about two axes, by 20 to 40 degrees"
         )
-    turn, _ = Rotation.align_vectors(alpha[sound], beta[sound])
+    turn = Rotation.align_vectors(alpha[sound], beta[sound])[0]
     rows = ours[:, :3, :3] - np.eye(3)
     sides = theirs[:, :3, 3] @ turn.as_matrix().T - ours[:, :3, 3]
     shift, *_ = np.linalg.lstsq(rows.reshape(-1, 3), sides.ravel(), rcond=None)

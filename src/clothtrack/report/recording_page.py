@@ -33,6 +33,7 @@ PROTOCOL = (
 LEAST_MEASURED = 0.6
 NEAREST_M, FARTHEST_M = 0.25, 1.6
 PREVIEW_WIDTH = 640
+FAREWELL_S = 0.6
 
 
 class Session:
@@ -54,6 +55,7 @@ class Session:
         self.step = -1
         self.stop = threading.Event()
         self.ended = False
+        self.done = False
 
     def start(self) -> None:
         """Begin to write, with the first step.
@@ -97,7 +99,9 @@ class Session:
             InvalidRecordingError: no frame was recorded.
         """
         self._source.close()
-        return None if self._writer is None else self._writer.finish()
+        made = None if self._writer is None else self._writer.finish()
+        self.done = True
+        return made
 
     def facts(self) -> dict[str, Any]:
         """What the page shows beside the preview."""
@@ -116,6 +120,7 @@ class Session:
             "dropped": 0 if state is None else state.dropped,
             "rate": round(rate, 1),
             "ended": self.ended,
+            "done": self.done,
             "warnings": warnings_of(latest, "" if state is None else state.error),
         }
 
@@ -155,12 +160,17 @@ def record_live(
             watching.start()
             if opened is not None:
                 opened(address)
-            session.stop.wait()
-    except KeyboardInterrupt:
+            try:
+                session.stop.wait()
+            except KeyboardInterrupt:
+                session.stop.set()
+            watching.join(timeout=10.0)
+            made = session.finish()
+            # So that the page hears of it.
+            time.sleep(FAREWELL_S)
+            return made
+    finally:
         session.stop.set()
-    if watching.is_alive():
-        watching.join(timeout=10.0)
-    return session.finish()
 
 
 def warnings_of(frame: CapturedFrame | None, error: str = "") -> list[str]:
@@ -231,7 +241,6 @@ class _Page:
             deeds[path]()
             return Answer.of(self._session.facts())
         if path == "/finish":
-            # A moment later, so that the page still hears of it.
-            threading.Timer(0.3, self._session.stop.set).start()
+            self._session.stop.set()
             return Answer.of(self._session.facts())
         return None
