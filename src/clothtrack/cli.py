@@ -21,6 +21,7 @@ from clothtrack.artefacts import inside, load_tracked, recording_of
 from clothtrack.errors import InvalidConfigError
 from clothtrack.learning import LEARNING_VERBS
 from clothtrack.options import AsJson, Device, Seed, Settings
+from clothtrack.setting_up import SETTING_UP_VERBS
 from clothtrack.terminal import complain, exit_code, progress, say
 
 if TYPE_CHECKING:
@@ -102,6 +103,10 @@ def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
     found = inspect_recording(recording)
     say(json_module.dumps(found.as_dict(), indent=2) if json else found.text())
     return 0 if found.valid else 1
+
+
+for _sets_up in SETTING_UP_VERBS:
+    _verb(_sets_up)
 
 
 @_verb
@@ -349,7 +354,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=level, stream=sys.stderr, format="%(levelname)s %(message)s")
     return exit_code(
         lambda: tyro.extras.subcommand_cli_from_dict(
-            {function.__name__: function for function in VERBS},
+            {function.__name__.replace("_", "-"): function for function in VERBS},
             prog="clothtrack",
             description=(
                 "Know where every point of a crumpled cloth is, from one depth camera. "

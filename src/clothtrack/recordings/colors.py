@@ -12,7 +12,7 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
 
 from clothtrack.recordings.pictures import bands
 
@@ -125,6 +125,45 @@ def learned_set(
     return members
 
 
+def with_shades(
+    members: UInt8[np.ndarray, "32 32 32"],
+    color: UInt8[np.ndarray, "height width 3"],
+    cloth: Bool[np.ndarray, "height width"],
+    *,
+    least_saturation: float = 0.2,
+    least_value: float = 0.1,
+) -> UInt8[np.ndarray, "32 32 32"]:
+    """The set with the same colours in other light, as the cloth's folds will show them.
+
+    Light changes the value of a colour and leaves hue and saturation. Colours that the rest of the
+    picture has stay as they are, and so do greys, which have no hue.
+
+    Args:
+        members: set of the cloth's colours in this picture.
+        color: the picture, red first.
+        cloth: what of it is cloth.
+        least_saturation: of a colour that is known again in other light, 0 to 1.
+        least_value: darker colours than this say nothing, 0 to 1.
+    """
+    levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
+    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
+    hsv = cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV)[0]
+    bins = bin_of(color)
+    own = cloth & (members.ravel()[bins] == CORE)
+    # Of the pixels themselves: five bits of a dark colour say little of its hue.
+    seen = cv2.cvtColor(color[own][None].astype(np.float32) / 255.0, cv2.COLOR_RGB2HSV)[0]
+    outside = np.bincount(bins[~cloth], minlength=BINS**3)
+    tints = np.zeros((36, 10))
+    np.add.at(tints, _tint(seen[seen[:, 1] >= least_saturation]), 1)
+    known = tints > 0.002 * max(len(seen), 1)
+    # A neighbour in hue or saturation is the same colour: so wide are the steps of five bits.
+    known = maximum_filter(known, size=3, mode=("wrap", "nearest"))
+    shade = known[_tint(hsv)] & (hsv[:, 1] >= least_saturation) & (hsv[:, 2] >= least_value)
+    foreign = gaussian_filter(outside.reshape((BINS,) * 3).astype(np.float32), 0.8).ravel() > 1.0
+    widened = np.where(shade & ~foreign, CORE, members.ravel())
+    return widened.reshape(members.shape).astype(np.uint8)
+
+
 def votes_of(
     color: UInt8[np.ndarray, "height width 3"], members: UInt8[np.ndarray, "32 32 32"]
 ) -> UInt8[np.ndarray, "height width"]:
@@ -143,6 +182,11 @@ def bin_of(color: UInt8[np.ndarray, "height width 3"]) -> np.ndarray:
     number |= np.left_shift(green, 5, dtype=np.uint16)
     number |= blue
     return number
+
+
+def _tint(hsv: Float[np.ndarray, "colors 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Step of hue (ten degrees) and of saturation (a tenth) of every colour."""
+    return (hsv[:, 0] // 10).astype(int) % 36, np.minimum((hsv[:, 1] * 10).astype(int), 9)
 
 
 def _spread(bounds: tuple[float, float], margin: float) -> tuple[float, float]:

@@ -44,8 +44,13 @@ def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]
     except (ValueError, RecursionError) as error:
         problem = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         return None, [_whole_file(problem, "correct the JSON")]
-    violations = _newer(document) or [_explain(error) for error in _errors(document)]
+    violations = document_violations(document)
     return (None if violations else document), violations
+
+
+def document_violations(document: object) -> list[Violation]:
+    """What is wrong with the content of a `recording.json`; what it names is not looked at."""
+    return _newer(document) or [_explain(error) for error in _errors(document)]
 
 
 @cache

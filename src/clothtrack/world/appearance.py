@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from clothtrack.world.scene import CLOTH, TABLE, TOOL, View
+from clothtrack.world.scene import CLOTH, TABLE, TIP, TOOL, View
 
 CLOTH_COLORS: dict[str, tuple[int, int, int]] = {
     "blue": (38, 84, 190),
@@ -18,6 +18,13 @@ CLOTH_COLORS: dict[str, tuple[int, int, int]] = {
     "purple": (122, 48, 160),
 }
 """Cloth colours by name (8-bit sRGB), all far from wood and from grey."""
+
+TIP_COLORS: dict[str, tuple[int, int, int]] = {
+    "pink": (232, 40, 150),
+    "cyan": (20, 186, 204),
+    "yellow": (240, 214, 40),
+}
+"""Colours of a marked tip by name, far from wood, from grey and from every cloth."""
 
 WOOD_COLOR = (200, 166, 124)
 TOOL_COLOR = (118, 121, 126)
@@ -35,12 +42,15 @@ class Appearance:
         weave: strength of the woven pattern, as a share of the brightness.
         weave_period_m: width of a pair of its stripes [m].
         table_seed: grows the wood.
+        tip: name of the colour of the tool's tip, a key of `TIP_COLORS`; grey as the rest of the
+            tool when None.
     """
 
     cloth: str = "blue"
     weave: float = 0.08
     weave_period_m: float = 0.024
     table_seed: int = 0
+    tip: str | None = None
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Appearance":
@@ -74,6 +84,8 @@ class Painter:
         color = self._wood.copy()
         color[on_cloth] = _weave(view.material, self._appearance)
         color[view.label == TOOL] = TOOL_COLOR
+        tip = self._appearance.tip
+        color[view.label == TIP] = TOOL_COLOR if tip is None else TIP_COLORS[tip]
 
         # A face turned away shows the other side of the cloth, lit just as well.
         toward = view.normals @ LIGHT.astype(np.float32)

@@ -9,7 +9,7 @@ measured by hand would be.
 import json
 import logging
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -140,6 +140,7 @@ def simulate_trajectory(
     *,
     config: EpisodeConfig | None = None,
     name: str | None = None,
+    tip_color: str | None = None,
 ) -> Path:
     """Film one trajectory: a flat garment, random pick-and-places, the tool away after each.
 
@@ -149,6 +150,8 @@ def simulate_trajectory(
         out: folder for `recordings/` and `truth/`.
         config: what is filmed, and how.
         name: of the recording; `KIND_SEED` by default.
+        tip_color: of a marked tip, a key of `TIP_COLORS`; the tool is grey all over by default.
+            Nothing else depends on it.
 
     Returns:
         The recording's folder.
@@ -177,7 +180,7 @@ def simulate_trajectory(
     laid = partial(laid_down, pose=pose, height_m=fabric.contact_radius_m)
     world = FlexWorld(laid(flat), fabric)
     camera, usual_tool = top_down_camera(config.sensor, of_sensor), Tool.sample(of_sensor)
-    appearance = Appearance.sample(of_sensor)
+    appearance = replace(Appearance.sample(of_sensor), tip=tip_color)
     scene = Scene(flat, config.tool or usual_tool, camera)
     sensor = Sensor(scene, config.sensor, appearance, seed=int(of_sensor.integers(1 << 31)))
     wrong = config.template

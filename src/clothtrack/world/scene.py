@@ -10,7 +10,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.world.tool import Tool
 
-TABLE, CLOTH, TOOL = 0, 1, 2
+TABLE, CLOTH, TOOL, TIP = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class View:
 
     Attributes:
         depth: distance along the optical axis [m].
-        label: `TABLE`, `CLOTH` or `TOOL`.
+        label: `TABLE`, `CLOTH`, `TOOL` or, at the end of the tool, `TIP`.
         height: height of the surface over the table [m].
         normals: unit normal of the surface; smooth over the cloth, of either sign there.
         facing: cosine between the surface's normal and the line of sight; 1 seen from the front.
@@ -77,9 +77,11 @@ class Scene:
             rod = self._draw_tool.render(corners)
             rod_depth = rod.depth.ravel()
             rod_shown = np.flatnonzero(rod_depth < np.minimum(depth, cloth_depth))
-            depth[rod_shown], label[rod_shown] = rod_depth[rod_shown], TOOL
+            rod_faces = rod.faces.ravel()[rod_shown]
+            depth[rod_shown] = rod_depth[rod_shown]
+            label[rod_shown] = np.where(self._tool.tip_faces[rod_faces], TIP, TOOL)
             rod_normals = _unit(_face_vectors(corners, self._tool.faces))
-            normals[rod_shown] = rod_normals[rod.faces.ravel()[rod_shown]]
+            normals[rod_shown] = rod_normals[rod_faces]
 
         shown = np.flatnonzero(cloth_depth < depth)
         depth[shown], label[shown] = cloth_depth[shown], CLOTH

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 SIDES = 12
 RADII_M = ((0.0, 0.0015), (0.03, 0.003), (0.12, 0.008), (0.9, 0.012))
@@ -55,6 +55,14 @@ class Tool:
                 faces += [(a, b, c), (b, d, c)]
         faces += [(0, k + 1, k) for k in range(1, SIDES - 1)]
         return np.array(faces, dtype=np.int32)
+
+    @property
+    def tip_faces(self) -> Bool[np.ndarray, " faces"]:
+        """Which triangles are the tip, from its end to the first change of taper."""
+        faces = np.zeros(2 * SIDES * (len(self.radii_m) - 1) + SIDES - 2, dtype=bool)
+        faces[: 2 * SIDES] = True
+        faces[2 - SIDES :] = True
+        return faces
 
     def vertices(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "vertices 3"]:
         """Vertices of the rod [m] when its tip is here."""

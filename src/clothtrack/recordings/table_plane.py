@@ -1,0 +1,356 @@
+"""The table's plane from depth, and the world that it gives: z up, the table at z = 0.
+
+A plane seen by a pinhole camera is a plane in inverse depth too: 1/z = a x + b y + c with
+x = (column - cx)/fx and y = (row - cy)/fy. The noise of a stereo camera is even there (it grows
+with the square of the depth), so plain least squares weighs near and far pixels rightly.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.recordings.segmentation import ColorSegmenter, MaskFolder, Segmenter
+
+_LEAST_POINTS = 200
+_ROUNDS = 8
+_MARGIN = np.ones((13, 13), np.uint8)
+
+
+@dataclass(frozen=True)
+class TableFitConfig:
+    """How the table's plane is looked for.
+
+    Attributes:
+        frames: how many frames are looked at, spread over the recording.
+        pixels: about how many measurements are taken from them together.
+        trials: planes through three random measurements that are tried.
+        tolerance: deviation in inverse depth [1/m] within which a measurement may be table; 0.008
+            is 4.5 mm at 0.75 m.
+        least_share: less of the measurements than this on one plane is no table.
+        rival_share: another plane with more than this share of the first one's measurements
+            leaves open which is the table.
+        lower_m: a plane lying under the first one by at most this [m] is the table, and the first
+            one is what lies on it.
+        lower_share: share of the measurements that such a plane needs.
+        seed: of the trials.
+    """
+
+    frames: int = 8
+    pixels: int = 40_000
+    trials: int = 400
+    tolerance: float = 0.008
+    least_share: float = 0.3
+    rival_share: float = 0.7
+    lower_m: float = 0.05
+    lower_share: float = 0.12
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class TableFit:
+    """The table as a camera sees it.
+
+    Attributes:
+        normal: unit normal in the camera's frame, towards the camera.
+        distance_m: from the camera to the plane [m].
+        residual_m: root mean square distance of the inliers from the plane [m].
+        inlier_share: share of the measurements, cloth left out, that lie on the plane.
+        cloth_excluded: whether the cloth was known and left out.
+        frames: how many frames were looked at.
+    """
+
+    normal: Float[np.ndarray, " 3"]
+    distance_m: float
+    residual_m: float
+    inlier_share: float
+    cloth_excluded: bool = False
+    frames: int = 1
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between the optical axis and the table's normal [degrees]."""
+        return float(np.degrees(np.arccos(np.clip(-self.normal[2], -1.0, 1.0))))
+
+
+def fit_recorded_table(
+    recording: Recording, camera: Camera, config: TableFitConfig | None = None
+) -> TableFit:
+    """The table in a recording: what most of the depth that is not cloth lies on.
+
+    The cloth is left out where masks or its colour name tell it; the tool is too small to matter.
+
+    Args:
+        recording: with depth from the camera.
+        camera: the one that looks at the table.
+        config: how to look for it.
+
+    Raises:
+        InvalidRecordingError: there is no depth, nothing but cloth, or no plane that dominates.
+    """
+    config = config or TableFitConfig()
+    frames = [frame for frame in recording.frames if camera.name in frame.depth]
+    if not frames:
+        raise InvalidRecordingError(
+            f"{recording.folder}: camera {camera.name!r} has no depth to fit a table to; name "
+            "another camera, or give a board"
+        )
+    chosen = np.unique(np.linspace(0, len(frames) - 1, config.frames).round().astype(int))
+    looks = [_look(recording, frames[place], camera) for place in chosen]
+    measured = sum(int((depth > 0).sum()) for depth, _ in looks)
+    kept = [np.where(cloth, 0.0, depth) for depth, cloth in looks]
+    excluded = any(cloth.any() for _, cloth in looks)
+    left = sum(int((depth > 0).sum()) for depth in kept)
+    if left < 0.05 * measured or left < _LEAST_POINTS:
+        raise InvalidRecordingError(
+            f"{recording.folder}: camera {camera.name!r} sees hardly anything but the cloth "
+            f"({left} of {measured} measurements); let it see the table, or give a board"
+        )
+    stride = max(1, left // config.pixels)
+    sight, inverse = _concatenated(
+        [sight_lines(depth, camera, stride=stride, offset=n) for n, depth in enumerate(kept)]
+    )
+    try:
+        found = fit_plane(sight, inverse, config)
+    except InvalidRecordingError as error:
+        raise InvalidRecordingError(
+            f"{recording.folder}: camera {camera.name!r}: {error}"
+        ) from error
+    return TableFit(
+        found.normal,
+        found.distance_m,
+        found.residual_m,
+        found.inlier_share,
+        excluded,
+        len(chosen),
+    )
+
+
+def sight_lines(
+    depth_m: Float[np.ndarray, "height width"], camera: Camera, *, stride: int = 1, offset: int = 0
+) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
+    """Directions (x, y, 1) of the measured pixels in the camera's frame, and inverse depth [1/m].
+
+    Args:
+        depth_m: depth [m], 0 where nothing was measured.
+        camera: the camera.
+        stride: every so many measured pixels are taken.
+        offset: the first one taken, so that several pictures give different pixels.
+    """
+    places = np.flatnonzero(depth_m > 0)[offset % stride :: stride]
+    rows, columns = np.divmod(places, depth_m.shape[1])
+    sight = np.stack(
+        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(places))],
+        axis=1,
+    )
+    return sight, 1.0 / depth_m.ravel()[places].astype(np.float64)
+
+
+def fit_plane(
+    sight: Float[np.ndarray, "points 3"],
+    inverse: Float[np.ndarray, " points"],
+    config: TableFitConfig | None = None,
+) -> TableFit:
+    """The dominant plane of measurements: random trials, then least squares over its inliers.
+
+    Args:
+        sight: directions (x, y, 1) in the camera's frame.
+        inverse: inverse depth along them [1/m].
+        config: how to look.
+
+    Raises:
+        InvalidRecordingError: no plane dominates, or two do.
+    """
+    config = config or TableFitConfig()
+    rng = np.random.default_rng(config.seed)
+    plane = _dominant(sight, inverse, config, rng)
+    on_it = np.abs(inverse - sight @ plane) < config.tolerance
+    share = float(on_it.mean())
+    if share < config.least_share:
+        raise InvalidRecordingError(
+            f"no plane dominates: the best one holds {100 * share:.0f} % of the depth that is not "
+            f"cloth (at least {100 * config.least_share:.0f} %); let the table fill most of the "
+            "picture, name the cloth's colour (cloth.color) or give masks, or use a board"
+        )
+    plane = _lower(sight, inverse, plane, config, rng)
+    on_it = np.abs(inverse - sight @ plane) < config.tolerance
+    _require_single(sight, inverse, plane, config, rng)
+    plane, used = _refined(sight, inverse, plane, config.tolerance)
+    length = float(np.linalg.norm(plane))
+    normal, distance = -plane / length, 1.0 / length
+    points = sight[used] / inverse[used, None]
+    residual = float(np.sqrt(np.mean((points @ normal + distance) ** 2)))
+    return TableFit(normal, distance, residual, float(on_it.mean()))
+
+
+def world_from_table(camera: Camera, table: TableFit) -> Float[np.ndarray, "4 4"]:
+    """World from camera when the world stands on the table.
+
+    z is the table's normal, x the camera's x axis laid onto the table, and the origin is the point
+    of the table in the middle of the picture.
+
+    Raises:
+        InvalidRecordingError: the middle of the picture does not look at the table.
+    """
+    middle = np.array(
+        [
+            ((camera.width - 1) / 2.0 - camera.cx) / camera.fx,
+            ((camera.height - 1) / 2.0 - camera.cy) / camera.fy,
+            1.0,
+        ]
+    )
+    approach = -float(middle @ table.normal)
+    if approach < 0.05:
+        raise InvalidRecordingError(
+            f"camera {camera.name!r}: the plane found is seen edge-on ({table.tilt_deg:.0f} "
+            "degrees from straight down); let the camera look down at the table"
+        )
+    origin = middle * (table.distance_m / approach)
+    x = np.array([1.0, 0.0, 0.0])
+    x -= (x @ table.normal) * table.normal
+    x /= np.linalg.norm(x)
+    turn = np.stack([x, np.cross(table.normal, x), table.normal])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, -turn @ origin
+    return pose
+
+
+def moved_along(
+    recording: Recording, camera: Camera, world_from_camera: Float[np.ndarray, "4 4"]
+) -> Mapping[str, Float[np.ndarray, "4 4"]]:
+    """New poses of all cameras of a recording when one of them gets this one.
+
+    The others keep their place relative to it.
+    """
+    change = world_from_camera @ np.linalg.inv(camera.world_from_camera)
+    poses = {}
+    for other in recording.cameras:
+        pose = change @ other.world_from_camera
+        left, _, right = np.linalg.svd(pose[:3, :3])
+        pose[:3, :3], pose[3] = left @ right, (0.0, 0.0, 0.0, 1.0)
+        poses[other.name] = pose
+    poses[camera.name] = world_from_camera
+    return poses
+
+
+def _look(
+    recording: Recording, frame: Frame, camera: Camera
+) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
+    """Depth [m] of a frame and what of it is cloth, with a margin; nothing where not known."""
+    depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
+    cloth = np.zeros(depth.shape, dtype=bool)
+    find: Segmenter | None = None
+    if camera.name in frame.mask:
+        find = MaskFolder(frame.mask)
+    elif recording.cloth.color is not None and camera.name in frame.color:
+        find = ColorSegmenter.from_name(recording.cloth.color)
+    if find is None:
+        return depth, cloth
+    color = read_color(frame.color[camera.name]) if camera.name in frame.color else None
+    try:
+        cloth = find(color, depth, camera, None)
+    except InvalidRecordingError:
+        # The background has the cloth's colour: then nothing is left out.
+        return depth, cloth
+    return depth, cv2.dilate(cloth.astype(np.uint8), _MARGIN) > 0
+
+
+def _concatenated(
+    parts: Sequence[tuple[Float[np.ndarray, "_ 3"], Float[np.ndarray, " _"]]],
+) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
+    return np.concatenate([one for one, _ in parts]), np.concatenate([one for _, one in parts])
+
+
+def _dominant(
+    sight: Float[np.ndarray, "points 3"],
+    inverse: Float[np.ndarray, " points"],
+    config: TableFitConfig,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, " 3"]:
+    """The plane (a, b, c) with most measurements, of those through three random ones."""
+    if len(sight) < _LEAST_POINTS:
+        raise InvalidRecordingError(
+            f"only {len(sight)} measurements are left to find a plane in (at least "
+            f"{_LEAST_POINTS}); let the table be seen"
+        )
+    judges = rng.choice(len(sight), min(len(sight), 3000), replace=False)
+    triples = rng.integers(len(sight), size=(config.trials, 3))
+    corners = sight[triples]
+    sound = np.abs(np.linalg.det(corners)) > 1e-4
+    planes = np.linalg.solve(corners[sound], inverse[triples[sound]][..., None])[..., 0]
+    off = np.abs(planes @ sight[judges].T - inverse[judges])
+    if not len(planes):
+        raise InvalidRecordingError("all depth lies on one line; let the table be seen")
+    best = planes[np.argmax((off < config.tolerance).sum(axis=1))]
+    plane, _ = _refined(sight, inverse, best, config.tolerance)
+    return plane
+
+
+def _refined(
+    sight: Float[np.ndarray, "points 3"],
+    inverse: Float[np.ndarray, " points"],
+    plane: Float[np.ndarray, " 3"],
+    tolerance: float,
+) -> tuple[Float[np.ndarray, " 3"], Bool[np.ndarray, " points"]]:
+    """Least squares over the inliers, whose band narrows to three times their own spread."""
+    band = tolerance
+    used = np.abs(inverse - sight @ plane) < band
+    for _ in range(_ROUNDS):
+        plane, *_ = np.linalg.lstsq(sight[used], inverse[used], rcond=None)
+        off = np.abs(inverse - sight @ plane)
+        spread = 1.4826 * float(np.median(off[off < tolerance]))
+        band = min(tolerance, max(3.0 * spread, 1e-6))
+        used = off < band
+        if used.sum() < 3:
+            break
+    return plane, used
+
+
+def _lower(
+    sight: Float[np.ndarray, "points 3"],
+    inverse: Float[np.ndarray, " points"],
+    plane: Float[np.ndarray, " 3"],
+    config: TableFitConfig,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, " 3"]:
+    """The plane right under this one, if any: cloth that fills the picture lies on it."""
+    length = float(np.linalg.norm(plane))
+    height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
+    off = inverse - sight @ plane
+    under = (height > -config.lower_m) & (height < 0.0) & (off < -config.tolerance)
+    if under.sum() < max(config.lower_share * len(sight), _LEAST_POINTS):
+        return plane
+    lower = _dominant(sight[under], inverse[under], config, rng)
+    shown = float((np.abs(inverse - sight @ lower) < config.tolerance).mean())
+    parallel = abs(float(lower @ plane)) / (np.linalg.norm(lower) * length)
+    return lower if shown > config.lower_share and parallel > np.cos(np.radians(3.0)) else plane
+
+
+def _require_single(
+    sight: Float[np.ndarray, "points 3"],
+    inverse: Float[np.ndarray, " points"],
+    plane: Float[np.ndarray, " 3"],
+    config: TableFitConfig,
+    rng: np.random.Generator,
+) -> None:
+    """Raise when another plane is nearly as large as this one and does not lie on it."""
+    length = float(np.linalg.norm(plane))
+    height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
+    beside = (height < -config.lower_m) | (height > config.lower_m)
+    first = float((np.abs(inverse - sight @ plane) < config.tolerance).mean())
+    if beside.mean() < config.rival_share * first or beside.sum() < _LEAST_POINTS:
+        return
+    rival = _dominant(sight[beside], inverse[beside], config, rng)
+    second = float((np.abs(inverse[beside] - sight[beside] @ rival) < config.tolerance).mean())
+    second *= float(beside.mean())
+    if second > config.rival_share * first:
+        raise InvalidRecordingError(
+            f"two planes are about as large, with {100 * first:.0f} and {100 * second:.0f} % of "
+            "the depth: which is the table? Let it fill most of the picture, or use a board"
+        )

@@ -1,0 +1,341 @@
+"""Where the coloured tip of a tool is in one picture, to a fraction of a pixel and in depth.
+
+A tip is a few pixels wide, and half of its depth is missing or mixed with what lies behind it. So
+its end is found in the colour picture, and the depth there from a line through the depths along
+the tip that most of them agree on, the near ones at that: what is mixed is always farther.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.colors import (
+    CORE,
+    LOOSE,
+    NAMED_COLORS,
+    learned_set,
+    named_set,
+    votes_of,
+)
+from clothtrack.recordings.segmentation import ColorSegmenter
+
+_JOINING = np.ones((3, 3), np.uint8)
+
+
+@dataclass(frozen=True)
+class TipConfig:
+    """How a tip looks in a picture.
+
+    Attributes:
+        least_pixels: fewer pixels than this of the surest colour are no tip.
+        widest_share: more of the picture than this is no tip.
+        elongated: length over width from which the tip has an end; rounder ones count by their
+            middle.
+        depth_band_m: depths along the tip agree when they are this near to a line [m].
+        steepest: a line along the tip changes depth by at most so much [m] per metre across.
+        radius_m: half the thickness of the tip [m]: depth is measured on its surface.
+        second_share: a second piece of at least this share of the first one's pixels is the other
+            arm of an open pair of tweezers.
+        widest_gap_m: arms farther apart than this [m] do not belong together.
+    """
+
+    least_pixels: int = 8
+    widest_share: float = 0.03
+    elongated: float = 2.0
+    depth_band_m: float = 0.003
+    steepest: float = 3.0
+    radius_m: float = 0.0015
+    second_share: float = 0.4
+    widest_gap_m: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Tip:
+    """A tip in one picture.
+
+    Attributes:
+        pixel: column and row of its end.
+        position: its end in the world [m].
+        axis: unit vector in the picture that points to its end; zero for a round tip.
+        gap_m: distance between the two arms [m]; 0 for one arm, or closed ones.
+        pixels: how many pixels show it.
+    """
+
+    pixel: Float[np.ndarray, " 2"]
+    position: Float[np.ndarray, " 3"]
+    axis: Float[np.ndarray, " 2"]
+    gap_m: float
+    pixels: int
+
+
+def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
+    """Set of the colours that a name stands for.
+
+    Raises:
+        InvalidConfigError: the name is unknown.
+    """
+    if name.lower() not in NAMED_COLORS:
+        raise InvalidConfigError(
+            f"the tip's colour is {name!r}; known names: {', '.join(NAMED_COLORS)}"
+        )
+    return named_set(name)
+
+
+def clicked_colors(
+    color: UInt8[np.ndarray, "height width 3"], column: int, row: int
+) -> UInt8[np.ndarray, "32 32 32"]:
+    """Set of the colours of the patch that was clicked.
+
+    Raises:
+        InvalidConfigError: the click is outside the picture, or the patch looks like the rest.
+    """
+    return ColorSegmenter.from_click(color, column, row).members
+
+
+class TipFinder:
+    """Finds a tip of known colours in the pictures of one camera."""
+
+    def __init__(
+        self,
+        members: UInt8[np.ndarray, "32 32 32"],
+        camera: Camera,
+        config: TipConfig | None = None,
+        *,
+        background: Bool[np.ndarray, "height width"] | None = None,
+    ) -> None:
+        """Look for these colours.
+
+        Args:
+            members: set of the tip's colours.
+            camera: whose pictures will come.
+            config: how a tip looks.
+            background: pixels that have the tip's colour without being it.
+        """
+        self._members, self._camera = members, camera
+        self._config = config or TipConfig()
+        self._background = background
+
+    def _votes(
+        self, color: UInt8[np.ndarray, "height width 3"]
+    ) -> UInt8[np.ndarray, "height width"]:
+        """What the colours say of every pixel, the background left out."""
+        votes = votes_of(color, self._members)
+        if self._background is not None:
+            votes[self._background] = 0
+        return votes
+
+    def find(
+        self,
+        color: UInt8[np.ndarray, "height width 3"],
+        depth_m: Float[np.ndarray, "height width"],
+        *,
+        near: Float[np.ndarray, " 2"] | None = None,
+        axis: Float[np.ndarray, " 2"] | None = None,
+    ) -> Tip | None:
+        """The tip in a picture; None where it is not seen.
+
+        Args:
+            color: colour picture, red first.
+            depth_m: depth [m], 0 where nothing was measured.
+            near: where it was lately [pixels]; pieces there are preferred.
+            axis: where its end pointed so far, for when depth does not tell.
+        """
+        pieces = self.pieces(color, near=near)
+        tips = [tip for piece in pieces if (tip := self._end_of(piece, depth_m, axis)) is not None]
+        if not tips:
+            return None
+        first, *others = tips
+        for other in others:
+            gap = float(np.linalg.norm(other.position - first.position))
+            if gap < self._config.widest_gap_m:
+                return Tip(
+                    0.5 * (first.pixel + other.pixel),
+                    0.5 * (first.position + other.position),
+                    first.axis,
+                    gap,
+                    first.pixels + other.pixels,
+                )
+        return first
+
+    def pieces(
+        self,
+        color: UInt8[np.ndarray, "height width 3"],
+        *,
+        near: Float[np.ndarray, " 2"] | None = None,
+    ) -> list[Int[np.ndarray, "pixels 2"]]:
+        """Pixels (column, row) of up to two pieces of the tip's colour, the likeliest first."""
+        config, votes = self._config, self._votes(color)
+        sure = votes == CORE
+        if np.count_nonzero(sure) < config.least_pixels:
+            return []
+        joined = cv2.morphologyEx(
+            (sure | (votes == LOOSE)).view(np.uint8), cv2.MORPH_CLOSE, _JOINING
+        )
+        count, labels = cv2.connectedComponents(joined, connectivity=8)
+        rows, columns = np.nonzero(votes)
+        of_piece = labels[rows, columns]
+        areas = np.bincount(of_piece[sure[rows, columns]], minlength=count).astype(float)
+        areas[0] = 0.0
+        areas[np.bincount(of_piece, minlength=count) > config.widest_share * votes.size] = 0.0
+        worth = areas.copy()
+        if near is not None:
+            for piece in np.flatnonzero(areas >= config.least_pixels):
+                inside = of_piece == piece
+                middle = columns[inside].mean(), rows[inside].mean()
+                worth[piece] /= 1.0 + (np.hypot(*(middle - near)) / 100.0) ** 2
+        best = int(np.argmax(worth))
+        chosen = [best] if areas[best] >= config.least_pixels else []
+        for piece in np.argsort(-worth):
+            large = areas[piece] >= max(config.second_share * areas[best], config.least_pixels)
+            if chosen and piece != best and large:
+                chosen.append(int(piece))
+                break
+        return [
+            np.stack([columns[of_piece == piece], rows[of_piece == piece]], axis=1)
+            for piece in chosen
+        ]
+
+    def _end_of(
+        self,
+        pixels: Int[np.ndarray, "pixels 2"],
+        depth_m: Float[np.ndarray, "height width"],
+        axis: Float[np.ndarray, " 2"] | None,
+    ) -> Tip | None:
+        """The end of one piece; None when its depth is not known."""
+        middle = pixels.mean(axis=0)
+        spread, directions = np.linalg.eigh(np.cov((pixels - middle).T) + 1e-9 * np.eye(2))
+        along = directions[:, 1]
+        places = (pixels - middle) @ along
+        depths = depth_m[pixels[:, 1], pixels[:, 0]].astype(np.float64)
+        line = self._depth_line(places[depths > 0], depths[depths > 0])
+        if line is None:
+            return None
+        offset, slope = line
+        if np.sqrt(spread[1] / max(spread[0], 1.0 / 12.0)) < self._config.elongated:
+            return self._tip(middle, offset, np.zeros(2), len(pixels))
+        # The tool comes from above: the end of the tip is the far one.
+        sign = np.sign(slope * np.ptp(places))
+        if axis is not None and np.linalg.norm(axis) > 0.3:
+            sign = np.sign(axis @ along)
+        sign = float(sign) or 1.0
+        end = sign * float(np.max(sign * places))
+        return self._tip(middle + end * along, offset + slope * end, sign * along, len(pixels))
+
+    def _tip(
+        self,
+        pixel: Float[np.ndarray, " 2"],
+        depth: float,
+        axis: Float[np.ndarray, " 2"],
+        pixels: int,
+    ) -> Tip:
+        camera = self._camera
+        ray = np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1])
+        local = ray * (depth + self._config.radius_m)
+        position = camera.world_from_camera[:3, :3] @ local + camera.position
+        return Tip(np.asarray(pixel, dtype=float), position, axis, 0.0, pixels)
+
+    def _depth_line(
+        self, places: Float[np.ndarray, " pixels"], depths: Float[np.ndarray, " pixels"]
+    ) -> tuple[float, float] | None:
+        """Depth [m] in the middle of the tip and its change per pixel along it; None if unknown."""
+        if len(depths) < 3:
+            return None
+        band = self._config.depth_band_m
+        steepest = self._config.steepest * float(np.median(depths)) / self._camera.fx
+        first, second = np.triu_indices(len(depths), 1)
+        if len(first) > 4000:
+            chosen = np.linspace(0, len(first) - 1, 4000).astype(int)
+            first, second = first[chosen], second[chosen]
+        apart = places[second] - places[first]
+        wide = np.abs(apart) > 0.25 * np.ptp(places)
+        first, second, apart = first[wide], second[wide], apart[wide]
+        if not len(first):
+            return float(np.median(depths)), 0.0
+        slopes = (depths[second] - depths[first]) / apart
+        gentle = np.abs(slopes) <= steepest
+        slopes, first = slopes[gentle], first[gentle]
+        if not len(slopes):
+            return None
+        offsets = depths[first] - slopes * places[first]
+        off = depths - offsets[:, None] - slopes[:, None] * places
+        agreeing = (np.abs(off) < band).sum(axis=1)
+        # Of lines that equally many agree with, the one with least in front of it.
+        agreeing = agreeing - 0.5 * (off < -band).sum(axis=1)
+        best = int(np.argmax(agreeing))
+        used = np.abs(off[best]) < band
+        if used.sum() < 3 or np.ptp(places[used]) < 1.0:
+            return float(np.median(depths[used])), 0.0
+        slope, offset = np.polyfit(places[used], depths[used], 1)
+        return float(offset), float(np.clip(slope, -steepest, steepest))
+
+
+def learned_finder(
+    looks: Sequence[tuple[UInt8[np.ndarray, "_ _ 3"], Float[np.ndarray, "_ _"]]],
+    members: UInt8[np.ndarray, "32 32 32"],
+    camera: Camera,
+    config: TipConfig | None = None,
+    *,
+    rounds: int = 2,
+) -> TipFinder:
+    """A finder whose colours are learned from the film itself, starting from these.
+
+    Cloth and table have colours near the tip's: in shade, and where two of them mix at an edge.
+    So what was taken for the tip is held against all else in the same pictures, and a colour
+    stays when it is more frequent on the tip.
+
+    Args:
+        looks: colour (red first) and depth [m] of pictures from all over the film.
+        members: set of the tip's colours, roughly.
+        camera: whose pictures they are.
+        config: how a tip looks.
+        rounds: how often the colours are learned again.
+
+    Raises:
+        InvalidConfigError: much of every picture has the tip's colour.
+    """
+    config = config or TipConfig()
+    pictures = [color for color, _ in looks]
+    members, background = _told_apart(pictures, members, widest=config.widest_share)
+    finder = TipFinder(members, camera, config, background=background)
+    strip = np.concatenate(pictures)
+    for _ in range(rounds):
+        marks = []
+        for color, _ in looks:
+            mark = np.zeros(color.shape[:2], dtype=bool)
+            for pixels in finder.pieces(color):
+                mark[pixels[:, 1], pixels[:, 0]] = True
+            marks.append(mark)
+        tip = np.concatenate(marks)
+        around = cv2.dilate(tip.view(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        learned = learned_set(strip, tip, ~around)
+        if not (learned == CORE).any():
+            break
+        finder = TipFinder(learned, camera, config, background=background)
+    return finder
+
+
+def _told_apart(
+    pictures: Sequence[UInt8[np.ndarray, "height width 3"]],
+    members: UInt8[np.ndarray, "32 32 32"],
+    *,
+    share: float = 0.9,
+    widest: float = 0.03,
+) -> tuple[UInt8[np.ndarray, "32 32 32"], Bool[np.ndarray, "height width"]]:
+    """The tip's colours without those of its surroundings, and pixels that are never the tip."""
+    votes = [votes_of(picture, members) for picture in pictures]
+    sure = np.mean([vote == CORE for vote in votes], axis=0)
+    if sure.mean() > 2.0 * widest:
+        raise InvalidConfigError(
+            f"the tip's colour covers {100 * sure.mean():.0f} % of the pictures (at most "
+            f"{200 * widest:.0f} %): table or cloth have it too; mark the tip in another colour, "
+            "or click on it"
+        )
+    if np.mean([vote == LOOSE for vote in votes]) > widest:
+        members = np.where(members == CORE, members, 0).astype(np.uint8)
+    lasting = (sure >= share) & (len(pictures) > 2)
+    return members, cv2.dilate(lasting.view(np.uint8), np.ones((3, 3), np.uint8)) > 0

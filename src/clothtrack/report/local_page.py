@@ -1,0 +1,142 @@
+"""A small web server for pages that ask: on 127.0.0.1 only, and only for its own pages.
+
+Another page that is open in the same browser cannot reach it: requests must name this host (no
+DNS rebinding), and what changes something must be sent as JSON (no foreign form).
+"""
+
+import json
+import logging
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+from clothtrack.errors import ClothTrackError, InvalidConfigError
+
+logger = logging.getLogger(__name__)
+
+HOST = "127.0.0.1"
+LONGEST_MESSAGE = 1 << 16
+HIGHEST_PORT = 65_535
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a page gets.
+
+    Attributes:
+        body: the content.
+        kind: its MIME type.
+        status: of HTTP.
+    """
+
+    body: bytes
+    kind: str = "application/json"
+    status: int = 200
+
+    @classmethod
+    def of(cls, content: object, status: int = 200) -> "Answer":
+        """Anything that JSON holds."""
+        return cls(json.dumps(content).encode(), status=status)
+
+
+Ask = Callable[[str, Mapping[str, str]], Answer | None]
+Tell = Callable[[str, Mapping[str, Any]], Answer | None]
+
+
+@contextmanager
+def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
+    """Serve while the block runs; gives the address.
+
+    Args:
+        ask: answers GET: path and query; None when there is no such thing.
+        tell: answers POST: path and the JSON object sent.
+        port: of the server; any free one by default.
+
+    Raises:
+        InvalidConfigError: there is no such port, or it is taken.
+    """
+    if port is not None and not 0 <= port <= HIGHEST_PORT:
+        raise InvalidConfigError(
+            f"port is {port}; choose one from 1024 to {HIGHEST_PORT}, or leave it out"
+        )
+    handler = type("Handler", (_Handler,), {"ask": staticmethod(ask), "tell": staticmethod(tell)})
+    try:
+        server = ThreadingHTTPServer((HOST, port or 0), handler)
+    except OSError as error:
+        raise InvalidConfigError(f"port {port}: {error.strerror}; choose another one") from error
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+    thread.start()
+    try:
+        yield f"http://{HOST}:{server.server_address[1]}/"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Passes requests on to the page's two functions."""
+
+    ask: Ask
+    tell: Tell
+    protocol_version = "HTTP/1.1"
+    timeout = 30
+
+    def do_GET(self) -> None:
+        """Answer a question."""
+        url = urlsplit(self.path)
+        self._answer(lambda: self.ask(url.path, dict(parse_qsl(url.query))))
+
+    def do_POST(self) -> None:
+        """Take a message."""
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > LONGEST_MESSAGE:
+            self.close_connection = True
+            self._send(Answer.of({"error": "the message has no length, or is too long"}, 413))
+            return
+        body = self.rfile.read(int(length))
+        if self.headers.get_content_type() != "application/json":
+            self._send(Answer.of({"error": "send JSON"}, 415))
+            return
+        try:
+            message = json.loads(body)
+        except ValueError:
+            message = None
+        if not isinstance(message, dict):
+            self._send(Answer.of({"error": "send a JSON object"}, 400))
+            return
+        self._answer(lambda: self.tell(urlsplit(self.path).path, message))
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        """Tell the log, not the terminal."""
+        logger.debug(format, *args)
+
+    def _answer(self, find: Callable[[], Answer | None]) -> None:
+        host = self.headers.get("Host", "").rpartition(":")[0]
+        if host not in (HOST, "localhost"):
+            self._send(Answer.of({"error": "this page is for this machine only"}, 403))
+            return
+        try:
+            answer = find()
+        except ClothTrackError as error:
+            answer = Answer.of({"error": str(error)}, 422)
+        except (KeyError, TypeError, ValueError) as error:
+            answer = Answer.of({"error": f"not understood: {error!r}"}, 400)
+        self._send(answer or Answer.of({"error": "no such page"}, 404))
+
+    def _send(self, answer: Answer) -> None:
+        try:
+            self.send_response(answer.status)
+            self.send_header("Content-Type", answer.kind)
+            self.send_header("Content-Length", str(len(answer.body)))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            self.wfile.write(answer.body)
+        except (BrokenPipeError, ConnectionResetError):
+            # The page was closed while it was answered.
+            self.close_connection = True
