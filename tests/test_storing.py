@@ -1,10 +1,11 @@
 import errno
+import os
 import shutil
 
 import pytest
 
 from clothtrack.errors import StorageError
-from clothtrack.storing import storage, whole_file, whole_folder
+from clothtrack.storing import storage, whole_file, whole_folder, write_file
 
 
 def _break_off(opened, path):
@@ -77,3 +78,17 @@ def test_what_late_writers_keep_alive_is_removed_too(tmp_path, monkeypatch):
 def test_what_the_system_says_comes_with_a_remedy(number, remedy, tmp_path):
     with pytest.raises(StorageError, match=rf"result: .*{remedy}"), storage(tmp_path / "result"):
         raise OSError(number, "what the system says")
+
+
+def test_a_disk_that_fills_up_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "picker.csv"
+    write_file(path, b"old")
+
+    def full(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StorageError, match="the disk is full"):
+        write_file(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert [found.name for found in tmp_path.iterdir()] == ["picker.csv"]

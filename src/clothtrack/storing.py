@@ -44,10 +44,21 @@ def whole_file(path: Path) -> Iterator[Path]:
             temporary = Path(name)
             temporary.chmod(0o644)
             yield temporary
+            _flush(temporary)
             os.replace(temporary, path)
         finally:
             if temporary is not None:
                 temporary.unlink(missing_ok=True)
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write a file, whole or not at all.
+
+    Raises:
+        StorageError: when the disk refuses; what was at `path` before is untouched then.
+    """
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(data)
 
 
 @contextmanager
@@ -79,6 +90,12 @@ def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
         finally:
             if temporary is not None:
                 _remove(temporary)
+
+
+def _flush(path: Path) -> None:
+    """Have the disk take the content before the name: a power cut leaves one of the two files."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
 
 
 def _is_empty_folder(path: Path) -> bool:

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidRecordingError, StorageError
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.recordings import amendment
-from clothtrack.recordings.amendment import amend_document, replace_file, set_actions, set_masks
+from clothtrack.recordings.amendment import amend_document, set_actions, set_masks
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.recording import PickAndPlace, PickerPath
 from clothtrack.recordings.store import read_recording
@@ -37,20 +37,6 @@ def test_a_change_that_breaks_the_rules_is_refused_and_leaves_the_file(write, tm
     assert (tmp_path / "a" / "recording.json").read_bytes() == text
 
 
-def test_a_disk_that_refuses_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
-    path = tmp_path / "picker.csv"
-    path.write_bytes(b"old")
-
-    def full(_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(amendment.os, "fsync", full)
-    with pytest.raises(StorageError, match="the disk is full"):
-        replace_file(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert names(tmp_path) == ["picker.csv"]
-
-
 def test_new_actions_come_with_their_paths(write, tmp_path):
     recording = write(tmp_path / "a")
     path = PickerPath(np.array([0.0, 2.0]), np.zeros((2, 3)), np.array([True, False]))
@@ -67,7 +53,7 @@ def test_new_actions_come_with_their_paths(write, tmp_path):
 @pytest.mark.parametrize("steps", [0, 1, 2])
 def test_wherever_it_is_broken_off_the_recording_can_be_read(write, tmp_path, monkeypatch, steps):
     recording = write(tmp_path / "a")
-    replace, done = amendment.replace_file, []
+    replace, done = amendment.write_file, []
 
     def breaking(path, data):
         if len(done) == steps:
@@ -75,7 +61,7 @@ def test_wherever_it_is_broken_off_the_recording_can_be_read(write, tmp_path, mo
         done.append(path)
         replace(path, data)
 
-    monkeypatch.setattr(amendment, "replace_file", breaking)
+    monkeypatch.setattr(amendment, "write_file", breaking)
     path = PickerPath(np.array([0.0, 2.0]), np.zeros((2, 3)), np.array([True, False]))
     with pytest.raises(KeyboardInterrupt):
         set_actions(recording, {"hand": path}, (PickAndPlace(1, 3, ("hand",)),), provenance={})

@@ -5,7 +5,6 @@ unpickler of PyTorch, which knows tensors and plain containers and refuses every
 """
 
 import json
-import os
 import pickle
 import warnings
 import zipfile
@@ -190,8 +189,6 @@ def save_progress(path: Path, document: Mapping[str, Any]) -> None:
     content = {"format": PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
     with whole_file(path) as temporary, temporary.open("wb") as file:
         torch.save(content, file)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def load_progress(path: Path) -> dict[str, Any]:

@@ -5,7 +5,6 @@ it names the others. What it does not speak of stays as it was, remarks included
 """
 
 import copy
-import os
 import shutil
 import uuid
 from collections.abc import Callable, Mapping
@@ -22,8 +21,8 @@ from clothtrack.recordings.frame_files import PICTURE_KINDS
 from clothtrack.recordings.picker_table import picker_text
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath, Recording
-from clothtrack.recordings.store import storage
 from clothtrack.recordings.validation import PICKER_FILE
+from clothtrack.storing import storage, write_file
 
 Change = Callable[[dict[str, Any]], None]
 
@@ -48,25 +47,7 @@ def amend_document(folder: Path, change: Change) -> None:
     if broken:
         raise InvalidRecordingError(f"{folder}: the change is refused: {broken[0].message}")
     text = dumps(changed, indent=1, ensure_ascii=False, allow_nan=False)
-    replace_file(folder / DOCUMENT, text.encode())
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Write a file under a temporary name beside its own, then rename it.
-
-    Raises:
-        StorageError: the disk refuses; what stood there stays.
-    """
-    unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.partial")
-    with storage(path):
-        try:
-            with unfinished.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+    write_file(folder / DOCUMENT, text.encode())
 
 
 def set_actions(
@@ -107,7 +88,7 @@ def set_actions(
         document.setdefault("provenance", {}).update(provenance)
 
     amend_document(recording.folder, without_actions)
-    replace_file(recording.folder / PICKER_FILE, picker_text(paths).encode())
+    write_file(recording.folder / PICKER_FILE, picker_text(paths).encode())
     amend_document(recording.folder, with_actions)
 
 

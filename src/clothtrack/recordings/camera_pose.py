@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.amendment import amend_document, replace_file
+from clothtrack.recordings.amendment import amend_document
 from clothtrack.recordings.board import Board, BoardPose, locate_board, locate_boards
 from clothtrack.recordings.hand_eye import HandEye, RobotPose, calibrate_hand_eye
 from clothtrack.recordings.pictures import read_color, read_depth
@@ -23,6 +23,7 @@ from clothtrack.recordings.table_plane import (
     moved_along,
     world_from_table,
 )
+from clothtrack.storing import write_file
 
 BOARD_PICTURES = 8
 
@@ -186,7 +187,7 @@ def save_placement(path: Path, placement: CameraPlacement) -> None:
     Raises:
         StorageError: the disk refuses.
     """
-    replace_file(path, (json.dumps(placement.as_dict(), indent=1) + "\n").encode())
+    write_file(path, (json.dumps(placement.as_dict(), indent=1) + "\n").encode())
 
 
 def place_camera(recording: Recording, placement: CameraPlacement, *, force: bool = False) -> None:

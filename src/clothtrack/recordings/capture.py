@@ -25,8 +25,9 @@ from clothtrack.recordings.document import DOCUMENT, VERSION
 from clothtrack.recordings.frame_files import conventional_name
 from clothtrack.recordings.pictures import encode_png, read_color, read_depth
 from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.store import read_recording, storage
+from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.validation import check_recording
+from clothtrack.storing import storage
 
 logger = logging.getLogger(__name__)
 

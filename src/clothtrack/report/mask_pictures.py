@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from clothtrack.recordings.amendment import replace_file
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.segmentation_setup import SegmentationSetup
 from clothtrack.report.lettering import Picture, caption
 from clothtrack.report.palette import HIDDEN, PAPER, rgb255
+from clothtrack.storing import write_file
 
 _JPEG_QUALITY = 88
 
@@ -76,5 +76,5 @@ def write_mask_sheet(
         np.concatenate(cells[place : place + columns], axis=1)
         for place in range(0, len(cells), columns)
     ]
-    replace_file(path, encode_png(np.concatenate(strips)))
+    write_file(path, encode_png(np.concatenate(strips)))
     return path
