@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
+from clothtrack.acquisition import ACQUISITION_VERBS
 from clothtrack.artefacts import inside, load_tracked, recording_of
 from clothtrack.errors import InvalidConfigError
 from clothtrack.learning import LEARNING_VERBS
@@ -102,6 +103,10 @@ def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
     found = inspect_recording(recording)
     say(json_module.dumps(found.as_dict(), indent=2) if json else found.text())
     return 0 if found.valid else 1
+
+
+for _brings_in in ACQUISITION_VERBS:
+    _verb(_brings_in)
 
 
 @_verb
