@@ -173,6 +173,15 @@ def _read_png(path: Path) -> tuple[PngHeader, bytes]:
         data = path.read_bytes()
     except OSError as error:
         raise _unreadable(path, error) from error
+    return check_chunks(path, data), data
+
+
+def check_chunks(path: Path, data: bytes) -> PngHeader:
+    """Size and kind of a whole PNG; every chunk's checksum is held against its bytes.
+
+    Raises:
+        InvalidRecordingError: not a PNG, or it breaks off, or a byte was changed.
+    """
     header = parse_header(path, data[:29], data[-len(_END) :])
     position = len(SIGNATURE)
     while position < len(data):
@@ -186,7 +195,7 @@ def _read_png(path: Path) -> tuple[PngHeader, bytes]:
                 f"{path}: the file is damaged at byte {position}; copy or record it again"
             )
         position = stop + 4
-    return header, data
+    return header
 
 
 def parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:

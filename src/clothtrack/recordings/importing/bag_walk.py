@@ -42,17 +42,19 @@ def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
     """
     containers: list[Container] = []
     words = ""
-    for path in paths:
-        kind = _container_of(path)
-        if kind is None:
-            for one in containers:
-                one.close()
-            raise InvalidRecordingError(
-                f"{path}: neither a ROS 1 bag, nor MCAP, nor SQLite; record or copy it again"
-                + (" (unpack it first: zstd -d)" if path.suffix == ".zstd" else "")
-            )
-        containers.append(kind[0](path))
-        words = kind[1]
+    try:
+        for path in paths:
+            kind = _container_of(path)
+            if kind is None:
+                raise InvalidRecordingError(
+                    f"{path}: neither a ROS 1 bag, nor MCAP, nor SQLite; record or copy it again"
+                )
+            containers.append(kind[0](path))
+            words = kind[1]
+    except InvalidRecordingError:
+        for one in containers:
+            one.close()
+        raise
     return containers, words
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import lz4.frame
 import zstandard
@@ -69,6 +69,7 @@ class Message(NamedTuple):
     place: Place
 
 
+@runtime_checkable
 class Container(Protocol):
     """A file full of messages."""
 

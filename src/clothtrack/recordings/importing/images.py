@@ -4,15 +4,17 @@ Sizes are read from the first bytes and held against a limit before anything is 
 """
 
 import struct
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Shaped, UInt8, UInt16
 
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.recordings.importing.containers import TornError
 from clothtrack.recordings.importing.lens import MOST_PIXELS
-from clothtrack.recordings.pictures import SIGNATURE
+from clothtrack.recordings.pictures import SIGNATURE, check_chunks
 
 _TO_RGB = {
     "rgb8": (3, None),
@@ -166,8 +168,11 @@ def encoded_size(data: bytes) -> tuple[int, int]:
         TornError: it is neither, breaks off or is larger than any camera's picture.
     """
     if data.startswith(SIGNATURE):
-        whole = len(data) >= 57 and b"IEND" in data[-12:]
-        width, height = struct.unpack(">II", data[16:24]) if whole else (0, 0)
+        try:
+            header = check_chunks(Path("a PNG"), data)
+        except InvalidRecordingError as error:
+            raise TornError(str(error)) from error
+        whole, width, height = True, header.width, header.height
     elif data.startswith(_JPEG_START):
         whole = _JPEG_END in data[-64:]
         width, height = _jpeg_size(data)

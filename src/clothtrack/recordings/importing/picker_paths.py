@@ -5,7 +5,7 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -26,6 +26,7 @@ _LARGEST_FILE = 256 * 2**20
 _CLOSE_S = 1e-3
 
 
+@runtime_checkable
 class FrameWatcher(Protocol):
     """Something that sees every frame pass and then knows where the pickers were.
 

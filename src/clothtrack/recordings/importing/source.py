@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -74,6 +74,7 @@ class Footage:
     world_from_camera: Float[np.ndarray, "4 4"] | None = None
 
 
+@runtime_checkable
 class Source(Protocol):
     """An opened source. `depth` and `color` take bytes now and decode them when called."""
 

@@ -34,8 +34,8 @@ class SqliteContainer:
         self._path = path
         self._steps = 0
         where = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
+        self._base = sqlite3.connect(where, uri=True, check_same_thread=False)
         try:
-            self._base = sqlite3.connect(where, uri=True, check_same_thread=False)
             self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
             self._base.set_progress_handler(self._step, 1_000_000)
             # SQLite refuses a file that is shorter than its header says unless it may repair
@@ -48,10 +48,12 @@ class SqliteContainer:
             )
             self._topics = self._read_topics()
         except (sqlite3.Error, ValueError, OverflowError) as error:
+            self.close()
             raise InvalidRecordingError(
                 f"{path}: the data base cannot be read ({error}); record or copy it again"
             ) from error
         if "VIRTUAL" in str(tables.get("messages", "VIRTUAL")).upper():
+            self.close()
             raise InvalidRecordingError(
                 f"{path}: no table of messages, so it is no ROS 2 bag; tables: "
                 f"{', '.join(map(str, tables)) or 'none'}"
