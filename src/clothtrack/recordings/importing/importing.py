@@ -72,6 +72,8 @@ def open_source(path: Path, wanted: Wanted) -> Source:
     """
     if not path.exists():
         raise InvalidRecordingError(f"{path}: there is no such file or folder; check the name")
+    if not (path.is_dir() or path.is_file()):
+        raise InvalidRecordingError(f"{path}: neither a file nor a folder; name a recorded file")
     try:
         if path.is_dir():
             if bag_files(path):

@@ -16,6 +16,7 @@ MOST_PIXELS = 4096 * 4096
 _BROWN_LENGTHS = (0, 4, 5, 8, 12, 14)
 _STRAIGHT_BELOW = 1e-9
 _RETURN_LIMIT_PX = 0.5
+_WIDEST_RAY = 100.0  # tangent of the angle to the axis: less than a degree from the picture plane
 
 
 @dataclass(frozen=True)
@@ -125,15 +126,17 @@ class Lens:
             back = cv2.fisheye.distortPoints(rays, self.matrix, coefficients)
         else:
             stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-9)
-            rays = cv2.undistortPointsIter(
-                pixels, self.matrix, coefficients, np.eye(3), np.eye(3), stop
+            # OpenCV 4 gives the function that takes a limit a name of its own.
+            undistort: Any = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+            rays = undistort(
+                pixels, self.matrix, coefficients, R=np.eye(3), P=np.eye(3), criteria=stop
             )
             ahead = np.concatenate([rays[:, 0], np.ones((len(rays), 1))], 1)
             back, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), self.matrix, coefficients)
         with np.errstate(invalid="ignore", over="ignore"):
-            lost = ~(np.abs(back - pixels).max(axis=(1, 2)) < _RETURN_LIMIT_PX)
+            kept = np.abs(back - pixels).max(axis=(1, 2)) < _RETURN_LIMIT_PX
         rays = rays[:, 0]
-        rays[lost] = np.nan
+        rays[~(kept & (np.abs(rays).max(axis=1) < _WIDEST_RAY))] = np.nan
         return rays.reshape(self.height + 1, self.width + 1, 2).astype(np.float32)
 
     @cached_property

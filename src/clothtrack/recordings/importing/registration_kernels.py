@@ -6,6 +6,8 @@ import warp as wp
 
 FARTHEST = 2147483647
 _WIDEST = 32
+# Less than half a pixel, so that pictures whose pixels coincide gain nothing.
+_REACH = wp.constant(0.49)
 
 
 @no_type_check
@@ -48,7 +50,7 @@ def splat(
 
     Two opposite corners of the pixel are carried over at the pixel's depth; all pixel centres
     between them get it, the nearest depth wins. Neighbours on a slanted surface drift apart by a
-    fraction of a pixel: `around` has the same rectangles, half a pixel larger on every side.
+    fraction of a pixel: `around` has the same rectangles, almost half a pixel larger on every side.
     """
     row, column = wp.tid()
     count = int(counts[row, column])
@@ -71,4 +73,6 @@ def splat(
     if not (right > -1.0 and left < float(width) and bottom > -1.0 and top < float(height)):
         return
     paint(left, right, top, bottom, value, width, height, nearest)
-    paint(left - 0.5, right + 0.5, top - 0.5, bottom + 0.5, value, width, height, around)
+    paint(
+        left - _REACH, right + _REACH, top - _REACH, bottom + _REACH, value, width, height, around
+    )
