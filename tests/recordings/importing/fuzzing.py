@@ -143,7 +143,9 @@ def one_case(kind, seed, place):
     if time.monotonic() - started > LONGEST_S:
         return "too slow"
     outside = {
-        one: size for one, size in listing(place).items() if (box / "out") not in (one, *one.parents)
+        one: size
+        for one, size in listing(place).items()
+        if (box / "out") not in (one, *one.parents)
     }
     shutil.rmtree(box)
     return outcome if outside == before else f"files changed: {outside.keys() ^ before.keys()}"

@@ -42,7 +42,9 @@ class Film:
 
     @property
     def matrix(self):
-        return np.array([self.f, 0, self.width / 2 - 0.5, 0, self.f, self.height / 2 - 0.5, 0, 0, 1])
+        return np.array(
+            [self.f, 0, self.width / 2 - 0.5, 0, self.f, self.height / 2 - 0.5, 0, 0, 1]
+        )
 
 
 class Messages:
@@ -258,7 +260,9 @@ def write_kinect(path, depth, color, times_ns, *, letters=b"MJPG", calibration=N
 
 def _kinect_color(picture, letters):
     if letters == b"MJPG":
-        return cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
+        return cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])[
+            1
+        ].tobytes()
     return cv2.cvtColor(picture, cv2.COLOR_RGB2BGRA).tobytes()
 
 
@@ -297,7 +301,14 @@ def write_folder(path, film, style):
 def lens_file(path, film, **more):
     """The film's lens as an intrinsics file."""
     k = film.matrix.tolist()
-    lens = {"width": film.width, "height": film.height, "fx": k[0], "fy": k[4], "cx": k[2], "cy": k[5]}
+    lens = {
+        "width": film.width,
+        "height": film.height,
+        "fx": k[0],
+        "fy": k[4],
+        "cx": k[2],
+        "cy": k[5],
+    }
     path.write_text(json.dumps(lens | more))
     return path
 
@@ -362,8 +373,12 @@ def write_realsense_bag(path, film, *, units=0.00025):
         entries.append((f"{one}/tf/0", 1, messages.transform((0, 0, 0))))
     for k in range(film.frames):
         time = 360_000_000_000 + k * PERIOD_NS
-        entries.append((f"{depth}/image/data", 1 + k, messages.image(time, film.depth[k], "mono16", "0")))
-        entries.append((f"{color}/image/data", 1 + k, messages.image(time, film.color[k], "rgb8", "0")))
+        entries.append(
+            (f"{depth}/image/data", 1 + k, messages.image(time, film.depth[k], "mono16", "0"))
+        )
+        entries.append(
+            (f"{color}/image/data", 1 + k, messages.image(time, film.color[k], "rgb8", "0"))
+        )
     return write_ros1(path, entries, messages)
 
 

@@ -38,12 +38,8 @@ WRITERS = {
         path, stream(film, ROS2), ROS2, storage="sqlite3", compression="message"
     ),
     "ros 1": lambda path, film: write_ros1(path, stream(film, ROS1), ROS1),
-    "ros 1 bz2": lambda path, film: write_ros1(
-        path, stream(film, ROS1), ROS1, compression="bz2"
-    ),
-    "ros 1 lz4": lambda path, film: write_ros1(
-        path, stream(film, ROS1), ROS1, compression="lz4"
-    ),
+    "ros 1 bz2": lambda path, film: write_ros1(path, stream(film, ROS1), ROS1, compression="bz2"),
+    "ros 1 lz4": lambda path, film: write_ros1(path, stream(film, ROS1), ROS1, compression="lz4"),
 }
 
 
@@ -85,9 +81,7 @@ def test_the_walk_finds_what_the_reader_of_the_format_finds(kind, film, tmp_path
     with AnyReader([source]) as reader:
         expected = [(one.topic, time) for one, time, _ in reader.messages()]
     containers, _ = open_parts(bag_files(source))
-    found = [
-        (one.topic.name, one.log_ns) for part in containers for one in part.messages()
-    ]
+    found = [(one.topic.name, one.log_ns) for part in containers for one in part.messages()]
     assert sorted(found) == sorted(expected)
     assert all(part.damage is None for part in containers)
     for part in containers:
@@ -104,9 +98,7 @@ def test_mcap_of_another_writer(compression, film, tmp_path):
     file = tmp_path / "film.mcap"
     with file.open("wb") as output:
         writer = OtherMcapWriter(output, chunk_size=5000, compression=compression)
-        schemas = {
-            kind: writer.register_msgdef(kind, text) for kind, text in definitions.items()
-        }
+        schemas = {kind: writer.register_msgdef(kind, text) for kind, text in definitions.items()}
         for topic, time, message in stream(film, ROS2):
             writer.write_message(
                 topic, schemas[message.__msgtype__], as_lists(message), log_time=time,

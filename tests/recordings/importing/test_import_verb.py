@@ -58,7 +58,9 @@ def test_wrong_options_end_with_one_line_and_leave_nothing(words, source, tmp_pa
     assert sorted(one.name for one in tmp_path.iterdir()) == ["bag"]
 
 
-@pytest.mark.parametrize("kind", ["missing", "empty", "text", "folder", "empty bag", "pipe", "link"])
+@pytest.mark.parametrize(
+    "kind", ["missing", "empty", "text", "folder", "empty bag", "pipe", "link"]
+)
 def test_wrong_sources_are_named(kind, tmp_path, capsys):
     source = tmp_path / "source"
     if kind == "empty":

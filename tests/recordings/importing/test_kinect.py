@@ -157,8 +157,6 @@ def test_without_calibration_the_lenses_are_asked_for(depth, tmp_path):
     with pytest.raises(InvalidRecordingError, match="--intrinsics"):
         import_recording(source, tmp_path / "out")
     lens = tmp_path / "lens.json"
-    lens.write_text(
-        '{"width": 320, "height": 288, "fx": 250, "fy": 250, "cx": 159.5, "cy": 143.5}'
-    )
+    lens.write_text('{"width": 320, "height": 288, "fx": 250, "fy": 250, "cx": 159.5, "cy": 143.5}')
     import_recording(source, tmp_path / "out", ImportConfig(Wanted(intrinsics=lens)))
     assert np.array_equal(depth_of(tmp_path / "out"), depth)

@@ -34,7 +34,9 @@ def seen(k):
 
 def bag(path, messages, write=write_ros2, *, log_delay_ns=0, values=None, joints=False):
     entries = list(stream(FILM, messages, log_delay_ns=log_delay_ns))
-    entries.insert(0, ("/tf_static", START_NS, messages.tf(START_NS, OPTICAL, "base", (0, 0, 1), BACK)))
+    entries.insert(
+        0, ("/tf_static", START_NS, messages.tf(START_NS, OPTICAL, "base", (0, 0, 1), BACK))
+    )
     for k, time in enumerate(FILM.times.tolist()):
         log = time + log_delay_ns
         entries.append(("/tip", log, messages.pose(time, "base", tip(k))))
@@ -200,9 +202,7 @@ def test_impossible_actions(words):
 def test_pickers_that_are_closed_together_share_an_action():
     times = np.arange(20) * 0.1
     closed = {"left": (times > 0.25) & (times < 0.95), "right": (times > 0.55) & (times < 1.45)}
-    paths = {
-        name: PickerPath(times, np.zeros((20, 3)), values) for name, values in closed.items()
-    }
+    paths = {name: PickerPath(times, np.zeros((20, 3)), values) for name, values in closed.items()}
     actions, left_out = actions_of(paths, times.tolist())
     assert [(one.first_frame, one.last_frame, one.pickers) for one in actions] == [
         (3, 15, ("left", "right"))
@@ -250,8 +250,8 @@ def test_transforms_against_products(rng):
 
 def test_a_circle_of_frames_ends():
     tree = TransformTree()
-    tree.add("a", "b", 1, (0, 0, 0), (0, 0, 0, 1), static=True)
-    tree.add("b", "a", 1, (0, 0, 0), (0, 0, 0, 1), static=True)
+    tree.add("a", "b", 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), static=True)
+    tree.add("b", "a", 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), static=True)
     assert tree.lookup("a", "b", np.array([1])).shape == (1, 4, 4)
 
 

@@ -52,9 +52,7 @@ def test_the_genuine_recording(data, tmp_path):
     source = data / "realsense-d435-bag" / "single_depth_color_640x480.bag"
     if not source.is_file():
         pytest.skip("the genuine RealSense recording is not here")
-    alone = import_recording(
-        source, tmp_path / "alone", ImportConfig(Wanted(without_color=True))
-    )
+    alone = import_recording(source, tmp_path / "alone", ImportConfig(Wanted(without_color=True)))
     assert alone.frames == 2
     first = read_depth(tmp_path / "alone" / "depth" / "000000.png", 0.001)
     assert (first > 0).mean() == pytest.approx(0.93, abs=0.005)

@@ -78,8 +78,12 @@ def reference(counts, rig):
                 depths.append(w)
             value = int(np.mean(depths) / rig.depth_unit_m + 0.5)
             (a, b), (c, d) = spots
-            for y in range(max(int(np.ceil(min(b, d))), 0), min(int(np.ceil(max(b, d))), color.height)):
-                for x in range(max(int(np.ceil(min(a, c))), 0), min(int(np.ceil(max(a, c))), color.width)):
+            for y in range(
+                max(int(np.ceil(min(b, d))), 0), min(int(np.ceil(max(b, d))), color.height)
+            ):
+                for x in range(
+                    max(int(np.ceil(min(a, c))), 0), min(int(np.ceil(max(a, c))), color.width)
+                ):
                     result[y, x] = min(result[y, x], value)
     return np.where(result == 10**6, 0, result)
 

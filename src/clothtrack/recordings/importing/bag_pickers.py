@@ -23,13 +23,15 @@ class BagPaths:
     """Where the picker was.
 
     Attributes:
-        paths: path per picker, on the clock of the pictures [s], in `frame`.
+        paths: path per picker, in `frame`; times [s] count from `start_ns`.
+        start_ns: the first position's time [ns]; seconds since 1970 would lose digits.
         frame: "world", "camera" or a frame that nothing ties to the camera.
         streams: which topic or frame each thing came from.
         notes: what to know, in words.
     """
 
     paths: Mapping[str, PickerPath] = field(default_factory=dict)
+    start_ns: int = 0
     frame: str = ""
     streams: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
@@ -76,7 +78,9 @@ def bag_paths(path: Path, found: Walk, wanted: Wanted, camera_frame: str) -> Bag
     if wanted.gripper_topic is not None:
         streams["gripper"] = wanted.gripper_topic
         closed, notes = _closed(path, found, wanted, times)
-    return BagPaths({PICKER: PickerPath(times / 1e9, positions, closed)}, frame, streams, notes)
+    start_ns = int(times[0])
+    paths = {PICKER: PickerPath((times - start_ns) / 1e9, positions, closed)}
+    return BagPaths(paths, start_ns, frame, streams, notes)
 
 
 def _from_topic(

@@ -126,10 +126,10 @@ def import_recording(
     try:
         footage = opened.footage
         pairing = pair(source, footage.depth, footage.color, config.tolerance_s)
-        start_s = pairing.pairs[0].depth.time_ns / 1e9
+        start_ns = pairing.pairs[0].depth.time_ns
         pose, known = _world_from_camera(config, footage)
         paths, told = placed_paths(
-            source, footage, config.picker_csv, config.picker_clock, pose=pose, start_s=start_s,
+            source, footage, config.picker_csv, config.picker_clock, pose=pose, start_ns=start_ns,
             posed=known,
         )  # fmt: skip
         registration = Registration(footage.rig)

@@ -9,7 +9,7 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.recordings.importing.source import Shot
 
-_LONE_TOLERANCE_NS = 20_000_000
+_LONE_TOLERANCE_NS = 20e6
 
 
 @dataclass(frozen=True)

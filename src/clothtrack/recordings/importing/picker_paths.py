@@ -24,6 +24,8 @@ _NAMES = {
 }
 _LARGEST_FILE = 256 * 2**20
 _CLOSE_S = 1e-3
+# Seconds since 1970 have seven decimals in double precision.
+_SAME_S = 1e-6
 
 
 @runtime_checkable
@@ -159,8 +161,8 @@ def actions_of(
         first_known = int(np.searchsorted(times, path.time_s[0] - _CLOSE_S))
         last_known = int(np.searchsorted(times, path.time_s[-1] + _CLOSE_S, side="right")) - 1
         for start, stop in _closures(path):
-            first = max(int(np.searchsorted(times, start, side="right")) - 1, first_known)
-            last = min(int(np.searchsorted(times, stop)), last_known)
+            first = max(int(np.searchsorted(times, start + _SAME_S, side="right")) - 1, first_known)
+            last = min(int(np.searchsorted(times, stop - _SAME_S)), last_known)
             if last <= first:
                 left_out += 1
                 continue

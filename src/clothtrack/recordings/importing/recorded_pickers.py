@@ -25,7 +25,7 @@ def placed_paths(
     clock: str,
     *,
     pose: Float[np.ndarray, "4 4"],
-    start_s: float,
+    start_ns: int,
     posed: bool,
 ) -> tuple[dict[str, PickerPath], list[str]]:
     """The paths in the world and on the recording's clock, and what to know about them.
@@ -36,18 +36,18 @@ def placed_paths(
         table: CSV file with a path, in the world.
         clock: "recording" or "source", the clock of that file.
         pose: world_from_camera.
-        start_s: time of the first frame on the source's clock [s].
+        start_ns: time of the first frame on the source's clock [ns].
         posed: whether that pose is known, or the camera's frame stands in for the world.
 
     Raises:
         InvalidConfigError: nothing ties a path to the world, or it and the frames do not meet.
     """
-    span = [0.0, (max(one.time_ns for one in footage.depth) / 1e9) - start_s]
+    span = [0.0, (max(one.time_ns for one in footage.depth) - start_ns) / 1e9]
     if table is not None:
         paths = read_path_table(table)
         moved = on_recording_clock(
-            paths, start_s if clock == "source" else 0.0, span,
-            f"{table} was read on the clock of the {clock}; the first frame is at {start_s:.3f} s "
+            paths, start_ns / 1e9 if clock == "source" else 0.0, span,
+            f"{table} was read on the clock of the {clock}; the first frame is at {start_ns / 1e9:.3f} s "
             "of the source's clock; say --picker-clock source or recording",
         )  # fmt: skip
         frame = "the world" if posed else "the camera's frame, which stands in for the world"
@@ -68,6 +68,7 @@ def placed_paths(
         notes.append(
             f"the picker's path in frame {footage.path_frame} was taken to be in the world"
         )
+    start_s = (start_ns - footage.path_start_ns) / 1e9
     return on_recording_clock(paths, start_s, span, "record both with the same clock"), notes
 
 

@@ -202,6 +202,7 @@ class BagSource:
             notes=[*self._walk.lost, *found.notes],
             paths=found.paths,
             path_frame=found.frame,
+            path_start_ns=found.start_ns,
             world_from_camera=world,
         )
 

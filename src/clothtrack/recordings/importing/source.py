@@ -58,8 +58,9 @@ class Footage:
         color: every whole colour picture; None without a colour stream.
         streams: which topic, track or folder each thing came from.
         notes: what was lost or left out, in words.
-        paths: where pickers were, on the clock of the pictures [s], in `path_frame`.
+        paths: where pickers were, in `path_frame`; times [s] count from `path_start_ns`.
         path_frame: name of the frame of `paths`, in words.
+        path_start_ns: zero of their times on the clock of the pictures [ns].
         world_from_camera: pose of the camera that the recording will have, when the source knows.
     """
 
@@ -71,6 +72,7 @@ class Footage:
     notes: Sequence[str] = ()
     paths: Mapping[str, PickerPath] = field(default_factory=dict)
     path_frame: str = ""
+    path_start_ns: int = 0
     world_from_camera: Float[np.ndarray, "4 4"] | None = None
 
 
