@@ -2,9 +2,9 @@
 
 A film of smooth surfaces with a sensor's noise, 640 x 480, is written as each kind of source and
 imported. The peer decodes and encodes the same pictures with OpenCV and does nothing else: at its
-usual PNG settings, and at ours. CPU times of all threads together, so that other work on the machine
-does not count; minima. A ratio above 1 says how many times faster the import is than the peer.
-Frames per second are for two processors. Memory is the peak above what the process had before.
+usual PNG settings, and at ours. CPU times of all threads together, so that other work on the
+machine counts little; minima. A ratio above 1 says how many times faster the import is than the
+peer. Frames per second are for two processors. Memory is the peak above that at the start.
 
     python benchmarks/bench_import.py --json import.json [--quick]
 """
@@ -239,7 +239,8 @@ def main() -> None:
             row = measure(name, source, frames, folder, repeats)
             shutil.rmtree(source)
             logger.info(
-                "%(source)-28s %(cpu_ms_per_frame).1f ms, %(frames_per_s).0f frames/s; x%(ratio_to_coding).2f of coding "
+                "%(source)-28s %(cpu_ms_per_frame).1f ms, %(frames_per_s).0f frames/s; "
+                "x%(ratio_to_coding).2f of coding "
                 "alone, x%(ratio_to_usual_coding).2f of coding as usual; %(peak_mb).0f MB",
                 row,
             )

@@ -136,7 +136,7 @@ def one_case(kind, seed, place):
         outcome = "refused"
         if len(str(error)) > 4000:
             return f"a message of {len(str(error))} characters"
-    except BaseException:
+    except BaseException:  # noqa: BLE001
         return traceback.format_exc()
     finally:
         signal.alarm(0)

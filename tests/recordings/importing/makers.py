@@ -182,7 +182,7 @@ def _write(writer, entries, messages):
 def kinect_calibration():
     """A calibration as the device holds it: shares of the full sensors, metres."""
 
-    def camera(location, lens, rotation, translation, width, height):
+    def camera(location, lens, rotation, translation, *, width, height):
         return {
             "Intrinsics": {
                 "ModelParameterCount": 14,
@@ -202,9 +202,10 @@ def kinect_calibration():
     depth_lens = [0.5, 0.5, 0.49, 0.49, 0.5, 0.1, 0.005, 0.8, 0.2, 0.02, 0, 0, 1e-4, -5e-5]
     color_lens = [0.5, 0.5, 0.48, 0.64, 0.4, -2.5, 1.5, 0.3, -2.3, 1.4, 0, 0, -2e-4, 4e-4]
     cameras = [
-        camera("CALIBRATION_CameraLocationD0", depth_lens, flat, [0.0, 0, 0], 1024, 1024),
+        camera("CALIBRATION_CameraLocationD0", depth_lens, flat, [0.0, 0, 0],
+               width=1024, height=1024),
         camera("CALIBRATION_CameraLocationPV0", color_lens, tilted, [-0.032, -0.002, 0.004],
-               4096, 3072),
+               width=4096, height=3072),
     ]  # fmt: skip
     return {"CalibrationInformation": {"Cameras": cameras}}
 
@@ -353,7 +354,8 @@ def write_realsense_db3(path, film, shift_m=0.0):
             messages.compressed(time, packed, "16UC1; compressedDepth png", "Depth"))  # fmt: skip
         put(f"{depth}/image/camera_info", time, messages.info(time, film, "Depth"))
         put(f"{color}/image/data/compressed", time,
-            messages.compressed(time, png(film.color[k]), "rgb8; png compressed bgr8", "Color"))  # fmt: skip
+            messages.compressed(time, png(film.color[k]), "rgb8; png compressed bgr8",
+                                "Color"))  # fmt: skip
         put(f"{color}/image/camera_info", time, messages.info(time, film, "Color"))
     base.commit()
     base.close()

@@ -1,6 +1,7 @@
 """ROS 1 and ROS 2 bags: every bit of depth arrives, whatever the container."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -90,7 +91,7 @@ def test_the_walk_finds_what_the_reader_of_the_format_finds(kind, film, tmp_path
 
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_mcap_of_another_writer(compression, film, tmp_path):
-    """As `ros2 bag` and Foxglove write it: schemas with their dependencies, CRCs, three packings."""
+    """As `ros2 bag` and Foxglove write it: schemas with dependencies, CRCs, three packings."""
     definitions = {
         kind: ROS2.store.generate_msgdef(kind, ros_version=2)[0]
         for kind in ("sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo")
@@ -143,8 +144,9 @@ def test_a_bag_that_breaks_off_gives_what_is_whole(kind, share, tmp_path):
         report = import_recording(source, tmp_path / "out")
     except InvalidRecordingError as error:
         # All of a small packed bag is one chunk; without it there is nothing.
-        assert kind in ("mcap zstd", "ros 1 lz4")
-        assert "breaks off" in str(error) or "not one whole" in str(error)
+        packed = kind in ("mcap zstd", "ros 1 lz4")
+        if not (packed and re.search("breaks off|not one whole", str(error))):
+            raise
         return
     assert limits[0] * film.frames <= report.frames <= limits[1] * film.frames
     assert any("breaks off" in note and "saved" in note for note in report.notes)

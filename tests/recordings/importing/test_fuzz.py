@@ -1,4 +1,4 @@
-"""Damaged files: our own error or a recording, within ten seconds and one gibibyte, nothing else."""
+"""Damaged files: our own error or a recording, in ten seconds and one gibibyte, nothing else."""
 
 import os
 import subprocess

@@ -1,6 +1,7 @@
 """The picker's path: from a table, a topic or TF; and the actions that it tells."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -162,7 +163,7 @@ def test_tables(text, tmp_path):
     ("text", "word"),
     [
         ("", "time"), ("time,x,y\n1,2,3\n", "without z"), ("time,x,y,z\n1,2,3,4\n", "at least two"),
-        ("time,x,y,z\n1,2,3,nan\n2,2,2,2\n", "line 2"), ("time,x,y,z\n2,1,1,1\n1,1,1,1\n", "line 3"),
+        ("time,x,y,z\n1,2,3,nan\n2,2,2,2\n", "line 2"), ("time,x,y,z\n2,1,1,1\n1,1,1,1", "line 3"),
         ("time,x,y,z\n1,2\n", "line 2"), ('time,x,y,z\n"1,2,3,4\n' + "5" * 200_000, "CSV"),
     ],
 )  # fmt: skip
@@ -215,7 +216,7 @@ def test_every_closure_is_inside_its_action(rng):
     samples = np.sort(rng.uniform(-1, 11, 500))
     path = PickerPath(samples, np.zeros((500, 3)), np.sin(2 * samples) > 0.3)
     actions, _ = actions_of({"arm": path}, frames.tolist())
-    for one, after in zip(actions, actions[1:], strict=False):
+    for one, after in pairwise(actions):
         assert one.last_frame <= after.first_frame
     inside = np.zeros(len(frames), bool)
     for one in actions:

@@ -21,7 +21,7 @@ def test_new_recordings(film, tmp_path):
 
 
 def test_the_pose_between_the_cameras_is_the_sensors_own(film, tmp_path):
-    """`/tf_static` of the same file is in another convention and would move depth by half a metre."""
+    """`/tf_static` of the same file, in another convention, would move depth by half a metre."""
     source = write_realsense_db3(tmp_path / "film.db3", film, shift_m=0.015)
     opened = open_source(source, Wanted())
     opened.close()

@@ -17,17 +17,13 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import lz4.frame
 import zstandard
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError, TornError
 
 # Larger than any picture and any chunk that a recorder writes; what claims more is damaged.
 MOST_BYTES = 96 * 2**20
 MOST_TOPICS = 10_000
 _CACHED_BYTES = 2 * MOST_BYTES
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-
-
-class TornError(Exception):
-    """Bytes are missing or not what they should be; caught by the container that walks them."""
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,8 @@ def placed_paths(
         paths = read_path_table(table)
         moved = on_recording_clock(
             paths, start_ns / 1e9 if clock == "source" else 0.0, span,
-            f"{table} was read on the clock of the {clock}; the first frame is at {start_ns / 1e9:.3f} s "
+            f"{table} was read on the clock of the {clock}; the first frame is at "
+            f"{start_ns / 1e9:.3f} s "
             "of the source's clock; say --picker-clock source or recording",
         )  # fmt: skip
         frame = "the world" if posed else "the camera's frame, which stands in for the world"

@@ -21,6 +21,7 @@ class _Edge:
     numbers: "array[float]" = field(default_factory=lambda: array("d"))
 
     def at(self, times: Int64[np.ndarray, " times"]) -> Float[np.ndarray, "times 4 4"]:
+        """Child to parent at each time [ns]."""
         known = np.frombuffer(self.times, dtype=np.int64)
         numbers = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, 7)
         order = np.argsort(known, kind="stable")
