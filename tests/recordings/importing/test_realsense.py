@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from import_makers import color_of, depth_of, write_realsense_bag, write_realsense_db3
+from rosbags.highlevel import AnyReader
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.recordings.importing.importing import ImportConfig, import_recording, open_source
@@ -54,9 +55,16 @@ def test_the_genuine_recording(data, tmp_path):
         pytest.skip("the genuine RealSense recording is not here")
     alone = import_recording(source, tmp_path / "alone", ImportConfig(Wanted(without_color=True)))
     assert alone.frames == 2
-    first = read_depth(tmp_path / "alone" / "depth" / "000000.png", 0.001)
-    assert (first > 0).mean() == pytest.approx(0.93, abs=0.005)
-    assert np.median(first[first > 0]) == pytest.approx(1.478, abs=0.001)
+    with AnyReader([source]) as reader:
+        raw = [
+            np.asarray(reader.deserialize(data, one.msgtype).data).view("<u2").reshape(480, 640)
+            for one, _, data in reader.messages()
+            if one.topic.endswith("Depth_0/image/data")
+        ]
+    assert np.array_equal(depth_of(tmp_path / "alone"), raw)
+    later = raw[1] * 0.001
+    assert (later > 0).mean() == pytest.approx(0.93, abs=0.005)
+    assert np.median(later[later > 0]) == pytest.approx(1.478, abs=0.001)
 
     with pytest.raises(InvalidRecordingError, match="--tolerance-s"):
         import_recording(source, tmp_path / "both")
