@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
+from clothtrack.acquisition import ACQUISITION_VERBS
 from clothtrack.artefacts import inside, load_tracked, recording_of
 from clothtrack.errors import InvalidConfigError
 from clothtrack.learning import LEARNING_VERBS
@@ -105,8 +106,8 @@ def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
     return 0 if found.valid else 1
 
 
-for _sets_up in SETTING_UP_VERBS:
-    _verb(_sets_up)
+for _brings_in in (*ACQUISITION_VERBS, *SETTING_UP_VERBS):
+    _verb(_brings_in)
 
 
 @_verb

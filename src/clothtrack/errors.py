@@ -17,6 +17,10 @@ class InvalidRecordingError(ClothTrackError):
     """A recording on disk cannot be used as it is."""
 
 
+class TornError(ClothTrackError):
+    """A part of a source is missing or damaged; the rest may be whole, so importing goes on."""
+
+
 class InvalidMeshError(ClothTrackError):
     """A mesh cannot be a cloth: not finite, not manifold, degenerate or of the wrong size."""
 

@@ -20,6 +20,11 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GREY = 0
 BAND_ROWS = 60
 _END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
+# OpenCV before 4.12 cannot choose the filter and ignores its name.
+_FAST = [
+    *(cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
+    *(getattr(cv2, name, 0) for name in ("IMWRITE_PNG_FILTER", "IMWRITE_PNG_FILTER_SUB")),
+]
 _TORN = "the file breaks off; copy or record it again"
 
 
@@ -54,7 +59,7 @@ def read_header(path: Path) -> PngHeader:
             end = file.read()
     except OSError as error:
         raise _unreadable(path, error) from error
-    return _parse_header(path, start, end)
+    return parse_header(path, start, end)
 
 
 def read_color(path: Path) -> UInt8[np.ndarray, "height width 3"]:
@@ -140,12 +145,12 @@ def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
 def encode_png(picture: np.ndarray) -> bytes:
     """PNG file of a grey (8 or 16 bits) or colour (8 bits, red first) picture; lossless.
 
-    Fast compression: a recording is written while the robot moves.
+    Fast compression: a recording is written while the robot moves. Differences to the left
+    neighbour, packed by run lengths and Huffman codes, cost half of what searching for repeated
+    strings does, and on measured pictures take less room.
     """
-    ordered = picture[..., ::-1] if picture.ndim == 3 else picture
-    done, data = cv2.imencode(
-        ".png", np.ascontiguousarray(ordered), [cv2.IMWRITE_PNG_COMPRESSION, 2]
-    )
+    ordered = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
+    done, data = cv2.imencode(".png", np.ascontiguousarray(ordered), _FAST)
     assert done, "OpenCV refuses a picture whose shape and type were checked"
     return data.tobytes()
 
@@ -168,7 +173,16 @@ def _read_png(path: Path) -> tuple[PngHeader, bytes]:
         data = path.read_bytes()
     except OSError as error:
         raise _unreadable(path, error) from error
-    header = _parse_header(path, data[:29], data[-len(_END) :])
+    return check_chunks(path, data), data
+
+
+def check_chunks(path: Path, data: bytes) -> PngHeader:
+    """Size and kind of a whole PNG; every chunk's checksum is held against its bytes.
+
+    Raises:
+        InvalidRecordingError: not a PNG, or it breaks off, or a byte was changed.
+    """
+    header = parse_header(path, data[:29], data[-len(_END) :])
     position = len(SIGNATURE)
     while position < len(data):
         length = int.from_bytes(data[position : position + 4], "big")
@@ -181,10 +195,15 @@ def _read_png(path: Path) -> tuple[PngHeader, bytes]:
                 f"{path}: the file is damaged at byte {position}; copy or record it again"
             )
         position = stop + 4
-    return header, data
+    return header
 
 
-def _parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:
+def parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:
+    """Size and kind of a PNG, from its first 29 and last 12 bytes.
+
+    Raises:
+        InvalidRecordingError: not a PNG, or it breaks off.
+    """
     if not start.startswith(SIGNATURE):
         problem = "the file is empty" if not start else "not a PNG file"
         raise InvalidRecordingError(f"{path}: {problem}; write pictures as PNG")

@@ -21,6 +21,7 @@ from clothtrack.recordings.frame_files import PictureKind, conventional_name
 from clothtrack.recordings.picker_table import picker_text
 from clothtrack.recordings.pictures import (
     encode_png,
+    parse_header,
     read_cloud,
     read_color,
     read_depth,
@@ -187,6 +188,50 @@ class RecordingWriter:
             StorageError: the disk refuses.
         """
         index = len(self._frames)
+        shown_by: dict[PictureKind, Mapping[str, np.ndarray]] = {
+            "color": color or {},
+            "depth": depth or {},
+            "mask": mask or {},
+        }
+        encoded: dict[PictureKind, dict[str, bytes]] = {}
+        for kind, shown in shown_by.items():
+            for name, picture in shown.items():
+                self._check_size(index, name, picture.shape[1::-1])
+                png = encode_png(self._stored(kind, name, picture))
+                encoded.setdefault(kind, {})[name] = png
+        self._add(time_s, encoded, cloud)
+
+    def add_encoded_frame(
+        self, time_s: float, *, color: Mapping[str, bytes] | None, depth: Mapping[str, bytes]
+    ) -> None:
+        """Write one frame whose pictures are PNG files already, as `encode_png` makes them.
+
+        For many frames: encoding takes most of the time, and several threads may do it.
+
+        Args:
+            time_s: time since the start [s], after the frame before.
+            color: per camera name, an 8-bit PNG.
+            depth: per camera name, a 16-bit grey PNG in the camera's `depth_units_m`.
+
+        Raises:
+            InvalidRecordingError: a camera is unknown, a picture has another size, the time does
+                not advance.
+            StorageError: the disk refuses.
+        """
+        encoded: dict[PictureKind, Mapping[str, bytes]] = {"color": color or {}, "depth": depth}
+        for shown in encoded.values():
+            for name, png in shown.items():
+                header = parse_header(Path(name), png[:29], png[-12:])
+                self._check_size(len(self._frames), name, (header.width, header.height))
+        self._add(time_s, encoded, None)
+
+    def _add(
+        self,
+        time_s: float,
+        encoded: Mapping[PictureKind, Mapping[str, bytes]],
+        cloud: Float[np.ndarray, "points 3"] | None,
+    ) -> None:
+        index = len(self._frames)
         if self._frames and not time_s > self._frames[-1]["time_s"]:
             raise InvalidRecordingError(
                 f"frame {index}: time_s is {time_s}, not after {self._frames[-1]['time_s']}; "
@@ -195,29 +240,19 @@ class RecordingWriter:
         if not math.isfinite(time_s):
             raise InvalidRecordingError(f"frame {index}: time_s is {time_s}; write seconds")
         entry: dict[str, Any] = {"index": index, "time_s": float(time_s)}
-        files: dict[str, bytes] = {}
-        shown_by: dict[PictureKind, Mapping[str, np.ndarray]] = {
-            "color": color or {},
-            "depth": depth or {},
-            "mask": mask or {},
-        }
-        for kind, shown in shown_by.items():
+        single = len(self._cameras) == 1
+        for kind, shown in encoded.items():
             names: dict[str, str] = {}
-            for name, picture in shown.items():
-                self._check_size(index, name, picture)
-                single = len(self._cameras) == 1
-                file = conventional_name(kind, index, None if single else name)
-                files[file] = encode_png(self._stored(kind, name, picture))
-                names[name] = file
+            for name, png in shown.items():
+                names[name] = conventional_name(kind, index, None if single else name)
+                self._write(names[name], png)
             if names:
-                entry[kind] = next(iter(names.values())) if len(self._cameras) == 1 else names
+                entry[kind] = next(iter(names.values())) if single else names
         if cloud is not None:
             entry["cloud"] = conventional_name("cloud", index)
             buffer = io.BytesIO()
             np.savez_compressed(buffer, points=cloud)
-            files[entry["cloud"]] = buffer.getvalue()
-        for file, data in files.items():
-            self._write(file, data)
+            self._write(entry["cloud"], buffer.getvalue())
         self._frames.append(entry)
 
     def add_action(self, first_frame: int, last_frame: int, pickers: Sequence[str]) -> None:
@@ -234,16 +269,15 @@ class RecordingWriter:
             )
         self._paths[name] = path
 
-    def _check_size(self, index: int, name: str, picture: np.ndarray) -> None:
+    def _check_size(self, index: int, name: str, size: tuple[int, ...]) -> None:
         camera = self._cameras.get(name)
         if camera is None:
             raise InvalidRecordingError(
                 f"frame {index}: there is no camera {name!r}; cameras: {', '.join(self._cameras)}"
             )
-        height, width = picture.shape[:2]
-        if (width, height) != (camera.width, camera.height):
+        if size != (camera.width, camera.height):
             raise InvalidRecordingError(
-                f"frame {index}: a picture of {width} x {height} pixels from camera {name!r} of "
+                f"frame {index}: a picture of {size[0]} x {size[1]} pixels from camera {name!r} of "
                 f"{camera.width} x {camera.height}; resize the picture or correct the camera"
             )
 

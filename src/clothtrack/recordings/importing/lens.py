@@ -1,0 +1,161 @@
+"""Lenses of other programs: pinhole with distortion, and the straight pinhole that replaces it."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+
+# A frame of more pixels comes from a damaged header: the largest sensor here has 4096 x 3072.
+MOST_PIXELS = 4096 * 4096
+_BROWN_LENGTHS = (0, 4, 5, 8, 12, 14)
+_STRAIGHT_BELOW = 1e-9
+_RETURN_LIMIT_PX = 0.5
+_WIDEST_RAY = 100.0  # tangent of the angle to the axis: less than a degree from the picture plane
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How a camera maps directions to pixels, distortion included; pixel centres at integers.
+
+    Attributes:
+        width: picture width [pixels].
+        height: picture height [pixels].
+        fx: focal length along x [pixels].
+        fy: focal length along y [pixels].
+        cx: column of the principal point [pixels].
+        cy: row of the principal point [pixels].
+        distortion: coefficients in OpenCV's order: k1 k2 p1 p2 k3 k4 k5 k6, or k1..k4 of a fisheye.
+        fisheye: the equidistant model instead of Brown and Conrady's.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be a lens.
+
+        Raises:
+            InvalidRecordingError: with the value and the limit.
+        """
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.isfinite(numbers).all():
+            raise InvalidRecordingError(
+                f"intrinsics {numbers} are not finite; give them with --intrinsics FILE"
+            )
+        if not (self.width > 0 and self.height > 0 and self.width * self.height <= MOST_PIXELS):
+            raise InvalidRecordingError(
+                f"a camera of {self.width} x {self.height} pixels; at least one and at most "
+                f"{MOST_PIXELS} in all"
+            )
+        if self.fisheye and len(self.distortion) != 4:
+            raise InvalidRecordingError(
+                f"a fisheye lens with {len(self.distortion)} coefficients; it has 4"
+            )
+        if not self.fisheye and len(self.distortion) not in _BROWN_LENGTHS:
+            raise InvalidRecordingError(
+                f"a lens with {len(self.distortion)} distortion coefficients; known are "
+                f"{', '.join(map(str, _BROWN_LENGTHS))}; give them with --intrinsics FILE"
+            )
+
+    @property
+    def straight(self) -> bool:
+        """Whether there is no distortion."""
+        if self.fisheye:
+            return False
+        return not any(abs(value) > _STRAIGHT_BELOW for value in self.distortion)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [pixels]."""
+        return self.width, self.height
+
+    def rectified(self) -> "Lens":
+        """The pinhole with the same focal lengths and centre, without distortion."""
+        return replace(self, distortion=(), fisheye=False)
+
+    def camera(self, name: str, world_from_camera: Float[np.ndarray, "4 4"]) -> Camera:
+        """The recording's camera; the distortion must have been taken out of its pictures."""
+        return Camera(
+            name, self.width, self.height, self.fx, self.fy, self.cx, self.cy, world_from_camera
+        )
+
+    def same_pixels(self, other: "Lens") -> bool:
+        """Whether both map every direction to the same pixel (to a thousandth of a pixel)."""
+        if self.size != other.size or self.straight != other.straight:
+            return False
+        if not self.straight and (self.distortion, self.fisheye) != (
+            other.distortion,
+            other.fisheye,
+        ):
+            return False
+        mine = (self.fx, self.fy, self.cx, self.cy)
+        return bool(np.allclose(mine, (other.fx, other.fy, other.cx, other.cy), rtol=0, atol=1e-3))
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        """The calibration matrix."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    def corner_rays(self) -> Float[np.ndarray, "rows columns 2"]:
+        """Direction (x / z, y / z) of every pixel's corner, one row and column more than pixels.
+
+        Where the distortion cannot be undone (a wide lens's rim), the direction is nan.
+        """
+        columns, rows = np.meshgrid(
+            np.arange(self.width + 1) - 0.5, np.arange(self.height + 1) - 0.5
+        )
+        pixels = np.stack([columns.ravel(), rows.ravel()], 1)[:, None]
+        if self.straight:
+            rays = (pixels[:, 0] - (self.cx, self.cy)) / (self.fx, self.fy)
+            return rays.reshape(self.height + 1, self.width + 1, 2).astype(np.float32)
+        coefficients = np.array(self.distortion)
+        if self.fisheye:
+            rays = cv2.fisheye.undistortPoints(pixels, self.matrix, coefficients)
+            back = cv2.fisheye.distortPoints(rays, self.matrix, coefficients)
+        else:
+            stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-9)
+            # OpenCV 4 gives the function that takes a limit a name of its own.
+            undistort: Any = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+            rays = undistort(
+                pixels, self.matrix, coefficients, R=np.eye(3), P=np.eye(3), criteria=stop
+            )
+            ahead = np.concatenate([rays[:, 0], np.ones((len(rays), 1))], 1)
+            back, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), self.matrix, coefficients)
+        with np.errstate(invalid="ignore", over="ignore"):
+            kept = np.abs(back - pixels).max(axis=(1, 2)) < _RETURN_LIMIT_PX
+        rays = rays[:, 0]
+        rays[~(kept & (np.abs(rays).max(axis=1) < _WIDEST_RAY))] = np.nan
+        return rays.reshape(self.height + 1, self.width + 1, 2).astype(np.float32)
+
+    @cached_property
+    def _map(self) -> tuple[np.ndarray, np.ndarray]:
+        rectify: Any = cv2.fisheye if self.fisheye else cv2
+        return rectify.initUndistortRectifyMap(
+            self.matrix, np.array(self.distortion), np.eye(3), self.matrix, self.size, cv2.CV_16SC2
+        )
+
+    def straighten(
+        self, picture: Shaped[np.ndarray, "height width *channels"], *, nearest: bool = False
+    ) -> Shaped[np.ndarray, "height width *channels"]:
+        """The picture that the rectified lens would have taken; black where it would see more.
+
+        Args:
+            picture: taken through this lens.
+            nearest: copy the nearest pixel (depth) instead of interpolating (colour).
+        """
+        if self.straight:
+            return picture
+        how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+        return cv2.remap(picture, *self._map, how, borderMode=cv2.BORDER_CONSTANT)

@@ -1,0 +1,226 @@
+"""Where the picker was, and which frames are an action."""
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.picker_table import COLUMNS, read_picker_paths
+from clothtrack.recordings.recording import PickAndPlace, PickerPath
+
+_NAMES = {
+    "time": ("time", "time_s", "t", "timestamp", "stamp"),
+    "x": ("x", "x_m"),
+    "y": ("y", "y_m"),
+    "z": ("z", "z_m"),
+    "closed": ("closed", "gripper_closed", "grasped"),
+}
+_LARGEST_FILE = 256 * 2**20
+_CLOSE_S = 1e-3
+# Seconds since 1970 have seven decimals in double precision.
+_SAME_S = 1e-6
+
+
+@runtime_checkable
+class FrameWatcher(Protocol):
+    """Something that sees every frame pass and then knows where the pickers were.
+
+    The seam for paths that are found in the pictures: pass one to `import_recording`.
+    """
+
+    def see(
+        self,
+        time_s: float,
+        color: UInt8[np.ndarray, "height width 3"] | None,
+        depth_m: Float[np.ndarray, "height width"],
+        camera: Camera,
+    ) -> None:
+        """One frame, in order of time: as it will stand in the recording."""
+        ...
+
+    def paths(self) -> Mapping[str, PickerPath]:
+        """Path per picker, in the world, on the recording's clock; asked once at the end."""
+        ...
+
+
+def read_path_table(path: Path) -> dict[str, PickerPath]:
+    """Path per picker of a CSV file; times as the file has them.
+
+    The columns are those of `picker.csv`, or `time, x, y, z` and perhaps `closed`, in any order,
+    seconds and metres.
+
+    Raises:
+        InvalidRecordingError: the file cannot be read, a column is missing or a field no number.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise InvalidRecordingError(f"{path}: larger than {_LARGEST_FILE} bytes; shorten it")
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidRecordingError(f"{path}: cannot be read ({error}); check the file") from error
+    try:
+        return _paths_in(path, text)
+    except csv.Error as error:
+        raise InvalidRecordingError(f"{path}: not a CSV file ({error})") from error
+
+
+def _paths_in(path: Path, text: str) -> dict[str, PickerPath]:
+    rows = csv.reader(io.StringIO(text))
+    head = [word.strip() for word in next(rows, [])]
+    if tuple(head) == COLUMNS:
+        return read_picker_paths(path)
+    places = {
+        name: next((k for k, word in enumerate(head) if word.lower() in spellings), None)
+        for name, spellings in _NAMES.items()
+    }
+    missing = [name for name in ("time", "x", "y", "z") if places[name] is None]
+    if missing:
+        raise InvalidRecordingError(
+            f"{path}: the first line is {','.join(head)[:200]!r}, without {', '.join(missing)}; "
+            f"write {','.join(COLUMNS)} or time,x,y,z[,closed]"
+        )
+    chosen = [place for place in places.values() if place is not None]
+    table = []
+    for number, row in enumerate(rows, start=2):
+        if not row:
+            continue
+        try:
+            values = [_number(row[place]) for place in chosen]
+        except (ValueError, IndexError) as error:
+            raise InvalidRecordingError(
+                f"{path}: line {number}: {','.join(row)[:80]!r} is not {len(chosen)} numbers"
+            ) from error
+        if table and values[0] <= table[-1][0]:
+            raise InvalidRecordingError(
+                f"{path}: line {number}: time {values[0]} is not after {table[-1][0]}; sort by time"
+            )
+        table.append(values)
+    if len(table) < 2:
+        raise InvalidRecordingError(f"{path}: {len(table)} positions; a path has at least two")
+    array = np.array(table)
+    closed = array[:, 4] > 0.5 if array.shape[1] > 4 else np.zeros(len(array), dtype=bool)
+    return {"picker": PickerPath(array[:, 0], array[:, 1:4], closed)}
+
+
+def _number(word: str) -> float:
+    value = {"true": 1.0, "false": 0.0}.get(word.strip().lower())
+    value = float(word) if value is None else value
+    if not np.isfinite(value):
+        raise ValueError(word)
+    return value
+
+
+def on_recording_clock(
+    paths: Mapping[str, PickerPath], start_s: float, frame_times: Sequence[float], told: str
+) -> dict[str, PickerPath]:
+    """The paths on the clock of the frames.
+
+    Args:
+        paths: times on another clock.
+        start_s: that clock at the first frame [s].
+        frame_times: times of the frames [s].
+        told: what to do when they do not meet, for the error.
+
+    Raises:
+        InvalidConfigError: a path and the frames have no time in common.
+    """
+    moved = {
+        name: PickerPath(path.time_s - start_s, path.positions, path.closed)
+        for name, path in paths.items()
+    }
+    for name, path in moved.items():
+        if path.time_s[-1] < frame_times[0] or path.time_s[0] > frame_times[-1]:
+            raise InvalidConfigError(
+                f"the path of {name!r} lasts from {path.time_s[0]:.3f} to {path.time_s[-1]:.3f} s "
+                f"of the recording, the frames from {frame_times[0]:.3f} to {frame_times[-1]:.3f} "
+                f"s; {told}"
+            )
+    return moved
+
+
+def actions_of(
+    paths: Mapping[str, PickerPath], frame_times: Sequence[float]
+) -> tuple[list[PickAndPlace], int]:
+    """The actions in which a picker is closed, and how many closures give none.
+
+    An action begins with the last frame before a picker closes and ends with the first frame after
+    it has opened. Pickers that are closed together share an action; an action needs two frames and
+    a path that covers them.
+    """
+    times = np.asarray(frame_times)
+    spans: list[tuple[int, int, set[str]]] = []
+    left_out = 0
+    for name, path in paths.items():
+        first_known = int(np.searchsorted(times, path.time_s[0] - _CLOSE_S))
+        last_known = int(np.searchsorted(times, path.time_s[-1] + _CLOSE_S, side="right")) - 1
+        for start, stop in _closures(path):
+            first = max(int(np.searchsorted(times, start + _SAME_S, side="right")) - 1, first_known)
+            last = min(int(np.searchsorted(times, stop - _SAME_S)), last_known)
+            if last <= first:
+                left_out += 1
+                continue
+            spans.append((first, last, {name}))
+    merged: list[tuple[int, int, set[str]]] = []
+    for first, last, names in sorted(spans, key=lambda one: one[:2]):
+        if merged and first < merged[-1][1]:
+            before, end, others = merged[-1]
+            merged[-1] = (before, max(end, last), others | names)
+        else:
+            merged.append((first, last, names))
+    actions = []
+    for first, last, names in merged:
+        covering = [
+            name for name in sorted(names) if _covers(paths[name], times[first], times[last])
+        ]
+        if covering:
+            actions.append(PickAndPlace(first, last, tuple(covering)))
+        else:
+            left_out += 1
+    return actions, left_out
+
+
+def told_actions(words: Sequence[str], frames: int, pickers: Sequence[str]) -> list[PickAndPlace]:
+    """Actions that a person names: "10-50", first and last frame.
+
+    Raises:
+        InvalidConfigError: a word is no such thing, or there is no picker.
+    """
+    actions: list[PickAndPlace] = []
+    for word in words:
+        match = re.fullmatch(r"(\d{1,9})-(\d{1,9})", word)
+        if match is None:
+            raise InvalidConfigError(
+                f"--actions {word!r}: write first and last frame, such as 10-50"
+            )
+        first, last = int(match[1]), int(match[2])
+        before = actions[-1].last_frame if actions else 0
+        if not before <= first < last < frames:
+            raise InvalidConfigError(
+                f"--actions {word!r}: frames run from 0 to {frames - 1}, actions follow each other "
+                f"(the one before ends at {before}) and take at least two frames"
+            )
+        actions.append(PickAndPlace(first, last, tuple(pickers)))
+    if actions and not pickers:
+        raise InvalidConfigError(
+            "--actions without a picker's path: give --picker-csv, --picker-topic or --picker-frame"
+        )
+    return actions
+
+
+def _closures(path: PickerPath) -> list[tuple[float, float]]:
+    """When the picker closed and when it had opened again [s]."""
+    change = np.diff(np.concatenate([[0], path.closed.astype(np.int8), [0]]))
+    opened = np.append(path.time_s, path.time_s[-1])
+    starts, stops = np.flatnonzero(change > 0), np.flatnonzero(change < 0)
+    return [(float(path.time_s[a]), float(opened[b])) for a, b in zip(starts, stops, strict=True)]
+
+
+def _covers(path: PickerPath, start_s: float, stop_s: float) -> bool:
+    return bool(path.time_s[0] <= start_s + _CLOSE_S and path.time_s[-1] >= stop_s - _CLOSE_S)

@@ -1,0 +1,127 @@
+"""The tree of frames that ROS calls TF: where one frame is in another, at any time."""
+
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int64
+from scipy.spatial.transform import Rotation, Slerp
+
+# A tip's path needs no more samples than this [ns]; joints are published at up to 1 kHz.
+_CLOSEST_NS = 4_000_000
+_DEEPEST = 100
+
+
+@dataclass
+class _Edge:
+    parent: str
+    static: bool
+    times: "array[int]" = field(default_factory=lambda: array("q"))
+    numbers: "array[float]" = field(default_factory=lambda: array("d"))
+
+    def at(self, times: Int64[np.ndarray, " times"]) -> Float[np.ndarray, "times 4 4"]:
+        """Child to parent at each time [ns]."""
+        known = np.frombuffer(self.times, dtype=np.int64)
+        numbers = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, 7)
+        order = np.argsort(known, kind="stable")
+        known, numbers = known[order], numbers[order]
+        keep = np.concatenate([[True], np.diff(known) > 0])
+        known, numbers = known[keep], numbers[keep]
+        result = np.tile(np.eye(4), (len(times), 1, 1))
+        if len(known) == 1:
+            result[:, :3, :3] = Rotation.from_quat(numbers[0, 3:]).as_matrix()
+            result[:, :3, 3] = numbers[0, :3]
+            return result
+        inside = np.clip(times, known[0], known[-1]) - known[0]
+        seconds = (known - known[0]) / 1e9
+        slerp = Slerp(seconds, Rotation.from_quat(numbers[:, 3:]))
+        result[:, :3, :3] = slerp(inside / 1e9).as_matrix()
+        for axis in range(3):
+            result[:, axis, 3] = np.interp(inside / 1e9, seconds, numbers[:, axis])
+        return result
+
+
+class TransformTree:
+    """Frames and how they stand to their parents, gathered message by message."""
+
+    def __init__(self) -> None:
+        """No frames yet."""
+        self._edges: dict[str, _Edge] = {}
+
+    @property
+    def frames(self) -> list[str]:
+        """Every frame's name."""
+        return sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
+
+    def add(
+        self,
+        parent: str,
+        child: str,
+        time_ns: int,
+        translation: Sequence[float],
+        quaternion: Sequence[float],
+        *,
+        static: bool,
+    ) -> None:
+        """Note where `child` is in `parent`; what is not a rigid transform is left out."""
+        numbers = np.array([*translation, *quaternion], dtype=np.float64)
+        if not np.isfinite(numbers).all() or not 0.5 < np.linalg.norm(numbers[3:]) < 2:
+            return
+        parent, child = parent.lstrip("/"), child.lstrip("/")
+        edge = self._edges.get(child)
+        if edge is None or edge.parent != parent:
+            edge = self._edges[child] = _Edge(parent, static)
+        if edge.static and edge.times:
+            return
+        if edge.times and abs(time_ns - edge.times[-1]) < _CLOSEST_NS:
+            return
+        edge.times.append(time_ns)
+        edge.numbers.extend(numbers.tolist())
+
+    def connects(self, one: str, other: str) -> bool:
+        """Whether both frames hang in the same tree."""
+        return self._chain(one)[-1] == self._chain(other)[-1]
+
+    def moments(self, target: str, source: str) -> Int64[np.ndarray, " times"]:
+        """When the transform between two frames was told [ns]; one moment if it never changes."""
+        told = [
+            np.frombuffer(self._edges[name].times, dtype=np.int64)
+            for name in self._between(target, source)
+            if not self._edges[name].static
+        ]
+        if not told:
+            return np.zeros(1, dtype=np.int64)
+        # Beyond the shortest of the moving links nothing is known.
+        first, last = max(one.min() for one in told), min(one.max() for one in told)
+        every = np.unique(np.concatenate(told))
+        return every[(every >= first) & (every <= last)]
+
+    def lookup(
+        self, target: str, source: str, times: Int64[np.ndarray, " times"]
+    ) -> Float[np.ndarray, "times 4 4"]:
+        """Takes points of frame `source` to frame `target`, at each time [ns].
+
+        Linear between samples (rotations along the shortest arc), constant beyond the ends.
+        """
+        target, source = target.lstrip("/"), source.lstrip("/")
+        return np.linalg.inv(self._to_root(target, times)) @ self._to_root(source, times)
+
+    def _to_root(self, frame: str, times: np.ndarray) -> np.ndarray:
+        result = np.tile(np.eye(4), (len(times), 1, 1))
+        for name in self._chain(frame)[:-1]:
+            result = self._edges[name].at(times) @ result
+        return result
+
+    def _chain(self, frame: str) -> list[str]:
+        chain = [frame.lstrip("/")]
+        while chain[-1] in self._edges and len(chain) < _DEEPEST:
+            parent = self._edges[chain[-1]].parent
+            if parent in chain:
+                break
+            chain.append(parent)
+        return chain
+
+    def _between(self, one: str, other: str) -> list[str]:
+        mine, yours = self._chain(one), self._chain(other)
+        return [name for name in {*mine} ^ {*yours} if name in self._edges]
