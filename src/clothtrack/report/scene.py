@@ -58,7 +58,9 @@ class ObservedScene:
     ) -> None:
         """Prepare for everything that happens around `points` [m, world]."""
         self._config = config or SceneConfig()
-        self._server, self._paths = server, pickers
+        self._paths = pickers
+        # Without shadows a browser that has no graphics card can follow too.
+        server.scene.configure_default_lights(cast_shadow=False)
         self._cloud = server.scene.add_point_cloud(
             "/observed",
             OUT_OF_SIGHT,
@@ -71,6 +73,8 @@ class ObservedScene:
                 f"/picker/{name}/{'closed' if closed else 'open'}",
                 self._config.picker_radius_m,
                 rgb255(PICKER_CLOSED if closed else PICKER_OPEN),
+                cast_shadow=False,
+                receive_shadow=False,
                 visible=False,
             )
             for name in pickers
@@ -109,6 +113,8 @@ class ClothScene:
                 self._faces if side != "double" else NO_FACE,
                 color=rgb255(color),
                 side=side,
+                cast_shadow=False,
+                receive_shadow=False,
                 visible=False,
             )
 
@@ -207,6 +213,7 @@ def _add_table(
         section_color=(170, 165, 155),
         plane_color=rgb255(TABLE),
         plane_opacity=0.55,
+        shadow_opacity=0.0,
         wxyz=_turn_from_z(table.normal),
         position=tuple(centre - 5e-4 * table.normal),
     )
