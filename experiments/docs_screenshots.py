@@ -103,7 +103,7 @@ def shoot_live(live: LivePage, image: Callable[[str], Path]) -> None:
         review = Path(folder) / f"{live.tracked.name}.review.json"
         live.build(server, LabelReview.blank(live.tracked), review)
         with opened(f"http://127.0.0.1:{server.get_port()}") as page:
-            page.wait_for("window.clothtrackKeys === true")
+            page.wait_for("window.clothtrackKeys === true", limit_s=300)
             for key, code in (("ArrowDown", "ArrowDown"), ("a", "KeyA"),
                               ("ArrowDown", "ArrowDown"), ("r", "KeyR")):  # fmt: skip
                 page.press(key, code)

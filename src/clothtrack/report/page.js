@@ -41,7 +41,8 @@
     labels.at(frame);
     if (video && seek) {
       video.pause();
-      video.currentTime = (nearest(shown, frame) + 0.5) / rate;
+      const wanted = (nearest(shown, frame) + 0.5) / rate;
+      if (Math.abs(video.currentTime - wanted) > 0.2 / rate) video.currentTime = wanted;
     }
   }
 

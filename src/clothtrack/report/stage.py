@@ -56,7 +56,7 @@ def video_card(
         data = base64.b64encode(path.read_bytes()).decode("ascii")
     return (
         f'<section class="card"><header><b>{escape(title)}</b>{legend}</header>'
-        f'<video controls loop muted playsinline preload="auto" data-rate="{rate:.6g}" '
+        f'<video controls muted playsinline preload="auto" data-rate="{rate:.6g}" '
         f'data-frames="{list(frames)}" src="data:video/mp4;base64,{data}"></video></section>'
     )
 
