@@ -130,6 +130,7 @@ class _Packer:
         self.places: dict[str, tuple[str, int, int]] = {}
 
     def plain(self, name: str, values: np.ndarray) -> None:
+        """Bytes, or words of four bytes, as they are."""
         self.content += bytes(-len(self.content) % 4)
         data = values.tobytes()
         self.places[name] = ("words" if values.itemsize == 4 else "bytes", len(self.content),
@@ -137,12 +138,14 @@ class _Packer:
         self.content += data
 
     def shuffled(self, name: str, values: np.ndarray, kind: str = "shuffled") -> None:
+        """Integers of two bytes: first all low bytes, then all high ones."""
         halves = values.astype("<i2").ravel().view(np.uint8).reshape(-1, 2)
         data = np.ascontiguousarray(halves.T).tobytes()
         self.places[name] = (kind, len(self.content), len(data))
         self.content += data
 
     def differences(self, name: str, values: np.ndarray) -> None:
+        """The first frame, and what changes from each frame to the next."""
         first = np.zeros_like(values[:1])
         self.shuffled(name, np.diff(values, axis=0, prepend=first), "differences")
 
