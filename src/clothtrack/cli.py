@@ -21,6 +21,7 @@ from clothtrack.acquisition import ACQUISITION_VERBS
 from clothtrack.artefacts import inside, load_tracked, recording_of
 from clothtrack.errors import InvalidConfigError
 from clothtrack.learning import LEARNING_VERBS
+from clothtrack.looking import LOOKING_VERBS
 from clothtrack.options import AsJson, Device, Seed, Settings
 from clothtrack.setting_up import SETTING_UP_VERBS
 from clothtrack.terminal import complain, exit_code, progress, say
@@ -285,59 +286,8 @@ def evaluate(
     return 0
 
 
-@_verb
-def view(
-    artefact: Positional[Path],
-    *,
-    recordings: Path,
-    html: Path | None = None,
-    port: int | None = None,
-) -> int:
-    """Look at a tracked trajectory: in a browser, or as one page that needs no network.
-
-    Args:
-        artefact: NAME.zarr that `track` wrote.
-        recordings: its recording, or the folder in which recordings lie by name.
-        html: write one self-contained page here instead of serving.
-        port: of the local server, which listens on this machine only; any free one by default.
-    """
-    tracked = load_tracked(artefact)
-    recording = recording_of(tracked, recordings)
-    if html is not None:
-        from clothtrack.report.page import write_report
-
-        say(str(write_report(tracked, recording, html)))
-        return 0
-    from clothtrack.report.live import view_live
-
-    # The address is in the log, and here it is what one wants to know.
-    logging.getLogger("clothtrack.report").setLevel(logging.INFO)
-    view_live(tracked, recording, port)
-    return 0
-
-
-@_verb
-def export(
-    artefact: Positional[Path],
-    *,
-    output: Path,
-    format: Literal["obj", "ply", "npz"] = "obj",  # noqa: A002
-) -> int:
-    """Write the tracked meshes in a format that other programs read.
-
-    Args:
-        artefact: NAME.zarr that `track` wrote.
-        output: folder (obj, ply: one file per frame) or file (npz).
-        format: obj, ply or npz.
-    """
-    from clothtrack.report.export import export as export_meshes
-
-    say(str(export_meshes(load_tracked(artefact), output, format)))
-    return 0
-
-
-for _learns in LEARNING_VERBS:
-    _verb(_learns)
+for _elsewhere in (*LOOKING_VERBS, *LEARNING_VERBS):
+    _verb(_elsewhere)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -2,7 +2,7 @@
 
 import json as json_module
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from math import isnan
 from pathlib import Path
@@ -18,7 +18,6 @@ from clothtrack.terminal import complain, end_progress, progress, say
 
 if TYPE_CHECKING:
     from clothtrack.evaluation.label_quality import LabelQuality
-    from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.reconstruction.pseudo_labels import PseudoLabel
     from clothtrack.reconstruction.two_stages import LearningConfig, LearningOutcome
     from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -39,6 +38,8 @@ def label(
 ) -> int:
     """Make pseudo-labels of tracked trajectories: the data set that `finetune` learns from.
 
+    Labels that a person rejected (`clothtrack view`, NAME.review.json) are left out.
+
     Args:
         tracked: NAME.zarr folders that `track` wrote.
         recordings: the recording, or the folder in which recordings lie by name.
@@ -51,6 +52,7 @@ def label(
     """
     require_learning()
     from clothtrack.evaluation.label_quality import judge_labels
+    from clothtrack.evaluation.label_review import read_review, review_path
     from clothtrack.reconstruction.pseudo_labels import label_recording, write_labels
 
     if not tracked:
@@ -62,8 +64,11 @@ def label(
     for path in tracked:
         result = load_tracked(path)
         recording = recording_of(result, recordings)
+        rejected = read_review(review_path(path), result).rejected
         judged = judge_labels(result, recording, device=device)
-        chosen = _pseudo_labels(result, judged, weighted=weighted, flat_weight=flat_weight)
+        chosen = _pseudo_labels(
+            result, judged, rejected, weighted=weighted, flat_weight=flat_weight
+        )
         if result.mesh.canonical is None:
             raise InvalidResultError(
                 f"{path}: its first mesh has no canonical coordinates; track the recording again "
@@ -74,15 +79,21 @@ def label(
             result.mesh,
             chosen,
             kind=_kind(garment, recording.cloth.kind, path),
-            provenance={"tracked": dict(result.provenance), "weighted": weighted},
+            provenance={
+                "tracked": dict(result.provenance),
+                "weighted": weighted,
+                "rejected_actions": sorted(rejected),
+            },
         )
         file = output / f"{result.name}.labels.npz"
         write_labels(labelled, file)
         weights = [one.weight for one in chosen]
-        rows.append({"labels": str(file), "frames": labelled.frames, "weights": weights})
+        row = {"labels": str(file), "frames": labelled.frames, "weights": weights}
+        rows.append({**row, "rejected": len(rejected)})
         if not json:
             told = " ".join(f"{weight:.2f}" for weight in weights)
-            say(f"{file}   {len(weights)} labels, weights {told}")
+            left_out = f"; {len(rejected)} rejected in review left out" if rejected else ""
+            say(f"{file}   {len(weights)} labels, weights {told}{left_out}")
     if json:
         say(json_module.dumps(rows, indent=2))
     return 0
@@ -232,6 +243,7 @@ def reconstruct(
     from clothtrack.network_mesh import network_mesh
     from clothtrack.reconstruction import depth_input
     from clothtrack.reconstruction.processes import require_torch_device
+    from clothtrack.recordings.mesh_file import require_mesh_format, write_mesh
     from clothtrack.tracking.refinement import RefinementConfig
 
     require_torch_device(device)
@@ -307,46 +319,23 @@ def _refuse(options: Mapping[str, object], why: str) -> None:
         raise InvalidConfigError(f"{names}: {why}; leave it out")
 
 
-def require_mesh_format(path: Path) -> None:
-    """Refuse a mesh file whose suffix names no format that is written.
-
-    Raises:
-        InvalidConfigError: naming those that are.
-    """
-    if path.suffix not in (".obj", ".ply", ".stl"):
-        raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; choose .obj, .ply or .stl")
-
-
-def write_mesh(mesh: "ClothMesh", path: Path) -> None:
-    """Write a mesh [m] in the format of its suffix, whole or not at all.
-
-    Raises:
-        InvalidConfigError: no such format.
-        StorageError: when the disk refuses.
-    """
-    import trimesh
-
-    from clothtrack.storing import whole_file
-
-    require_mesh_format(path)
-    with whole_file(path) as temporary:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
-
-
 def _pseudo_labels(
     tracked: "TrackedTrajectory",
     judged: "Sequence[LabelQuality]",
+    rejected: Collection[int],
     *,
     weighted: bool,
     flat_weight: float,
 ) -> "list[PseudoLabel]":
-    """The first frame and the end of every action; labels nobody can judge are left out."""
+    """The first frame and the end of every action; not what is rejected or nobody can judge."""
     from clothtrack.reconstruction.pseudo_labels import PseudoLabel
 
     chosen = []
     if flat_weight > 0.0:
         chosen.append(PseudoLabel(int(tracked.frames[0]), tracked.positions[0], flat_weight))
     for action, quality in zip(tracked.actions, judged, strict=True):
+        if quality.action in rejected:
+            continue
         weight = quality.label_quality if weighted else 1.0
         if not weight > 0.0:
             logger.warning(
@@ -357,6 +346,11 @@ def _pseudo_labels(
             continue
         positions = action.positions_after_final_alignment
         chosen.append(PseudoLabel(quality.frame, positions, float(weight)))
+    if not chosen:
+        raise InvalidResultError(
+            f"{tracked.name}: no label is left ({len(rejected)} of {len(judged)} rejected in "
+            "review); leave this trajectory out"
+        )
     return chosen
 
 

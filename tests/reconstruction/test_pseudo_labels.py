@@ -10,6 +10,7 @@ import pytest
 from clothtrack import cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
+from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.configuration import NetworkConfig
@@ -119,12 +120,13 @@ def test_a_frame_that_is_not_there_is_refused(recording):
         label_recording(source, TOWEL, [PseudoLabel(7, states[0], 1.0)], kind="towel")
 
 
-def test_the_verb_labels_what_was_tracked(recording, tmp_path, capsys):
-    """The first frame counts in full, the end of the action by its quality."""
-    source, (flat, end) = recording
+@pytest.fixture
+def tracked(recording):
+    """The fold, tracked without a fault."""
+    _, (flat, end) = recording
     none = Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
     action = TrackedAction(0, 1, end, end, np.zeros(2), {}, none, {})
-    tracked = TrackedTrajectory(
+    return TrackedTrajectory(
         name="fold",
         mesh=TOWEL,
         frames=np.arange(2),
@@ -134,6 +136,11 @@ def test_the_verb_labels_what_was_tracked(recording, tmp_path, capsys):
         actions=(action,),
         steps=StepRecords.empty(2),
     )
+
+
+def test_the_verb_labels_what_was_tracked(recording, tracked, tmp_path, capsys):
+    """The first frame counts in full, the end of the action by its quality."""
+    source, (_, end) = recording
     tracked.save(tmp_path / "fold.zarr")
     words = ["label", str(tmp_path / "fold.zarr"), "--recordings", str(source.folder)]
     assert cli.main([*words, "--output", str(tmp_path / "labels"), "--json"]) == 0
@@ -149,6 +156,24 @@ def test_the_verb_labels_what_was_tracked(recording, tmp_path, capsys):
     assert cli.main([*words, *plain]) == 0
     (only,) = read_labels(tmp_path / "plain" / "fold.labels.npz").pictures
     assert only.weight == 1.0
+
+
+def test_the_verb_leaves_out_what_a_person_rejected(recording, tracked, tmp_path, capsys):
+    source, _ = recording
+    tracked.save(tmp_path / "fold.zarr")
+    LabelReview.blank(tracked).decided(0, "rejected").save(tmp_path / "fold.review.json")
+    words = ["label", str(tmp_path / "fold.zarr"), "--recordings", str(source.folder)]
+    words += ["--output", str(tmp_path / "labels")]
+    assert cli.main(words) == 0
+    assert "1 labels, weights 1.00; 1 rejected in review left out" in capsys.readouterr().out
+    found = read_labels(tmp_path / "labels" / "fold.labels.npz")
+    assert found.frames == (0,)
+    assert found.provenance["rejected_actions"] == [0]
+    assert cli.main([*words, "--flat-weight", "0"]) == 1
+    assert "no label is left (1 of 1 rejected in review)" in capsys.readouterr().err
+    (tmp_path / "fold.review.json").write_text("{}")
+    assert cli.main(words) == 1
+    assert "fold.review.json: not a review" in capsys.readouterr().err
 
 
 def test_labels_come_back_from_the_disk(recording, tmp_path):

@@ -1,5 +1,6 @@
 """A headless browser without network, driven through the DevTools protocol."""
 
+import base64
 import contextlib
 import itertools
 import json
@@ -71,10 +72,25 @@ class Page:
         entries = [e["params"]["entry"] for e in self.events if e.get("method") == "Log.entryAdded"]
         return thrown + [entry["text"] for entry in entries if entry["level"] == "error"]
 
+    def press(self, key: str, code: str) -> None:
+        """Press and release a key, as a person does."""
+        text = {"text": key} if len(key) == 1 else {}
+        numbers = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}
+        number = numbers.get(key) or ord(key.upper())
+        same = {"key": key, "code": code, "windowsVirtualKeyCode": number}
+        self.call("Input.dispatchKeyEvent", type="keyDown", **same, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **same)
+
+    def picture(self, clip: dict[str, float] | None = None) -> bytes:
+        """What is seen, or a part of it, as PNG."""
+        part = {} if clip is None else {"clip": {**clip, "scale": 1}}
+        shot = self.call("Page.captureScreenshot", format="png", **part)
+        return base64.b64decode(shot["data"])
+
 
 @contextlib.contextmanager
-def opened(program: str, file: Path, profile: Path) -> Iterator[Page]:
-    """Open a file in a browser that has no network."""
+def opened(program: str, where: Path | str, profile: Path) -> Iterator[Page]:
+    """Open a file in a browser that has no network, or the page of a server of our own."""
     command = [program, *SWITCHES, f"--user-data-dir={profile}", "about:blank"]
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -94,12 +110,13 @@ def opened(program: str, file: Path, profile: Path) -> Iterator[Page]:
                     page.call(f"{domain}.enable")
                 page.call(
                     "Network.emulateNetworkConditions",
-                    offline=True,
+                    offline=isinstance(where, Path),
                     latency=0,
                     downloadThroughput=-1,
                     uploadThroughput=-1,
                 )
-                page.call("Page.navigate", url=file.as_uri())
+                url = where.as_uri() if isinstance(where, Path) else where
+                page.call("Page.navigate", url=url)
                 page.wait_for("document.readyState === 'complete'")
                 yield page
         finally:

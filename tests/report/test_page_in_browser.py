@@ -1,13 +1,18 @@
 """The page as a person meets it: opened from disk, in a browser, without a network."""
 
-import base64
 import importlib.util
+import json
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from clothtrack.evaluation.label_review import LabelReview, read_review
+from clothtrack.evaluation.truth import Truth
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.report.overlay import OverlayConfig
 from clothtrack.report.page import ReportConfig, write_report
 
@@ -20,49 +25,142 @@ pytestmark = [
     pytest.mark.skipif(chromium.find_chromium() is None, reason="no Chromium on this machine"),
 ]
 
-SCENE = "document.querySelector('iframe').contentDocument"
-CLOCK = f"Number({SCENE}.querySelector('input').value)"
+SMALL = ReportConfig(overlay=OverlayConfig(height=120))
+MOVE_BAR = """(async () => {
+  const bar = document.querySelector('#time'), canvas = document.querySelector('canvas');
+  const began = performance.now();
+  bar.value = %d;
+  bar.dispatchEvent(new Event('input'));
+  while (canvas.dataset.step !== '%d') await new Promise(requestAnimationFrame);
+  return performance.now() - began;
+})()"""
 
 
-def cloth_pixels(page):
-    """Blue or ochre pixels inside the scene, away from its time bar and its notices."""
-    box = page.ask(
-        "(() => { const b = document.querySelector('iframe').getBoundingClientRect();"
+def scene_picture(page):
+    """The scene as it is drawn, RGB."""
+    page.ask("void document.querySelector('canvas').scrollIntoView({block: 'center'})")
+    left, top, width, height = page.ask(
+        "(() => { const b = document.querySelector('canvas').getBoundingClientRect();"
         "return [b.left + scrollX, b.top + scrollY, b.width, b.height]; })()"
     )
-    left, top, width, height = box
-    clip = {
-        "x": left + 0.4 * width,
-        "y": top + 0.1 * height,
-        "width": 0.5 * width,
-        "height": 0.75 * height,
-        "scale": 1,
-    }
-    shot = base64.b64decode(page.call("Page.captureScreenshot", format="png", clip=clip)["data"])
-    blue, _, red = np.moveaxis(cv2.imdecode(np.frombuffer(shot, np.uint8), 1).astype(int), 2, 0)
-    return int((np.abs(red - blue) > 50).sum())
+    shot = page.picture({"x": left, "y": top, "width": width, "height": height})
+    return cv2.imdecode(np.frombuffer(shot, np.uint8), 1)[..., ::-1].astype(int)
+
+
+def cloth_pixels(picture):
+    """Blue or ochre pixels."""
+    return int((np.abs(picture[..., 0] - picture[..., 2]) > 50).sum())
+
+
+def set_control(page, name, value, event="input"):
+    page.ask(
+        f"(() => {{ const one = document.querySelector('[name={name}]'); one.value = '{value}';"
+        f"one.dispatchEvent(new Event('{event}')); }})()"
+    )
+    time.sleep(0.5)
+
+
+@pytest.fixture
+def opened(tracked, request, tmp_path):
+    """Opens the report of a recording."""
+
+    def open_report(recording, shown=tracked, **options):
+        path = tmp_path / "fold.html"
+        write_report(shown, request.getfixturevalue(recording), path, config=SMALL, **options)
+        return chromium.opened(chromium.find_chromium(), path, tmp_path / "profile")
+
+    return open_report
 
 
 @pytest.mark.parametrize("recording", ["two_cameras", "clouds_only"])
-def test_the_page_plays_offline(tracked, recording, request, tmp_path):
-    path = tmp_path / "fold.html"
-    config = ReportConfig(overlay=OverlayConfig(height=120))
-    write_report(tracked, request.getfixturevalue(recording), path, config=config)
-    with chromium.opened(chromium.find_chromium(), path, tmp_path / "profile") as page:
+def test_the_page_plays_offline(opened, recording):
+    with opened(recording) as page:
+        page.wait_for("document.body.dataset.ready === 'yes'")
         page.wait_for("document.querySelector('video').readyState >= 2")
         assert page.ask("document.querySelector('video').error") is None
-        page.ask("document.querySelector('iframe').scrollIntoView({block: 'center'})")
-        page.wait_for(f"!!({SCENE} && {SCENE}.querySelector('canvas'))")
-        page.wait_for(f"!!{SCENE}.querySelector('input')")
-        before = page.ask(CLOCK)
-        page.wait_for(f"{CLOCK} !== {before}")
         cursor = "document.querySelector('.cursor').getAttribute('x1')"
         start = page.ask(cursor)
-        page.ask("void (document.querySelector('video').currentTime = 0.45)")
+        page.ask("void document.querySelector('#play').click()")
         page.wait_for(f"{cursor} !== '{start}'")
+        page.wait_for("Number(document.querySelector('canvas').dataset.step) > 0")
         assert page.ask("document.querySelector('.now').textContent").strip()
-        assert any(cloth_pixels(page) > 2000 for _ in range(20))
         own = ("file:", "data:", "blob:", "about:")
         outside = [url for url in page.requests() if not url.startswith(own)]
         assert outside == []
         assert page.complaints() == []
+
+
+def test_the_time_bar_moves_the_mesh_at_once(opened):
+    with opened("two_cameras") as page:
+        page.wait_for("document.body.dataset.ready === 'yes'")
+        page.wait_for("document.querySelector('canvas').dataset.step === '0'")
+        first = scene_picture(page)
+        assert cloth_pixels(first) > 2000
+        taken_ms = [page.ask(MOVE_BAR % (step, step)) for step in (1, 4, 2, 5)]
+        assert np.abs(scene_picture(page) - first).max(axis=2).mean() > 2
+        assert page.ask("document.querySelector('#told').textContent") == "frame 5, 0.50 s"
+        assert page.ask("document.querySelector('video').currentTime") == pytest.approx(0.55)
+        assert min(taken_ms) < 100
+
+
+def test_layers_come_apart_and_let_look_through(opened):
+    with opened("two_cameras") as page:
+        page.wait_for("document.body.dataset.ready === 'yes'")
+        page.ask(MOVE_BAR % (5, 5))
+        before = scene_picture(page)
+        set_control(page, "gap", 0.1)
+        apart = scene_picture(page)
+        assert cloth_pixels(apart) > 1.1 * cloth_pixels(before)
+        set_control(page, "gap", 0)
+        assert np.abs(scene_picture(page) - before).max() < 30
+        set_control(page, "opacity", 0.3)
+        assert cloth_pixels(scene_picture(page)) < 0.8 * cloth_pixels(before)
+        assert page.complaints() == []
+
+
+def test_the_cloth_takes_the_colours_that_are_chosen(opened, tracked):
+    rest = tracked.mesh.vertices
+    known = replace(tracked, mesh=ClothMesh(rest, tracked.mesh.faces, rest))
+    positions = known.positions.astype(float) + (0.0, 0.0, 0.02)
+    truth = Truth(positions, known.mesh.faces, known.frames, rest)
+    with opened("two_cameras", known, truth=truth) as page:
+        page.wait_for("document.body.dataset.ready === 'yes'")
+        pictures = []
+        for mode in ("sides", "visible", "cloud", "label", "truth"):
+            set_control(page, "mode", mode, "change")
+            page.wait_for(f"document.querySelector('canvas').dataset.mode === '{mode}'")
+            pictures.append(scene_picture(page))
+            assert page.ask("document.querySelector('.meaning').textContent").strip()
+        red = [(p[..., 0] - p[..., 2] > 60).sum() for p in pictures]
+        assert red[-1] > 2000  # all of the cloth is 20 mm off: the end of the scale
+        assert red[1] < 200
+        assert "stand-in world" in page.ask("document.querySelector('.controls .note').textContent")
+
+
+def test_a_review_by_keys_becomes_a_file_that_label_honours(opened, tracked, tmp_path):
+    with opened("two_cameras") as page:
+        page.wait_for("document.body.dataset.ready === 'yes'")
+        page.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+        for key, code in (
+            ("ArrowDown", "ArrowDown"),
+            ("a", "KeyA"),
+            ("ArrowDown", "ArrowDown"),
+            ("r", "KeyR"),
+            ("ArrowLeft", "ArrowLeft"),
+        ):
+            page.press(key, code)
+        told = "[...document.querySelectorAll('.verdict')].map((one) => one.textContent)"
+        assert page.ask(told) == ["accepted", "rejected"]
+        assert page.ask("document.querySelector('#told').textContent").startswith("frame 4")
+        page.ask("void document.querySelector('#save').click()")
+        path = tmp_path / f"{tracked.name}.review.json"
+        for _ in range(100):
+            written = [one for one in tmp_path.glob("*.json") if one.stat().st_size]
+            if written:
+                break
+            time.sleep(0.1)
+        (found,) = written
+        expected = LabelReview.blank(tracked).decided(0, "accepted").decided(1, "rejected")
+        assert json.loads(found.read_text()) == expected.as_document()
+        found.rename(path)
+        assert read_review(path, tracked).rejected == {1}

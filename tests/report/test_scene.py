@@ -1,57 +1,53 @@
-import base64
 import gc
-import re
 import socket
 
-import msgspec
 import numpy as np
 import pytest
-import zstandard
 
-from clothtrack.report.scene import LOOP_BACK, SceneConfig, local_server, scene_html
-
-
-def unpacked(document):
-    """The recorded messages of a viser document: (time, message) pairs and the binary buffers."""
-    packed = re.search(r'__VISER_EMBED_DATA__="([^"]+)"', document).group(1)
-    data = base64.b64decode(packed)
-    data = zstandard.ZstdDecompressor().decompress(data[8:], int.from_bytes(data[:8], "little"))
-    length = int.from_bytes(data[:8], "little")
-    return msgspec.msgpack.decode(data[8 : 8 + length]), data[8 + length :]
-
-
-@pytest.fixture(scope="module")
-def document(tracked, clouds_only):
-    clouds = [positions.astype(float) for positions in tracked.positions]
-    return scene_html(tracked, clouds_only, clouds)
-
-
-def test_the_time_bar_is_as_long_as_the_recording(document, tracked):
-    recorded, _ = unpacked(document)
-    expected = tracked.time_s[-1] + SceneConfig().last_frame_s
-    assert recorded["durationSeconds"] == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("side", ["outside", "inside"])
-def test_every_frame_moves_both_sides_of_the_cloth(document, tracked, side):
-    recorded, _ = unpacked(document)
-    times = [
-        time
-        for time, message in recorded["messages"]
-        if message["type"] == "SceneNodeUpdateMessage"
-        and message["name"] == f"/cloth/{side}"
-        and "vertices" in message["updates"]
-    ]
-    np.testing.assert_allclose(times, tracked.time_s[1:], atol=1e-9)
-
-
-def test_the_page_follows_light_and_dark(document):
-    assert "{darkMode:matchMedia(" in document
-
+from clothtrack.report.coloring import Coloring
+from clothtrack.report.scene import LOOP_BACK, TONES, ClothScene, face_paint, local_server
 
 # The server's event loop may end before it has seen its client go; what it then leaves is found
 # here, and not in whatever test comes next.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+
+def graded(values, limit=10.0):
+    return Coloring("x", "X [mm]", "", limit, np.asarray(values, np.float32))
+
+
+def test_each_face_has_the_tone_of_its_value():
+    faces = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4]])
+    values = graded([[0.0, 0.0, 0.0, 99.0, np.nan]])
+    assert face_paint(faces, values, 0).tolist() == [0, TONES - 1, TONES]
+
+
+def test_every_face_is_shown_once_whatever_the_colours(tracked):
+    faces = tracked.mesh.faces
+    values = np.random.default_rng(0).uniform(0, 12, tracked.visible.shape)
+    values[0, :40] = np.nan
+    with local_server() as server:
+        scene = ClothScene(server, tracked.mesh)
+        paints = {
+            "graded": face_paint(faces, graded(values), 0),
+            "visible": (np.arange(len(faces)) % 2),
+        }
+        for group, paint in paints.items():
+            scene.show(tracked.positions[1], paint, group=group)
+            shown = [h for handles in scene._groups.values() for h in handles if h.visible]
+            together = np.concatenate([handle.faces for handle in shown])
+            assert sorted(map(tuple, together.tolist())) == sorted(map(tuple, faces.tolist()))
+            for handle in shown:
+                np.testing.assert_array_equal(handle.vertices, tracked.positions[1])
+        scene.show(tracked.positions[2], None, opacity=0.4)
+        shown = [h for handles in scene._groups.values() for h in handles if h.visible]
+        assert [(handle.side, handle.opacity) for handle in shown] == [
+            ("front", 0.4),
+            ("back", 0.4),
+        ]
+    gc.collect()
+
+
 def test_the_server_is_local_quiet_and_gone(capfd):
     with local_server() as server:
         port = server.get_port()

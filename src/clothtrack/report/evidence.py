@@ -17,6 +17,7 @@ from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.palette import OBSERVED, PAPER, rgb255
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +36,15 @@ def observed_points(recording: Recording, frame: Frame) -> Float[np.ndarray, "po
     except ClothTrackError as error:
         log.warning("frame %d of %s: no point cloud (%s)", frame.index, recording.name, error)
         return np.empty((0, 3))
+
+
+def clouds_of(
+    tracked: TrackedTrajectory, recording: Recording, cloud: CloudReader = observed_points
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """The observed cloth [m, world] at every step of a trajectory."""
+    frames = {frame.index: frame for frame in recording.frames}
+    steps = zip(tracked.frames.tolist(), tracked.time_s.tolist(), strict=True)
+    return [cloud(recording, frames.get(index) or Frame(index, time)) for index, time in steps]
 
 
 def thinned(

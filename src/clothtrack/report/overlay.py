@@ -32,7 +32,7 @@ from clothtrack.report.palette import (
 )
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.video import frame_rate, write_video
-from clothtrack.report.viewpoint import three_quarter_view, upright
+from clothtrack.report.viewpoint import view_of
 from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -239,32 +239,9 @@ def scene_view(
     tracked: TrackedTrajectory, recording: Recording, *, width: int, height: int
 ) -> Camera:
     """A 3/4 view that holds the cloth through the whole trajectory."""
-    up = (0.0, 0.0, 1.0)
-    azimuth = -60.0
-    if recording.table is not None:
-        x, y, z = recording.table.normal
-        up = (float(x), float(y), float(z))
-    elif recording.cameras:
-        up = upright(recording.cameras[0])
-        azimuth = _azimuth_of(recording.cameras[0], tracked, up) + 28.0
     steps = np.unique(np.linspace(0, len(tracked.frames) - 1, 24).round().astype(int))
     points = tracked.positions[steps].reshape(-1, 3).astype(np.float64)
-    elevation = 38.0 if recording.table is not None else 18.0
-    return three_quarter_view(
-        points, width=width, height=height, up=up, azimuth_deg=azimuth, elevation_deg=elevation
-    )
-
-
-def _azimuth_of(
-    camera: Camera, tracked: TrackedTrajectory, up: tuple[float, float, float]
-) -> float:
-    """Where a camera stands around the cloth, as `three_quarter_view` counts it [degrees]."""
-    upward = np.asarray(up) / np.linalg.norm(up)
-    first = np.eye(3)[0 if abs(upward[0]) < 0.9 else 1]
-    first = first - (first @ upward) * upward
-    towards = camera.position - tracked.positions[0].mean(axis=0)
-    second = np.cross(upward, first / np.linalg.norm(first))
-    return float(np.degrees(np.arctan2(towards @ second, towards @ first)))
+    return view_of(points, recording, width=width, height=height)
 
 
 def _views(

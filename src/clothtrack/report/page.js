@@ -1,16 +1,20 @@
-// One cursor for all charts and the video: pointing at a frame shows it, playing moves the cursor.
-(() => {
-  const video = document.querySelector("video");
-  const shown = video ? JSON.parse(video.dataset.frames) : [];
-  const rate = video ? Number(video.dataset.rate) : 1;
+// One clock for everything on the page: the time bar, the video, the scene and the charts show the
+// same frame, whichever of them was moved. Keys do what the buttons do.
+(async () => {
+  const find = (selector) => document.querySelector(selector);
+  const nearest = (list, value) =>
+    list.reduce((best, item, at) => Math.abs(item - value) < Math.abs(list[best] - value) ? at : best, 0);
+  const stage = find(".stage"), all = JSON.parse(stage.dataset.frames), times = JSON.parse(stage.dataset.times);
+  const video = find("video"), bar = find("#time"), told = find("#told");
+  const shown = video ? JSON.parse(video.dataset.frames) : [], rate = video ? Number(video.dataset.rate) : 1;
   const charts = [...document.querySelectorAll("figure.chart[data-chart]")].map((figure) => ({
     svg: figure.querySelector("svg"),
     cursor: figure.querySelector(".cursor"),
     now: [...figure.querySelectorAll(".now")],
     ...JSON.parse(figure.dataset.chart),
   }));
-  const nearest = (list, value) =>
-    list.reduce((best, item, at) => Math.abs(item - value) < Math.abs(list[best] - value) ? at : best, 0);
+  const labels = reviewed(find("#review"));
+  let scene = null, step = 0;
 
   const worded = (value) => value === null ? "\u2013"
     : value !== 0 && Math.abs(value) < 1e-3 ? value.toExponential(2) : String(value);
@@ -23,33 +27,143 @@
       chart.cursor.setAttribute("x1", x);
       chart.cursor.setAttribute("x2", x);
       const at = nearest(chart.frames, frame);
-      chart.now.forEach((slot, line) => {
-        slot.textContent = worded(chart.lines[line][at]);
-      });
+      chart.now.forEach((slot, line) => { slot.textContent = worded(chart.lines[line][at]); });
+    }
+  }
+
+  function show(wanted, { seek = true } = {}) {
+    step = Math.min(all.length - 1, Math.max(0, wanted));
+    const frame = all[step];
+    if (bar) bar.value = step;
+    if (told) told.textContent = `frame ${frame}, ${times[step].toFixed(2)} s`;
+    point(frame);
+    if (scene) scene.set({ step: nearest(scene.frames, frame) });
+    labels.at(frame);
+    if (video && seek) {
+      video.pause();
+      const wanted = (nearest(shown, frame) + 0.5) / rate;
+      if (Math.abs(video.currentTime - wanted) > 0.2 / rate) video.currentTime = wanted;
     }
   }
 
   function follow() {
-    if (shown.length) point(shown[Math.min(shown.length - 1, Math.floor(video.currentTime * rate + 1e-3))]);
+    if (!video.seeking) {
+      const at = Math.min(shown.length - 1, Math.floor(video.currentTime * rate + 1e-3));
+      if (!video.paused) show(nearest(all, shown[at]), { seek: false });
+    }
     if (video.requestVideoFrameCallback && !video.paused) video.requestVideoFrameCallback(follow);
   }
 
+  const play = () => (video.paused ? video.play() : video.pause());
+  if (video) {
+    for (const name of ["timeupdate", "play"]) video.addEventListener(name, follow);
+    find("#play").addEventListener("click", play);
+    for (const name of ["play", "pause"]) {
+      video.addEventListener(name, () => { find("#play").textContent = video.paused ? "Play" : "Pause"; });
+    }
+  }
+  if (bar) bar.addEventListener("input", () => show(Number(bar.value)));
   for (const chart of charts) {
     const seek = (event) => {
       const box = chart.svg.getBoundingClientRect();
       const x = (event.clientX - box.left) / box.width * chart.svg.viewBox.baseVal.width;
       const share = Math.min(1, Math.max(0, (x - chart.left) / (chart.right - chart.left)));
       const first = chart.frames[0], last = chart.frames[chart.frames.length - 1];
-      const frame = chart.frames[nearest(chart.frames, first + share * (last - first))];
-      point(frame);
-      if (video) {
-        video.pause();
-        video.currentTime = (nearest(shown, frame) + 0.5) / rate;
-      }
+      show(nearest(all, first + share * (last - first)));
     };
     chart.svg.addEventListener("pointerdown", (event) => { chart.svg.setPointerCapture(event.pointerId); seek(event); });
     chart.svg.addEventListener("pointermove", (event) => { if (event.buttons & 1) seek(event); });
   }
-  if (video) for (const name of ["timeupdate", "play", "seeked"]) video.addEventListener(name, follow);
-  point(shown.length ? shown[0] : 0);
+  const jump = (frame) => { if (frame !== undefined) show(nearest(all, frame)); };
+  labels.onJump(jump);
+
+  const keys = {
+    ArrowLeft: () => show(step - 1),
+    ArrowRight: () => show(step + 1),
+    ArrowUp: () => jump(labels.next(all[step], -1)),
+    ArrowDown: () => jump(labels.next(all[step], 1)),
+    a: () => labels.decide("accepted"),
+    r: () => labels.decide("rejected"),
+    o: () => labels.decide("open"),
+  };
+  document.addEventListener("keydown", (event) => {
+    const busy = event.target.closest?.("select, textarea, input:not([type=range])");
+    const slider = event.target.type === "range" && event.target !== bar;
+    if (busy || (slider && event.key.startsWith("Arrow"))) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
+    event.preventDefault();
+    keys[event.key]();
+  });
+
+  const card = find(".scene");
+  if (card) {
+    scene = await openScene(card);
+    if (scene) controls(card, scene);
+  }
+  show(0, { seek: false });
+  document.body.dataset.ready = "yes";
+
+  function controls(card, opened) {
+    const note = card.querySelector(".controls .note"), mode = card.querySelector("[name=mode]");
+    const legend = card.querySelector(".meaning");
+    const recolor = () => {
+      opened.set({ mode: mode.value });
+      note.textContent = mode.selectedOptions[0]?.dataset.note ?? "";
+      legend.innerHTML = card.querySelector(`template[data-mode="${mode.value}"]`)?.innerHTML ?? "";
+    };
+    mode.addEventListener("change", recolor);
+    for (const input of card.querySelectorAll("input[type=range]")) {
+      input.addEventListener("input", () => opened.set({ [input.name]: Number(input.value) }));
+    }
+    for (const input of card.querySelectorAll("input[type=checkbox]")) {
+      input.addEventListener("change", () => opened.set({ [input.name]: input.checked }));
+    }
+    recolor();
+  }
+
+  // Decisions about labels; this page cannot write files beside the trajectory, so it offers one.
+  function reviewed(section) {
+    if (!section) return { at: () => {}, decide: () => {}, next: () => undefined, onJump: () => {} };
+    const review = JSON.parse(section.dataset.review), rows = [...section.querySelectorAll("[data-action]")];
+    const firsts = rows.map((row) => Number(row.dataset.first));
+    let current = 0, go = () => {};
+    const paint = () => {
+      rows.forEach((row, k) => {
+        row.dataset.verdict = review.labels[k].verdict;
+        row.classList.toggle("current", k === current);
+        row.querySelector(".verdict").textContent = review.labels[k].verdict;
+      });
+      const left = review.labels.filter((label) => label.verdict === "open").length;
+      section.querySelector(".left").textContent = left ? `${left} still open` : "all decided";
+    };
+    const decide = (verdict, which = current) => {
+      review.labels[which].verdict = verdict;
+      paint();
+    };
+    rows.forEach((row, k) => {
+      row.querySelector(".jump").addEventListener("click", () => go(review.labels[k].frame));
+      for (const button of row.querySelectorAll("[data-decide]")) {
+        button.addEventListener("click", () => decide(button.dataset.decide, k));
+      }
+    });
+    section.querySelector("#save").addEventListener("click", () => {
+      const file = new Blob([JSON.stringify(review, null, 2) + "\n"], { type: "application/json" });
+      const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: section.dataset.file });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    });
+    paint();
+    return {
+      decide,
+      at: (frame) => {
+        current = Math.max(0, firsts.findLastIndex((first) => frame >= first));
+        paint();
+      },
+      next: (frame, way) => {
+        const ends = review.labels.map((label) => label.frame);
+        return way > 0 ? ends.find((end) => end > frame) : ends.findLast((end) => end < frame);
+      },
+      onJump: (call) => { go = call; },
+    };
+  }
 })();

@@ -4,25 +4,26 @@ Everything is inside the file, and a content security policy in it forbids the b
 anything else, so it can be mailed, archived and opened years later.
 """
 
-import base64
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from html import escape
-from importlib.resources import files
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.evaluation.label_review import LabelReview
+from clothtrack.evaluation.truth import Truth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
+from clothtrack.report.coloring import Coloring, colorings, judged_or_none
 from clothtrack.report.curves import chart_html
-from clothtrack.report.evidence import CloudReader, observed_points
+from clothtrack.report.document import write_document
+from clothtrack.report.evidence import CloudReader, clouds_of, observed_points
+from clothtrack.report.layers import Layers
 from clothtrack.report.measures import chamfer_rms_mm, charts, edge_strains
-from clothtrack.report.overlay import Overlay, OverlayConfig, write_overlay_video
-from clothtrack.report.palette import HIDDEN, INSIDE, OUTSIDE, hexadecimal
-from clothtrack.report.scene import SceneConfig, scene_html
+from clothtrack.report.overlay import Overlay, OverlayConfig, scene_view, write_overlay_video
+from clothtrack.report.palette import HIDDEN, OUTSIDE
+from clothtrack.report.scene_data import SceneConfig, SceneContents
 from clothtrack.report.sections import (
     actions_html,
     figures_of,
@@ -30,14 +31,9 @@ from clothtrack.report.sections import (
     lead_line,
     settings_html,
 )
-from clothtrack.storing import whole_file
+from clothtrack.report.stage import review_card, scene_card, stage, swatch, video_card
+from clothtrack.report.viewpoint import layers_axis, upward
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-
-_POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' data: blob:; "
-    "style-src 'unsafe-inline' data:; img-src data: blob:; media-src data: blob:; "
-    "font-src data:; connect-src data: blob:; worker-src data: blob:; frame-src 'self' data: blob:"
-)
 
 
 @dataclass(frozen=True)
@@ -66,21 +62,41 @@ def write_report(
     *,
     config: ReportConfig | None = None,
     cloud: CloudReader = observed_points,
+    truth: Truth | None = None,
+    review: LabelReview | None = None,
 ) -> Path:
     """Write the page of one tracked trajectory and return its path.
 
-    `cloud` gives the observed cloth of a frame; by default the recording's own.
+    Args:
+        tracked: what the tracker left.
+        recording: what it was tracked from.
+        path: of the page.
+        config: how much goes into it.
+        cloud: gives the observed cloth of a frame; by default the recording's own.
+        truth: the true meshes; only with them can the cloth be coloured by its error.
+        review: decisions about labels so far.
 
     Raises:
+        InvalidResultError: the truth is of another garment or another recording.
         StorageError: when the disk refuses; what was at `path` before is untouched then.
     """
     config = config or ReportConfig()
     overlay = Overlay(tracked, recording, config=config.overlay, cloud=cloud)
-    clouds = [cloud(recording, overlay.frame(step)) for step in range(len(tracked.frames))]
-    page = _page(tracked, recording, overlay, clouds, config)
-    with whole_file(Path(path)) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return Path(path)
+    clouds = clouds_of(tracked, recording, cloud)
+    judged = judged_or_none(tracked, recording)
+    colors = colorings(tracked, clouds, judged, truth)
+    upper = stage(
+        [
+            _video_card(tracked, overlay, config),
+            scene_card(_contents(tracked, recording, clouds, colors, config), config.scene),
+        ],
+        tracked.frames.tolist(),
+        tracked.time_s.tolist(),
+        wide=len(overlay.views) > 1,
+    )
+    labels = review_card(tracked, review or LabelReview.blank(tracked), judged)
+    body = _body(tracked, recording, clouds, config, upper=upper + labels)
+    return write_document(path, tracked.name, body)
 
 
 def report(
@@ -101,96 +117,69 @@ def report(
     )
 
 
-def _page(
+def _body(
     tracked: TrackedTrajectory,
     recording: Recording,
-    overlay: Overlay,
     clouds: Sequence[Float[np.ndarray, "_ 3"]],
     config: ReportConfig,
+    *,
+    upper: str,
 ) -> str:
     rms_mm = chamfer_rms_mm(tracked, clouds)
     actions = [(action.first_frame, action.last_frame) for action in tracked.actions]
     curves = "".join(
         chart_html(chart, tracked.frames, actions) for chart in charts(tracked, rms_mm)
     )
-    figures = figures_of(tracked, rms_mm, edge_strains(tracked))
-    wide = " wide" if len(overlay.views) > 1 else ""
-    title = escape(tracked.name)
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title} · clothtrack</title>
-<link rel="icon" href="data:,">
-<style>{_resource("page.css")}</style>
-</head>
-<body>
-<main>
-<h1>{title}</h1>
-{lead_line(tracked, recording)}
-{key_figures(figures)}
-<div class="stage{wide}">
-{_video_card(tracked, overlay, config)}
-{_scene_card(tracked, recording, clouds, config)}
-</div>
+    return f"""{lead_line(tracked, recording)}
+{key_figures(figures_of(tracked, rms_mm, edge_strains(tracked)))}
+{upper}
 <h2>Over time</h2>
-<p class="note">Shaded bands are actions. Press on a chart to see that frame in the video.</p>
+<p class="note">Shaded bands are actions. Press on a chart to see that frame above.</p>
 <div class="charts">{curves}</div>
 <h2>Actions</h2>
 {actions_html(tracked, recording, device=config.overlay.device)}
-{settings_html(tracked, recording)}
-</main>
-<script>{_resource("page.js")}</script>
-</body>
-</html>
-"""
+{settings_html(tracked, recording)}"""
 
 
 def _video_card(tracked: TrackedTrajectory, overlay: Overlay, config: ReportConfig) -> str:
-    steps = _evenly(len(tracked.frames), config.video_frames)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "overlay.mp4"
-        rate = write_overlay_video(overlay, path, steps=steps)
-        data = base64.b64encode(path.read_bytes()).decode("ascii")
-    frames = [int(tracked.frames[step]) for step in steps]
-    return (
-        '<section class="card"><header><b>Over the observation</b>'
-        f"{_swatch(OUTSIDE, 'visible')}{_swatch(HIDDEN, 'hidden, believed')}</header>"
-        f'<video controls loop muted playsinline preload="auto" data-rate="{rate:.6g}" '
-        f'data-frames="{frames}" src="data:video/mp4;base64,{data}"></video></section>'
+    steps = evenly(len(tracked.frames), config.video_frames)
+    return video_card(
+        "Over the observation",
+        swatch(OUTSIDE, "visible") + swatch(HIDDEN, "hidden, believed"),
+        tracked.frames[steps].tolist(),
+        lambda path: write_overlay_video(overlay, path, steps=steps),
     )
 
 
-def _scene_card(
+def _contents(
     tracked: TrackedTrajectory,
     recording: Recording,
     clouds: Sequence[Float[np.ndarray, "_ 3"]],
+    colors: Sequence[Coloring],
     config: ReportConfig,
-) -> str:
+) -> SceneContents:
     most = max(2, config.scene_vertices // tracked.mesh.vertex_count)
-    steps = _evenly(len(tracked.frames), min(config.scene_frames, most))
-    document = scene_html(
-        tracked, recording, [clouds[step] for step in steps], steps=steps, config=config.scene
+    steps = evenly(len(tracked.frames), min(config.scene_frames, most))
+    view = scene_view(tracked, recording, width=800, height=600)
+    axis = layers_axis(recording, view)
+    layers = Layers(tracked.mesh, axis)
+    return SceneContents(
+        frames=tracked.frames[steps],
+        time_s=tracked.time_s[steps],
+        eye=view,
+        up=upward(recording, view),
+        along=axis,
+        positions=tracked.positions[steps],
+        faces=tracked.mesh.faces,
+        ranks=np.stack([layers.ranks(tracked.positions[step]) for step in steps]),
+        visible=tracked.visible[steps],
+        clouds=[clouds[step] for step in steps],
+        pickers=recording.picker_paths,
+        table=recording.table,
+        colorings=[replace(one, values=one.values[steps]) for one in colors],
     )
-    return (
-        '<section class="card"><header><b>In space</b>'
-        f"{_swatch(OUTSIDE, 'outer side')}{_swatch(INSIDE, 'inner side')}"
-        "&ensp;dots: observed; drag to orbit</header>"
-        f'<iframe title="Scene in three dimensions" srcdoc="{escape(document, quote=True)}">'
-        "</iframe></section>"
-    )
 
 
-def _swatch(color: tuple[float, float, float], words: str) -> str:
-    return f'<i class="swatch" style="background:{hexadecimal(color)}"></i>{escape(words)}'
-
-
-def _evenly(count: int, most: int) -> list[int]:
+def evenly(count: int, most: int) -> list[int]:
     """At most `most` of the numbers 0 to count - 1, evenly spaced, both ends included."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
-
-
-def _resource(name: str) -> str:
-    return files("clothtrack.report").joinpath(name).read_text(encoding="utf-8")

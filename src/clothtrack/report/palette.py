@@ -24,8 +24,10 @@ TABLE = (0.902, 0.886, 0.859)
 """The table."""
 INK = (0.149, 0.157, 0.180)
 """Text and lines."""
+UNKNOWN = (0.620, 0.612, 0.596)
+"""Where a value is not known."""
 
-_HEAT = np.array(
+HEAT = np.array(
     [
         [0.267, 0.412, 0.580],
         [0.373, 0.620, 0.659],
@@ -35,13 +37,14 @@ _HEAT = np.array(
         [0.690, 0.204, 0.220],
     ]
 )
+"""Stops of the scale for graded values, from calm to alarming."""
 
 
 def heat(values: Float[np.ndarray, " values"], limit: float) -> Float[np.ndarray, "values 3"]:
     """A colour for each value between 0 (calm blue) and `limit` (red); more stays red."""
-    place = np.clip(np.nan_to_num(values / limit, nan=0.0), 0.0, 1.0) * (len(_HEAT) - 1)
-    stops = np.arange(len(_HEAT))
-    return np.stack([np.interp(place, stops, channel) for channel in _HEAT.T], axis=-1)
+    place = np.clip(np.nan_to_num(values / limit, nan=0.0), 0.0, 1.0) * (len(HEAT) - 1)
+    stops = np.arange(len(HEAT))
+    return np.stack([np.interp(place, stops, channel) for channel in HEAT.T], axis=-1)
 
 
 def visibility_colors(visible: Bool[np.ndarray, " vertices"]) -> Float[np.ndarray, "vertices 3"]:

@@ -1,163 +1,167 @@
-"""The scene in three dimensions as one HTML document that plays, orbits and asks nobody.
+"""What a live page shows in three dimensions: cloth, observed points, pickers, table.
 
-The document is viser's own client with the recorded scene inside; the server that records it
-listens on the loop-back interface only and is stopped before this module returns.
+The server listens on the loop-back interface only.
 """
 
 import logging
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import rich
 import viser
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from clothtrack.recordings.recording import Recording, Table
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import PickerPath, Table
+from clothtrack.report.coloring import Coloring
 from clothtrack.report.evidence import thinned
-from clothtrack.report.overlay import scene_view
 from clothtrack.report.palette import (
+    HIDDEN,
     INSIDE,
     OBSERVED,
     OUTSIDE,
     PICKER_CLOSED,
     PICKER_OPEN,
     TABLE,
+    UNKNOWN,
+    heat,
     rgb255,
 )
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.report.scene_data import SceneConfig
 
 log = logging.getLogger(__name__)
 
 LOOP_BACK = "127.0.0.1"
-
-SIDES: tuple[tuple[str, tuple[float, float, float], Literal["front", "back"]], ...] = (
-    ("outside", OUTSIDE, "front"),
-    ("inside", INSIDE, "back"),
-)
-
-
-@dataclass(frozen=True)
-class SceneConfig:
-    """How much goes into the scene.
-
-    Attributes:
-        points: observed points kept per frame.
-        point_size_m: size of a drawn point [m].
-        resolution_m: vertex positions are rounded to this [m]; rounded numbers compress well.
-        picker_radius_m: radius of the ball at a picker's tip [m].
-        last_frame_s: how long the last frame stays before the scene starts again [s].
-    """
-
-    points: int = 1500
-    point_size_m: float = 0.0025
-    resolution_m: float = 2.0**-14
-    picker_radius_m: float = 0.008
-    last_frame_s: float = 1.0
+TONES = 12
+"""Graded values are shown in so many colours: a mesh of one colour is all that can be streamed."""
+OUT_OF_SIGHT = np.full((1, 3), -1e3, np.float32)
+NO_FACE = np.zeros((1, 3), np.uint32)
 
 
-class ClothScene:
-    """A tracked trajectory in a viser scene; `show` moves everything to one of its frames."""
+class ObservedScene:
+    """Points, pickers and table in a viser scene, and the eye before them."""
 
     def __init__(
         self,
         server: viser.ViserServer,
-        tracked: TrackedTrajectory,
-        recording: Recording,
         *,
+        eye: Camera,
+        up: Float[np.ndarray, " 3"],
+        points: Float[np.ndarray, "points 3"],
+        pickers: Mapping[str, PickerPath],
+        table: Table | None,
         config: SceneConfig | None = None,
     ) -> None:
-        """Put cloth, table, pickers and an empty cloud into the scene, and the eye before them."""
+        """Prepare for everything that happens around `points` [m, world]."""
         self._config = config or SceneConfig()
-        self._tracked, self._recording = tracked, recording
-        self._origin = np.round(tracked.positions[0].mean(axis=0), 3)
-        scene = server.scene
-        faces = tracked.mesh.faces.astype(np.uint32)
-        start = self._local(tracked.positions[0])
-        self.sides = tuple(
-            scene.add_mesh_simple(
-                f"/cloth/{name}",
-                start,
-                faces,
-                color=rgb255(color),
-                side=side,
-                position=tuple(self._origin),
-            )
-            for name, color, side in SIDES
-        )
-        self.cloud = scene.add_point_cloud(
+        self._paths = pickers
+        # Without shadows a browser that has no graphics card can follow too.
+        server.scene.configure_default_lights(cast_shadow=False)
+        self._cloud = server.scene.add_point_cloud(
             "/observed",
-            np.zeros((1, 3), np.float32),
+            OUT_OF_SIGHT,
             rgb255(OBSERVED),
-            point_size=self._config.point_size_m,
+            point_size=0.6 * self._config.point_size_m,
             point_shape="circle",
-            position=tuple(self._origin),
         )
         self._pickers = {
-            (name, closed): scene.add_icosphere(
+            (name, closed): server.scene.add_icosphere(
                 f"/picker/{name}/{'closed' if closed else 'open'}",
                 self._config.picker_radius_m,
                 rgb255(PICKER_CLOSED if closed else PICKER_OPEN),
+                cast_shadow=False,
+                receive_shadow=False,
                 visible=False,
             )
-            for name in recording.picker_paths
+            for name in pickers
             for closed in (False, True)
         }
-        if recording.table is not None:
-            _add_table(scene, recording.table, tracked)
-        _place_eye(server, tracked, recording)
+        if table is not None:
+            _add_table(server, table, points)
+        _place_eye(server, eye, up, points)
 
-    def show(self, step: int, points: Float[np.ndarray, "points 3"]) -> None:
-        """Move everything to a step of the trajectory; `points` [m, world] were observed there."""
-        vertices = self._local(self._tracked.positions[step])
-        for side in self.sides:
-            side.vertices = vertices
+    def observe(self, points: Float[np.ndarray, "_ 3"], time_s: float) -> None:
+        """Show what was observed [m, world], and where the pickers were."""
         kept = thinned(points, self._config.points)
-        if not len(kept):
-            kept = np.full((1, 3), -1e3)  # viser wants a point; this one is out of sight
-        self.cloud.points = (kept - self._origin).astype(np.float16)
-        time_s = float(self._tracked.time_s[step])
+        self._cloud.points = kept.astype(np.float32) if len(kept) else OUT_OF_SIGHT
         for (name, closed), ball in self._pickers.items():
-            path = self._recording.picker_paths[name]
+            path = self._paths[name]
             ball.position = tuple(path.position_at(time_s))
             ball.visible = path.closed_at(time_s) == closed
 
-    def _local(self, positions: Float[np.ndarray, "vertices 3"]) -> np.ndarray:
-        grain = self._config.resolution_m
-        return (np.rint((positions - self._origin) / grain) * grain).astype(np.float32)
+
+class ClothScene:
+    """A cloth in a viser scene, in the colours of its sides, of visibility or of graded values."""
+
+    def __init__(self, server: viser.ViserServer, mesh: ClothMesh) -> None:
+        """Prepare for poses of this mesh."""
+        self._faces = np.asarray(mesh.faces, np.uint32)
+        vertices = np.asarray(mesh.vertices, np.float32)
+
+        def add(
+            name: str,
+            color: tuple[float, float, float],
+            side: Literal["front", "back", "double"] = "double",
+        ) -> viser.MeshHandle:
+            return server.scene.add_mesh_simple(
+                f"/cloth/{name}",
+                vertices,
+                self._faces if side != "double" else NO_FACE,
+                color=rgb255(color),
+                side=side,
+                cast_shadow=False,
+                receive_shadow=False,
+                visible=False,
+            )
+
+        tones = heat((np.arange(TONES) + 0.5) / TONES, 1.0)
+        self._groups: dict[str, list[viser.MeshHandle]] = {
+            "sides": [add("outside", OUTSIDE, "front"), add("inside", INSIDE, "back")],
+            "visible": [add("hidden", HIDDEN), add("visible", OUTSIDE)],
+            "graded": [
+                *(add(f"tone_{k}", tuple(tone)) for k, tone in enumerate(tones.tolist())),
+                add("unknown", UNKNOWN),
+            ],
+        }
+
+    def show(
+        self,
+        vertices: Float[np.ndarray, "vertices 3"],
+        paint: Int[np.ndarray, " faces"] | None,
+        *,
+        group: str = "sides",
+        opacity: float = 1.0,
+    ) -> None:
+        """Move the cloth, and give each face the paint of that number in a group of paints.
+
+        `paint` is None for the two sides, which need no choice.
+        """
+        placed = np.asarray(vertices, np.float32)
+        for name, handles in self._groups.items():
+            for number, handle in enumerate(handles):
+                chosen = self._faces if paint is None else self._faces[paint == number]
+                shown = name == group and len(chosen) > 0
+                if shown:
+                    handle.vertices = placed
+                    if paint is not None:
+                        handle.faces = chosen
+                    handle.opacity = None if opacity > 0.99 else opacity
+                if handle.visible != shown:
+                    handle.visible = shown
 
 
-def scene_html(
-    tracked: TrackedTrajectory,
-    recording: Recording,
-    clouds: Sequence[Float[np.ndarray, "_ 3"]],
-    *,
-    steps: Sequence[int] | None = None,
-    config: SceneConfig | None = None,
-) -> str:
-    """A self-contained HTML document with the scene and its time bar, in the recording's speed.
-
-    `clouds` holds the observed points [m, world] of each of `steps`, which are steps of the
-    trajectory (all by default).
-    """
-    config = config or SceneConfig()
-    chosen = list(range(len(tracked.frames)) if steps is None else steps)
-    durations = np.append(np.diff(tracked.time_s[chosen]), config.last_frame_s)
-    with local_server() as server:
-        scene = ClothScene(server, tracked, recording, config=config)
-        scene.show(chosen[0], clouds[0])
-        recorder = server.get_scene_serializer()
-        for step, points, duration in zip(chosen, clouds, durations, strict=True):
-            scene.show(step, points)
-            recorder.insert_sleep(max(0.0, float(duration)))
-        document = recorder.as_html()
-    # The page around it is light or dark as the reader's system is; so is the scene.
-    return document.replace(
-        "{darkMode:false}", "{darkMode:matchMedia('(prefers-color-scheme: dark)').matches}"
-    )
+def face_paint(
+    faces: Int[np.ndarray, "faces 3"], coloring: Coloring, step: int
+) -> Int[np.ndarray, " faces"]:
+    """Which tone each face has in the group "graded"; the last one where nothing is known."""
+    values = coloring.values[step][faces].mean(axis=1)
+    known = np.isfinite(values)
+    share = np.where(known, values, 0.0) / coloring.limit
+    return np.where(known, np.clip(share * TONES, 0, TONES - 1).astype(int), TONES)
 
 
 @contextmanager
@@ -191,14 +195,15 @@ def _silent_console() -> Iterator[None]:
         console.quiet = before
 
 
-def _add_table(scene: viser.SceneApi, table: Table, tracked: TrackedTrajectory) -> None:
+def _add_table(
+    server: viser.ViserServer, table: Table, points: Float[np.ndarray, "points 3"]
+) -> None:
     """A sheet with lines every 10 cm under everything the cloth reaches."""
-    points = tracked.positions.reshape(-1, 3)
     low, high = points.min(axis=0), points.max(axis=0)
     centre = (low + high) / 2
     centre = centre - table.heights(centre[None])[0] * table.normal
     side = 2 * np.ceil(np.linalg.norm(high - low) * 7) / 10
-    scene.add_grid(
+    server.scene.add_grid(
         "/table",
         float(side),
         float(side),
@@ -208,6 +213,7 @@ def _add_table(scene: viser.SceneApi, table: Table, tracked: TrackedTrajectory) 
         section_color=(170, 165, 155),
         plane_color=rgb255(TABLE),
         plane_opacity=0.55,
+        shadow_opacity=0.0,
         wxyz=_turn_from_z(table.normal),
         position=tuple(centre - 5e-4 * table.normal),
     )
@@ -223,12 +229,15 @@ def _turn_from_z(normal: Float[np.ndarray, " 3"]) -> tuple[float, float, float, 
     return float(w), float(x), float(y), float(z)
 
 
-def _place_eye(server: viser.ViserServer, tracked: TrackedTrajectory, recording: Recording) -> None:
-    view = scene_view(tracked, recording, width=800, height=600)
-    forward, upward = view.world_from_camera[:3, 2], -view.world_from_camera[:3, 1]
-    distance = float((tracked.positions.reshape(-1, 3).mean(axis=0) - view.position) @ forward)
-    up = recording.table.normal if recording.table is not None else upward
+def _place_eye(
+    server: viser.ViserServer,
+    eye: Camera,
+    up: Float[np.ndarray, " 3"],
+    points: Float[np.ndarray, "points 3"],
+) -> None:
+    forward = eye.world_from_camera[:3, 2]
+    distance = float((points.mean(axis=0) - eye.position) @ forward)
     server.scene.set_up_direction(tuple(up))
-    server.initial_camera.position = tuple(view.position)
-    server.initial_camera.look_at = tuple(view.position + distance * forward)
-    server.initial_camera.fov = float(2 * np.arctan(0.5 * view.height / view.fy))
+    server.initial_camera.position = tuple(eye.position)
+    server.initial_camera.look_at = tuple(eye.position + distance * forward)
+    server.initial_camera.fov = float(2 * np.arctan(0.5 * eye.height / eye.fy))

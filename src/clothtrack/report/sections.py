@@ -147,7 +147,7 @@ def _action_card(number: int, action: TrackedAction, shader: Shader) -> str:
         f"{'; ' + escape(held) if held else ''}</span></h3>"
         f'<div class="stills">{pictures}</div>'
         f'<div class="tuned"><div>{_parameter_table(action.parameters)}</div>'
-        f"<div>{_calibration_html(action.calibration)}</div></div></article>"
+        f"<div>{calibration_html(action.calibration)}</div></div></article>"
     )
 
 
@@ -159,7 +159,7 @@ def _parameter_table(parameters: Mapping[str, float]) -> str:
     return f"<table><tbody>{rows}</tbody></table>" if rows else ""
 
 
-def _calibration_html(calibration: Calibration) -> str:
+def calibration_html(calibration: Calibration) -> str:
     """The score of every candidate as dots, best first, and the five best in a table."""
     scores = np.asarray(calibration.scores, dtype=np.float64)
     fine = np.flatnonzero(np.isfinite(scores))

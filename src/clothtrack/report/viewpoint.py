@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.recording import Recording
 
 
 def look_at(
@@ -79,3 +80,51 @@ def upright(camera: Camera) -> tuple[float, float, float]:
     """Upwards in the image of a camera, as a world direction: "up" when there is no table."""
     x, y, z = -camera.world_from_camera[:3, 1]
     return float(x), float(y), float(z)
+
+
+def view_of(
+    points: Float[np.ndarray, "points 3"], recording: Recording, *, width: int, height: int
+) -> Camera:
+    """A 3/4 view that holds `points` [m, world], upright as the recording's scene is."""
+    up, azimuth, elevation = (0.0, 0.0, 1.0), -60.0, 38.0
+    if recording.table is not None:
+        x, y, z = recording.table.normal
+        up = (float(x), float(y), float(z))
+    else:
+        elevation = 18.0
+        if recording.cameras:
+            up = upright(recording.cameras[0])
+            azimuth = _azimuth_of(recording.cameras[0], points.mean(axis=0), up) + 28.0
+    return three_quarter_view(
+        points, width=width, height=height, up=up, azimuth_deg=azimuth, elevation_deg=elevation
+    )
+
+
+def _azimuth_of(
+    camera: Camera, centre: Float[np.ndarray, " 3"], up: tuple[float, float, float]
+) -> float:
+    """Where a camera stands around a point, as `three_quarter_view` counts it [degrees]."""
+    upward = np.asarray(up) / np.linalg.norm(up)
+    first = np.eye(3)[0 if abs(upward[0]) < 0.9 else 1]
+    first = first - (first @ upward) * upward
+    towards = camera.position - centre
+    second = np.cross(upward, first / np.linalg.norm(first))
+    return float(np.degrees(np.arctan2(towards @ second, towards @ first)))
+
+
+def upward(recording: Recording, view: Camera) -> Float[np.ndarray, " 3"]:
+    """The unit vector that is up: away from the table, or upwards in the image of `view`."""
+    if recording.table is not None:
+        return np.asarray(recording.table.normal, np.float64)
+    return np.asarray(upright(view), np.float64)
+
+
+def layers_axis(recording: Recording, view: Camera) -> Float[np.ndarray, " 3"]:
+    """The unit vector along which layers cover each other: off the table, or towards the camera.
+
+    Without a table and without a camera, towards the eye of `view`.
+    """
+    if recording.table is not None:
+        return np.asarray(recording.table.normal, np.float64)
+    camera = recording.cameras[0] if recording.cameras else view
+    return -np.asarray(camera.world_from_camera[:3, 2], np.float64)

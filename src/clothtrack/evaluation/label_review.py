@@ -1,0 +1,145 @@
+"""What a person decided about each label: accepted, rejected, or still open.
+
+The decisions lie in NAME.review.json beside NAME.zarr, so that the tracked trajectory itself stays
+as the tracker left it. Each is tied to the very mesh that was looked at: after tracking again, old
+decisions are refused rather than taken for decisions about the new meshes.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from clothtrack.errors import InvalidResultError
+from clothtrack.evaluation.label_evidence import labels_of
+from clothtrack.storing import whole_file
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+FORMAT = "clothtrack-label-review"
+FORMAT_VERSION = 1
+REVIEW_SUFFIX = ".review.json"
+
+Verdict = Literal["accepted", "rejected", "open"]
+
+
+@dataclass(frozen=True)
+class ReviewedLabel:
+    """One label and what was decided about it.
+
+    Attributes:
+        action: number of the action, from 0.
+        frame: frame of the recording.
+        mesh: the first 16 hexadecimal digits of the SHA-256 of its vertices (float32, little
+            endian).
+        verdict: accepted, rejected, or open.
+    """
+
+    action: int
+    frame: int
+    mesh: str
+    verdict: Verdict = "open"
+
+
+@dataclass(frozen=True)
+class LabelReview:
+    """The decisions about one tracked trajectory.
+
+    Attributes:
+        name: of the trajectory.
+        labels: one per action.
+    """
+
+    name: str
+    labels: tuple[ReviewedLabel, ...]
+
+    @classmethod
+    def blank(cls, tracked: TrackedTrajectory) -> "LabelReview":
+        """Nothing decided yet."""
+        labels = (
+            ReviewedLabel(number, int(label.frame), _digest(label.vertices))
+            for number, label in enumerate(labels_of(tracked))
+        )
+        return cls(tracked.name, tuple(labels))
+
+    @property
+    def rejected(self) -> frozenset[int]:
+        """Numbers of the actions whose label was rejected."""
+        return frozenset(one.action for one in self.labels if one.verdict == "rejected")
+
+    def decided(self, action: int, verdict: Verdict) -> "LabelReview":
+        """The same review with one decision more, or another one."""
+        labels = tuple(
+            replace(one, verdict=verdict) if one.action == action else one for one in self.labels
+        )
+        return replace(self, labels=labels)
+
+    def as_document(self) -> dict[str, Any]:
+        """What the file holds."""
+        return {
+            "format": FORMAT,
+            "version": FORMAT_VERSION,
+            "trajectory": self.name,
+            "labels": [vars(one) for one in self.labels],
+        }
+
+    def save(self, path: Path) -> None:
+        """Write the review as JSON, whole or not at all.
+
+        Raises:
+            StorageError: when the disk refuses; what was there before is untouched then.
+        """
+        with whole_file(path) as temporary:
+            text = json.dumps(self.as_document(), indent=2)
+            temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def review_path(tracked: Path) -> Path:
+    """Where the review of a tracked trajectory lies: NAME.review.json beside NAME.zarr."""
+    return tracked.with_name(tracked.name.removesuffix(".zarr") + REVIEW_SUFFIX)
+
+
+def read_review(path: Path, tracked: TrackedTrajectory) -> LabelReview:
+    """The review that lies at `path`, or a blank one where there is no such file.
+
+    Raises:
+        InvalidResultError: the file is damaged, of another version, or about other meshes.
+    """
+    blank = LabelReview.blank(tracked)
+    if not path.exists():
+        return blank
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        found = document["format"], document["version"]
+        if found != (FORMAT, FORMAT_VERSION):
+            raise ValueError(f"format and version are {found}")
+        verdicts = {_key(one): one["verdict"] for one in document["labels"]}
+        for verdict in verdicts.values():
+            if verdict not in get_args(Verdict):
+                raise ValueError(f"a verdict is {verdict!r}")
+        name = document["trajectory"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InvalidResultError(
+            f"{path}: not a review of version {FORMAT_VERSION} ({error}); remove it, and review "
+            f"the labels again with: clothtrack view {tracked.name}.zarr"
+        ) from error
+    expected = [_key(vars(one)) for one in blank.labels]
+    if name != tracked.name or list(verdicts) != expected:
+        raise InvalidResultError(
+            f"{path}: reviews other meshes than {tracked.name} has now (it was tracked again "
+            "since, or the file belongs elsewhere); remove it, and review the labels again"
+        )
+    labels = zip(blank.labels, verdicts.values(), strict=True)
+    return replace(blank, labels=tuple(replace(one, verdict=told) for one, told in labels))
+
+
+def _key(label: Mapping[str, Any]) -> tuple[int, int, str]:
+    """What a decision is about."""
+    return label["action"], label["frame"], label["mesh"]
+
+
+def _digest(vertices: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(vertices, "<f4").tobytes()).hexdigest()[:16]

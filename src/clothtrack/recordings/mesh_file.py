@@ -1,0 +1,60 @@
+"""One mesh in one file that other programs read and write too: OBJ, PLY or STL, in metres."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from clothtrack.errors import InvalidConfigError, InvalidMeshError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.template import read_obj
+from clothtrack.storing import whole_file
+
+MESH_SUFFIXES = (".obj", ".ply", ".stl")
+
+
+def require_mesh_format(path: Path) -> None:
+    """Refuse a mesh file whose suffix names no format that is written.
+
+    Raises:
+        InvalidConfigError: naming those that are.
+    """
+    if path.suffix not in MESH_SUFFIXES:
+        raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; choose .obj, .ply or .stl")
+
+
+def write_mesh(mesh: ClothMesh, path: Path) -> None:
+    """Write a mesh [m] in the format of its suffix, whole or not at all.
+
+    Raises:
+        InvalidConfigError: no such format.
+        StorageError: when the disk refuses.
+    """
+    require_mesh_format(path)
+    with whole_file(path) as temporary:
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
+
+
+def read_mesh(path: Path) -> ClothMesh:
+    """Read a mesh [m] from an OBJ, PLY or STL file.
+
+    STL has no shared vertices: those at one place are taken for one.
+
+    Raises:
+        InvalidConfigError: another suffix.
+        InvalidMeshError: the file is missing, damaged, or no cloth.
+    """
+    require_mesh_format(path)
+    if path.suffix == ".obj":
+        return read_obj(path)
+    kind = path.suffix.removeprefix(".")
+    try:
+        with path.open("rb") as file:
+            found = trimesh.load_mesh(file, file_type=kind, process=kind == "stl")
+        return ClothMesh(np.asarray(found.vertices, np.float64), np.asarray(found.faces, np.int64))
+    except InvalidMeshError as error:
+        raise InvalidMeshError(f"{path}: {error}") from error
+    except (OSError, ValueError, IndexError, KeyError, TypeError, AttributeError) as error:
+        raise InvalidMeshError(
+            f"{path}: cannot be read as {kind.upper()} ({error}); write the mesh again"
+        ) from error

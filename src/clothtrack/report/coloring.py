@@ -1,0 +1,150 @@
+"""What a cloth can be coloured by, vertex by vertex: how far from what was seen, from the truth.
+
+Nothing here but `truth_errors` takes the truth, and its title says so wherever it is shown.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import ClothTrackError, InvalidResultError
+from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
+from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.recordings.recording import Recording
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+log = logging.getLogger(__name__)
+
+FARTHEST_CLOUD_MM = 20.0
+"""Beyond this a distance to the cloud tells no more [mm]: the scale does not reach further."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coloring:
+    """A number for every vertex at every frame, to be shown as a colour.
+
+    Attributes:
+        key: short name.
+        title: what it is, with its unit.
+        note: how to read it.
+        limit: value that has the last colour.
+        values: from 0 upwards; NaN where it is not known.
+    """
+
+    key: str
+    title: str
+    note: str
+    limit: float
+    values: Float[np.ndarray, "frames vertices"]
+
+
+def colorings(
+    tracked: TrackedTrajectory,
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
+    judged: Sequence[LabelQuality] = (),
+    truth: Truth | None = None,
+) -> tuple[Coloring, ...]:
+    """Everything a trajectory can be coloured by beside its sides and its visibility.
+
+    Args:
+        tracked: what the tracker left.
+        clouds: observed points of each frame [m].
+        judged: its labels, judged; none gives no such colouring.
+        truth: the true meshes, where somebody knows them.
+
+    Raises:
+        InvalidResultError: the truth is of another garment or another recording.
+    """
+    found = [cloud_gaps(tracked, clouds)]
+    if judged:
+        found.append(expected_errors(tracked, judged))
+    if truth is not None:
+        found.append(truth_errors(tracked, truth))
+    return tuple(found)
+
+
+def judged_or_none(tracked: TrackedTrajectory, recording: Recording) -> tuple[LabelQuality, ...]:
+    """The labels, judged; empty, with a warning, where the recording does not allow it."""
+    try:
+        return judge_labels(tracked, recording)
+    except ClothTrackError as error:
+        log.warning("%s: labels are not judged (%s)", tracked.name, error)
+        return ()
+
+
+def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_ 3"]]) -> Coloring:
+    """Distance [mm] of each visible vertex to the nearest observed point."""
+    values = np.full(tracked.visible.shape, np.nan, np.float32)
+    for step, points in enumerate(clouds):
+        seen = tracked.visible[step]
+        if len(points) and seen.any():
+            values[step, seen] = 1e3 * cKDTree(points).query(tracked.positions[step][seen])[0]
+    return Coloring(
+        "cloud",
+        "Distance to what was observed [mm]",
+        "Small says little about hidden layers; grey vertices were not seen.",
+        min(_round_limit(values), FARTHEST_CLOUD_MM),
+        values,
+    )
+
+
+def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) -> Coloring:
+    """The error [mm] to expect of the label at the end of each action, over its frames."""
+    values = np.full(tracked.visible.shape, np.nan, np.float32)
+    for action, label in zip(tracked.actions, judged, strict=True):
+        inside = (tracked.frames >= action.first_frame) & (tracked.frames <= action.last_frame)
+        values[inside] = label.expected_error_mm
+    return Coloring(
+        "label",
+        "Expected error of the action's label [mm]",
+        "Estimated from what was observed, without the truth; one number for the whole mesh.",
+        _round_limit(values),
+        values,
+    )
+
+
+def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
+    """Distance [mm] of each vertex to where its piece of cloth really is.
+
+    Raises:
+        InvalidResultError: truth or trajectory have no canonical coordinates, or no frame in
+            common.
+    """
+    if truth.canonical is None or tracked.mesh.canonical is None:
+        raise InvalidResultError(
+            f"{tracked.name}: the truth or the mesh has no canonical coordinates, so that nobody "
+            "knows which vertex belongs where; leave the truth out"
+        )
+    canonical = np.asarray(tracked.mesh.canonical, np.float64)
+    where = material_map(truth.canonical, truth.faces, canonical)
+    values = np.full(tracked.visible.shape, np.nan, np.float32)
+    for step, frame in enumerate(tracked.frames.tolist()):
+        surface = truth.at(frame)
+        if surface is not None:
+            points = material_points(surface, truth.faces, where)
+            values[step] = 1e3 * np.linalg.norm(tracked.positions[step] - points, axis=1)
+    if not np.isfinite(values).any():
+        raise InvalidResultError(
+            f"{tracked.name}: the truth knows none of its frames; give the truth of this recording"
+        )
+    return Coloring(
+        "truth",
+        "Error against the truth [mm]",
+        "The truth is of a stand-in world; the tracker never saw it.",
+        _round_limit(values),
+        values,
+    )
+
+
+def _round_limit(values: Float[np.ndarray, "frames vertices"]) -> float:
+    """A round number that 95 % of the values stay under; 2 at least."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return 2.0
+    high = max(2.0, float(np.percentile(finite, 95)))
+    power = 10.0 ** np.floor(np.log10(high))
+    return float(power * next(step for step in (1, 2, 5, 10) if step * power >= high))

@@ -1,0 +1,94 @@
+import base64
+import json
+import zlib
+
+import numpy as np
+
+from clothtrack.report.coloring import Coloring
+from clothtrack.report.scene_data import RANK_STEPS, SceneConfig, SceneContents, packed
+from clothtrack.report.viewpoint import look_at
+
+
+def contents(tracked, **changes):
+    count = len(tracked.frames)
+    values = np.linspace(0, 20, tracked.visible.size).reshape(tracked.visible.shape)
+    values[0, 0] = np.nan
+    given = {
+        "frames": tracked.frames,
+        "time_s": tracked.time_s,
+        "eye": look_at(np.array([0.5, 0.0, 0.5]), np.zeros(3)),
+        "up": np.array([0.0, 0.0, 1.0]),
+        "along": np.array([0.0, 0.0, 1.0]),
+        "positions": tracked.positions,
+        "faces": tracked.mesh.faces,
+        "ranks": np.full(tracked.visible.shape, 1.5),
+        "visible": tracked.visible,
+        "clouds": [positions[:k].astype(float) for k, positions in enumerate(tracked.positions)],
+        "colorings": [Coloring("gap", "Gap [mm]", "", 10.0, values)],
+    }
+    assert count == len(given["clouds"])
+    return SceneContents(**{**given, **changes})
+
+
+def unpacked(scene, config=None):
+    """What the browser does, in Python."""
+    told, data = packed(scene, config)
+    header, content = json.loads(told), zlib.decompress(base64.b64decode(data))
+    arrays = {}
+    for name, (kind, start, length) in header["arrays"].items():
+        part = content[start : start + length]
+        if kind in ("words", "bytes"):
+            arrays[name] = np.frombuffer(part, "<u4" if kind == "words" else np.uint8)
+            continue
+        halves = np.frombuffer(part, np.uint8).reshape(2, -1).astype(np.uint16)
+        values = (halves[0] | (halves[1] << 8)).view(np.int16).reshape(-1, 3)
+        if kind == "differences":
+            values = values.reshape(len(header["frames"]), header["vertices"], 3)
+            values = np.add.accumulate(values, axis=0, dtype=np.int16)
+        arrays[name] = values * header["grain"] + header["origin"]
+    return header, arrays
+
+
+def test_the_browser_gets_every_frame_within_half_a_grain(tracked):
+    header, arrays = unpacked(contents(tracked))
+    np.testing.assert_allclose(arrays["positions"], tracked.positions, atol=3.2e-5)
+    np.testing.assert_array_equal(arrays["faces"].reshape(-1, 3), tracked.mesh.faces)
+    assert header["counts"] == list(range(len(tracked.frames)))
+    np.testing.assert_allclose(arrays["cloud"][:1], tracked.positions[1][:1], atol=3.2e-5)
+    bits = np.unpackbits(arrays["visible"], bitorder="little")[: tracked.visible.size]
+    np.testing.assert_array_equal(bits.reshape(tracked.visible.shape), tracked.visible)
+    assert set(arrays["ranks"]) == {1.5 * RANK_STEPS}
+
+
+def test_a_scene_of_any_size_keeps_its_shape(tracked):
+    """A cloth that flies ten metres far has a coarser grain, and differences that wrap around."""
+    far = np.stack([p * 1.0 + (10.0 * (k % 2), 0, 0) for k, p in enumerate(tracked.positions)])
+    header, arrays = unpacked(contents(tracked, positions=far.astype(np.float32)))
+    np.testing.assert_allclose(arrays["positions"], far, atol=0.51 * header["grain"])
+    assert header["grain"] < 4e-4
+
+
+def test_values_are_bytes_and_the_unknown_has_its_own(tracked):
+    scene = contents(tracked)
+    _, arrays = unpacked(scene)
+    found = arrays["color gap"].reshape(tracked.visible.shape)
+    values = scene.colorings[0].values
+    assert found[0, 0] == 255
+    expected = np.clip(np.nan_to_num(values) / 10.0, 0, 1) * 254
+    np.testing.assert_allclose(found[1:], expected[1:], atol=0.5)
+
+
+def test_clouds_are_thinned_and_a_scene_may_have_no_cloth(tracked):
+    nothing = np.zeros((len(tracked.frames), 0, 3), np.float32)
+    scene = contents(
+        tracked,
+        positions=nothing,
+        faces=np.zeros((0, 3), np.int64),
+        ranks=nothing[..., 0],
+        visible=None,
+        colorings=[],
+    )
+    header, arrays = unpacked(scene, SceneConfig(points=2))
+    assert header["counts"] == [0, 1, 2, 2, 2, 2]
+    assert "visible" not in arrays
+    assert header["vertices"] == 0
