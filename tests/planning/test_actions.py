@@ -35,7 +35,7 @@ SEEN = SeenCloth(sheet(), CAMERA)
 
 
 def test_the_edge_measure_tells_middle_edge_and_corner():
-    """The middle of a half disc is 4 / (3 pi) of its radius away, a quarter's sqrt(2) times that."""
+    """The middle of a half disc is 4 / (3 pi) of its radius away, a quarter's 1.41 times that."""
     cloud = sheet(step=0.002)
     found = edge_measure(cloud)
     middle = np.argmin(np.linalg.norm(cloud[:, :2], axis=1))
