@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -88,6 +88,7 @@ class FlattenConfig:
             raise InvalidConfigError(f"enough is {self.enough}; it is a share, above 0 up to 1")
 
 
+@runtime_checkable
 class Checkpoint(Protocol):
     """Keeps what an episode needs to go on beside its own files, such as a simulated world."""
 
@@ -286,7 +287,9 @@ class Flattening:
             store.write()
             return look, estimates
         execution = self._robot.execute(decision.action)
-        self._robot.home()
+        if not execution.error:
+            # After a fault nothing moves until somebody has looked.
+            self._robot.home()
         frames = [*execution.film, self._robot.observe()]
         recording = write_step(
             store.recording_path(number + 1), frames, cloth=self._scene.cloth,

@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -111,6 +111,7 @@ class Look:
         return observe(self.recording, self.frame)
 
 
+@runtime_checkable
 class Perception(Protocol):
     """Finds the cloth."""
 
