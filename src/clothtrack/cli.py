@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
+from clothtrack.acting import ACTING_VERBS
 from clothtrack.artefacts import inside, load_tracked, recording_of
 from clothtrack.errors import InvalidConfigError
 from clothtrack.learning import LEARNING_VERBS
@@ -330,8 +331,8 @@ def export(
     return 0
 
 
-for _learns in LEARNING_VERBS:
-    _verb(_learns)
+for _more in (*LEARNING_VERBS, *ACTING_VERBS):
+    _verb(_more)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -349,7 +350,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=level, stream=sys.stderr, format="%(levelname)s %(message)s")
     return exit_code(
         lambda: tyro.extras.subcommand_cli_from_dict(
-            {function.__name__: function for function in VERBS},
+            {function.__name__.replace("_", "-"): function for function in VERBS},
             prog="clothtrack",
             description=(
                 "Know where every point of a crumpled cloth is, from one depth camera. "

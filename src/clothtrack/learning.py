@@ -65,7 +65,7 @@ def label(
         result = load_tracked(path)
         recording = recording_of(result, recordings)
         judged = judge_labels(result, recording, device=device)
-        chosen = _pseudo_labels(result, judged, weighted=weighted, flat_weight=flat_weight)
+        chosen = pseudo_labels_of(result, judged, weighted=weighted, flat_weight=flat_weight)
         if result.mesh.canonical is None:
             raise InvalidResultError(
                 f"{path}: its first mesh has no canonical coordinates; track the recording again "
@@ -341,7 +341,7 @@ def write_mesh(mesh: "ClothMesh", path: Path) -> None:
             temporary.unlink()
 
 
-def _pseudo_labels(
+def pseudo_labels_of(
     tracked: "TrackedTrajectory",
     judged: "Sequence[LabelQuality]",
     *,

@@ -86,7 +86,8 @@ class Workspace:
     def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
         """Which points [m] are inside."""
         bounds = np.array([self.x_m, self.y_m, self.z_m])
-        return ((points >= bounds[:, 0]) & (points <= bounds[:, 1])).all(axis=-1)
+        inside = (points >= bounds[:, 0]) & (points <= bounds[:, 1])
+        return np.asarray(inside.all(axis=-1))
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ class EpisodeStore:
         try:
             self.document = json.loads(path.read_text(encoding="utf-8"))
             found = self.document["asked"]
-            self.document["steps"], self.document["status"]
+            self.document = {name: self.document[name] for name in ("asked", "status", "steps")}
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InvalidResultError(
                 f"{path}: not an episode ({error}); remove its folder and begin again"

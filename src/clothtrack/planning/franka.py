@@ -286,7 +286,7 @@ class FrankyArm:
             InvalidConfigError: the extra [franka] is not installed.
         """
         try:
-            import franky
+            import franky  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise InvalidConfigError(
                 f"a Franka arm needs franky-control, which is not installed; install with: "

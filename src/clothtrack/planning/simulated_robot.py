@@ -44,7 +44,9 @@ class SimulatedRobotConfig:
         layers: layers of cloth that the gripper takes, the uppermost first.
         drops: how often the cloth is lifted at a random vertex and dropped before an episode.
         drop_speed: of the lifted vertex [m/s].
-        slack_m: distance of the hanging cloth from the table when it is dropped [m].
+        lift_share: least and largest height at which the vertex is let go, as a share of that at
+            which the cloth hangs clear of the table. Dropped from 1 a towel ends as a ball that no
+            single pick-and-place opens: of 25 the best gained 4 % of the flat area.
         limits: what the robot refuses.
     """
 
@@ -53,7 +55,7 @@ class SimulatedRobotConfig:
     layers: int = 1
     drops: int = 1
     drop_speed: float = 0.6
-    slack_m: float = 0.02
+    lift_share: tuple[float, float] = (0.3, 0.7)
     limits: MotionLimits = field(
         default_factory=lambda: MotionLimits(workspace=Workspace((-0.45, 0.45), (-0.4, 0.4)))
     )
@@ -160,7 +162,7 @@ class SimulatedRobot:
     # Before an episode
 
     def crumple(self) -> None:
-        """Lift the cloth at a random vertex until it hangs, and drop it over the middle."""
+        """Lift the cloth at a random vertex, bring it over the middle of the table, let it go."""
         episode = self._episode
         self._world.settle(speed=episode.settle_speed, limit_s=episode.settle_limit_s)
         for _ in range(self.config.drops):
@@ -170,11 +172,12 @@ class SimulatedRobot:
             hangs = float(np.linalg.norm(lying - lying[vertex], axis=1).max())
             start = positions[vertex]
             aside = self._of_start.uniform(-0.03, 0.03, 2)
-            end = np.array([*aside, hangs + self.config.slack_m])
+            share = self._of_start.uniform(*self.config.lift_share)
+            end = np.array([*aside, share * hangs])
             steps = int(np.linalg.norm(end - start) / (self.config.drop_speed * TIME_STEP_S)) + 1
             self._world.grasp(np.array([vertex]), start)
-            for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-                self._world.move(start + share * (end - start))
+            for way in np.linspace(0.0, 1.0, steps + 1)[1:]:
+                self._world.move(start + way * (end - start))
                 self._world.step()
             self._world.release()
             self._world.settle(speed=episode.settle_speed, limit_s=1.0 + episode.settle_limit_s)
