@@ -263,7 +263,7 @@ def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str
     packages = ("numpy", "scipy", "warp-lang", "opencv-python-headless", "zarr")
     return {
         "clothtrack": __version__,
-        "commit": _commit(),
+        "commit": commit(),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
         "packages": {name: importlib.metadata.version(name) for name in packages},
@@ -274,7 +274,7 @@ def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str
     }
 
 
-def _commit() -> str:
+def commit() -> str:
     """The commit of a checkout, or an empty text when this is an installed package."""
     here = Path(__file__).parent
     asked = subprocess.run(

@@ -102,7 +102,7 @@ def flatten_simulated(
     worlds = _Worlds(robot, out / "worlds" / name)
     if not (out / "episodes" / name / "episode.json").exists():
         start = (parts.starts or out / "starts") / f"{episode.kind}_{episode.seed:04d}.npz"
-        _begin(robot, start)
+        begin(robot, start)
     flat, _ = robot.true_cloth()
     flat_area_m2 = projected_area(flat.vertices, flat.faces)
     dynamics, perception = parts.dynamics, parts.perception
@@ -138,8 +138,17 @@ def flatten_simulated(
     return store
 
 
-def _begin(robot: SimulatedRobot, start: Path) -> None:
-    """The crumpled start of this seed: the same for every way to flatten it."""
+def begin(robot: SimulatedRobot, start: Path) -> None:
+    """Crumple the robot's cloth: the same start for every way to flatten it.
+
+    Args:
+        robot: with the flat cloth.
+        start: file where the start is kept; made when it is not there.
+
+    Raises:
+        SimulationDivergedError: the physics does.
+        StorageError: the disk refuses.
+    """
     if start.exists():
         robot.restore(start)
         return
