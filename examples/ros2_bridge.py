@@ -18,9 +18,10 @@ import socketserver
 import sys
 import threading
 import time
+from pathlib import Path
 
 WORKSPACE_M = ((0.3, 0.7), (-0.3, 0.3), (0.002, 0.5))
-"""Where the finger tips may be, in the world frame [m]: checked here, whatever the other side does."""
+"""Where the finger tips may be, in the world frame [m]; checked here, whoever asks."""
 
 
 class MoveArm:
@@ -161,7 +162,7 @@ class Bridge:
                 times.append(picture["time_s"])
                 positions.append(list(self._arm.here()))
                 closed.append(1 <= number < 4)
-        except Exception as failure:
+        except Exception as failure:  # noqa: BLE001 - the arm has stopped, and its operator is told
             sys.stderr.write(f"the arm stopped: {failure}\n")
             error = str(failure) or type(failure).__name__
         return {
@@ -178,7 +179,7 @@ class Connection(socketserver.StreamRequestHandler):
         for line in self.rfile:
             try:
                 answer = self.server.bridge.answer(json.loads(line))
-            except Exception as failure:
+            except Exception as failure:  # noqa: BLE001 - the arm has stopped, and its operator is told
                 sys.stderr.write(f"{failure}\n")
                 answer = {"failed": str(failure) or type(failure).__name__}
             self.wfile.write(json.dumps(answer).encode() + b"\n")
@@ -204,8 +205,7 @@ def main():
     node = rclpy.create_node("clothtrack_bridge")
     pose = [[float(row == column) for column in range(4)] for row in range(4)]
     if options.pose:
-        with open(options.pose, encoding="utf-8") as file:
-            pose = json.load(file)["world_from_camera"]
+        pose = json.loads(Path(options.pose).read_text(encoding="utf-8"))["world_from_camera"]
     eyes = Eyes(node, pose)
     threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
     with serve(Bridge(MoveArm(), eyes, may_move=options.move), options.port) as server:

@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 NAMED = re.compile(r"`((?:\w+/)*\w+\.py): ([\w.]+)`")
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)[^)]*\)")
-COMMAND = re.compile(r"^    (?:\.venv/bin/)?clothtrack (\w+)(.*)$", re.MULTILINE)
-VERBS = {verb.__name__: verb for verb in cli.VERBS}
+COMMAND = re.compile(r"^    (?:\.venv/bin/)?clothtrack ([\w-]+)(.*)$", re.MULTILINE)
+VERBS = {verb.__name__.replace("_", "-"): verb for verb in cli.VERBS}
 OTHER_NAMES = {"settings": "set"}
 
 
@@ -55,7 +55,7 @@ def test_commands_and_options_exist(document):
     for verb, rest in COMMAND.findall(document.read_text()):
         assert verb in VERBS, verb
         known = inspect.signature(inspect.unwrap(VERBS[verb])).parameters
-        options = {OTHER_NAMES.get(name, name) for name in known}
+        options = {OTHER_NAMES.get(name, name).replace("_", "-") for name in known}
         for option in re.findall(r"--([\w-]+)", rest):
             assert option in options, f"{verb} --{option}"
 

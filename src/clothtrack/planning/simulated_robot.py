@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.actions import PickPlace, Workspace
 from clothtrack.planning.robot import Execution, MotionLimits, Reachability, RgbdFrame
@@ -42,7 +43,9 @@ class SimulatedRobotConfig:
             when None.
         film: take pictures all through an action; without them only after it.
         layers: layers of cloth that the gripper takes, the uppermost first.
-        drops: how often the cloth is lifted at a random vertex and dropped before an episode.
+        drops: how often the cloth is lifted at a random vertex and let go before an episode, at
+            most; it stops as soon as the cloth is crumpled.
+        crumpled: share of the flat area under which the cloth counts as crumpled.
         drop_speed: of the lifted vertex [m/s].
         lift_share: least and largest height at which the vertex is let go, as a share of that at
             which the cloth hangs clear of the table. Dropped from 1 a towel ends as a ball that no
@@ -53,9 +56,10 @@ class SimulatedRobotConfig:
     episode: EpisodeConfig | None = None
     film: bool = True
     layers: int = 1
-    drops: int = 1
+    drops: int = 5
+    crumpled: float = 0.65
     drop_speed: float = 0.6
-    lift_share: tuple[float, float] = (0.3, 0.7)
+    lift_share: tuple[float, float] = (0.4, 0.8)
     limits: MotionLimits = field(
         default_factory=lambda: MotionLimits(workspace=Workspace((-0.45, 0.45), (-0.4, 0.4)))
     )
@@ -165,6 +169,7 @@ class SimulatedRobot:
         """Lift the cloth at a random vertex, bring it over the middle of the table, let it go."""
         episode = self._episode
         self._world.settle(speed=episode.settle_speed, limit_s=episode.settle_limit_s)
+        wanted = self.config.crumpled * projected_area(self._flat.vertices, self._flat.faces)
         for _ in range(self.config.drops):
             positions = self._world.positions
             vertex = int(self._of_start.integers(len(positions)))
@@ -181,6 +186,8 @@ class SimulatedRobot:
                 self._world.step()
             self._world.release()
             self._world.settle(speed=episode.settle_speed, limit_s=1.0 + episode.settle_limit_s)
+            if projected_area(self._world.positions, self._flat.faces) < wanted:
+                break
 
     def save(self, path: Path) -> None:
         """Write the world as it is, to go on from; whole or not at all.

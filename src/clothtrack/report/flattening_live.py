@@ -46,7 +46,7 @@ def watched_live(port: int | None = None) -> Iterator[Watch]:
                 [action.pick, action.place]
             )  # fmt: skip
             server.scene.add_spline_catmull_rom(
-                "/action", way, color=rgb255(PICKER_CLOSED), line_width=6.0
+                "/action", way, color=rgb255(PICKER_CLOSED), thickness=6.0, thickness_units="screen"
             )
             flat = step.row["flat_m2"]
             share = f"{100 * step.row['seen_m2'] / flat:.0f} % of flat" if flat else ""
