@@ -146,7 +146,7 @@ def _curve(steps: Sequence[dict[str, Any]]) -> str:
         for share in (0.0, 0.5, 1.0)
     )
     numbers = "".join(
-        f'<text class="tick" x="{place(k, 0).split(",")[0]}" y="{low + 16}">{k}</text>'
+        f'<text class="tick" x="{place(k, 0.0).split(",")[0]}" y="{low + 16}">{k}</text>'
         for k in range(len(steps))
     )
     return (
