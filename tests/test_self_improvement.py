@@ -6,6 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from clothtrack import self_improvement
+from clothtrack.errors import ClothTrackError
 from clothtrack.pipeline import RunConfig
 from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
 from clothtrack.planning.flattening import FlattenConfig
@@ -46,7 +48,7 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
     tracker = replace(TrackerConfig(), calibration=CalibrationConfig(method="none"))
     config = ImprovementConfig(
         rounds=1,
-        episodes=2,
+        episodes=4,
         flatten=FlattenConfig(
             perception=PerceptionConfig(refined=False, vertex_count=200),
             simulator=SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1)),
@@ -59,9 +61,44 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
     )
     curve = improve_rounds(weights, tmp_path / "out", "towel", config)
     assert [row["round"] for row in curve] == [0, 1]
-    assert curve[0]["weights_sha256"] != curve[1]["weights_sha256"] or curve[0]["episodes"] == 2
+    assert all(row["episodes"] == 4 == len(row["improvement"]) for row in curve)
     assert json.loads((tmp_path / "out" / "improvement.json").read_text()) == curve
-    assert len(list((tmp_path / "out" / "starts").iterdir())) == 2
+    assert len(list((tmp_path / "out" / "starts").iterdir())) == 4
     assert list((tmp_path / "out" / "round_0" / "labels").glob("*.labels.npz"))
     assert (tmp_path / "out" / "round_0" / "tuned" / "model.safetensors").exists()
     assert improve_rounds(weights, tmp_path / "out", "towel", config) == curve
+
+
+def test_too_few_labels_are_told(tmp_path, monkeypatch):
+    weights = tmp_path / "towel.safetensors"
+    weights.write_bytes(b"weights")
+    monkeypatch.setattr(self_improvement, "_flattened", lambda *_, **__: [0.1, 0.3])
+    monkeypatch.setattr(self_improvement, "_labelled", lambda *_, **__: [tmp_path / "one"])
+    with pytest.raises(ClothTrackError, match="1 of 2 episodes"):
+        improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(episodes=2))
+    (row,) = json.loads((tmp_path / "out" / "improvement.json").read_text())
+    assert row["mean"] == pytest.approx(0.2)
+
+
+def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
+    asked = []
+    weights = tmp_path / "w0"
+    weights.write_bytes(b"0")
+
+    def flattened(folder, starts, given, kind, config, **more):
+        asked.append((given.name, starts))
+        return [0.1 * len(asked)]
+
+    def tuned(given, labels, folder, config, **more):
+        assert len(labels) == 2 * len(asked)
+        path = tmp_path / f"w{len(asked)}"
+        path.write_bytes(path.name.encode())
+        return path
+
+    monkeypatch.setattr(self_improvement, "_flattened", flattened)
+    monkeypatch.setattr(self_improvement, "_labelled", lambda *_, **__: [tmp_path, tmp_path])
+    monkeypatch.setattr(self_improvement, "_tuned", tuned)
+    curve = improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(rounds=2))
+    assert [name for name, _ in asked] == ["w0", "w1", "w2"]
+    assert len({starts for _, starts in asked}) == 1
+    assert [row["mean"] for row in curve] == pytest.approx([0.1, 0.2, 0.3])

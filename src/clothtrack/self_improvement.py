@@ -124,6 +124,11 @@ def improve_rounds(
         if number == config.rounds:
             break
         labels += _labelled(folder, kind, weights, config, device=device, progress=progress)
+        if len(labels) < 2:
+            raise ClothTrackError(
+                f"{folder}: {len(labels)} of {config.episodes} episodes could be labelled; "
+                "fine-tuning needs two, one of them to select by: give more --episodes"
+            )
         weights = _tuned(
             weights, labels, folder / "tuned", config, old=old, device=device, progress=progress
         )

@@ -49,7 +49,7 @@ class SimulatedRobotConfig:
         drop_speed: of the lifted vertex [m/s].
         lift_share: least and largest height at which the vertex is let go, as a share of that at
             which the cloth hangs clear of the table. Dropped from 1 a towel ends as a ball that no
-            single pick-and-place opens: of 25 the best gained 4 % of the flat area.
+            single pick-and-place opens: of 25 the best gained 6 % of the flat area.
         limits: what the robot refuses.
     """
 
