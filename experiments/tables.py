@@ -19,6 +19,13 @@ import numpy as np
 from bench_measures import Row
 from bench_runs import read_rows
 from figures import say
+from flattening_columns import (
+    FLATTENING_COLUMNS,
+    FLATTENING_PAIRED,
+    FLATTENING_TITLES,
+    curve,
+    targets,
+)
 from learning_columns import LEARNING_COLUMNS, LEARNING_PAIRED, LEARNING_TITLES, gains
 from paper_numbers import PAPER, PAPER_MESH
 from table_column import Column, table
@@ -64,6 +71,7 @@ COLUMNS: Mapping[str, tuple[Column, ...]] = {
     ),
     "model_free": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, SWAPPED, CPU),
     **LEARNING_COLUMNS,
+    **FLATTENING_COLUMNS,
 }  # fmt: skip
 TITLES = {
     "table1": "Table 1: what each part of the method is worth",
@@ -74,6 +82,7 @@ TITLES = {
     "sensitivity": "Sensitivity: one setting at a time",
     "model_free": "Why a simulator? A model-free peer",
     **LEARNING_TITLES,
+    **FLATTENING_TITLES,
 }
 REFERENCES: Mapping[str, tuple[str, ...]] = {
     "table1": ("full_held_paper",),
@@ -85,10 +94,12 @@ REFERENCES: Mapping[str, tuple[str, ...]] = {
     "table2": ("before",),
     "label_count": ("trajectories=0",),
     "network_alone": ("network, template",),
+    "flattening": ("random",),
 }
 """What the others are paired with; of several, each with those that begin like it."""
 
 PAIRED = (CHAMFER_LAST, ERROR)
+_PAIRED = {**LEARNING_PAIRED, **FLATTENING_PAIRED}
 
 
 def markdown(experiment: str, rows: Sequence[Row]) -> str:
@@ -106,17 +117,26 @@ def markdown(experiment: str, rows: Sequence[Row]) -> str:
         if reference in chosen and len(chosen) > 1:
             parts += [
                 f"Paired by recording, minus *{reference}* (mean ± standard error):",
-                pairs(good, chosen, reference, LEARNING_PAIRED.get(experiment, PAIRED)),
+                pairs(good, chosen, reference, _PAIRED.get(experiment, PAIRED)),
             ]
+    if experiment == "flattening":
+        parts += ["Mean normalised improvement after each action:", curve(good, variants)]
+        parts += [targets(good)]
+        return _with_failures(parts, rows)
     if any(row["actions"] > 1 for row in good):
         parts += ["Error by action [mm], all vertices / hidden:", by_action(good, variants)]
     if len({row["kind"] for row in good}) > 1:
         parts += ["Error by garment [mm], all vertices / visible / hidden:", by_garment(good)]
     if experiment == "table2":
         parts.append(gains(good))
+    return _with_failures(parts, rows)
+
+
+def _with_failures(parts: list[str], rows: Sequence[Row]) -> str:
+    """The parts of a text, and what failed."""
     failed = [row for row in rows if "error" in row]
-    parts += [f"- failed: {r['variant']}, {r['recording']}: {r['error']}" for r in failed]
-    return "\n\n".join(parts) + "\n"
+    told = [f"- failed: {r['variant']}, {r['recording']}: {r['error']}" for r in failed]
+    return "\n\n".join(part for part in (*parts, *told) if part) + "\n"
 
 
 def about(rows: Sequence[Row]) -> str:
@@ -126,7 +146,7 @@ def about(rows: Sequence[Row]) -> str:
     stamps = [row["provenance"] for row in rows if row.get("provenance")]
     commits = sorted({str(stamp["commit"]) for stamp in stamps})
     versions = sorted({str(stamp["clothtrack"]) for stamp in stamps})
-    vertices = [int(row["vertices"]) for row in rows]
+    vertices = [int(row["vertices"]) for row in rows if "vertices" in row]
     text = f"{len(names)} recording{'s' if len(names) != 1 else ''}" + (
         f" of the split {', '.join(splits)}" if splits else ""
     )

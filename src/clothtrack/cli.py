@@ -18,6 +18,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from clothtrack.acquisition import ACQUISITION_VERBS
+from clothtrack.acting import ACTING_VERBS
 from clothtrack.artefacts import inside, load_tracked, recording_of
 from clothtrack.errors import InvalidConfigError
 from clothtrack.learning import LEARNING_VERBS
@@ -286,7 +287,7 @@ def evaluate(
     return 0
 
 
-for _elsewhere in (*LOOKING_VERBS, *LEARNING_VERBS):
+for _elsewhere in (*LOOKING_VERBS, *LEARNING_VERBS, *ACTING_VERBS):
     _verb(_elsewhere)
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.network_mesh import laid_flat, network_mesh
+from clothtrack.network_mesh import front_up, laid_flat, network_mesh
 from clothtrack.reconstruction.availability import INSTALL, missing_modules, shipped_weights
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
@@ -172,7 +172,7 @@ def _from_network(
             f"{recording.folder}: the network makes no mesh of the first frame "
             f"({found.reconstruction.status}); use first_mesh.source=flat"
         )
-    positions = found.mesh.vertices.astype(np.float64)
+    positions = front_up(rest, found.mesh.vertices.astype(np.float64), kind)
     origin = {
         "source": "network",
         "weights": weights.name,

@@ -66,7 +66,7 @@ def label(
         recording = recording_of(result, recordings)
         rejected = read_review(review_path(path), result).rejected
         judged = judge_labels(result, recording, device=device)
-        chosen = _pseudo_labels(
+        chosen = pseudo_labels_of(
             result, judged, rejected, weighted=weighted, flat_weight=flat_weight
         )
         if result.mesh.canonical is None:
@@ -319,7 +319,7 @@ def _refuse(options: Mapping[str, object], why: str) -> None:
         raise InvalidConfigError(f"{names}: {why}; leave it out")
 
 
-def _pseudo_labels(
+def pseudo_labels_of(
     tracked: "TrackedTrajectory",
     judged: "Sequence[LabelQuality]",
     rejected: Collection[int],

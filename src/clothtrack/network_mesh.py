@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import align
-from clothtrack.reconstruction.canonical_frame import conventional
+from clothtrack.reconstruction.canonical_frame import conventional, symmetries
 from clothtrack.reconstruction.template_fit import TemplateFitConfig
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import Table
@@ -114,6 +115,40 @@ def observation_of(picture: "DepthInput") -> Observation:
         tool_positions=np.zeros((0, 3)),
         tool_clearance_m=0.0,
     )
+
+
+def front_up(
+    mesh: ClothMesh, positions: Float[np.ndarray, "vertices 3"], kind: str
+) -> Float[np.ndarray, "vertices 3"]:
+    """The same cloth with its points named so that its front faces up, where names are a guess.
+
+    Front and back of a garment without marks look alike, and the network names them as it pleases.
+    Before anything has happened the convention decides: of all look-alike namings, the one whose
+    front looks up most. Each vertex goes to where its look-alike partner is.
+
+    Args:
+        mesh: the garment, canonical coordinates filled.
+        positions: where its vertices are in the world [m], z up.
+        kind: "towel" or "tshirt".
+    """
+    canonical, faces = np.asarray(mesh.canonical, np.float64), mesh.faces
+    outward = np.sign(_upward_area(canonical, faces))
+    namings = []
+    for signs in symmetries(kind):
+        face, weights = closest_on_mesh(canonical * signs, canonical, faces)
+        named = np.einsum("ij,ijk->ik", weights, positions[faces[face]])
+        namings.append(positions if (signs > 0).all() else named)
+    # The first of those that look up as much: the network's own names where they do.
+    facing = np.array([outward @ _upward_area(named, faces) for named in namings])
+    return namings[int(np.argmax(facing > 0.99 * facing.max()))]
+
+
+def _upward_area(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Float[np.ndarray, " faces"]:
+    """Area of each triangle as seen from above [m^2], negative where it looks down."""
+    a, b, c = (vertices[faces[:, corner], :2] for corner in range(3))
+    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
 
 
 def laid_flat(

@@ -42,8 +42,9 @@ def whole_file(path: Path) -> Iterator[Path]:
             )
             os.close(handle)
             temporary = Path(name)
-            temporary.chmod(0o644)
             yield temporary
+            # Some writers make the file anew, for their owner alone.
+            temporary.chmod(0o644)
             _flush(temporary)
             os.replace(temporary, path)
         finally:

@@ -92,3 +92,18 @@ def test_fabrics_differ_by_seed_and_stay_in_range() -> None:
     assert fabrics[0] == Fabric.sample(np.random.default_rng(0))
     assert len({fabric.young_pa for fabric in fabrics}) == 20
     assert all(2.5e4 <= fabric.young_pa <= 6e4 for fabric in fabrics)
+
+
+def test_a_restored_world_goes_on_as_the_saved_one_did():
+    mesh = towel(0.1, 0.1, 0.02)
+    world = FlexWorld(mesh.with_vertices(mesh.vertices + [0.0, 0.0, 0.05]), Fabric())
+    world.step(10)
+    saved, there = world.save(), world.positions
+    world.step(20)
+    later = world.positions
+    world.restore(saved)
+    np.testing.assert_array_equal(world.positions, there)
+    world.step(20)
+    np.testing.assert_allclose(world.positions, later, atol=1e-9)
+    with pytest.raises(InvalidConfigError, match="another cloth"):
+        world.restore(saved[:-1])

@@ -273,7 +273,7 @@ class _Learning:
         device = self.processes.device
         if device.startswith("cuda"):
             return f"{self.processes.count} x {torch.cuda.get_device_name(device)}"
-        return f"a CPU, {self.processes.count * torch.get_num_threads()} threads"
+        return f"a CPU (threads: {self.processes.count * torch.get_num_threads()})"
 
     def _one(
         self,

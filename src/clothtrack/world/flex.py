@@ -24,6 +24,7 @@ GRASP_IMPEDANCE = "0.99 0.999 0.001"
 """Hardness of a grasp (MuJoCo's solimp); its default lets a vertex of some milligrams trail the
 tip by centimetres when the whole cloth is dragged."""
 PARKED_M = (0.0, 0.0, 5.0)
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,28 @@ class FlexWorld:
                 f"the stand-in world diverged at {self.time_s:.3f} s; use a softer fabric "
                 "(young_pa) or a finer mesh"
             )
+
+    def save(self) -> Float[np.ndarray, " values"]:
+        """Everything that the next step depends on; only while nothing is held."""
+        size = mujoco.mj_stateSize(self._model, _STATE)
+        state = np.empty(size)
+        mujoco.mj_getState(self._model, self._data, state, _STATE)
+        return state
+
+    def restore(self, state: Float[np.ndarray, " values"]) -> None:
+        """Go back to a saved state of the same cloth; nothing is held then.
+
+        Raises:
+            InvalidConfigError: the state is of another cloth.
+        """
+        size = mujoco.mj_stateSize(self._model, _STATE)
+        if len(state) != size:
+            raise InvalidConfigError(
+                f"a state of {len(state)} numbers for a world of {size}; it is of another cloth"
+            )
+        mujoco.mj_setState(self._model, self._data, np.asarray(state, dtype=np.float64), _STATE)
+        self.release()
+        mujoco.mj_forward(self._model, self._data)
 
     def settle(self, *, speed: float = 0.01, limit_s: float = 1.0) -> float:
         """Step until the cloth is at rest (rms speed [m/s] below `speed`); seconds used."""

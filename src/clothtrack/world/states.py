@@ -249,7 +249,7 @@ def _sound_states(
     wanted, found = config.shard_states, 0
     limit = config.crossings_limit * len(crumpler.mesh.edges)
     for episode in range(4 * config.episodes):
-        for state in crumpler.episode(_draw_parameters(config.cloth, rng), rng.spawn(1)[0]):
+        for state in crumpler.episode(draw_parameters(config.cloth, rng), rng.spawn(1)[0]):
             if state.exploded:
                 logger.info("episode %d: exploded", episode)
                 break
@@ -294,7 +294,8 @@ def draw_garment(kind: GarmentKind, config: StatesConfig, rng: np.random.Generat
     )
 
 
-def _draw_parameters(ranges: ClothRanges, rng: np.random.Generator) -> ClothParameters:
+def draw_parameters(ranges: ClothRanges, rng: np.random.Generator) -> ClothParameters:
+    """What one cloth is made of, drawn from the ranges."""
     bend, stretch = (
         float(np.exp(rng.uniform(*np.log(bounds))))
         for bounds in (ranges.bend_compliance, ranges.stretch_compliance)

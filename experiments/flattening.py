@@ -1,0 +1,328 @@
+"""Flattening column of Table 2: the same crumpled starts, ten actions each, in the stand-in world.
+
+Claims judged: fine-tuning lifts the normalised improvement by 30 % (paper, 0.23 to 0.30); the
+fine-tuned network reaches 80 % of what the truth as perception reaches; the learned dynamics are as
+good as the simulator. Random actions and the geometric heuristic say what no mesh is worth. What
+begins with "control" knows the truth, and is an upper bound and no result.
+
+    python experiments/flattening.py --out OUT --episodes 20
+    python experiments/flattening.py --out OUT --weights FILE --tuned FILE --dynamics FILE
+
+Episodes that are finished are kept, a broken one goes on; methods without their weights are left
+out. `--kind tshirt --kind towel` takes both garments in turn.
+"""
+
+import argparse
+import hashlib
+import json
+import logging
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import tables
+from bench_measures import Row
+from bench_runs import read_rows, write_rows
+from figures import say
+
+from clothtrack import __version__
+from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.pipeline import commit
+from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
+from clothtrack.planning.episode_store import EpisodeStore
+from clothtrack.planning.flattening import FlattenConfig, improvement
+from clothtrack.planning.perception import PerceptionConfig
+from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.simulated_episodes import (
+    EpisodeParts,
+    SimulatedEpisode,
+    flatten_simulated,
+)
+from clothtrack.planning.simulated_robot import SimulatedRobotConfig
+from clothtrack.report.flattening_page import write_film_strip
+from clothtrack.tracking.settings import with_settings
+from clothtrack.workers import finished_in_workers
+from clothtrack.world.episodes import SMALL_WORLD
+
+NAME = "flattening"
+FIRST_SEED = 9000
+"""Of the starts; the benchmark's seeds, and those that are learned from, lie below."""
+
+TRUTH = PerceptionConfig(name="truth")
+
+
+@dataclass(frozen=True)
+class Method:
+    """One line of the table.
+
+    Attributes:
+        name: as the table calls it.
+        config: how it flattens.
+    """
+
+    name: str
+    config: FlattenConfig
+
+
+@dataclass(frozen=True)
+class Task:
+    """One episode of one method.
+
+    Attributes:
+        method: how.
+        episode: which.
+        out: folder of all episodes and starts.
+        robot: of the stand-in world.
+        device: where to compute.
+    """
+
+    method: Method
+    episode: SimulatedEpisode
+    out: Path
+    robot: SimulatedRobotConfig
+    device: str = "cpu"
+
+    @property
+    def digest(self) -> str:
+        """Ten hexadecimal digits that change with every setting and with what is in the weights."""
+        settings = asdict(self.method.config), asdict(self.robot)
+        content = hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode())
+        for name in (
+            self.method.config.perception.weights, self.method.config.dynamics_weights
+        ):  # fmt: skip
+            if name:
+                content.update(Path(name).read_bytes())
+        return content.hexdigest()[:10]
+
+    @property
+    def folder(self) -> Path:
+        """Where the method's episodes lie."""
+        return self.out / self.digest
+
+
+def methods(options: argparse.Namespace) -> list[Method]:
+    """What is compared: what needs no weights always, the others where their weights are given."""
+    base = FlattenConfig(actions=options.actions)
+    if options.smoke:
+        quick = SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1))
+        base = FlattenConfig(actions=2, simulator=quick, planner=PlannerConfig(candidates=10))
+    base = with_settings(base, options.settings)
+    found = [
+        Method("random", replace(base, policy="random")),
+        Method("heuristic", replace(base, policy="heuristic")),
+        Method("control: truth, simulator", replace(base, perception=TRUTH)),
+        Method(
+            "control: truth, simulator, refined",
+            replace(base, perception=TRUTH, planner=replace(base.planner, refinements=2)),
+        ),
+        Method(
+            "control: truth, simulator, 3 materials", replace(base, perception=TRUTH, materials=3)
+        ),
+    ]
+    learned = {"dynamics": "mesh", "dynamics_weights": str(options.dynamics or "")}
+    if options.dynamics:
+        found.append(
+            Method("control: truth, learned dynamics", replace(base, perception=TRUTH, **learned))
+        )
+    for name, weights in (("pretrained", options.weights), ("fine-tuned", options.tuned)):
+        if not weights:
+            continue
+        seen = {
+            how: replace(base, perception=PerceptionConfig(name=how, weights=str(weights)))
+            for how in ("network", "tracker", "both")
+        }
+        found.append(Method(name, seen["network"]))
+        found += [Method(f"{name}, {how}", seen[how]) for how in ("tracker", "both")]
+        if options.dynamics:
+            found.append(Method(f"{name}, learned dynamics", replace(seen["network"], **learned)))
+    if options.only:
+        found = [one for one in found if any(one.name.startswith(name) for name in options.only)]
+    return found
+
+
+def run(task: Task) -> list[Row]:
+    """One episode's rows, one per action; an episode that ended early stays where it was."""
+    quiet_warp()
+    named = {
+        "experiment": NAME,
+        "variant": task.method.name,
+        "recording": task.episode.label,
+        "kind": task.episode.kind,
+        "split": "",
+    }
+    try:
+        store = flatten_simulated(
+            task.folder,
+            task.episode,
+            task.method.config,
+            robot_config=task.robot,
+            parts=EpisodeParts(starts=task.out / "starts"),
+            device=task.device,
+        )
+    except ClothTrackError as error:
+        return [{**named, "error": str(error)}]
+    strip = task.folder / "strips" / f"{task.episode.label}.png"
+    if not strip.exists():
+        write_film_strip(store, strip)
+    return [{**named, **row} for row in rows_of(store, task)]
+
+
+def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
+    """What is measured after each action."""
+    steps = store.steps
+    gained = improvement(steps)
+    asked = store.document["asked"]
+    flat, start = steps[0]["flat_m2"], steps[0]["true_m2"]
+    stamp = {
+        "clothtrack": __version__,
+        "commit": commit(),
+        "device": task.device,
+        "seed": task.episode.seed,
+        "config_hash": task.digest,
+    }
+    rows: list[Row] = []
+    for number in range(1, task.method.config.actions + 1):
+        done = min(number, len(steps) - 1)
+        acted = number == done
+        step = steps[done]
+        rows.append(
+            {
+                "action": number,
+                "actions": task.method.config.actions,
+                "stage": "after",
+                "improvement": gained[done],
+                "share": step["true_m2"] / flat,
+                "seen_share": step["seen_m2"] / flat,
+                "start_share": start / flat,
+                "used": len(steps) - 1,
+                "missed": float(step["grasped"] is False) if acted else None,
+                "expected_m2": step["gain_m2"] if acted else None,
+                "gain_m2": step["true_m2"] - steps[done - 1]["true_m2"] if acted else None,
+                "perception_cpu_s": step["perception_cpu_s"] if acted else None,
+                "decision_cpu_s": step["decision_cpu_s"] if acted else None,
+                "status": store.document["status"],
+                "control": asked["label"]["control"],
+                "perception": asked["label"]["perception"],
+                "provenance": stamp,
+            }
+        )
+    return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the experiment; returns the exit code."""
+    options = parse(arguments)
+    quiet_warp()
+    logging.basicConfig(level=logging.INFO if options.verbose else logging.ERROR)
+    with tempfile.TemporaryDirectory(prefix=f"{NAME}-") as temporary:
+        out = options.out or Path(temporary)
+        robot = SimulatedRobotConfig(film=options.film)
+        if options.smoke:
+            robot = SimulatedRobotConfig(episode=SMALL_WORLD, film=False)
+            if not options.weights:
+                options.weights = tiny_network(out / "tiny.safetensors")
+        try:
+            chosen = methods(options)
+            seeds = range(FIRST_SEED, FIRST_SEED + (1 if options.smoke else options.episodes))
+            tasks = [
+                Task(method, SimulatedEpisode(kind, seed), out / NAME, robot, options.device)
+                for seed in seeds
+                for kind in (("towel",) if options.smoke else options.kind)
+                for method in chosen
+            ]
+            make_starts(tasks, options.workers)
+            rows = [row for part in finished_in_workers(run, tasks, options.workers)
+                    for row in noted(part)]  # fmt: skip
+        except ClothTrackError as error:
+            sys.stderr.write(f"{error}\n")
+            return 1
+        order = [one.name for one in chosen]
+        rows.sort(key=lambda row: (order.index(row["variant"]), row["recording"]))
+        write_rows(rows, out / f"{NAME}.jsonl")
+        if options.smoke:
+            say("Smoke run: a napkin, two actions, a network that has learned nothing.\n\n")
+        title = __doc__.splitlines()[0]
+        say(f"{title}\n\n{tables.markdown(NAME, read_rows(out / f'{NAME}.jsonl'))}")
+    return 1 if not rows or all("error" in row for row in rows) else 0
+
+
+def make_starts(tasks: Sequence[Task], workers: int) -> None:
+    """The crumpled starts, once each: methods that run beside each other share them."""
+    first = {task.episode.label: task for task in reversed(tasks)}
+    missing = [
+        task for label, task in first.items()
+        if not (task.out / "starts" / f"{label}.npz").exists()
+    ]  # fmt: skip
+    for _ in finished_in_workers(partial(make_start), missing, workers):
+        pass
+
+
+def make_start(task: Task) -> None:
+    """One crumpled start."""
+    from clothtrack.planning.simulated_episodes import begin
+    from clothtrack.planning.simulated_robot import SimulatedRobot
+
+    robot = SimulatedRobot(task.episode.kind, task.episode.seed, task.robot)
+    begin(robot, task.out / "starts" / f"{task.episode.label}.npz")
+
+
+def noted(rows: list[Row]) -> list[Row]:
+    """The same rows; says that they are there."""
+    last = rows[-1]
+    told = last.get("error") or f"improvement {last['improvement']:.3f}"
+    sys.stderr.write(f"{last['variant']}, {last['recording']}: {told}\n")
+    sys.stderr.flush()
+    return rows
+
+
+def tiny_network(path: Path) -> Path | None:
+    """Weights of a network that has learned nothing; None where PyTorch is not installed."""
+    try:
+        import torch
+        from learning_experiment import TINY
+
+        from clothtrack.reconstruction.checkpoint import save_weights
+        from clothtrack.reconstruction.model import MeshReconstructor
+    except ImportError:
+        return None
+    torch.manual_seed(0)
+    model = MeshReconstructor(TINY, "towel")
+    save_weights(path, model.state_dict(), TINY, kind="towel")
+    return path
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="folder of rows, episodes and starts")
+    parser.add_argument("--episodes", type=int, default=20, help="starts of each garment")
+    parser.add_argument("--kind", action="append", choices=("towel", "tshirt"))
+    parser.add_argument("--actions", type=int, default=10, help="of an episode")
+    parser.add_argument("--weights", type=Path, help="of the pretrained network")
+    parser.add_argument("--tuned", type=Path, help="of the fine-tuned network")
+    parser.add_argument("--dynamics", type=Path, help="of the learned mesh dynamics")
+    parser.add_argument("--film", action="store_true", help="pictures all through the actions")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="methods, or their beginnings")
+    parser.add_argument(
+        "--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
+        help="of all methods, such as planner.candidates=300",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--smoke", action="store_true", help="does everything run?")
+    parser.add_argument("--verbose", action="store_true", help="log what happens")
+    options = parser.parse_args(arguments)
+    options.kind = options.kind or ["tshirt"]
+    if options.out is None and not options.smoke:
+        parser.error("give --out FOLDER, or --smoke")
+    if options.episodes < 1 or options.actions < 1:
+        raise InvalidConfigError("--episodes and --actions are at least 1")
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,327 @@
+"""Pick-and-places to choose from: where cloth is seen, in reach, and in the picture.
+
+Random shooting as in the paper (Sec. IV-B.2) and its reference code: a pick on visible cloth, a
+direction, 5 to 20 cm. Picks near hems and corners are tried more often, since these unfold cloth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.world.actions import ActionConfig, PlannedAction, carrying_path
+
+EDGE_REACH_M = 0.02
+"""Radius of the neighbourhood [m] that tells an edge from the middle of a cloth."""
+
+LEAST_WEIGHT = 0.02
+"""How often the middle of the cloth is picked, compared with a straight edge's 0.18."""
+
+ON_CLOTH_M = 0.012
+"""A place this near to a seen point [m] is on the cloth; a pick farther from any is on none."""
+
+
+@dataclass(frozen=True, eq=False)
+class PickPlace:
+    """One pick-and-place in the world frame; doing nothing is None.
+
+    Attributes:
+        pick: where the gripper closes [m].
+        place: where it opens [m].
+        lift_m: height of the path over the straight line between them [m].
+    """
+
+    pick: Float[np.ndarray, " 3"]
+    place: Float[np.ndarray, " 3"]
+    lift_m: float
+
+    def path(self, speed: float, time_step_s: float) -> Float[np.ndarray, "steps 3"]:
+        """Where the tip is after each time step, from grasp to release [m].
+
+        Args:
+            speed: highest speed of the tip [m/s].
+            time_step_s: time from one point of the path to the next [s].
+        """
+        planned = PlannedAction(np.zeros(0, np.int64), self.pick, self.place, self.lift_m)
+        config = ActionConfig(speed=speed, frame_rate=1.0 / time_step_s)
+        return carrying_path(planned, config, time_step_s)
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values, for JSON."""
+        return {"pick": self.pick.tolist(), "place": self.place.tolist(), "lift_m": self.lift_m}
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A box of the world that the tip may be in: what the robot reaches and nobody else needs.
+
+    Attributes:
+        x_m: least and largest x [m].
+        y_m: least and largest y [m].
+        z_m: least and largest height [m].
+    """
+
+    x_m: tuple[float, float] = (-0.4, 0.4)
+    y_m: tuple[float, float] = (-0.3, 0.3)
+    z_m: tuple[float, float] = (-0.005, 0.4)
+
+    def __post_init__(self) -> None:
+        """Refuse an empty box.
+
+        Raises:
+            InvalidConfigError: naming the axis.
+        """
+        for name, (low, high) in vars(self).items():
+            if not low < high:
+                raise InvalidConfigError(
+                    f"workspace.{name} is ({low}, {high}); give the smaller bound first"
+                )
+
+    def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
+        """Which points [m] are inside."""
+        bounds = np.array([self.x_m, self.y_m, self.z_m])
+        inside = (points >= bounds[:, 0]) & (points <= bounds[:, 1])
+        return np.asarray(inside.all(axis=-1))
+
+
+@dataclass(frozen=True)
+class ActionSpace:
+    """Which pick-and-places are tried.
+
+    Attributes:
+        distance_m: least and largest horizontal way [m] (paper's reference code: 0.05 to 0.2).
+        lift_m: least and largest height of the path over the straight line [m]; VCD lifts 0.07.
+        edges: share of picks that are drawn near edges and corners; the others are anywhere on
+            visible cloth, as in the reference code.
+        outwards: share of ways that lead within 60 degrees of straight away from the middle of
+            the cloth; the others lead anywhere.
+        place: "anywhere", or "off" the cloth as VCD's robot.
+        release_height_m: height of the tip above table or cloth when it opens [m].
+        picture_margin: no pick or place this near to the border of the picture, as a share of its
+            width.
+        workspace: where the tip may be.
+    """
+
+    distance_m: tuple[float, float] = (0.05, 0.2)
+    lift_m: tuple[float, float] = (0.02, 0.1)
+    edges: float = 0.7
+    outwards: float = 0.5
+    place: Literal["anywhere", "off"] = "anywhere"
+    release_height_m: float = 0.006
+    picture_margin: float = 0.03
+    workspace: Workspace = field(default_factory=Workspace)
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that hold nothing.
+
+        Raises:
+            InvalidConfigError: with the field, its value and the limit.
+        """
+        for name in ("distance_m", "lift_m"):
+            low, high = getattr(self, name)
+            if not 0.0 <= low <= high:
+                raise InvalidConfigError(
+                    f"actions.{name} is ({low}, {high}); give the smaller bound first, from 0 up"
+                )
+        for name in ("edges", "outwards"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidConfigError(
+                    f"actions.{name} is {getattr(self, name)}; it is a share, 0 to 1"
+                )
+        if self.place not in ("anywhere", "off"):
+            raise InvalidConfigError(f"actions.place is {self.place!r}; choose 'anywhere' or 'off'")
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCloth:
+    """What actions are chosen from.
+
+    Attributes:
+        cloud: points of the cloth that the camera sees [m], world frame, z up.
+        camera: whose picture picks and places must be in; None: any.
+        table_height_m: height of the table in the world [m].
+    """
+
+    cloud: Float[np.ndarray, "points 3"]
+    camera: Camera | None
+    table_height_m: float = 0.0
+
+
+def edge_measure(
+    points: Float[np.ndarray, "points dimensions"], radius_m: float = EDGE_REACH_M
+) -> Float[np.ndarray, " points"]:
+    """How much of an edge or a corner is at each point, seen from above.
+
+    The distance from the point to the middle of its neighbours, over the radius: 0 inside, 4 / (3
+    pi) = 0.42 on a straight edge, 0.6 in a right-angled corner.
+
+    Args:
+        points: evenly spread points [m]; the first two coordinates count.
+        radius_m: of the neighbourhood [m].
+    """
+    flat = np.asarray(points[:, :2], dtype=np.float64)
+    tree = cKDTree(flat)
+    pairs = tree.query_pairs(radius_m, output_type="ndarray")
+    total, count = flat.copy(), np.ones(len(flat))
+    for here, there in (pairs.T, pairs.T[::-1]):
+        np.add.at(total, here, flat[there])
+        np.add.at(count, here, 1.0)
+    return np.linalg.norm(total / count[:, None] - flat, axis=1) / radius_m
+
+
+def pick_weights(
+    cloud: Float[np.ndarray, "points 3"],
+    hypotheses: Sequence[tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]] = (),
+) -> Float[np.ndarray, " points"]:
+    """How often each seen point is to be picked: edges of what is seen, and the garment's own.
+
+    A hem that lies on other cloth is no edge of the picture. Where the mesh has one near the seen
+    surface, it counts like an edge.
+
+    Args:
+        cloud: points that are seen [m].
+        hypotheses: flat garment (its rest shape) and where its vertices may be now [m].
+
+    Returns:
+        Weights that sum to one.
+    """
+    weights = edge_measure(cloud) ** 2
+    own = np.zeros(len(cloud))
+    for flat, positions in hypotheses:
+        spacing = float(np.median(flat.edge_lengths))
+        at_rest = edge_measure(flat.vertices, max(EDGE_REACH_M, 2.0 * spacing)) ** 2
+        gap, nearest = cKDTree(positions).query(cloud)
+        own += np.where(gap < max(ON_CLOTH_M, spacing), at_rest[nearest], 0.0) / len(hypotheses)
+    weights = np.maximum(np.maximum(weights, own), LEAST_WEIGHT)
+    return weights / weights.sum()
+
+
+def sample_actions(
+    seen: SeenCloth,
+    count: int,
+    space: ActionSpace,
+    rng: np.random.Generator,
+    *,
+    weights: Float[np.ndarray, " points"] | None = None,
+) -> list[PickPlace]:
+    """Random pick-and-places within all limits; fewer than asked for when hardly any is.
+
+    Args:
+        seen: the cloth as it is seen.
+        count: how many are wanted.
+        space: which there are.
+        rng: source of everything random.
+        weights: how often each point is picked near edges (`pick_weights`); of what is seen when
+            None.
+    """
+    cloud = seen.cloud
+    weights = pick_weights(cloud) if weights is None else weights
+    middle = cloud[:, :2].mean(axis=0)
+    found: list[PickPlace] = []
+    for _ in range(20):
+        wanted = 2 * (count - len(found))
+        if wanted <= 0:
+            break
+        near = rng.choice(len(cloud), wanted, p=weights)
+        picks = np.where(
+            rng.random(wanted) < space.edges, near, rng.integers(len(cloud), size=wanted)
+        )
+        pick = cloud[picks].astype(np.float64)
+        outward = np.arctan2(*(pick[:, :2] - middle).T[::-1])
+        spread = np.where(rng.random(wanted) < space.outwards, np.pi / 3.0, np.pi)
+        heading = outward + spread * rng.uniform(-1.0, 1.0, wanted)
+        way = rng.uniform(*space.distance_m, wanted)
+        step = way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        lift = rng.uniform(*space.lift_m, wanted)
+        found += within_limits(seen, pick, pick[:, :2] + step, lift, space)
+    return found[:count]
+
+
+def within_limits(
+    seen: SeenCloth,
+    picks: Float[np.ndarray, "actions 3"],
+    places: Float[np.ndarray, "actions 2"],
+    lifts_m: Float[np.ndarray, " actions"],
+    space: ActionSpace,
+) -> list[PickPlace]:
+    """Those of the pick-and-places that keep all limits, with the height of the place filled in.
+
+    Args:
+        seen: the cloth as it is seen.
+        picks: where the gripper closes [m].
+        places: where it opens, in the plane of the table [m].
+        lifts_m: height of each path over the straight line [m].
+        space: the limits.
+    """
+    tree = cKDTree(seen.cloud[:, :2])
+    ground = np.full(len(places), seen.table_height_m)
+    on_cloth = np.zeros(len(places), dtype=bool)
+    for index, near in enumerate(tree.query_ball_point(places, ON_CLOTH_M)):
+        if near:
+            on_cloth[index] = True
+            ground[index] = seen.cloud[near, 2].max()
+    placed = np.column_stack([places, ground + space.release_height_m])
+    top = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], placed[:, 2]) + lifts_m])
+    way = np.linalg.norm(places - picks[:, :2], axis=1)
+    allowed = (way >= space.distance_m[0] - 1e-9) & (way <= space.distance_m[1] + 1e-9)
+    for points in (picks, placed, top):
+        allowed &= space.workspace.holds(points)
+    for points in (picks, placed):
+        allowed &= in_picture(points, seen.camera, space.picture_margin)
+    if space.place == "off":
+        allowed &= ~on_cloth
+    return [
+        PickPlace(picks[k].copy(), placed[k].copy(), float(lifts_m[k]))
+        for k in np.flatnonzero(allowed)
+    ]
+
+
+def in_picture(
+    points: Float[np.ndarray, "points 3"], camera: Camera | None, margin: float
+) -> Bool[np.ndarray, " points"]:
+    """Which points [m] the camera has in its picture, at least a margin from the border.
+
+    Args:
+        points: in the world [m].
+        camera: None sees everything.
+        margin: width of the border, as a share of the picture's width.
+    """
+    if camera is None:
+        return np.ones(len(points), dtype=bool)
+    pixels, depth = camera.project(points)
+    border = margin * camera.width
+    size = np.array([camera.width, camera.height])
+    inside = (pixels >= border - 0.5) & (pixels <= size - border - 0.5)
+    return inside.all(axis=1) & (depth > 0)
+
+
+def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
+    """The geometric heuristic: pull the corner that is farthest from the middle outwards.
+
+    No mesh, no dynamics: what a planner must beat. The longest allowed way is taken; corners are
+    tried from the farthest on until one may be pulled.
+
+    Args:
+        seen: the cloth as it is seen.
+        space: the limits.
+    """
+    cloud = seen.cloud
+    off = cloud[:, :2] - cloud[:, :2].mean(axis=0)
+    far = np.linalg.norm(off, axis=1)
+    corner = np.argsort(-far * (edge_measure(cloud) > 0.3), kind="stable")
+    for one in corner[:: max(1, len(corner) // 100)]:
+        for share in (1.0, 0.75, 0.5, 0.25):
+            low, high = space.distance_m
+            way = (low + share * (high - low)) * off[one] / max(far[one], 1e-9)
+            lift = np.array([0.5 * sum(space.lift_m)])
+            pick = cloud[one].astype(np.float64)[None]
+            found = within_limits(seen, pick, pick[:, :2] + way, lift, space)
+            if found:
+                return found[0]
+    return None

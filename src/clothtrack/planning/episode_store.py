@@ -1,0 +1,251 @@
+"""One flattening episode on disk, step by step, so that a killed one goes on.
+
+    EPISODE/episode.json       what was asked for, and each finished step
+    EPISODE/steps/00           the cloth before any action, as a recording of one frame
+    EPISODE/steps/01 ...       each action as a recording of its own
+    EPISODE/estimates/00.npz   what was believed after each step
+
+At the end the steps are joined to one normal recording. Nothing here holds the truth: the world of
+a simulated robot is saved elsewhere by whoever has one.
+"""
+
+import json
+import shutil
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.planning.perception import Estimate
+from clothtrack.planning.robot import Execution, RgbdFrame
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.recording import ClothDescription, PickerPath, Recording, Table
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.storing import storage, whole_file, write_file
+
+DOCUMENT = "episode.json"
+PICKER = "gripper"
+DEPTH_UNIT_M = 0.0005
+
+
+class EpisodeStore:
+    """Writes and reads the parts of one episode.
+
+    Attributes:
+        folder: where they lie.
+        document: `episode.json` as it is now.
+    """
+
+    def __init__(self, folder: Path, asked: Mapping[str, Any]) -> None:
+        """Begin an episode, or take up the one that lies there.
+
+        Args:
+            folder: of the episode.
+            asked: everything that it depends on; an episode with another one is refused.
+
+        Raises:
+            InvalidConfigError: the folder holds an episode with other settings.
+            InvalidResultError: its document is damaged.
+            StorageError: the disk refuses.
+        """
+        self.folder = Path(folder)
+        plain = json.loads(json.dumps(asked, default=str))
+        path = self.folder / DOCUMENT
+        if not path.exists():
+            self.document: dict[str, Any] = {"asked": plain, "status": "running", "steps": []}
+            self.write()
+            return
+        try:
+            self.document = json.loads(path.read_text(encoding="utf-8"))
+            found = self.document["asked"]
+            self.document = {name: self.document[name] for name in ("asked", "status", "steps")}
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InvalidResultError(
+                f"{path}: not an episode ({error}); remove its folder and begin again"
+            ) from error
+        for name in sorted(set(plain) | set(found)):
+            if plain.get(name) != found.get(name):
+                raise InvalidConfigError(
+                    f"{path}: this episode was begun with another {name}; choose another --output "
+                    "or remove it"
+                )
+
+    @property
+    def steps(self) -> list[dict[str, Any]]:
+        """The finished steps; the first is the cloth before any action."""
+        return self.document["steps"]
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.document["status"] != "running"
+
+    def write(self) -> None:
+        """Write `episode.json`, whole or not at all.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        write_file(self.folder / DOCUMENT, json.dumps(self.document, indent=1).encode())
+
+    def recording_path(self, step: int) -> Path:
+        """Where the recording of a step lies."""
+        return self.folder / "steps" / f"{step:02d}"
+
+    def clear_after(self, step: int) -> None:
+        """Remove what a kill left of steps that were never finished.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        with storage(self.folder):
+            for path in sorted((self.folder / "steps").glob("*")):
+                if path.name.startswith(".") or int(path.name) > step:
+                    shutil.rmtree(path)
+
+    def add_estimates(self, step: int, estimates: Sequence[Estimate]) -> None:
+        """Write what was believed after a step, whole or not at all.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        path = self.folder / "estimates" / f"{step:02d}.npz"
+        arrays: dict[str, np.ndarray] = {"sources": np.array([one.source for one in estimates])}
+        for number, one in enumerate(estimates):
+            arrays[f"flat_{number}"] = one.flat.vertices
+            arrays[f"faces_{number}"] = one.flat.faces
+            arrays[f"positions_{number}"] = one.positions
+            if one.flat.canonical is not None:
+                arrays[f"canonical_{number}"] = one.flat.canonical
+        with whole_file(path) as unfinished:
+            np.savez_compressed(unfinished, **arrays)
+
+    def estimates(self, step: int) -> list[Estimate]:
+        """What was believed after a step; nothing where nothing was.
+
+        Raises:
+            InvalidResultError: the file is damaged.
+        """
+        path = self.folder / "estimates" / f"{step:02d}.npz"
+        if not path.exists():
+            return []
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return [
+                    Estimate(
+                        ClothMesh(
+                            file[f"flat_{number}"],
+                            file[f"faces_{number}"],
+                            file[name] if (name := f"canonical_{number}") in file.files else None,
+                        ),
+                        file[f"positions_{number}"],
+                        str(source),
+                    )
+                    for number, source in enumerate(file["sources"])
+                ]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise InvalidResultError(
+                f"{path}: not the estimates of a step ({error}); remove the episode"
+            ) from error
+
+    def joined(self, out: Path, provenance: Mapping[str, Any]) -> Path:
+        """All steps as one normal recording, which a tracker can follow; kept when it is there.
+
+        Raises:
+            InvalidRecordingError: a step cannot be read.
+            StorageError: the disk refuses.
+        """
+        if (out / "recording.json").exists():
+            return out
+        parts = [read_recording(self.recording_path(step)) for step in range(len(self.steps))]
+        first = parts[0]
+        paths = [part.picker_paths[PICKER] for part in parts if PICKER in part.picker_paths]
+        with RecordingWriter(
+            out, first.cameras, first.depth_units_m, table=first.table, cloth=first.cloth,
+            observed=first.observed, provenance=dict(provenance),
+        ) as writer:  # fmt: skip
+            count, begun = 0, first.frames[0].time_s
+            for part in parts:
+                start = count
+                for frame in part.frames:
+                    _copy(writer, part, frame.index, frame.time_s - begun)
+                    count += 1
+                if part.actions:
+                    writer.add_action(start, count - 1, [PICKER])
+            if paths:
+                writer.set_picker_path(
+                    PICKER,
+                    PickerPath(
+                        np.concatenate([path.time_s for path in paths]) - begun,
+                        np.concatenate([path.positions for path in paths]),
+                        np.concatenate([path.closed for path in paths]),
+                    ),
+                )
+        return out
+
+
+def write_step(
+    folder: Path,
+    frames: Sequence[RgbdFrame],
+    *,
+    cloth: ClothDescription,
+    table: Table,
+    execution: Execution | None = None,
+    provenance: Mapping[str, object] | None = None,
+) -> Recording:
+    """Write one step as a recording and read it back.
+
+    Args:
+        folder: of the recording.
+        frames: its pictures, in order of time, the last one without the arm.
+        cloth: what is known of it.
+        table: what it lies on.
+        execution: the action that is in it; None without one.
+        provenance: who made it, how.
+
+    Raises:
+        InvalidRecordingError: what the robot gave is no valid recording.
+        StorageError: the disk refuses.
+    """
+    camera = frames[0].camera
+    with RecordingWriter(
+        folder, [camera], {camera.name: DEPTH_UNIT_M}, table=table, cloth=cloth,
+        provenance=dict(provenance or {}),
+    ) as writer:  # fmt: skip
+        for frame in frames:
+            writer.add_frame(
+                frame.time_s,
+                color=None if frame.color is None else {camera.name: frame.color},
+                depth={camera.name: frame.depth_m},
+            )
+        if execution is not None:
+            writer.set_picker_path(PICKER, _covering(execution.path, frames))
+            writer.add_action(0, len(frames) - 1, [PICKER])
+    return read_recording(folder)
+
+
+def _covering(path: PickerPath, frames: Sequence[RgbdFrame]) -> PickerPath:
+    """The path for as long as the pictures last: at rest before its first sample, and after."""
+    times, tips, closed = path.time_s, path.positions, path.closed
+    if frames[0].time_s < times[0]:
+        times = np.concatenate([[frames[0].time_s], times])
+        tips, closed = np.vstack([tips[:1], tips]), np.concatenate([[False], closed])
+    if frames[-1].time_s > times[-1]:
+        times = np.concatenate([times, [frames[-1].time_s]])
+        tips, closed = np.vstack([tips, tips[-1:]]), np.concatenate([closed, [False]])
+    return PickerPath(times, tips, closed)
+
+
+def _copy(writer: RecordingWriter, part: Recording, index: int, time_s: float) -> None:
+    frame = part.frames[index]
+    writer.add_frame(
+        time_s,
+        color={name: read_color(path) for name, path in frame.color.items()} or None,
+        depth={
+            name: read_depth(path, part.depth_units_m[name]) for name, path in frame.depth.items()
+        },
+    )

@@ -1,0 +1,399 @@
+"""The closed loop: observe, reconstruct, plan, act, observe again, until the cloth is flat.
+
+What is known of the cloth comes from the robot's pictures. A simulated robot's true coverage is
+taken down for the score, and decides nothing.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.coverage import projected_area
+from clothtrack.planning.actions import PickPlace, farthest_corner, sample_actions
+from clothtrack.planning.dynamics import PlanningDynamics, SimulatorConfig, SimulatorDynamics
+from clothtrack.planning.episode_store import EpisodeStore, write_step
+from clothtrack.planning.perception import (
+    Estimate,
+    Look,
+    Perception,
+    PerceptionConfig,
+    label_of,
+)
+from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
+from clothtrack.planning.robot import Execution, PickPlaceRobot
+from clothtrack.planning.seen import seen_area, seen_cloth
+from clothtrack.recordings.recording import ClothDescription, Recording, Table
+from clothtrack.recordings.store import read_recording
+from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
+from clothtrack.simulation.parameters import ClothParameters
+
+logger = logging.getLogger(__name__)
+
+Policy = Literal["planned", "random", "heuristic"]
+_OF_EPISODES = 0xEF15
+"""Keeps the draws of this module apart from those of others with the same seed."""
+
+
+@dataclass(frozen=True)
+class FlattenConfig:
+    """One way to flatten.
+
+    Attributes:
+        policy: "planned"; or, without any mesh, "random" actions, or the "heuristic" that pulls
+            the farthest corner outwards.
+        perception: where the cloth is.
+        dynamics: "simulator", or "mesh": the learned ones.
+        dynamics_weights: file with the weights of the learned dynamics.
+        materials: materials of the simulator that a gain is the mean over; 1: the usual one.
+        simulator: the solver as dynamics.
+        planner: how an action is chosen.
+        actions: most actions of an episode (paper: 10).
+        enough: an episode ends when the cloth covers this share of the flat garment's area.
+        patience: looks in a row at which nothing promises a gain, after which an episode ends.
+    """
+
+    policy: Policy = "planned"
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    dynamics: Literal["simulator", "mesh"] = "simulator"
+    dynamics_weights: str = ""
+    materials: int = 1
+    simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    actions: int = 10
+    enough: float = 0.95
+    patience: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be done.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        if self.policy not in ("planned", "random", "heuristic"):
+            raise InvalidConfigError(
+                f"policy is {self.policy!r}; choose planned, random or heuristic"
+            )
+        if self.dynamics not in ("simulator", "mesh"):
+            raise InvalidConfigError(f"dynamics is {self.dynamics!r}; choose simulator or mesh")
+        for name in ("actions", "materials", "patience"):
+            if getattr(self, name) < 1:
+                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give at least 1")
+        if not 0.0 < self.enough <= 1.0:
+            raise InvalidConfigError(f"enough is {self.enough}; it is a share, above 0 up to 1")
+
+
+@runtime_checkable
+class Checkpoint(Protocol):
+    """Keeps what an episode needs to go on beside its own files, such as a simulated world."""
+
+    def save(self, step: int) -> None:
+        """Keep the world after a step."""
+        ...
+
+    def restore(self, step: int) -> None:
+        """Put the world where it was after a step."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One finished step, for whoever watches.
+
+    Attributes:
+        number: 0 is the cloth before any action.
+        recording: of this step.
+        estimates: what is believed after it.
+        decision: what was chosen next; None when the episode ends here.
+        row: what `episode.json` says of it.
+    """
+
+    number: int
+    recording: Recording
+    estimates: Sequence[Estimate]
+    decision: Decision | None
+    row: dict[str, Any]
+
+
+Watch = Callable[[Step], None]
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeScene:
+    """What does not change during an episode.
+
+    Attributes:
+        cloth: what is known of the cloth.
+        table: what it lies on.
+        flat_area_m2: area that the flat garment covers [m^2]; None: of the first estimate.
+    """
+
+    cloth: ClothDescription
+    table: Table
+    flat_area_m2: float | None = None
+
+
+def flat_area(cloth: ClothDescription) -> float | None:
+    """Area that a garment of known kind and size covers when it is flat [m^2]; else None."""
+    if cloth.kind not in DEFAULT_SIZES_M or cloth.size_m is None:
+        return None
+    mesh = garment(cloth.kind, vertex_count=300, size_m=cloth.size_m)
+    return projected_area(mesh.vertices, mesh.faces)
+
+
+def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningDynamics]:
+    """The dynamics that a configuration names; PyTorch is imported for the learned ones only.
+
+    Raises:
+        InvalidConfigError: the learned ones are asked for without weights.
+        InvalidResultError: the weights are missing, damaged or of something else.
+    """
+    if config.dynamics == "mesh":
+        from clothtrack.planning.mesh_dynamics import load_mesh_dynamics
+
+        if not config.dynamics_weights:
+            raise InvalidConfigError(
+                "dynamics is mesh, and no dynamics_weights are given; train some with clothtrack "
+                "train-dynamics"
+            )
+        return [load_mesh_dynamics(Path(config.dynamics_weights), device=device)]
+    usual = config.simulator.parameters
+    rng = np.random.default_rng(_OF_EPISODES)
+    drawn = [
+        ClothParameters(
+            stretch_compliance=usual.stretch_compliance,
+            bend_compliance=float(np.exp(rng.uniform(np.log(3.0), np.log(300.0)))),
+            table_friction=float(rng.uniform(0.3, 0.9)),
+            particle_friction=float(rng.uniform(0.25, 0.75)),
+        )
+        for _ in range(config.materials - 1)
+    ]
+    return [
+        SimulatorDynamics(replace(config.simulator, parameters=one), device=device)
+        for one in (usual, *drawn)
+    ]
+
+
+class Flattening:
+    """One episode with one robot."""
+
+    def __init__(
+        self,
+        robot: PickPlaceRobot,
+        scene: EpisodeScene,
+        config: FlattenConfig,
+        *,
+        perception: Perception | None,
+        dynamics: Sequence[PlanningDynamics] = (),
+        seed: int = 0,
+        score: Callable[[], float] | None = None,
+        checkpoint: Checkpoint | None = None,
+    ) -> None:
+        """Put the parts together.
+
+        Args:
+            robot: acts and takes pictures.
+            scene: cloth and table.
+            config: how.
+            perception: finds the cloth; a policy without a mesh needs none.
+            dynamics: of the planner.
+            seed: of the actions that are tried.
+            score: true coverage [m^2], taken down and never used; simulated robots have it.
+            checkpoint: keeps the world for a resumed episode.
+
+        Raises:
+            InvalidConfigError: planning is asked for without perception or dynamics.
+        """
+        if config.policy == "planned" and (perception is None or not dynamics):
+            raise InvalidConfigError("policy is planned; it needs a perception and dynamics")
+        self._robot, self._scene, self._config = robot, scene, config
+        self._perception = perception if config.policy == "planned" else None
+        self._planner = Planner(dynamics, config.planner) if dynamics else None
+        self._seed, self._score, self._checkpoint = seed, score, checkpoint
+
+    def run(self, folder: Path, *, watch: Watch | None = None) -> EpisodeStore:
+        """Flatten, or go on where a killed episode stopped; a finished one is left as it is.
+
+        Args:
+            folder: of the episode (`EpisodeStore`).
+            watch: called after every step.
+
+        Returns:
+            The episode on disk.
+
+        Raises:
+            InvalidConfigError: the folder holds another episode.
+            InvalidRecordingError: the first picture shows no cloth.
+        """
+        label = {"perception": "none", "control": False}
+        if self._perception is not None:
+            label = dict(label_of(self._config.perception))
+        store = EpisodeStore(
+            folder,
+            {"config": asdict(self._config), "seed": self._seed, "label": label,
+             "cloth": {"kind": self._scene.cloth.kind, "size_m": self._scene.cloth.size_m}},
+        )  # fmt: skip
+        if store.finished:
+            return store
+        done = len(store.steps) - 1
+        if done >= 0:
+            store.clear_after(done)
+            if self._checkpoint is not None:
+                self._checkpoint.restore(done)
+            look = Look(read_recording(store.recording_path(done)), done > 0, store.estimates(done))
+            estimates = list(look.before)
+        else:
+            store.clear_after(-1)
+            look, estimates = self._first_look(store)
+        while not store.finished:
+            look, estimates = self._advance(store, look, estimates, watch)
+        return store
+
+    def _first_look(self, store: EpisodeStore) -> tuple[Look, list[Estimate]]:
+        """The cloth before any action."""
+        self._robot.home()
+        recording = write_step(
+            store.recording_path(0), [self._robot.observe()], cloth=self._scene.cloth,
+            table=self._scene.table,
+        )  # fmt: skip
+        look = Look(recording, acted=False)
+        estimates = self._finish_step(store, look, {"step": 0, "action": None})
+        return look, estimates
+
+    def _advance(
+        self, store: EpisodeStore, look: Look, estimates: list[Estimate], watch: Watch | None
+    ) -> tuple[Look, list[Estimate]]:
+        """Decide, act, look; or end the episode."""
+        number = len(store.steps) - 1
+        row = store.steps[number]
+        decision = None
+        status = self._ended(store, row)
+        if not status:
+            decision = self._decide(look, estimates, number)
+            # Whoever promises nothing may have had bad luck with its candidates: look once more.
+            for again in range(1, self._config.patience):
+                if decision.action is None:
+                    decision = self._decide(look, estimates, number, again)
+            status = "" if decision.action is not None else "nothing promises a gain"
+        if watch is not None:
+            watch(Step(number, look.recording, estimates, decision, row))
+        if status or decision is None or decision.action is None:
+            store.document["status"] = status
+            store.write()
+            return look, estimates
+        execution = self._robot.execute(decision.action)
+        if not execution.error:
+            # After a fault nothing moves until somebody has looked.
+            self._robot.home()
+        frames = [*execution.film, self._robot.observe()]
+        recording = write_step(
+            store.recording_path(number + 1), frames, cloth=self._scene.cloth,
+            table=self._scene.table, execution=execution,
+        )  # fmt: skip
+        look = Look(recording, acted=True, before=estimates)
+        told = _told(number + 1, decision, decision.action, execution)
+        return look, self._finish_step(store, look, told)
+
+    def _decide(
+        self, look: Look, estimates: Sequence[Estimate], number: int, again: int = 0
+    ) -> Decision:
+        """The next action that the robot can carry out."""
+        rng = np.random.default_rng([_OF_EPISODES, self._seed, number, again])
+        seen = seen_cloth(look.recording, look.observation())
+        space = self._config.planner.space
+        if self._config.policy == "heuristic":
+            action = farthest_corner(seen, space)
+            return Decision(self._reachable([] if action is None else [action]), 0.0)
+        if self._config.policy == "random" or self._planner is None:
+            return Decision(self._reachable(sample_actions(seen, 20, space, rng)), 0.0)
+        kind = self._scene.cloth.kind
+        beliefs = [Hypothesis(one.flat, one.positions, kind) for one in estimates]
+        decision = self._planner.decide(beliefs, seen, rng)
+        order = np.argsort(-decision.gains_m2, kind="stable")
+        good = [k for k in order if decision.gains_m2[k] > 0.0]
+        action = self._reachable([decision.candidates[k] for k in good])
+        if action is decision.action:
+            return decision
+        gain = max((float(decision.gains_m2[k]) for k in good
+                    if decision.candidates[k] is action), default=0.0)  # fmt: skip
+        return replace(decision, action=action, gain_m2=gain)
+
+    def _reachable(self, actions: Sequence[PickPlace]) -> PickPlace | None:
+        """The first of the actions that the robot does not refuse."""
+        for action in actions:
+            found = self._robot.check(action)
+            if found.reachable:
+                return action
+            logger.info("an action is not reachable: %s", found.reason)
+        return None
+
+    def _finish_step(self, store: EpisodeStore, look: Look, told: dict[str, Any]) -> list[Estimate]:
+        """Perceive, measure, and write everything down; the step is finished then."""
+        clock, cpu = time.perf_counter(), time.process_time()
+        estimates = [] if self._perception is None else self._perception.perceive(look)
+        told["perception_s"] = time.perf_counter() - clock
+        told["perception_cpu_s"] = time.process_time() - cpu
+        told["sources"] = [one.source for one in estimates]
+        flat = self._scene.flat_area_m2
+        if flat is None and estimates:
+            flat = projected_area(estimates[0].flat.vertices, estimates[0].flat.faces)
+        told["seen_m2"] = seen_area(look.recording, look.frame)
+        told["flat_m2"] = flat
+        told["true_m2"] = None if self._score is None else self._score()
+        if estimates:
+            store.add_estimates(told["step"], estimates)
+        if self._checkpoint is not None:
+            self._checkpoint.save(told["step"])
+        store.steps.append(told)
+        store.write()
+        return estimates
+
+    def _ended(self, store: EpisodeStore, row: dict[str, Any]) -> str:
+        """Why the episode is over; empty when it is not."""
+        flat = row["flat_m2"]
+        if flat is not None and row["seen_m2"] >= self._config.enough * flat:
+            return "flat"
+        if row.get("error"):
+            return f"the robot stopped: {row['error']}"
+        if len(store.steps) - 1 >= self._config.actions:
+            return "all actions are used up"
+        return ""
+
+
+def _told(
+    number: int, decision: Decision, action: PickPlace, execution: Execution
+) -> dict[str, Any]:
+    return {
+        "step": number,
+        "action": action.as_dict(),
+        "gain_m2": decision.gain_m2,
+        "candidates": len(decision.candidates),
+        "decision_s": decision.seconds,
+        "decision_cpu_s": decision.cpu_s,
+        "grasped": execution.grasped,
+        "error": execution.error,
+    }
+
+
+def improvement(steps: Sequence[dict[str, Any]], key: str = "true_m2") -> list[float]:
+    """Normalised improvement after each step: (c - c0) / (c_flat - c0) (paper, Sec. IV-B.2).
+
+    Args:
+        steps: rows of an episode.
+        key: "true_m2", or "seen_m2" where no truth is.
+
+    Raises:
+        InvalidRecordingError: coverage or the flat area are not known.
+    """
+    first = steps[0]
+    flat, start = first["flat_m2"], first[key]
+    if flat is None or start is None:
+        raise InvalidRecordingError(
+            f"{key} or the flat area is not known; give the garment's size, or use seen_m2"
+        )
+    return [float((row[key] - start) / max(flat - start, 1e-12)) for row in steps]

@@ -1,0 +1,136 @@
+"""Learned mesh dynamics behind the planner's protocol; needs the extra [learn].
+
+Importing this module imports PyTorch: nothing else in planning does.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.dynamics import HeldWays, MotionConfig, PlannedCloth
+from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig, Springs, advance
+from clothtrack.reconstruction.checkpoint import load_weights
+
+
+@dataclass(frozen=True)
+class MeshDynamicsConfig:
+    """How the learned dynamics are asked.
+
+    Attributes:
+        motion: of the tip; its time step is the model's.
+        resting_height_m: of a vertex on the table [m].
+        chunk: candidates at once; fewer take less memory.
+    """
+
+    motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.05))
+    resting_height_m: float = 0.0015
+    chunk: int = 25
+
+
+class MeshDynamics:
+    """The graph network as dynamics of a planner."""
+
+    def __init__(
+        self,
+        network: MeshNetwork,
+        config: MeshDynamicsConfig | None = None,
+        *,
+        device: str = "cpu",
+    ) -> None:
+        """Put the network where it computes.
+
+        Raises:
+            InvalidConfigError: the motion's time step is not the network's.
+        """
+        self.config = config or MeshDynamicsConfig()
+        if abs(self.config.motion.time_step_s - network.config.step_s) > 1e-9:
+            raise InvalidConfigError(
+                f"motion.time_step_s is {self.config.motion.time_step_s}, the network was trained "
+                f"for {network.config.step_s}; set them equal"
+            )
+        self._network = network.to(device).eval()
+        self._device = device
+        self._mesh: ClothMesh | None = None
+        self._springs: Springs | None = None
+
+    def predict(
+        self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
+    ) -> Float[np.ndarray, "actions vertices 3"]:
+        """The vertices [m] after each of the actions and a rest."""
+        held = HeldWays.of(cloth, actions, self.config.motion)
+        parts = [
+            self._rolled(cloth, held, slice(first, first + self.config.chunk))
+            for first in range(0, len(actions), self.config.chunk)
+        ]
+        empty = np.zeros((0, cloth.flat.vertex_count, 3))
+        return np.concatenate([empty, *parts])
+
+    def _rolled(self, cloth: PlannedCloth, held: HeldWays, part: slice) -> np.ndarray:
+        """Some of the candidates."""
+        config, device = self.config, self._device
+        taken, ways, steps = held.vertices[part], held.ways[part], held.steps[part]
+        lowest = cloth.table_height_m + config.resting_height_m
+        placed = np.array(cloth.positions)
+        placed[:, 2] = np.maximum(placed[:, 2], lowest)
+        positions = torch.tensor(placed, dtype=torch.float32, device=device)
+        positions = positions.expand(len(taken), -1, -1).contiguous()
+        history = self._network.config.history
+        velocities = positions.new_zeros(*positions.shape[:2], history, 3)
+        every = torch.arange(len(taken), device=device)
+        vertex = torch.tensor(np.maximum(taken, 0), device=device)
+        rest = math.ceil(config.motion.rest_s / config.motion.time_step_s)
+        with torch.no_grad():
+            for step in range(ways.shape[1] + rest):
+                holds = torch.zeros(positions.shape[:2], dtype=torch.bool, device=device)
+                holds[every, vertex] = torch.tensor((step < steps) & (taken >= 0), device=device)
+                targets = positions.clone()
+                if step < ways.shape[1]:
+                    told = torch.tensor(ways[:, step], dtype=torch.float32, device=device)
+                    targets[every, vertex] = told
+                positions, velocities = advance(
+                    self._network, positions, velocities, holds, self._mesh_edges(cloth.flat),
+                    targets=targets, lowest_m=lowest,
+                )  # fmt: skip
+        return positions.cpu().numpy().astype(np.float64)
+
+    def _mesh_edges(self, flat: ClothMesh) -> Springs:
+        if self._springs is None or self._mesh is not flat:
+            self._mesh, self._springs = flat, springs_of(flat).to(self._device)
+        return self._springs
+
+
+def springs_of(flat: ClothMesh) -> Springs:
+    """The edges of a flat garment, for the network."""
+    edges = torch.tensor(np.asarray(flat.edges), dtype=torch.int64)
+    rest = torch.tensor(np.asarray(flat.edge_lengths), dtype=torch.float32)
+    return Springs.of(edges, rest, flat.vertex_count)
+
+
+def load_mesh_dynamics(
+    path: Path, config: MeshDynamicsConfig | None = None, *, device: str = "cpu"
+) -> MeshDynamics:
+    """Learned dynamics from a weights file; nothing in it is executed.
+
+    Raises:
+        InvalidResultError: it is missing, damaged, or of another network.
+    """
+    weights = load_weights(path)
+    known = {one.name for one in fields(MeshNetworkConfig)}
+    if set(weights.network) != known:
+        raise InvalidResultError(
+            f"{path}: not weights of mesh dynamics; train some with clothtrack train-dynamics"
+        )
+    try:
+        network = MeshNetwork(MeshNetworkConfig(**weights.network))
+    except (InvalidConfigError, TypeError) as error:
+        raise InvalidResultError(f"{path}: its sizes are damaged ({error})") from error
+    weights.load_into(network)
+    return MeshDynamics(network, config, device=device)

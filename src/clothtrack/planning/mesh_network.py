@@ -1,0 +1,233 @@
+"""The graph network that predicts accelerations on a coarse mesh (VCD and MEDOR, our own code).
+
+Inputs and sizes are those of the reference (method notes, Sec. 6.1); rest lengths are those of the
+flat garment, not of the first frame. A batch is dense: every cloth has the same mesh, candidates
+differ in where it is.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from clothtrack.errors import InvalidConfigError
+
+
+@dataclass(frozen=True)
+class MeshNetworkConfig:
+    """Sizes and units of the graph network.
+
+    Attributes:
+        width: of all hidden layers and latents.
+        message_steps: rounds of message passing.
+        history: past velocities that a vertex knows.
+        step_s: time of one step of the model [s].
+        collision_radius_m: vertices this near that share no edge get a collision edge, found anew
+            in every step [m]; VCD 0.045 with 0.025 spacing.
+        length_scale_m: lengths are divided by this [m].
+        velocity_scale: velocities are divided by this [m/s].
+        acceleration_scale: the output is multiplied by this [m/s^2].
+    """
+
+    width: int = 128
+    message_steps: int = 10
+    history: int = 5
+    step_s: float = 0.05
+    collision_radius_m: float = 0.036
+    length_scale_m: float = 0.025
+    velocity_scale: float = 0.25
+    acceleration_scale: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that no network has, or that would take all memory.
+
+        Raises:
+            InvalidConfigError: with the field, its value and the limits.
+        """
+        for name, most in (("width", 1024), ("message_steps", 64), ("history", 64)):
+            if not 1 <= getattr(self, name) <= most:
+                raise InvalidConfigError(
+                    f"{name} is {getattr(self, name)}; it must be from 1 to {most}"
+                )
+        for name, value in vars(self).items():
+            if isinstance(value, float) and not value > 0.0:
+                raise InvalidConfigError(f"{name} is {value}; it must be above 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """The edges of the mesh, each in both directions.
+
+    Attributes:
+        sender: vertex that an edge comes from.
+        receiver: vertex that it leads to.
+        rest: length in the flat garment [m].
+        joined: matrix of which vertices share an edge or are the same.
+    """
+
+    sender: Tensor
+    receiver: Tensor
+    rest: Tensor
+    joined: Tensor
+
+    @classmethod
+    def of(cls, edges: Tensor, rest: Tensor, vertices: int) -> "Springs":
+        """Both directions of each edge (edges, 2), with its rest length [m]."""
+        sender = torch.cat([edges[:, 0], edges[:, 1]])
+        receiver = torch.cat([edges[:, 1], edges[:, 0]])
+        joined = torch.eye(vertices, dtype=torch.bool, device=edges.device)
+        joined[sender, receiver] = True
+        return cls(sender, receiver, torch.cat([rest, rest]), joined)
+
+    def to(self, device: str) -> "Springs":
+        """The same on a device."""
+        return Springs(*(one.to(device) for one in vars(self).values()))
+
+
+def mlp(inputs: int, width: int, outputs: int) -> nn.Sequential:
+    """Two hidden layers, ReLU, no normalisation (reference)."""
+    return nn.Sequential(
+        nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
+        nn.Linear(width, outputs),
+    )  # fmt: skip
+
+
+class MessageStep(nn.Module):
+    """One round: edges hear their ends, vertices their edges, the whole its vertices."""
+
+    def __init__(self, width: int) -> None:
+        """Allocate; the first layer of the edges is split, so that ends are multiplied once."""
+        super().__init__()
+        self.of_edge = nn.Linear(width, width)
+        self.of_sender = nn.Linear(width, width, bias=False)
+        self.of_receiver = nn.Linear(width, width, bias=False)
+        self.of_whole = nn.Linear(width, width, bias=False)
+        self.edge = nn.Sequential(
+            nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width)
+        )
+        self.node = mlp(3 * width, width, width)
+        self.whole = mlp(3 * width, width, width)
+
+    def forward(
+        self, nodes: Tensor, edges: Tensor, whole: Tensor, links: tuple[Tensor, Tensor, Tensor]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """New latents of vertices (B * V), edges (E) and cloths (B)."""
+        sender, receiver, cloth_of_edge = links
+        cloths, width = whole.shape
+        hidden = (
+            self.of_edge(edges)
+            + self.of_sender(nodes)[sender]
+            + self.of_receiver(nodes)[receiver]
+            + self.of_whole(whole)[cloth_of_edge]
+        )
+        edges = edges + self.edge(hidden)
+        heard = torch.zeros_like(nodes).index_add(0, receiver, edges)
+        per_cloth = nodes.shape[0] // cloths
+        spread = whole.repeat_interleave(per_cloth, dim=0)
+        nodes = nodes + self.node(torch.cat([nodes, heard, spread], dim=1))
+        mean_nodes = nodes.reshape(cloths, per_cloth, width).mean(dim=1)
+        mean_heard = heard.reshape(cloths, per_cloth, width).mean(dim=1)
+        whole = whole + self.whole(torch.cat([whole, mean_nodes, mean_heard], dim=1))
+        return nodes, edges, whole
+
+
+class MeshNetwork(nn.Module):
+    """Accelerations of the vertices of many cloths with one mesh."""
+
+    def __init__(self, config: MeshNetworkConfig) -> None:
+        """Allocate the layers."""
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.encode_node = mlp(3 * config.history + 3, width, width)
+        self.encode_edge = mlp(7, width, width)
+        self.steps = nn.ModuleList(MessageStep(width) for _ in range(config.message_steps))
+        self.decode = mlp(width, width, 3)
+
+    def forward(
+        self, positions: Tensor, velocities: Tensor, height: Tensor, held: Tensor, springs: Springs
+    ) -> Tensor:
+        """Accelerations (B, V, 3) [m/s^2].
+
+        Args:
+            positions: vertices (B, V, 3) [m].
+            velocities: past velocities (B, V, history, 3), the latest last [m/s].
+            height: of the vertices over the table (B, V) [m].
+            held: which vertices are held (B, V).
+            springs: the mesh.
+        """
+        config = self.config
+        cloths, vertices, _ = positions.shape
+        free = torch.stack([~held, held], dim=-1).to(positions.dtype)
+        nodes = self.encode_node(
+            torch.cat(
+                [
+                    velocities.flatten(2) / config.velocity_scale,
+                    height[..., None] / config.length_scale_m,
+                    free,
+                ],
+                dim=-1,
+            ).reshape(cloths * vertices, -1)
+        )
+        sender, receiver, rest = self._edges(positions, springs)
+        flat = positions.reshape(-1, 3)
+        gap = flat[receiver] - flat[sender]
+        length = gap.norm(dim=1, keepdim=True)
+        is_mesh = (rest > 0.0).to(positions.dtype)[:, None]
+        strain = (length - rest[:, None]) * is_mesh
+        features = torch.cat(
+            [torch.cat([gap, length, strain], 1) / config.length_scale_m, 1.0 - is_mesh, is_mesh],
+            dim=1,
+        )
+        edges = self.encode_edge(features)
+        whole = positions.new_zeros(cloths, config.width)
+        links = sender, receiver, torch.div(receiver, vertices, rounding_mode="floor")
+        for step in self.steps:
+            nodes, edges, whole = step(nodes, edges, whole, links)
+        return config.acceleration_scale * self.decode(nodes).reshape(cloths, vertices, 3)
+
+    def _edges(self, positions: Tensor, springs: Springs) -> tuple[Tensor, Tensor, Tensor]:
+        """Edges of mesh and collision of all cloths, as numbers into B * V; rest 0: collision."""
+        cloths, vertices, _ = positions.shape
+        shift = vertices * torch.arange(cloths, device=positions.device)[:, None]
+        near = torch.cdist(positions.detach(), positions.detach()) < self.config.collision_radius_m
+        cloth, first, second = (near & ~springs.joined).nonzero(as_tuple=True)
+        sender = torch.cat([(springs.sender + shift).flatten(), first + vertices * cloth])
+        receiver = torch.cat([(springs.receiver + shift).flatten(), second + vertices * cloth])
+        rest = torch.cat([springs.rest.repeat(cloths), positions.new_zeros(len(cloth))])
+        return sender, receiver, rest
+
+
+def advance(
+    network: MeshNetwork,
+    positions: Tensor,
+    velocities: Tensor,
+    held: Tensor,
+    springs: Springs,
+    *,
+    targets: Tensor,
+    lowest_m: float = 0.0,
+) -> tuple[Tensor, Tensor]:
+    """One step of the model: semi-implicit Euler, held vertices where they are told.
+
+    Args:
+        network: gives the accelerations.
+        positions: vertices (B, V, 3) [m].
+        velocities: past velocities (B, V, history, 3) [m/s].
+        held: which are held (B, V).
+        springs: the mesh.
+        targets: where held vertices are after the step (B, V, 3) [m].
+        lowest_m: no vertex goes under this height [m].
+
+    Returns:
+        Positions and past velocities after the step.
+    """
+    step_s = network.config.step_s
+    height = positions[..., 2] - lowest_m
+    change = network(positions, velocities, height, held, springs)
+    after = positions + step_s * (velocities[:, :, -1] + step_s * change)
+    above = after[..., 2].clamp_min(lowest_m)
+    after = torch.cat([after[..., :2], above[..., None]], dim=-1)
+    after = torch.where(held[..., None], targets, after)
+    latest = (after - positions) / step_s
+    return after, torch.cat([velocities[:, :, 1:], latest[:, :, None]], dim=2)

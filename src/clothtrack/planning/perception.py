@@ -1,0 +1,267 @@
+"""Where the cloth is, before each action: the network, the tracker, both, or a named control.
+
+Everything but the control asks recordings and weights only. The control `truth` is handed the true
+cloth by whoever has a simulated robot, and everything that it leads to is labelled "control".
+"""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.tracking.calibration import CalibrationConfig
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.refinement import RefinementConfig
+from clothtrack.tracking.tracker import Tracker
+
+logger = logging.getLogger(__name__)
+
+PerceptionName = Literal["network", "tracker", "both", "truth"]
+CONTROLS = ("truth",)
+"""Perceptions that no camera can have: upper bounds, never results."""
+
+TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
+
+
+def _one_pass() -> TrackerConfig:
+    """The default tracker without a search: a decision must not wait for one."""
+    return replace(TrackerConfig(), calibration=CalibrationConfig(method="none"))
+
+
+@dataclass(frozen=True)
+class PerceptionConfig:
+    """How the cloth is found.
+
+    Attributes:
+        name: "network": reconstructed anew from each picture; "tracker": reconstructed once, then
+            followed through every action; "both": the two as hypotheses that a planner averages;
+            "truth": the control.
+        weights: file with the network's weights; empty: those that come with the package, if any.
+        refined: fine-tune the network's mesh to the picture.
+        refinement: how.
+        vertex_count: of the network's mesh, about.
+        resting_height_m: of a vertex on the table [m].
+        tracker: Algorithm 1.
+    """
+
+    name: PerceptionName = "network"
+    weights: str = ""
+    refined: bool = True
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
+    vertex_count: int = 1000
+    resting_height_m: float = 0.0015
+    tracker: TrackerConfig = field(default_factory=_one_pass)
+
+    def __post_init__(self) -> None:
+        """Refuse a perception that there is not.
+
+        Raises:
+            InvalidConfigError: with those that there are.
+        """
+        if self.name not in ("network", "tracker", "both", "truth"):
+            raise InvalidConfigError(
+                f"perception is {self.name!r}; choose network, tracker, both or truth"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """One belief of where the cloth is.
+
+    Attributes:
+        flat: the garment at rest, on the table [m]; canonical coordinates filled.
+        positions: its vertices [m].
+        source: "network", "tracker", or "control: truth".
+    """
+
+    flat: ClothMesh
+    positions: Float[np.ndarray, "vertices 3"]
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What perception is shown.
+
+    Attributes:
+        recording: of the latest action, or of the cloth before any.
+        acted: whether there is an action in it.
+        before: what was believed before the action.
+    """
+
+    recording: Recording
+    acted: bool
+    before: Sequence[Estimate] = ()
+
+    @property
+    def frame(self) -> Frame:
+        """The latest picture."""
+        return self.recording.frames[-1]
+
+    def observation(self) -> Observation:
+        """The cloud of the latest picture."""
+        return observe(self.recording, self.frame)
+
+
+@runtime_checkable
+class Perception(Protocol):
+    """Finds the cloth."""
+
+    def perceive(self, look: Look) -> list[Estimate]:
+        """Where the cloth may be; one belief or several."""
+        ...
+
+
+class NetworkPerception:
+    """The network's mesh of the latest picture, fine-tuned to it. Needs [learn] and weights."""
+
+    def __init__(self, kind: str, config: PerceptionConfig, *, device: str = "cpu") -> None:
+        """Load the networks.
+
+        Raises:
+            InvalidResultError: there are no weights, or not for this garment.
+        """
+        from clothtrack.reconstruction.depth_input import load_model
+
+        self._kind, self._config, self._device = kind, config, device
+        path = Path(config.weights) if config.weights else None
+        self._model: Any = load_model(kind, path, device=device)
+
+    def perceive(self, look: Look) -> list[Estimate]:
+        """One estimate, from the latest picture alone.
+
+        Raises:
+            InvalidRecordingError: there is no cloth in the picture, or no mesh comes of it.
+        """
+        from clothtrack.network_mesh import laid_flat, network_mesh
+        from clothtrack.reconstruction.depth_input import DepthInput
+        from clothtrack.reconstruction.pseudo_labels import cloth_picture
+
+        config, recording = self._config, look.recording
+        depth, mask, camera = cloth_picture(recording, look.frame)
+        found = network_mesh(
+            self._model,
+            DepthInput(depth, mask, camera, recording.table, self._kind),
+            self._kind,
+            size_m=recording.cloth.size_m,
+            vertex_count=config.vertex_count,
+            refinement=config.refinement if config.refined else None,
+            observation=look.observation(),
+            device=self._device,
+        )
+        rest = found.reconstruction.rest
+        if found.mesh is None or rest is None or recording.table is None:
+            raise InvalidRecordingError(
+                f"{recording.folder}: the network makes no mesh of it "
+                f"({found.reconstruction.status}); flattening needs a table and a mesh"
+            )
+        positions = found.mesh.vertices.astype(np.float64)
+        flat = laid_flat(rest, positions, recording.table, config.resting_height_m)
+        return [Estimate(flat, positions, "network")]
+
+
+class TrackerPerception:
+    """What was believed before the action, carried through it by Algorithm 1."""
+
+    def __init__(self, first: Perception, config: PerceptionConfig, *, device: str = "cpu") -> None:
+        """Remember who makes the first estimate, and whoever follows where tracking fails."""
+        self._first, self._config, self._device = first, config, device
+
+    def perceive(self, look: Look) -> list[Estimate]:
+        """The tracked estimate; a fresh one before any action, or when nothing can be tracked."""
+        before = [one for one in look.before if one.source != "control: truth"]
+        if not look.acted or not before or not look.recording.actions:
+            return self._first.perceive(look)
+        recording, start = look.recording, before[0]
+        try:
+            tracker = Tracker(
+                recording,
+                start.flat,
+                self._config.tracker,
+                lambda frame: observe(recording, frame),
+                start=start.positions,
+                device=self._device,
+            )
+            tracked = tracker.track()
+        except ClothTrackError as error:
+            logger.warning("%s cannot be tracked (%s): perceived anew", recording.folder, error)
+            return self._first.perceive(look)
+        positions = tracked.actions[-1].positions_after_final_alignment.astype(np.float64)
+        if not np.isfinite(positions).all():
+            logger.warning("%s: tracking burst: perceived anew", recording.folder)
+            return self._first.perceive(look)
+        return [Estimate(start.flat, positions, "tracker")]
+
+
+class BothPerception:
+    """The tracked estimate and a fresh one: two hypotheses."""
+
+    def __init__(self, network: Perception, tracker: Perception) -> None:
+        """Remember both."""
+        self._network, self._tracker = network, tracker
+
+    def perceive(self, look: Look) -> list[Estimate]:
+        """The tracker's first, as the next action is tracked from it; before any, the network's."""
+        if not look.acted:
+            return self._network.perceive(look)
+        return [*self._tracker.perceive(look), *self._network.perceive(look)]
+
+
+class ControlPerception:
+    """The true cloth: the upper bound of all perception, and no result."""
+
+    def __init__(self, true_cloth: TrueCloth) -> None:
+        """Remember whom to ask; only a simulated robot can be."""
+        self._true_cloth = true_cloth
+
+    def perceive(self, look: Look) -> list[Estimate]:
+        """The truth, labelled as a control."""
+        del look
+        flat, positions = self._true_cloth()
+        return [Estimate(flat, np.array(positions), "control: truth")]
+
+
+def perception_of(
+    kind: str,
+    config: PerceptionConfig,
+    *,
+    true_cloth: TrueCloth | None = None,
+    device: str = "cpu",
+) -> Perception:
+    """The perception that a configuration names.
+
+    Args:
+        kind: the garment.
+        config: which.
+        true_cloth: for the control only.
+        device: where to compute.
+
+    Raises:
+        InvalidConfigError: the control is asked for where no truth is, or a GPU for the network.
+        InvalidResultError: there are no weights, or not for this garment.
+    """
+    if config.name == "truth":
+        if true_cloth is None:
+            raise InvalidConfigError(
+                "perception is truth, a control that only the simulated robot can give; choose "
+                "network, tracker or both"
+            )
+        return ControlPerception(true_cloth)
+    network = NetworkPerception(kind, config, device=device)
+    if config.name == "network":
+        return network
+    tracker = TrackerPerception(network, config, device=device)
+    return tracker if config.name == "tracker" else BothPerception(network, tracker)
+
+
+def label_of(config: PerceptionConfig) -> Mapping[str, object]:
+    """What every output says about the perception."""
+    return {"perception": config.name, "control": config.name in CONTROLS}

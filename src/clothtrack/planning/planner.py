@@ -1,0 +1,233 @@
+"""Which pick-and-place comes next: try many in the dynamics, take the one that covers most.
+
+Random shooting as in the paper; cross-entropy refinement and averaging over several hypotheses of
+mesh or material are values of the same configuration.
+"""
+
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.planning.actions import (
+    ActionSpace,
+    PickPlace,
+    SeenCloth,
+    pick_weights,
+    sample_actions,
+    within_limits,
+)
+from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
+from clothtrack.planning.dynamics import PlannedCloth, PlanningDynamics
+from clothtrack.planning.reward import CoverageMeasure, coverage
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """How an action is chosen.
+
+    Attributes:
+        candidates: actions per round, beside doing nothing; 100 in the paper.
+        refinements: rounds after the first, each of as many candidates around the best of all
+            rounds before (cross-entropy); 0 is the paper's random shooting.
+        elite: share of a round's candidates that the next round is drawn around.
+        pick_spread_m: standard deviation of a refined pick around its elite [m], halved per round.
+        place_spread_m: the same of the place [m].
+        lift_spread_m: the same of the lift [m].
+        reward: "exact" coverage, or the literature's "raster".
+        caution: standard deviations over hypotheses that are taken off the mean gain.
+        space: which actions are tried.
+        coarse: the mesh that is rolled out.
+    """
+
+    candidates: int = 100
+    refinements: int = 0
+    elite: float = 0.1
+    pick_spread_m: float = 0.02
+    place_spread_m: float = 0.03
+    lift_spread_m: float = 0.02
+    reward: CoverageMeasure = "exact"
+    caution: float = 0.0
+    space: ActionSpace = field(default_factory=ActionSpace)
+    coarse: CoarseConfig = field(default_factory=CoarseConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse what chooses nothing.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        if self.candidates < 1 or self.refinements < 0:
+            raise InvalidConfigError(
+                f"candidates is {self.candidates} and refinements {self.refinements}; give at "
+                "least 1 candidate and 0 refinements"
+            )
+        if not 0.0 < self.elite <= 1.0:
+            raise InvalidConfigError(f"elite is {self.elite}; it is a share, above 0 up to 1")
+        if self.reward not in ("exact", "raster"):
+            raise InvalidConfigError(f"reward is {self.reward!r}; choose 'exact' or 'raster'")
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """One belief of where the cloth is.
+
+    Attributes:
+        flat: the garment at rest [m], with canonical coordinates.
+        positions: its vertices now [m], world frame.
+        kind: the garment.
+    """
+
+    flat: ClothMesh
+    positions: Float[np.ndarray, "vertices 3"]
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What was chosen, and from what.
+
+    Attributes:
+        action: the best; None when nothing beats doing nothing.
+        gain_m2: coverage that it is expected to add [m^2].
+        candidates: every action that was tried.
+        gains_m2: expected gain of each, less the caution [m^2].
+        seconds: wall-clock time of the decision [s].
+        cpu_s: processor time of the decision [s].
+    """
+
+    action: PickPlace | None
+    gain_m2: float
+    candidates: tuple[PickPlace, ...] = ()
+    gains_m2: Float[np.ndarray, " candidates"] = field(default_factory=lambda: np.zeros(0))
+    seconds: float = 0.0
+    cpu_s: float = 0.0
+
+
+class Planner:
+    """Chooses actions for one garment after another; coarse meshes are kept between decisions."""
+
+    def __init__(
+        self, dynamics: Sequence[PlanningDynamics], config: PlannerConfig | None = None
+    ) -> None:
+        """Remember what to ask.
+
+        Args:
+            dynamics: one, or several whose answers are averaged, such as the simulator with
+                several materials.
+            config: how to choose.
+
+        Raises:
+            InvalidConfigError: there are no dynamics.
+        """
+        if not dynamics:
+            raise InvalidConfigError("no dynamics are given; a planner needs at least one")
+        self.config = config or PlannerConfig()
+        self._dynamics = tuple(dynamics)
+        self._coarse: list[tuple[ClothMesh, Coarsener]] = []
+
+    def decide(
+        self, hypotheses: Sequence[Hypothesis], seen: SeenCloth, rng: np.random.Generator
+    ) -> Decision:
+        """Choose the next action.
+
+        Args:
+            hypotheses: where the cloth may be; the gain is the mean over them.
+            seen: what the camera sees of it: picks are there.
+            rng: source of the candidates.
+
+        Raises:
+            InvalidConfigError: there is no hypothesis.
+        """
+        if not hypotheses:
+            raise InvalidConfigError("no hypothesis of the cloth is given; reconstruct it first")
+        clock, cpu, config = time.perf_counter(), time.process_time(), self.config
+        cloths = [self._coarsened(one, seen.table_height_m) for one in hypotheses]
+        beliefs = [(cloth.flat, np.asarray(cloth.positions)) for cloth in cloths]
+        weights = pick_weights(seen.cloud, beliefs)
+        tried = sample_actions(seen, config.candidates, config.space, rng, weights=weights)
+        gains = self._gains(cloths, tried)
+        for round_ in range(config.refinements):
+            fresh = self._around_the_best(tried, gains, seen, round_, rng)
+            tried = tried + fresh
+            gains = np.concatenate([gains, self._gains(cloths, fresh)])
+        best = int(np.argmax(gains)) if len(gains) else -1
+        improves = best >= 0 and gains[best] > 0.0
+        return Decision(
+            action=tried[best] if improves else None,
+            gain_m2=float(gains[best]) if improves else 0.0,
+            candidates=tuple(tried),
+            gains_m2=gains,
+            seconds=time.perf_counter() - clock,
+            cpu_s=time.process_time() - cpu,
+        )
+
+    def _gains(
+        self, cloths: Sequence[PlannedCloth], actions: Sequence[PickPlace]
+    ) -> Float[np.ndarray, " actions"]:
+        """Coverage that each action adds to doing nothing [m^2], over all hypotheses."""
+        if not actions:
+            return np.zeros(0)
+        rows = []
+        for cloth in cloths:
+            for dynamics in self._dynamics:
+                ends = dynamics.predict(cloth, [None, *actions])
+                areas = coverage(ends, cloth.flat.faces, self.config.reward)
+                still = areas[0] if np.isfinite(areas[0]) else areas[np.isfinite(areas)].min(
+                    initial=0.0
+                )  # fmt: skip
+                rows.append(areas[1:] - still)
+        gains = np.array(rows)
+        burst = ~np.isfinite(gains).all(axis=0)
+        sound = np.where(np.isfinite(gains), gains, 0.0)
+        total = sound.mean(axis=0) - self.config.caution * sound.std(axis=0)
+        return np.where(burst, -np.inf, total)
+
+    def _around_the_best(
+        self,
+        tried: Sequence[PickPlace],
+        gains: Float[np.ndarray, " tried"],
+        seen: SeenCloth,
+        round_: int,
+        rng: np.random.Generator,
+    ) -> list[PickPlace]:
+        """As many new candidates as a round has, drawn around the best so far."""
+        config = self.config
+        count = max(1, round(config.elite * config.candidates))
+        best = np.argsort(-gains, kind="stable")[:count]
+        if not len(best):
+            return []
+        shrink = 0.5**round_
+        tree = cKDTree(seen.cloud[:, :2])
+        found: list[PickPlace] = []
+        for _ in range(5):
+            wanted = config.candidates - len(found)
+            if wanted <= 0:
+                break
+            around = [tried[k] for k in rng.choice(best, 2 * wanted)]
+            noise = rng.standard_normal((len(around), 5)) * shrink
+            aim = np.array([one.pick[:2] for one in around])
+            aim = aim + config.pick_spread_m * noise[:, :2]
+            picks = seen.cloud[tree.query(aim)[1]].astype(np.float64)
+            ways = np.array([(one.place - one.pick)[:2] for one in around])
+            places = picks[:, :2] + ways + config.place_spread_m * noise[:, 2:4]
+            lifts = np.array([one.lift_m for one in around])
+            lifts = np.clip(lifts + config.lift_spread_m * noise[:, 4], *config.space.lift_m)
+            found += within_limits(seen, picks, places, lifts, config.space)
+        return found[: config.candidates]
+
+    def _coarsened(self, belief: Hypothesis, table_height_m: float) -> PlannedCloth:
+        """The coarse cloth of a hypothesis; the same flat garment gives the same mesh."""
+        known = [coarsen for flat, coarsen in self._coarse if flat is belief.flat]
+        coarsen = known[0] if known else Coarsener(belief.flat, belief.kind, self.config.coarse)
+        if not known:
+            self._coarse = [*self._coarse[-3:], (belief.flat, coarsen)]
+        return PlannedCloth(coarsen.flat, coarsen(belief.positions), table_height_m)

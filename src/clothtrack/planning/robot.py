@@ -1,0 +1,137 @@
+"""The robot as planning sees it: four methods, positions in metres in the world frame."""
+
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.planning.actions import PickPlace, Workspace
+from clothtrack.recordings.recording import PickerPath
+
+
+@dataclass(frozen=True, eq=False)
+class RgbdFrame:
+    """One picture.
+
+    Attributes:
+        time_s: when it was taken, on the robot's clock [s].
+        camera: that took it: intrinsics and pose in the world.
+        depth_m: measured depth [m]; 0 where nothing was measured.
+        color: colour picture, red first; None without one.
+    """
+
+    time_s: float
+    camera: Camera
+    depth_m: Float[np.ndarray, "height width"]
+    color: UInt8[np.ndarray, "height width 3"] | None = None
+
+
+@dataclass(frozen=True)
+class Reachability:
+    """Whether an action can be carried out, and if not, why."""
+
+    reachable: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """What became of an action.
+
+    Attributes:
+        path: where the tip was, as the robot measured it: a run of the robot is a recording.
+        film: pictures taken on the way, in order of time; may be empty.
+        grasped: whether the gripper holds, or held, anything; None when it cannot tell.
+        error: why it stopped early; empty when it did not.
+    """
+
+    path: PickerPath
+    film: tuple[RgbdFrame, ...] = ()
+    grasped: bool | None = None
+    error: str = ""
+
+
+@runtime_checkable
+class PickPlaceRobot(Protocol):
+    """An arm with a gripper, and a camera that sees the table."""
+
+    def observe(self) -> RgbdFrame:
+        """A picture with the arm out of view."""
+        ...
+
+    def check(self, action: PickPlace) -> Reachability:
+        """Whether the action is within all limits; moves nothing."""
+        ...
+
+    def execute(self, action: PickPlace) -> Execution:
+        """Carry the action out.
+
+        Raises:
+            InvalidConfigError: the action is outside a limit; nothing has moved.
+        """
+        ...
+
+    def home(self) -> None:
+        """Go where the arm hides nothing of the table."""
+        ...
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What a robot never exceeds. Checked before it moves, over the whole way of the tip.
+
+    Attributes:
+        workspace: where the tip may be.
+        table_height_m: height of the table in the world [m].
+        clearance_m: the tip never comes nearer to the table than this [m].
+        speed: highest speed of the tip [m/s].
+    """
+
+    workspace: Workspace = field(default_factory=Workspace)
+    table_height_m: float = 0.0
+    clearance_m: float = 0.0
+    speed: float = 0.25
+
+    def refusal(self, points: Float[np.ndarray, "points 3"]) -> str:
+        """Why the tip must not go through these points [m]; empty when it may."""
+        points = np.atleast_2d(np.asarray(points, dtype=np.float64))
+        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        if len(bad):
+            return f"way point {bad[0]} is {points[bad[0]].tolist()}: not finite"
+        lowest = self.table_height_m + self.clearance_m
+        low = int(np.argmin(points[:, 2]))
+        if points[low, 2] < lowest:
+            return (
+                f"the tip would be at z = {points[low, 2]:.4f} m, lower than table_height_m + "
+                f"clearance_m = {lowest:.4f} m"
+            )
+        out = np.flatnonzero(~self.workspace.holds(points))
+        if not len(out):
+            return ""
+        point, bounds = points[out[0]], vars(self.workspace)
+        for axis, (name, (least, most)) in enumerate(bounds.items()):
+            if not least <= point[axis] <= most:
+                return (
+                    f"the tip would be at {name[0]} = {point[axis]:.4f} m, outside "
+                    f"workspace.{name} ({least} to {most})"
+                )
+        return ""
+
+
+def way_points(action: PickPlace, hover_m: float = 0.0) -> Float[np.ndarray, "points 3"]:
+    """The way of an arm with straight legs: over the pick, down, up, across, down, up (VCD) [m].
+
+    Args:
+        action: what is done.
+        hover_m: how far above pick and place the empty gripper comes and goes [m]; at least the
+            lift.
+    """
+    up = np.array([0.0, 0.0, max(hover_m, action.lift_m)])
+    high = max(action.pick[2], action.place[2]) + action.lift_m
+    over_pick, over_place = action.pick.copy(), action.place.copy()
+    over_pick[2] = over_place[2] = high
+    return np.stack(
+        [action.pick + up, action.pick, over_pick, over_place, action.place, action.place + up]
+    )

@@ -1,0 +1,211 @@
+"""One offline page per flattening episode: pictures with the next action's arrow, and the curve.
+
+What came about with a control is labelled so at the top, in the title and in every figure.
+"""
+
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.arrows import draw_action, shown_depth
+from clothtrack.planning.episode_store import EpisodeStore
+from clothtrack.planning.flattening import improvement
+from clothtrack.planning.perception import Estimate
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.report.lettering import caption
+from clothtrack.report.sections import jpeg_uri, key_figures
+from clothtrack.report.shading import Shader, ShadingConfig
+from clothtrack.report.viewpoint import three_quarter_view
+from clothtrack.storing import whole_file
+
+Picture = UInt8[np.ndarray, "height width 3"]
+
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+CONTROL = "control, not a result"
+
+
+def write_flattening_report(store: EpisodeStore, path: Path) -> Path:
+    """Write the page of an episode and return its path.
+
+    Raises:
+        InvalidRecordingError: a step cannot be read.
+        StorageError: when the disk refuses.
+    """
+    name, label = store.folder.name, store.document["asked"]["label"]
+    control = f" ({CONTROL})" if label["control"] else ""
+    title = escape(f"{name}{control}")
+    cards = "".join(_card(store, number) for number in range(len(store.steps)))
+    status = escape(str(store.document["status"]))
+    style = files("clothtrack.report").joinpath("page.css").read_text(encoding="utf-8")
+    config = store.document["asked"]["config"]
+    told = f"policy {config['policy']}, perception {label['perception']}{control}" + (
+        f", dynamics {config['dynamics']}" if config["policy"] == "planned" else ""
+    )
+    page = f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title} · clothtrack</title>
+<style>{style}</style>
+</head>
+<body>
+<main>
+<h1>{title}</h1>
+<p class="lead">{escape(told)}; {len(store.steps) - 1} actions; ended: {status}</p>
+{key_figures(_figures(store))}
+<h2>Coverage</h2>
+<div class="charts">{_curve(store.steps)}</div>
+<h2>Step by step</h2>
+{cards}
+</main>
+</body>
+</html>
+"""
+    with whole_file(Path(path)) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return Path(path)
+
+
+def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Path:
+    """All pictures of an episode with their arrows as one PNG.
+
+    Args:
+        store: the episode.
+        path: of the picture.
+        columns: pictures in a row.
+
+    Raises:
+        InvalidRecordingError: a step cannot be read.
+        StorageError: when the disk refuses.
+    """
+    width, height = 320, 240
+    tiles = []
+    for number, row in enumerate(store.steps):
+        shown = cv2.resize(_picture(store, number), (width, height), interpolation=cv2.INTER_AREA)
+        tiles.append(np.vstack([shown, caption(width, f"after {number}", _share(row), height=24)]))
+    blank = np.full_like(tiles[0], 255)
+    tiles += [blank] * (-len(tiles) % columns)
+    rows = [np.hstack(tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
+    with whole_file(path) as temporary:
+        cv2.imwrite(str(temporary), cv2.cvtColor(np.vstack(rows), cv2.COLOR_RGB2BGR))
+    return path
+
+
+def _figures(store: EpisodeStore) -> list[tuple[str, str, str]]:
+    """The numbers that a reader wants first."""
+    steps = store.steps
+    key = "seen_m2" if steps[0]["true_m2"] is None else "true_m2"
+    figures = [("Coverage at the end", _share(steps[-1]), "of the flat cloth")]
+    if steps[0]["flat_m2"] is not None:
+        gained = improvement(steps, key)[-1]
+        where = "seen by the camera" if key == "seen_m2" else "true"
+        figures.insert(0, ("Normalised improvement", f"{gained:.2f}", where))
+    decided = [row["decision_s"] + row["perception_s"] for row in steps[1:]]
+    if decided:
+        figures.append(("Per decision", f"{np.median(decided):.1f}", "s, median"))
+    return figures
+
+
+def _share(row: dict[str, Any]) -> str:
+    """Coverage over that of the flat cloth, the true one where it is known."""
+    area = row["seen_m2"] if row["true_m2"] is None else row["true_m2"]
+    return f"{100.0 * area / row['flat_m2']:.0f} %" if row["flat_m2"] else f"{1e4 * area:.0f} cm2"
+
+
+def _curve(steps: Sequence[dict[str, Any]]) -> str:
+    """Coverage after each action as a drawing: seen, and true where it is known."""
+    flat = steps[0]["flat_m2"] or max(row["seen_m2"] for row in steps)
+    width, height, left, low = 420, 190, 34, 160
+
+    def place(number: int, share: float) -> str:
+        x = left + (width - left - 10) * number / max(1, len(steps) - 1)
+        return f"{x:.1f},{low - (low - 12) * min(share, 1.1):.1f}"
+
+    lines, keys = [], []
+    for tone, (key, words) in enumerate((("true_m2", "true"), ("seen_m2", "seen"))):
+        if steps[0][key] is None:
+            continue
+        points = " ".join(place(k, row[key] / flat) for k, row in enumerate(steps))
+        lines.append(f'<polyline class="line tone{tone}" points="{points}"/>')
+        keys.append(f'<span class="key tone{tone}"><i></i>{words}</span>')
+    marks = "".join(
+        f'<line class="grid" x1="{left}" x2="{width}" y1="{place(0, share).split(",")[1]}" '
+        f'y2="{place(0, share).split(",")[1]}"/><text class="tick" x="2" '
+        f'y="{float(place(0, share).split(",")[1]) + 4:.1f}">{share:.0%}</text>'
+        for share in (0.0, 0.5, 1.0)
+    )
+    numbers = "".join(
+        f'<text class="tick" x="{place(k, 0.0).split(",")[0]}" y="{low + 16}">{k}</text>'
+        for k in range(len(steps))
+    )
+    return (
+        f'<figure class="chart"><b>Share of the flat cloth\'s area, by action</b>'
+        f'<svg viewBox="0 0 {width} {height}">{marks}{"".join(lines)}{numbers}</svg>'
+        f'<div class="legend">{"".join(keys)}</div></figure>'
+    )
+
+
+def _card(store: EpisodeStore, number: int) -> str:
+    """One step: the picture, the belief, and what was expected of the action that led here."""
+    row = store.steps[number]
+    stills = [(_picture(store, number), "What the camera saw, and the next action")]
+    recording = read_recording(store.recording_path(number))
+    beliefs = store.estimates(number)
+    stills.extend((_belief(one, recording), f"Believed: {one.source}") for one in beliefs)
+    pictures = "".join(
+        f'<figure><img alt="{escape(words)}" src="{jpeg_uri(image)}">'
+        f"<figcaption>{escape(words)}</figcaption></figure>"
+        for image, words in stills
+    )
+    told = [f"coverage {_share(row)}"]
+    if row["action"] is not None and number:
+        before = store.steps[number - 1]
+        key = "seen_m2" if row["true_m2"] is None else "true_m2"
+        told.append(
+            f"gain {1e4 * (row[key] - before[key]):+.0f} cm², "
+            f"expected {1e4 * row['gain_m2']:+.0f} cm²"
+        )
+        if row["grasped"] is False:
+            told.append("nothing was grasped")
+    return (
+        f'<article class="card action"><h3>After {number} action{"s" if number != 1 else ""}'
+        f"<span>{escape('; '.join(told))}</span></h3>"
+        f'<div class="stills">{pictures}</div></article>'
+    )
+
+
+def _picture(store: EpisodeStore, number: int) -> Picture:
+    """The last picture of a step, with the arrow of the action after it."""
+    recording = read_recording(store.recording_path(number))
+    frame = recording.frames[-1]
+    camera = next(one for one in recording.cameras if one.name in frame.depth)
+    if camera.name in frame.color:
+        image = read_color(frame.color[camera.name])
+    else:
+        unit = recording.depth_units_m[camera.name]
+        image = shown_depth(read_depth(frame.depth[camera.name], unit))
+    if number + 1 < len(store.steps):
+        told = store.steps[number + 1]["action"]
+        action = PickPlace(np.array(told["pick"]), np.array(told["place"]), told["lift_m"])
+        image = draw_action(image, camera, action)
+    return image
+
+
+def _belief(estimate: Estimate, recording: Recording) -> Picture:
+    """The believed mesh from the side and above."""
+    view = three_quarter_view(estimate.positions, width=480, height=360)
+    shader = Shader(
+        estimate.flat.faces, view, table=recording.table, config=ShadingConfig(supersampling=2)
+    )
+    return shader.render(estimate.positions).image

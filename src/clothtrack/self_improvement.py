@@ -1,0 +1,249 @@
+"""Getting better by doing: flatten, track what was done, label it, fine-tune, flatten again.
+
+    OUT/round_0/flattening/    episodes with the weights at hand, as `clothtrack flatten` does
+    OUT/round_0/tracked/       their recordings, tracked from the network's own first mesh
+    OUT/round_0/labels/        pseudo-labels
+    OUT/round_0/tuned/         the network fine-tuned on all labels so far; the next round's
+    OUT/improvement.json       the curve
+
+No truth is learned from: the score of a round is taken down and decides nothing.
+"""
+
+import hashlib
+import json
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clothtrack.artefacts import load_tracked
+from clothtrack.errors import ClothTrackError
+from clothtrack.evaluation.label_quality import judge_labels
+from clothtrack.learning import pseudo_labels_of
+from clothtrack.pipeline import RunConfig, track_recordings
+from clothtrack.planning.flattening import FlattenConfig, improvement
+from clothtrack.planning.simulated_episodes import (
+    EpisodeParts,
+    SimulatedEpisode,
+    flatten_simulated,
+)
+from clothtrack.planning.simulated_robot import SimulatedRobotConfig
+from clothtrack.recordings.store import read_recording
+from clothtrack.simulation.garments import GarmentKind
+from clothtrack.storing import write_file
+
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.two_stages import LearningConfig
+
+logger = logging.getLogger(__name__)
+
+CURVE = "improvement.json"
+Progress = Callable[[str, int, int], None]
+
+
+def _finetune() -> "LearningConfig":
+    from clothtrack.reconstruction.two_stages import LearningConfig
+
+    return LearningConfig.preset("finetune")
+
+
+@dataclass(frozen=True)
+class ImprovementConfig:
+    """How a network gets better by flattening.
+
+    Attributes:
+        rounds: of fine-tuning; one more flattening follows, to see what the last was worth.
+        episodes: per round, of the same starts in every round.
+        old_share: how often an example is one of the old states, where there are some.
+        flatten: how episodes are done.
+        robot: of the stand-in world.
+        track: how their recordings are tracked.
+        finetune: how the network is trained on the labels.
+    """
+
+    rounds: int = 1
+    episodes: int = 5
+    old_share: float = 0.25
+    flatten: FlattenConfig = field(default_factory=FlattenConfig)
+    robot: SimulatedRobotConfig = field(default_factory=SimulatedRobotConfig)
+    track: RunConfig = field(default_factory=RunConfig)
+    finetune: "LearningConfig" = field(default_factory=_finetune)
+
+
+def improve_rounds(
+    weights: Path,
+    out: Path,
+    kind: GarmentKind,
+    config: ImprovementConfig,
+    *,
+    old: Path | None = None,
+    device: str = "cpu",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Flatten and learn in turns; what is finished is kept, so that a broken run goes on.
+
+    Args:
+        weights: of the network to begin with.
+        out: folder of the rounds.
+        kind: the garment.
+        config: how.
+        old: simulated states to mix in, against forgetting.
+        device: where to compute.
+        seed: of the first episode.
+        progress: called while it is tracked and trained.
+
+    Returns:
+        Per round: mean and deviation of the normalised improvement, and the weights' digest.
+
+    Raises:
+        ClothTrackError: a stage fails.
+    """
+    curve: list[dict[str, Any]] = []
+    labels: list[Path] = []
+    for number in range(config.rounds + 1):
+        folder = out / f"round_{number}"
+        gained = _flattened(
+            folder / "flattening", out / "starts", weights, kind, config, device=device, seed=seed
+        )
+        curve.append(
+            {
+                "round": number,
+                "weights": weights.name,
+                "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+                "episodes": len(gained),
+                "mean": float(np.mean(gained)),
+                "deviation": float(np.std(gained, ddof=1)) if len(gained) > 1 else 0.0,
+                "improvement": gained,
+            }
+        )
+        _write(out / CURVE, curve)
+        if number == config.rounds:
+            break
+        labels += _labelled(folder, kind, weights, config, device=device, progress=progress)
+        if len(labels) < 2:
+            raise ClothTrackError(
+                f"{folder}: {len(labels)} of {config.episodes} episodes could be labelled; "
+                "fine-tuning needs two, one of them to select by: give more --episodes"
+            )
+        weights = _tuned(
+            weights, labels, folder / "tuned", config, old=old, device=device, progress=progress
+        )
+    return curve
+
+
+def _flattened(
+    folder: Path,
+    starts: Path,
+    weights: Path,
+    kind: GarmentKind,
+    config: ImprovementConfig,
+    *,
+    device: str,
+    seed: int,
+) -> list[float]:
+    """Normalised improvement of each episode with these weights."""
+    perceived = replace(config.flatten.perception, weights=str(weights))
+    gained = []
+    for number in range(config.episodes):
+        store = flatten_simulated(
+            folder,
+            SimulatedEpisode(kind, seed + number),
+            replace(config.flatten, perception=perceived),
+            robot_config=config.robot,
+            parts=EpisodeParts(starts=starts),
+            device=device,
+        )
+        gained.append(improvement(store.steps)[-1])
+    return gained
+
+
+def _labelled(
+    folder: Path,
+    kind: str,
+    weights: Path,
+    config: ImprovementConfig,
+    *,
+    device: str,
+    progress: Progress | None,
+) -> list[Path]:
+    """Track the episodes of a round and label them; what cannot be tracked has no label."""
+    from clothtrack.reconstruction.pseudo_labels import label_recording, write_labels
+
+    recordings = sorted((folder / "flattening" / "recordings").glob("[!.]*"))
+    first = replace(config.track.first_mesh, source="network", weights=str(weights))
+    outcomes = track_recordings(
+        recordings, folder / "tracked", replace(config.track, first_mesh=first), device=device,
+        progress=progress,
+    )  # fmt: skip
+    written = []
+    for outcome in outcomes:
+        if outcome.result is None:
+            logger.warning("no label: %s", outcome.error)
+            continue
+        path = folder / "labels" / f"{outcome.recording.name}.labels.npz"
+        if not path.exists():
+            tracked = load_tracked(outcome.result)
+            recording = read_recording(outcome.recording)
+            judged = judge_labels(tracked, recording, device=device)
+            chosen = pseudo_labels_of(tracked, judged, (), weighted=True, flat_weight=0.0)
+            if not chosen:
+                logger.warning("no label: nothing of %s can be judged", outcome.recording)
+                continue
+            labelled = label_recording(
+                recording, tracked.mesh, chosen, kind=kind,
+                provenance={"tracked": dict(tracked.provenance), "weighted": True},
+            )  # fmt: skip
+            write_labels(labelled, path)
+        written.append(path)
+    return written
+
+
+def _tuned(
+    weights: Path,
+    labels: Sequence[Path],
+    folder: Path,
+    config: ImprovementConfig,
+    *,
+    old: Path | None,
+    device: str,
+    progress: Progress | None,
+) -> Path:
+    """The network fine-tuned on all labels so far.
+
+    Raises:
+        ClothTrackError: it was interrupted.
+    """
+    from clothtrack.reconstruction.processes import Processes
+    from clothtrack.reconstruction.pseudo_labels import read_labels
+    from clothtrack.reconstruction.two_stages import finetune
+    from clothtrack.world.state_store import open_states
+
+    tuned = folder / "model.safetensors"
+    if tuned.exists():
+        return tuned
+    share = config.old_share if old is not None else 0.0
+    learning = replace(
+        config.finetune,
+        canonicalisation=replace(config.finetune.canonicalisation, old_share=share),
+        completion=replace(config.finetune.completion, old_share=share),
+    )
+    outcome = finetune(
+        weights,
+        [read_labels(path) for path in labels],
+        learning,
+        folder,
+        old=[] if old is None else [open_states(old)],
+        processes=Processes(device=device),
+        progress=progress,
+    )
+    if outcome.model is None:
+        raise ClothTrackError("fine-tuning was interrupted; the same command goes on from there")
+    return outcome.model
+
+
+def _write(path: Path, curve: list[dict[str, Any]]) -> None:
+    write_file(path, json.dumps(curve, indent=1).encode())

@@ -1,0 +1,144 @@
+"""Pick-and-places keep their limits, and are tried more often where cloth has an edge."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.camera import Camera
+from clothtrack.planning.actions import (
+    ActionSpace,
+    PickPlace,
+    SeenCloth,
+    Workspace,
+    edge_measure,
+    farthest_corner,
+    in_picture,
+    pick_weights,
+    sample_actions,
+)
+from clothtrack.simulation.garments import towel
+
+POSE = np.diag([1.0, -1.0, -1.0, 1.0])
+POSE[2, 3] = 0.8
+CAMERA = Camera("top", 320, 240, 300.0, 300.0, 159.5, 119.5, POSE)
+
+
+def sheet(width=0.2, length=0.2, step=0.004, height=0.002):
+    x, y = np.meshgrid(np.arange(0, width, step), np.arange(0, length, step))
+    cloud = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
+    return cloud - [cloud[:, 0].mean(), cloud[:, 1].mean(), 0.0]
+
+
+SEEN = SeenCloth(sheet(), CAMERA)
+
+
+def test_the_edge_measure_tells_middle_edge_and_corner():
+    """The middle of a half disc is 4 / (3 pi) of its radius away, a quarter's 1.41 times that."""
+    cloud = sheet(step=0.002)
+    found = edge_measure(cloud)
+    middle = np.argmin(np.linalg.norm(cloud[:, :2], axis=1))
+    edge = np.argmin(np.linalg.norm(cloud[:, :2] - [cloud[:, 0].max(), 0.0], axis=1))
+    corner = np.argmax(cloud[:, 0] + cloud[:, 1])
+    straight = 4.0 / (3.0 * np.pi)
+    assert found[middle] < 0.02
+    assert found[edge] == pytest.approx(straight, rel=0.12)
+    assert found[corner] == pytest.approx(np.sqrt(2.0) * straight, rel=0.12)
+
+
+def test_the_edge_measure_ignores_turns_and_shifts():
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    cloud = sheet(step=0.0041)
+    moved = edge_measure(cloud @ turn.T + [1.0, -2.0, 0.5])
+    np.testing.assert_allclose(moved, edge_measure(cloud), atol=1e-6)
+
+
+@pytest.mark.parametrize("place", ["anywhere", "off"])
+def test_every_action_keeps_all_limits(place):
+    space = ActionSpace(place=place, workspace=Workspace(x_m=(-0.15, 0.15)))
+    actions = sample_actions(SEEN, 300, space, np.random.default_rng(0))
+    assert len(actions) == 300
+    pick = np.array([one.pick for one in actions])
+    put = np.array([one.place for one in actions])
+    way = np.linalg.norm((put - pick)[:, :2], axis=1)
+    lift = np.array([one.lift_m for one in actions])
+    assert way.min() >= space.distance_m[0]
+    assert way.max() <= space.distance_m[1]
+    assert lift.min() >= space.lift_m[0]
+    assert lift.max() <= space.lift_m[1]
+    for points in (pick, put):
+        assert space.workspace.holds(points).all()
+        assert in_picture(points, CAMERA, space.picture_margin).all()
+    gap = np.linalg.norm(put[:, None, :2] - SEEN.cloud[None, :, :2], axis=2).min(axis=1)
+    assert (gap > 0.012).all() == (place == "off")
+    np.testing.assert_allclose(put[gap > 0.012, 2], space.release_height_m)
+    np.testing.assert_allclose(put[gap < 0.011, 2], 0.002 + space.release_height_m)
+    on = np.linalg.norm(pick[:, None] - SEEN.cloud[None], axis=2).min(axis=1)
+    assert on.max() == 0.0
+
+
+def test_edges_are_picked_more_often_and_equal_seeds_are_equal():
+    near = ActionSpace(edges=1.0)
+    border = edge_measure(SEEN.cloud) > 0.3
+
+    def share(space):
+        chosen = sample_actions(SEEN, 400, space, np.random.default_rng(3))
+        picks = [np.argmin(np.linalg.norm(SEEN.cloud - one.pick, axis=1)) for one in chosen]
+        return border[picks].mean()
+
+    assert share(near) > 2.0 * share(replace(near, edges=0.0))
+    twice = [sample_actions(SEEN, 5, near, np.random.default_rng(7)) for _ in range(2)]
+    for one, other in zip(*twice, strict=True):
+        np.testing.assert_array_equal(one.place, other.place)
+
+
+def test_a_hem_that_lies_on_other_cloth_is_an_edge_too():
+    """A towel folded in half: the hem on top is in the middle of what is seen."""
+    flat = towel(0.2, 0.2, 0.01)
+    folded = flat.vertices.copy()
+    over = folded[:, 0] > 0.0
+    folded[over, 0] *= -1.0
+    folded[over, 0] += 0.04  # the upper hem lies 4 cm inside the lower one
+    folded[over, 2] = 0.004
+    cloud = folded[over]
+    with_mesh = pick_weights(cloud, [(flat, folded)])
+    without = pick_weights(cloud)
+    assert with_mesh.sum() == pytest.approx(1.0)
+    hem = np.isclose(flat.vertices[over, 0], 0.1) & (np.abs(cloud[:, 1]) < 0.05)
+    inside = np.isclose(flat.vertices[over, 0], 0.05) & (np.abs(cloud[:, 1]) < 0.05)
+    assert with_mesh[hem].mean() > 3.0 * with_mesh[inside].mean()
+    assert without.sum() == pytest.approx(1.0)
+
+
+def test_nothing_in_reach_gives_no_action():
+    space = ActionSpace(workspace=Workspace(x_m=(1.0, 2.0)))
+    assert sample_actions(SEEN, 10, space, np.random.default_rng(0)) == []
+    assert farthest_corner(SEEN, space) is None
+
+
+def test_the_heuristic_pulls_a_corner_outwards():
+    action = farthest_corner(SEEN, ActionSpace())
+    assert np.abs(action.pick[:2]).min() > 0.08
+    assert np.linalg.norm(action.place[:2]) > np.linalg.norm(action.pick[:2]) + 0.04
+    assert (action.place - action.pick)[:2] @ action.pick[:2] > 0.0
+
+
+def test_a_path_starts_at_the_pick_rises_and_ends_at_the_place():
+    action = PickPlace(np.array([0.1, 0.0, 0.01]), np.array([-0.1, 0.1, 0.02]), 0.07)
+    path = action.path(0.3, 0.02)
+    np.testing.assert_allclose(path[-1], action.place, atol=1e-9)
+    speeds = np.linalg.norm(np.diff(np.vstack([action.pick, path]), axis=0), axis=1) / 0.02
+    assert speeds.max() <= 0.3 * 1.02
+    assert path[:, 2].max() == pytest.approx(0.085, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"distance_m": (0.2, 0.05)}, {"lift_m": (-0.1, 0.1)}, {"edges": 1.5}],
+)
+def test_settings_that_hold_nothing_are_refused(wrong):
+    with pytest.raises(InvalidConfigError, match=next(iter(wrong))):
+        ActionSpace(**wrong)
+    with pytest.raises(InvalidConfigError, match="z_m"):
+        Workspace(z_m=(0.1, 0.0))

@@ -1,0 +1,87 @@
+"""The simulator as dynamics of a planner: candidates do not know of each other."""
+
+import numpy as np
+import pytest
+
+from clothtrack.geometry.coverage import projected_area
+from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.dynamics import (
+    HeldWays,
+    MotionConfig,
+    PlannedCloth,
+    PlanningDynamics,
+    SimulatorDynamics,
+    held_vertex,
+)
+from clothtrack.simulation.garments import towel
+
+FLAT = towel(0.2, 0.2, 0.025)
+LYING = PlannedCloth(FLAT, FLAT.vertices + [0.0, 0.0, 0.0015])
+CORNER = np.array([0.1, 0.1, 0.0015])
+INWARDS = PickPlace(CORNER, np.array([-0.03, -0.03, 0.01]), 0.06)
+ASIDE = PickPlace(CORNER, np.array([0.15, 0.1, 0.006]), 0.03)
+MISSED = PickPlace(np.array([0.3, 0.3, 0.0]), np.array([0.1, 0.1, 0.0]), 0.03)
+
+
+@pytest.fixture(scope="module")
+def dynamics():
+    return SimulatorDynamics()
+
+
+def test_the_simulator_speaks_the_protocol(dynamics):
+    assert isinstance(dynamics, PlanningDynamics)
+    assert dynamics.predict(LYING, []).shape == (0, FLAT.vertex_count, 3)
+
+
+def test_doing_nothing_and_missing_leave_a_flat_cloth_flat(dynamics):
+    nothing, missed = dynamics.predict(LYING, [None, MISSED])
+    np.testing.assert_allclose(nothing, LYING.positions, atol=1e-3)
+    np.testing.assert_array_equal(nothing, missed)
+
+
+def test_a_corner_carried_inwards_folds_the_cloth_and_lies_where_it_was_put(dynamics):
+    (folded,) = dynamics.predict(LYING, [INWARDS])
+    corner = held_vertex(LYING, INWARDS)
+    np.testing.assert_allclose(folded[corner, :2], INWARDS.place[:2], atol=0.02)
+    area = projected_area(folded, FLAT.faces)
+    # A triangle of this height is folded over, (0.13 sqrt(2) / 2) ** 2, and the rest slides.
+    assert area == pytest.approx(0.04 - 0.5 * 0.13**2, rel=0.12)
+
+
+def test_a_candidate_is_the_same_alone_and_among_others(dynamics):
+    together = dynamics.predict(LYING, [INWARDS, None, ASIDE])
+    alone = dynamics.predict(LYING, [ASIDE])
+    # Held no longer than its own way takes: others may still be under way.
+    np.testing.assert_allclose(together[2], alone[0], atol=2e-3)
+    again = dynamics.predict(LYING, [INWARDS, None, ASIDE])
+    np.testing.assert_array_equal(again, together)
+
+
+def test_a_higher_table_changes_nothing_but_the_height(dynamics):
+    raised = PlannedCloth(FLAT, LYING.positions + [0.0, 0.0, 0.5], 0.5)
+    up = [0.0, 0.0, 0.5]
+    action = PickPlace(INWARDS.pick + up, INWARDS.place + up, INWARDS.lift_m)
+    (high,) = dynamics.predict(raised, [action])
+    (low,) = dynamics.predict(LYING, [INWARDS])
+    np.testing.assert_allclose(high - up, low, atol=5e-3)
+
+
+def test_the_topmost_vertex_under_the_pick_is_held():
+    folded = FLAT.vertices.copy()
+    over = folded[:, 0] > 0.0
+    folded[over] = folded[over] * [-1.0, 1.0, 1.0] + [0.0, 0.0, 0.01]
+    cloth = PlannedCloth(FLAT, folded)
+    vertex = held_vertex(cloth, PickPlace(np.array([-0.05, 0.05, 0.01]), CORNER, 0.05))
+    assert over[vertex]
+    assert held_vertex(cloth, MISSED) is None
+
+
+def test_ways_end_at_the_place_and_wait_there():
+    motion = MotionConfig()
+    held = HeldWays.of(LYING, [INWARDS, None, ASIDE], motion)
+    assert held.vertices[1] == -1
+    assert held.steps[1] == 0
+    assert held.steps[0] > held.steps[2] > 0
+    for index, action in ((0, INWARDS), (2, ASIDE)):
+        beside = LYING.positions[held.vertices[index]] - action.pick
+        np.testing.assert_allclose(held.ways[index, -1], action.place + beside, atol=1e-9)

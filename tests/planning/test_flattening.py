@@ -1,0 +1,253 @@
+"""The closed loop, with a robot of a few lines and with the stand-in world."""
+
+import json
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.evaluation.metrics import normalised_improvement
+from clothtrack.evaluation.truth import Truth
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.planning.actions import Workspace
+from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
+from clothtrack.planning.flattening import (
+    EpisodeScene,
+    FlattenConfig,
+    Flattening,
+    dynamics_of,
+    flat_area,
+    improvement,
+)
+from clothtrack.planning.perception import Estimate, PerceptionConfig
+from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.robot import Execution, Reachability, RgbdFrame
+from clothtrack.planning.seen import seen_area, table_pixel_areas
+from clothtrack.planning.simulated_episodes import SimulatedEpisode, flatten_simulated
+from clothtrack.planning.simulated_robot import SimulatedRobotConfig
+from clothtrack.recordings.inspection import inspect
+from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
+from clothtrack.recordings.store import read_recording
+from clothtrack.simulation.garments import towel
+from clothtrack.world.episodes import SMALL_WORLD
+
+TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+POSE = np.diag([1.0, -1.0, -1.0, 1.0])
+POSE[2, 3] = 0.8
+CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5, POSE)
+FLAT = towel(0.2, 0.2, 0.02)
+CLOTH = ClothDescription(kind="towel", size_m=(0.2, 0.2))
+SMALL = SimulatedRobotConfig(episode=SMALL_WORLD, film=False)
+
+
+class PaperRobot:
+    """Its cloth is stiff paper folded in half, which any action unfolds by a tenth."""
+
+    def __init__(self, fails_at=None):
+        self.share, self.clock, self.done = 0.5, count(), 0
+        self.fails_at = fails_at
+
+    @property
+    def vertices(self):
+        return FLAT.vertices * [self.share, 1.0, 1.0] + [0.0, 0.0, 0.01]
+
+    def observe(self):
+        drawn = Rasteriser(FLAT.faces, CAMERA).render(self.vertices).depth
+        depth = np.where(np.isfinite(drawn), drawn, 0.8).astype(np.float32)
+        return RgbdFrame(float(next(self.clock)), CAMERA, depth)
+
+    def check(self, action):
+        return Reachability(bool(action.place[1] < 0.2), "too far")
+
+    def execute(self, action):
+        assert action.place[1] < 0.2
+        if self.done == self.fails_at:
+            raise KeyboardInterrupt
+        self.share, self.done = self.share + 0.1, self.done + 1
+        times = np.array([float(next(self.clock)), float(next(self.clock))])
+        frame = replace(self.observe())
+        path = PickerPath(times, np.stack([action.pick, action.place]), np.array([True, False]))
+        return Execution(path, (frame,), grasped=True)
+
+    def home(self):
+        pass
+
+
+class Known:
+    """Perception that knows the paper; a test may."""
+
+    def __init__(self, robot):
+        self.robot, self.looks = robot, []
+
+    def perceive(self, look):
+        self.looks.append(look)
+        flat = FLAT.with_vertices(FLAT.vertices + [0.0, 0.0, 0.0015])
+        return [Estimate(flat, self.robot.vertices, "network")]
+
+
+class Stretch:
+    """Dynamics in which everything helps."""
+
+    def predict(self, cloth, actions):
+        scale = [1.0 if one is None else 1.0 + abs(one.place[0]) for one in actions]
+        return np.stack([cloth.positions * [one, 1.0, 1.0] for one in scale])
+
+
+CONFIG = FlattenConfig(planner=PlannerConfig(candidates=20))
+
+
+def paper(tmp_path, config=CONFIG, robot=None, **options):
+    robot = robot or PaperRobot()
+    scene = EpisodeScene(CLOTH, TABLE, flat_area(CLOTH))
+    flattening = Flattening(
+        robot, scene, config, perception=Known(robot), dynamics=[Stretch()], **options
+    )
+    return robot, flattening.run(tmp_path / "episode")
+
+
+def test_an_episode_ends_when_the_cloth_is_flat(tmp_path):
+    robot, store = paper(tmp_path)
+    assert store.document["status"] == "flat"
+    assert robot.done == 5
+    seen = [row["seen_m2"] / row["flat_m2"] for row in store.steps]
+    np.testing.assert_allclose(seen, [0.5, 0.6, 0.7, 0.8, 0.9, 1.0], atol=0.06)
+    np.testing.assert_allclose(
+        improvement(store.steps, "seen_m2"), np.linspace(0.0, 1.0, 6), atol=0.1
+    )
+    row = store.steps[-1]
+    assert improvement(store.steps, "seen_m2")[-1] == pytest.approx(
+        normalised_improvement(row["seen_m2"], store.steps[0]["seen_m2"], row["flat_m2"])
+    )
+
+
+def test_actions_are_counted_and_unreachable_ones_passed_over(tmp_path):
+    robot, store = paper(tmp_path, replace(CONFIG, actions=2))
+    assert store.document["status"] == "all actions are used up"
+    assert robot.done == 2
+    assert len(store.steps) == 3
+
+
+def test_a_killed_episode_goes_on_where_it_was(tmp_path):
+    robot = PaperRobot(fails_at=2)
+    with pytest.raises(KeyboardInterrupt):
+        paper(tmp_path, robot=robot)
+    written = json.loads((tmp_path / "episode" / "episode.json").read_text())
+    assert len(written["steps"]) == 3
+    # What a kill leaves of a step that was never finished.
+    (tmp_path / "episode" / "steps" / "03").mkdir()
+    robot.fails_at = None
+    _, store = paper(tmp_path, robot=robot)
+    assert store.document["status"] == "flat"
+    assert robot.done == 5
+    untouched, again = paper(tmp_path)
+    assert untouched.done == 0
+    assert again.steps == store.steps
+
+
+def test_another_episode_is_not_gone_on_with(tmp_path):
+    paper(tmp_path, replace(CONFIG, actions=1))
+    with pytest.raises(InvalidConfigError, match="another config"):
+        paper(tmp_path, replace(CONFIG, actions=3))
+    with pytest.raises(InvalidConfigError, match="another seed"):
+        paper(tmp_path, replace(CONFIG, actions=1), seed=5)
+
+
+def test_nothing_promising_ends_the_episode(tmp_path):
+    class Shrink(Stretch):
+        def predict(self, cloth, actions):
+            return 2.0 * np.stack([cloth.positions] * len(actions)) - super().predict(
+                cloth, actions
+            )
+
+    robot = PaperRobot()
+    scene = EpisodeScene(CLOTH, TABLE, flat_area(CLOTH))
+    flattening = Flattening(robot, scene, CONFIG, perception=Known(robot), dynamics=[Shrink()])
+    store = flattening.run(tmp_path / "episode")
+    assert store.document["status"] == "nothing promises a gain"
+    assert robot.done == 0
+
+
+def test_a_pixel_of_the_table_is_as_large_as_it_is():
+    areas = table_pixel_areas(CAMERA, TABLE)
+    np.testing.assert_allclose(areas, (0.8 / 150.0) ** 2, rtol=1e-9)
+    tilt = np.radians(30.0)
+    pose = POSE.copy()
+    pose[:3, :3] = POSE[:3, :3] @ np.array(
+        [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
+    )
+    camera = replace(CAMERA, world_from_camera=pose)
+    corner = np.array([[x, y] for x in (9.5, 10.5) for y in (19.5, 20.5)])
+    rays = np.column_stack([(corner - [79.5, 59.5]) / 150.0, np.ones(4)]) @ pose[:3, :3].T
+    hits = pose[:3, 3] - rays * (0.8 / rays[:, 2:])
+    side = hits[[1, 2]] - hits[0]
+    area = np.linalg.norm(np.cross(side[0], side[1]))
+    assert table_pixel_areas(camera, TABLE)[20, 10] == pytest.approx(area, rel=0.01)
+
+
+@pytest.mark.parametrize("policy", ["random", "heuristic"])
+def test_policies_without_a_mesh_need_no_weights(tmp_path, policy):
+    config = FlattenConfig(policy=policy, actions=2)
+    store = flatten_simulated(tmp_path, SimulatedEpisode("towel", 3), config, robot_config=SMALL)
+    assert len(store.steps) == 3
+    assert not store.document["asked"]["label"]["control"]
+    assert not list((tmp_path / "episodes" / "towel_0003").glob("estimates/*"))
+
+
+def test_the_control_plans_is_labelled_and_leaves_a_normal_recording(tmp_path):
+    simulator = SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1))
+    planner = PlannerConfig(candidates=10)
+    config = FlattenConfig(
+        perception=PerceptionConfig(name="truth"), simulator=simulator, planner=planner, actions=2
+    )
+    episode = SimulatedEpisode("towel", 3)
+    store = flatten_simulated(tmp_path, episode, config, robot_config=SMALL)
+    assert store.document["asked"]["label"] == {"perception": "truth", "control": True}
+    assert {name for row in store.steps for name in row["sources"]} == {"control: truth"}
+    recording = read_recording(tmp_path / "recordings" / "towel_0003")
+    assert inspect(recording.folder).valid
+    assert len(recording.actions) == len(store.steps) - 1
+    assert recording.provenance["control"] is True
+    assert recording.cloth.template is None
+    truth = Truth.load(tmp_path / "truth" / "towel_0003.npz")
+    assert len(truth.positions) == len(store.steps)
+    assert truth.frames[-1] == len(recording.frames) - 1
+    frame = recording.frames[truth.frames[0]]
+    assert seen_area(recording, frame) == pytest.approx(store.steps[0]["true_m2"], rel=0.2)
+    starts = list((tmp_path / "starts").iterdir())
+    assert len(starts) == 1
+
+
+def test_a_killed_simulated_episode_ends_like_one_that_was_not(tmp_path):
+    config = FlattenConfig(policy="heuristic", actions=2)
+    whole = flatten_simulated(
+        tmp_path / "whole", SimulatedEpisode("towel", 4), config, robot_config=SMALL
+    )
+
+    def stop(step):
+        if step.number == 1:
+            raise KeyboardInterrupt
+
+    broken = tmp_path / "broken"
+    with pytest.raises(KeyboardInterrupt):
+        flatten_simulated(
+            broken, SimulatedEpisode("towel", 4), config, robot_config=SMALL, watch=stop
+        )
+    store = flatten_simulated(broken, SimulatedEpisode("towel", 4), config, robot_config=SMALL)
+    assert len(store.steps) == len(whole.steps)
+    assert store.steps[1]["true_m2"] == pytest.approx(whole.steps[1]["true_m2"], rel=1e-9)
+
+
+def test_settings_that_cannot_be_are_refused():
+    with pytest.raises(InvalidConfigError, match="actions"):
+        FlattenConfig(actions=0)
+    with pytest.raises(InvalidConfigError, match="dynamics_weights"):
+        dynamics_of(FlattenConfig(dynamics="mesh"))
+    assert len(dynamics_of(FlattenConfig(materials=3))) == 3
+    with pytest.raises(InvalidConfigError, match="planned"):
+        Flattening(PaperRobot(), EpisodeScene(CLOTH, TABLE), FlattenConfig(), perception=None)
+    assert flat_area(ClothDescription(kind="other")) is None
+    with pytest.raises(InvalidConfigError, match=r"workspace\.x_m"):
+        Workspace(x_m=(1.0, 0.0))

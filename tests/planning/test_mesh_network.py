@@ -1,0 +1,101 @@
+"""The graph network keeps the symmetries of what it models."""
+
+import numpy as np
+import pytest
+import torch
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.planning.mesh_dynamics import springs_of
+from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig, advance
+from clothtrack.simulation.garments import towel
+
+CONFIG = MeshNetworkConfig(width=16, message_steps=2)
+FLAT = towel(0.2, 0.2, 0.04)
+
+
+@pytest.fixture(scope="module")
+def network():
+    torch.manual_seed(0)
+    return MeshNetwork(CONFIG).eval()
+
+
+def state(copies=1):
+    torch.manual_seed(1)
+    positions = torch.tensor(FLAT.vertices, dtype=torch.float32)[None].repeat(copies, 1, 1)
+    positions = positions + 0.01 * torch.randn(copies, *positions.shape[1:])
+    velocities = 0.1 * torch.randn(*positions.shape[:2], CONFIG.history, 3)
+    held = torch.zeros(positions.shape[:2], dtype=torch.bool)
+    held[:, 3] = True
+    return positions, velocities, held
+
+
+def accelerations(network, positions, velocities, held, springs=None):
+    springs = springs or springs_of(FLAT)
+    with torch.no_grad():
+        return network(positions, velocities, positions[..., 2], held, springs)
+
+
+def test_a_shift_over_the_table_changes_nothing(network):
+    positions, velocities, held = state()
+    here = accelerations(network, positions, velocities, held)
+    there = accelerations(network, positions + torch.tensor([0.5, -0.25, 0.0]), velocities, held)
+    np.testing.assert_allclose(here, there, atol=1e-4)
+
+
+def test_cloths_of_a_batch_do_not_hear_each_other(network):
+    positions, velocities, held = state(3)
+    together = accelerations(network, positions, velocities, held)
+    alone = accelerations(network, positions[1:2], velocities[1:2], held[1:2])
+    np.testing.assert_allclose(together[1:2], alone, atol=1e-5)
+
+
+def test_numbering_means_nothing(network):
+    positions, velocities, held = state()
+    order = torch.randperm(FLAT.vertex_count, generator=torch.Generator().manual_seed(2))
+    new_number = torch.argsort(order)
+    springs = springs_of(FLAT)
+    renamed = type(springs)(
+        new_number[springs.sender], new_number[springs.receiver], springs.rest,
+        springs.joined[order][:, order],
+    )  # fmt: skip
+    here = accelerations(network, positions, velocities, held)
+    there = accelerations(
+        network, positions[:, order], velocities[:, order], held[:, order], renamed
+    )
+    np.testing.assert_allclose(here[:, order], there, atol=1e-5)
+
+
+def test_layers_that_come_near_feel_each_other(network):
+    """Two corners of the cloth meet: edges appear that the mesh has not."""
+    positions, _, _ = state()
+    near = positions.clone()
+    near[0, 0] = near[0, -1] + torch.tensor([0.0, 0.0, 0.01])
+    _, _, rest = network._edges(near, springs_of(FLAT))
+    assert (rest == 0.0).sum() > 0
+    far = torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
+    assert (network._edges(far, springs_of(FLAT))[2] == 0.0).sum() == 0
+
+
+def test_a_step_is_semi_implicit_and_obeys_the_gripper_and_the_table(network):
+    positions, velocities, held = state()
+    targets = positions + 0.02
+    lowest = 0.0
+    change = accelerations(network, positions, velocities, held)
+    with torch.no_grad():
+        after, past = advance(
+            network, positions, velocities, held, springs_of(FLAT), targets=targets, lowest_m=lowest
+        )
+    step = CONFIG.step_s
+    free = positions + step * (velocities[:, :, -1] + step * change)
+    free[..., 2].clamp_(min=lowest)
+    np.testing.assert_allclose(after[~held], free[~held], atol=1e-5)
+    np.testing.assert_allclose(after[held], targets[held])
+    np.testing.assert_allclose(past[:, :, :-1], velocities[:, :, 1:])
+    np.testing.assert_allclose(past[:, :, -1], (after - positions) / step, atol=1e-5)
+
+
+def test_sizes_without_sense_are_refused():
+    with pytest.raises(InvalidConfigError, match="width"):
+        MeshNetworkConfig(width=0)
+    with pytest.raises(InvalidConfigError, match="step_s"):
+        MeshNetworkConfig(step_s=0.0)

@@ -1,0 +1,132 @@
+"""Mesh dynamics learn from roll-outs, resume, and are asked like the simulator."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.dynamics import MotionConfig, PlannedCloth, PlanningDynamics
+from clothtrack.planning.mesh_dynamics import MeshDynamics, MeshDynamicsConfig, load_mesh_dynamics
+from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig
+from clothtrack.planning.mesh_training import (
+    DynamicsTrainingConfig,
+    MeshDynamicsStage,
+    WindowBatch,
+    WindowExamples,
+    train_mesh_dynamics,
+)
+from clothtrack.reconstruction.training_config import TrainingConfig
+from clothtrack.simulation.garments import towel
+
+TINY = DynamicsTrainingConfig(
+    network=MeshNetworkConfig(width=16, message_steps=2, collision_radius_m=0.06),
+    loop=TrainingConfig(
+        epochs=6, batch_size=1, low_rate=3e-3, high_rate=3e-3, save_steps=5, held_out_share=0.3
+    ),
+    windows=4,
+    unrolled=2,
+    examples_per_shard=6,
+)
+FLAT = towel(0.2, 0.2, 0.05)
+LYING = PlannedCloth(FLAT, FLAT.vertices + [0.0, 0.0, 0.0015])
+ACTION = PickPlace(np.array([0.1, 0.1, 0.0]), np.array([0.0, 0.0, 0.01]), 0.05)
+
+
+@pytest.fixture(scope="module")
+def trained(roll_outs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dynamics")
+    return folder, train_mesh_dynamics(roll_outs, "towel", TINY, folder)
+
+
+def test_training_gets_better_and_its_weights_are_read_again(trained):
+    _, outcome = trained
+    assert outcome.best_step > 0
+    learned = load_mesh_dynamics(outcome.weights)
+    assert isinstance(learned, PlanningDynamics)
+    moved = learned.predict(LYING, [ACTION, None])
+    assert np.isfinite(moved).all()
+    fresh = MeshNetwork(TINY.network)
+    with torch.no_grad():
+        other = MeshDynamics(fresh).predict(LYING, [ACTION, None])
+    assert not np.allclose(moved, other)
+
+
+def test_an_interrupted_training_arrives_at_the_same_weights(trained, roll_outs, tmp_path):
+    _, outcome = trained
+    half = replace(TINY, loop=replace(TINY.loop, epochs=3))
+    train_mesh_dynamics(roll_outs, "towel", half, tmp_path)
+    again = train_mesh_dynamics(roll_outs, "towel", TINY, tmp_path)
+    assert again.best_score == outcome.best_score
+    one, other = (load_mesh_dynamics(path) for path in (outcome.weights, again.weights))
+    np.testing.assert_array_equal(one.predict(LYING, [ACTION]), other.predict(LYING, [ACTION]))
+
+
+def test_another_training_is_not_gone_on_with(trained, roll_outs):
+    folder, _ = trained
+    with pytest.raises(InvalidResultError, match="noise_m"):
+        train_mesh_dynamics(roll_outs, "towel", replace(TINY, noise_m=0.5), folder)
+
+
+def test_windows_follow_from_the_draw_and_hold_what_was_held(roll_outs):
+    examples = WindowExamples(roll_outs, TINY)
+    one, again, other = examples[3, 1], examples[3, 1], examples[3, 2]
+    torch.testing.assert_close(one.past, again.past, rtol=0.0, atol=0.0)
+    assert not torch.equal(one.past, other.past)
+    assert one.past.shape[1] == TINY.network.history + 1
+    assert one.held.sum(dim=2).max() <= 1
+    drawn = [examples[index, 0] for index in range(len(examples))]
+    assert sum(int(each.held.sum()) for each in drawn) > 0
+    with pytest.raises(InvalidConfigError, match="no shard"):
+        WindowExamples([], TINY)
+
+
+def test_the_noise_is_on_the_past_alone_and_grows_towards_its_end(roll_outs):
+    loud = WindowExamples(roll_outs, replace(TINY, noise_m=0.01))[0, 0]
+    calm = WindowExamples(roll_outs, replace(TINY, noise_m=0.0))[0, 0]
+    torch.testing.assert_close(loud.future, calm.future, rtol=0.0, atol=0.0)
+    noise = (loud.past - calm.past).square().mean(dim=(0, 2, 3)).sqrt()
+    assert noise[-1] == pytest.approx(0.01, rel=0.15)
+    assert (noise.diff() > 0.0).all()
+
+
+def test_the_loss_of_the_truth_is_zero(roll_outs):
+    """A network that predicts what happens: here, of a cloth at rest, nothing."""
+    stage = MeshDynamicsStage(TINY, "towel")
+    for parameter in stage.trained.decode[-1].parameters():
+        torch.nn.init.zeros_(parameter)
+    windows = WindowExamples(roll_outs, TINY, noisy=False)[0, 0]
+    still = windows.past[:, -1:].clone()
+    still[..., 2].clamp_(min=0.0015)
+    resting = type(windows)(
+        still.repeat(1, TINY.network.history + 1, 1, 1), still.repeat(1, 2, 1, 1),
+        torch.zeros_like(windows.held), windows.springs,
+    )  # fmt: skip
+    assert float(stage(WindowBatch([resting]))["loss"].detach()) == 0.0
+
+
+def test_the_held_vertex_ends_at_the_place():
+    torch.manual_seed(0)
+    dynamics = MeshDynamics(
+        MeshNetwork(TINY.network),
+        MeshDynamicsConfig(motion=MotionConfig(time_step_s=0.05, rest_s=0.0), chunk=2),
+    )
+    moved = dynamics.predict(LYING, [ACTION, None, ACTION])
+    corner = int(np.argmax(FLAT.vertices[:, 0] + FLAT.vertices[:, 1]))
+    np.testing.assert_allclose(moved[0, corner, :2], ACTION.place[:2], atol=1e-6)
+    np.testing.assert_allclose(moved[0], moved[2], atol=1e-6)
+    with pytest.raises(InvalidConfigError, match="time_step_s"):
+        MeshDynamics(MeshNetwork(TINY.network), MeshDynamicsConfig(motion=MotionConfig()))
+
+
+def test_planning_does_not_import_torch():
+    code = (
+        "import sys, clothtrack.planning.actions, clothtrack.planning.dynamics, "
+        "clothtrack.planning.reward, clothtrack.planning.roll_outs; "
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

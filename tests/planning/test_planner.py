@@ -1,0 +1,128 @@
+"""The planner finds what dynamics of a few lines say is best."""
+
+import numpy as np
+import pytest
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.planning.actions import ActionSpace, SeenCloth
+from clothtrack.planning.dynamics import PlannedCloth, SimulatorDynamics
+from clothtrack.planning.planner import Hypothesis, Planner, PlannerConfig
+from clothtrack.simulation.garments import towel
+
+FLAT = towel(0.2, 0.2, 0.02)
+LYING = FLAT.vertices + [0.0, 0.0, 0.0015]
+SEEN = SeenCloth(LYING.copy(), None)
+BELIEF = Hypothesis(FLAT, LYING, "towel")
+
+
+class GrowTowards:
+    """The cloth grows the more, the nearer the place is to a goal."""
+
+    def __init__(self, goal, strength=1.0):
+        self.goal = np.array(goal)
+        self.strength = strength
+        self.asked = []
+
+    def predict(self, cloth, actions):
+        assert isinstance(cloth, PlannedCloth)
+        self.asked.append(len(actions))
+        scales = [
+            1.0 if one is None
+            else 1.0 + self.strength * np.exp(-40.0 * np.sum((one.place[:2] - self.goal) ** 2))
+            for one in actions
+        ]  # fmt: skip
+        return np.stack([cloth.positions * [scale, scale, 1.0] for scale in scales])
+
+
+def decide(dynamics, config=None, beliefs=(BELIEF,), seed=0):
+    planner = Planner(dynamics, config)
+    return planner.decide(beliefs, SEEN, np.random.default_rng(seed))
+
+
+def test_the_best_candidate_wins_and_its_gain_is_its_own():
+    decision = decide([GrowTowards([0.2, 0.0])])
+    assert len(decision.candidates) == 100
+    gaps = [np.linalg.norm(one.place[:2] - [0.2, 0.0]) for one in decision.candidates]
+    assert decision.action is decision.candidates[int(np.argmin(gaps))]
+    assert decision.gain_m2 == decision.gains_m2.max()
+    scale = 1.0 + np.exp(-40.0 * min(gaps) ** 2)
+    assert decision.gain_m2 == pytest.approx(0.04 * (scale**2 - 1.0), rel=1e-3)
+
+
+def test_refinement_comes_nearer_and_never_loses_what_it_has():
+    plain = decide([GrowTowards([0.17, 0.05])])
+    dynamics = GrowTowards([0.17, 0.05])
+    refined = decide([dynamics], PlannerConfig(refinements=3))
+    assert dynamics.asked == [101] * 4
+    assert refined.gain_m2 > plain.gain_m2
+    assert refined.gains_m2[:100].max() == plain.gain_m2
+    gap = np.linalg.norm(refined.action.place[:2] - [0.17, 0.05])
+    assert gap < 0.01
+
+
+def test_refined_candidates_keep_the_limits():
+    space = ActionSpace(place="off")
+    config = PlannerConfig(candidates=40, refinements=2, space=space)
+    for one in decide([GrowTowards([0.0, 0.0])], config).candidates:
+        way = np.linalg.norm((one.place - one.pick)[:2])
+        assert space.distance_m[0] - 1e-9 <= way <= space.distance_m[1] + 1e-9
+        assert np.linalg.norm(SEEN.cloud[:, :2] - one.place[:2], axis=1).min() > 0.012
+        assert np.linalg.norm(SEEN.cloud - one.pick, axis=1).min() == 0.0
+
+
+def test_nothing_is_done_when_everything_makes_it_worse():
+    decision = decide([GrowTowards([0.1, 0.1], strength=-0.5)])
+    assert decision.action is None
+    assert decision.gain_m2 == 0.0
+    assert (decision.gains_m2 < 0.0).all()
+
+
+def test_gains_are_means_over_hypotheses_and_dynamics():
+    left, right = GrowTowards([-0.2, 0.0]), GrowTowards([0.2, 0.0])
+    both = decide([left, right])
+    alone = [decide([one]).gains_m2 for one in (left, right)]
+    np.testing.assert_allclose(both.gains_m2, np.mean(alone, axis=0), atol=1e-12)
+    cautious = decide([left, right], PlannerConfig(caution=1.0))
+    lost = both.gains_m2 - cautious.gains_m2
+    np.testing.assert_allclose(lost, np.std(alone, axis=0), atol=1e-12)
+
+
+def test_a_cloth_that_bursts_is_never_chosen():
+    class Burst(GrowTowards):
+        def predict(self, cloth, actions):
+            ends = super().predict(cloth, actions)
+            far = [one is not None and one.place[0] > 0.0 for one in actions]
+            ends[far] = np.nan
+            return ends
+
+    decision = decide([Burst([0.2, 0.0])])
+    assert decision.action.place[0] <= 0.0
+    assert (decision.gains_m2 == -np.inf).any()
+
+
+def test_the_simulator_unfolds_a_corner():
+    """A corner lies folded on the towel: the best action carries it outwards."""
+    folded = LYING.copy()
+    over = folded[:, 0] + folded[:, 1] > 0.1
+    gap = (folded[over, 0] + folded[over, 1] - 0.1)[:, None]
+    folded[over, :2] -= gap
+    folded[over, 2] += 0.004
+    lifted = folded[over]
+    seen = SeenCloth(np.concatenate([lifted, folded[~over]]), None)
+    planner = Planner([SimulatorDynamics()], PlannerConfig(candidates=60))
+    decision = planner.decide([Hypothesis(FLAT, folded, "towel")], seen, np.random.default_rng(0))
+    assert decision.gain_m2 > 0.002
+    way = (decision.action.place - decision.action.pick)[:2]
+    assert way @ np.ones(2) > 0.04
+    assert decision.action.pick[:2].sum() > 0.0
+
+
+def test_settings_that_choose_nothing_are_refused():
+    with pytest.raises(InvalidConfigError, match="no dynamics"):
+        Planner([])
+    with pytest.raises(InvalidConfigError, match="candidates"):
+        PlannerConfig(candidates=0)
+    with pytest.raises(InvalidConfigError, match="elite"):
+        PlannerConfig(elite=0.0)
+    with pytest.raises(InvalidConfigError, match="hypothesis"):
+        decide([GrowTowards([0.0, 0.0])], beliefs=())

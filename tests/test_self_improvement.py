@@ -1,0 +1,104 @@
+"""One round of getting better, with a network that has learned nothing and a napkin."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+from clothtrack import self_improvement
+from clothtrack.errors import ClothTrackError
+from clothtrack.pipeline import RunConfig
+from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
+from clothtrack.planning.flattening import FlattenConfig
+from clothtrack.planning.perception import PerceptionConfig
+from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.simulated_robot import SimulatedRobotConfig
+from clothtrack.reconstruction.checkpoint import save_weights
+from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.two_stages import LearningConfig
+from clothtrack.self_improvement import ImprovementConfig, improve_rounds
+from clothtrack.tracking.calibration import CalibrationConfig
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.first_mesh import FirstMeshConfig
+from clothtrack.tracking.settings import with_settings
+from clothtrack.world.episodes import SMALL_WORLD
+
+TINY = NetworkConfig(
+    image_size=64, widths=(8, 16), decoder_width=16, bins=16, volume=8, volume_channels=8,
+    point_hidden=16, volume_widths=(8, 16), decoder_hidden=16, grid=16,
+)  # fmt: skip
+LEARNING = with_settings(
+    LearningConfig.preset("finetune"),
+    (
+        "canonicalisation.epochs=1", "completion.epochs=1", "canonicalisation.evaluate_epochs=1",
+        "completion.evaluate_epochs=1", "examples.winding.pool=1024",
+        "examples.surface_queries=64", "examples.volume_queries=64",
+        "canonicalisation.held_out_share=0.4", "completion.held_out_share=0.4",
+    ),
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path):
+    torch.manual_seed(0)
+    weights = tmp_path / "towel.safetensors"
+    save_weights(weights, MeshReconstructor(TINY, "towel").state_dict(), TINY, kind="towel")
+    tracker = replace(TrackerConfig(), calibration=CalibrationConfig(method="none"))
+    config = ImprovementConfig(
+        rounds=1,
+        episodes=4,
+        flatten=FlattenConfig(
+            perception=PerceptionConfig(refined=False, vertex_count=200),
+            simulator=SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1)),
+            planner=PlannerConfig(candidates=6),
+            actions=1,
+        ),
+        robot=SimulatedRobotConfig(episode=SMALL_WORLD),
+        track=RunConfig(tracker=tracker, first_mesh=FirstMeshConfig(vertex_count=200)),
+        finetune=LEARNING,
+    )
+    curve = improve_rounds(weights, tmp_path / "out", "towel", config)
+    assert [row["round"] for row in curve] == [0, 1]
+    assert all(row["episodes"] == 4 == len(row["improvement"]) for row in curve)
+    assert json.loads((tmp_path / "out" / "improvement.json").read_text()) == curve
+    assert len(list((tmp_path / "out" / "starts").iterdir())) == 4
+    assert list((tmp_path / "out" / "round_0" / "labels").glob("*.labels.npz"))
+    assert (tmp_path / "out" / "round_0" / "tuned" / "model.safetensors").exists()
+    assert improve_rounds(weights, tmp_path / "out", "towel", config) == curve
+
+
+def test_too_few_labels_are_told(tmp_path, monkeypatch):
+    weights = tmp_path / "towel.safetensors"
+    weights.write_bytes(b"weights")
+    monkeypatch.setattr(self_improvement, "_flattened", lambda *_, **__: [0.1, 0.3])
+    monkeypatch.setattr(self_improvement, "_labelled", lambda *_, **__: [tmp_path / "one"])
+    with pytest.raises(ClothTrackError, match="1 of 2 episodes"):
+        improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(episodes=2))
+    (row,) = json.loads((tmp_path / "out" / "improvement.json").read_text())
+    assert row["mean"] == pytest.approx(0.2)
+
+
+def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
+    asked = []
+    weights = tmp_path / "w0"
+    weights.write_bytes(b"0")
+
+    def flattened(folder, starts, given, kind, config, **more):
+        asked.append((given.name, starts))
+        return [0.1 * len(asked)]
+
+    def tuned(given, labels, folder, config, **more):
+        assert len(labels) == 2 * len(asked)
+        path = tmp_path / f"w{len(asked)}"
+        path.write_bytes(path.name.encode())
+        return path
+
+    monkeypatch.setattr(self_improvement, "_flattened", flattened)
+    monkeypatch.setattr(self_improvement, "_labelled", lambda *_, **__: [tmp_path, tmp_path])
+    monkeypatch.setattr(self_improvement, "_tuned", tuned)
+    curve = improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(rounds=2))
+    assert [name for name, _ in asked] == ["w0", "w1", "w2"]
+    assert len({starts for _, starts in asked}) == 1
+    assert [row["mean"] for row in curve] == pytest.approx([0.1, 0.2, 0.3])
