@@ -24,19 +24,27 @@ def children_cpu_s():
     return used.ru_utime + used.ru_stime
 
 
+BARE = "import tyro\ndef peer(x: int = 1) -> None: ...\ntyro.cli(peer, args=['--help'])"
+"""The least that a command line of this kind costs."""
+
+
 def test_help_is_quick_and_lists_the_verbs_in_order():
-    seconds = []
+    ours, bare = [], []
     for _ in range(3):
         before = children_cpu_s()
         shown = run("--help")
-        seconds.append(children_cpu_s() - before)
+        between = children_cpu_s()
+        subprocess.run([sys.executable, "-c", BARE], capture_output=True, check=True)
+        ours.append(between - before)
+        bare.append(children_cpu_s() - between)
     assert shown.returncode == 0
     places = [
         shown.stdout.index(f"• {verb}")
         for verb in ("demo", "inspect", "simulate", "bench", "track", "evaluate", "view", "export")
     ]
     assert places == sorted(places)
-    assert min(seconds) < 0.3
+    # 3 times here, 0.27 s on a quiet machine; one stage that is loaded (Warp, MuJoCo) makes it 10.
+    assert min(ours) < 5.0 * min(bare)
 
 
 def test_help_loads_no_stage():
