@@ -91,9 +91,10 @@ def finished_in_workers(
                 "what is finished is kept"
             ) from error
         finally:
-            unfinished = len(jobs) < len(items) or not all(job.done() for job in jobs)
-            pool.shutdown(wait=False, cancel_futures=True)
-            if unfinished:
+            if len(jobs) < len(items) or not all(job.done() for job in jobs):
+                # The pool finds its workers gone and ends; it is waited for, because one that ends
+                # while the interpreter does may complain of a pipe that it has closed itself.
+                # What has not begun is not cancelled: the pool stumbles over that while it ends.
                 end_workers()
 
 
