@@ -9,6 +9,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -286,7 +287,8 @@ class FrankyArm:
             InvalidConfigError: the extra [franka] is not installed.
         """
         try:
-            import franky  # pyright: ignore[reportMissingImports]
+            # By name: type checkers see it in some installations and not in others.
+            franky = import_module("franky")
         except ImportError as error:
             raise InvalidConfigError(
                 f"a Franka arm needs franky-control, which is not installed; install with: "

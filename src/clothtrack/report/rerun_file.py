@@ -4,6 +4,7 @@ Needs the extra [rerun]; nothing else in the package does.
 """
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -82,12 +83,12 @@ def write_rerun(
 def _rerun() -> Any:
     """The module, or a clear word about the extra."""
     try:
-        import rerun
+        # By name: type checkers see it in some installations and not in others.
+        return import_module("rerun")
     except ImportError as error:
         raise InvalidConfigError(
             f"writing .rrd needs rerun-sdk, which tracking does not; install with: {INSTALL}"
         ) from error
-    return rerun
 
 
 def _log_cloth(
