@@ -30,7 +30,7 @@ from learning_runs import Reconstructor, Tuner, kind_of, reconstruction_rows
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.reconstruction.checkpoint import save_weights
-from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.configuration import TINY_NETWORK
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.two_stages import LearningConfig
 from clothtrack.tracking.settings import with_settings
@@ -40,10 +40,6 @@ from clothtrack.world.episodes import SMALL_WORLD, simulate
 from clothtrack.world.state_store import StateSet, open_states
 from clothtrack.world.states import StatesConfig, generate_states
 
-TINY = NetworkConfig(
-    image_size=64, widths=(8, 16), decoder_width=16, bins=16, volume=8, volume_channels=8,
-    point_hidden=16, volume_widths=(8, 16), decoder_hidden=16, grid=16,
-)  # fmt: skip
 SMOKE_SETTINGS = (
     "canonicalisation.epochs=1", "completion.epochs=1", "canonicalisation.evaluate_epochs=1",
     "completion.evaluate_epochs=1", "examples.winding.pool=1024", "examples.surface_queries=64",
@@ -219,7 +215,9 @@ def tiny_network(path: Path, kind: str = "towel") -> Path:
 
     if not path.exists():
         torch.manual_seed(0)
-        save_weights(path, MeshReconstructor(TINY, kind).state_dict(), TINY, kind=kind)
+        save_weights(
+            path, MeshReconstructor(TINY_NETWORK, kind).state_dict(), TINY_NETWORK, kind=kind
+        )
     return path
 
 

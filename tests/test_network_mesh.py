@@ -11,7 +11,7 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.network_mesh import front_up, laid_flat, network_mesh, observation_of
 from clothtrack.reconstruction.checkpoint import save_weights
-from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.configuration import TINY_NETWORK
 from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.recordings.recording import Table
@@ -19,10 +19,6 @@ from clothtrack.simulation.garments import garment
 from clothtrack.tracking.refinement import RefinementConfig
 from clothtrack.world.episodes import SMALL_WORLD, simulate
 
-TINY = NetworkConfig(
-    image_size=64, widths=(8, 16), decoder_width=16, bins=16, volume=8, volume_channels=8,
-    point_hidden=16, volume_widths=(8, 16), decoder_hidden=16, grid=8,
-)  # fmt: skip
 TABLE = Table(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0]))
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 POSE[2, 3] = 0.8
@@ -32,7 +28,7 @@ CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5, POSE)
 @pytest.fixture(scope="module")
 def model():
     torch.manual_seed(0)
-    return MeshReconstructor(TINY, "towel").eval()
+    return MeshReconstructor(TINY_NETWORK, "towel").eval()
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +83,7 @@ def test_the_flat_garment_is_laid_where_the_cloth_is(over):
 def test_the_command_fine_tunes_unless_told_not_to(model, tmp_path, capsys):
     (recording,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)
     weights = tmp_path / "towel.safetensors"
-    save_weights(weights, model.state_dict(), TINY, kind="towel")
+    save_weights(weights, model.state_dict(), TINY_NETWORK, kind="towel")
     told = []
     for more in ([], ["--no-refined"]):
         words = ["reconstruct", str(recording), "--weights", str(weights), "--json"]

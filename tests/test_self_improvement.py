@@ -15,7 +15,7 @@ from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.simulated_robot import SimulatedRobotConfig
 from clothtrack.reconstruction.checkpoint import save_weights
-from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.configuration import TINY_NETWORK
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.two_stages import LearningConfig
 from clothtrack.self_improvement import ImprovementConfig, improve_rounds
@@ -25,10 +25,6 @@ from clothtrack.tracking.first_mesh import FirstMeshConfig
 from clothtrack.tracking.settings import with_settings
 from clothtrack.world.episodes import SMALL_WORLD
 
-TINY = NetworkConfig(
-    image_size=64, widths=(8, 16), decoder_width=16, bins=16, volume=8, volume_channels=8,
-    point_hidden=16, volume_widths=(8, 16), decoder_hidden=16, grid=16,
-)  # fmt: skip
 LEARNING = with_settings(
     LearningConfig.preset("finetune"),
     (
@@ -44,7 +40,9 @@ LEARNING = with_settings(
 def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path):
     torch.manual_seed(0)
     weights = tmp_path / "towel.safetensors"
-    save_weights(weights, MeshReconstructor(TINY, "towel").state_dict(), TINY, kind="towel")
+    save_weights(
+        weights, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
+    )
     tracker = replace(TrackerConfig(), calibration=CalibrationConfig(method="none"))
     config = ImprovementConfig(
         rounds=1,

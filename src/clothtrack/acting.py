@@ -4,6 +4,7 @@ import json as json_module
 import logging
 from contextlib import ExitStack
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -138,14 +139,16 @@ def train_dynamics(
     mine = [one for one in settings if not one.startswith("roll_outs.")]
     theirs = [one.removeprefix("roll_outs.") for one in settings if one.startswith("roll_outs.")]
     recipe = with_settings(RollOutConfig(), theirs)
-    shards = generate_roll_outs(
-        output / "roll_outs", garment, roll_outs, seed=seed, config=recipe, processes=workers,
-        progress=progress,
+    make = partial(
+        generate_roll_outs, output / "roll_outs", garment, roll_outs, seed=seed, config=recipe,
+        processes=workers, progress=progress,
     )  # fmt: skip
-    end_progress()
     if only_roll_outs:
+        shards = make()
+        end_progress()
         say(f"{output / 'roll_outs'}   ({len(shards)} garments)")
         return 0
+    # What cannot be trained is refused before anything is rolled out.
     require_learning()
     from clothtrack.planning.mesh_training import DynamicsTrainingConfig, train_mesh_dynamics
     from clothtrack.reconstruction.processes import require_torch_device
@@ -153,6 +156,8 @@ def train_dynamics(
     require_torch_device(device)
     config = DynamicsTrainingConfig()
     config = with_settings(replace(config, loop=replace(config.loop, seed=seed)), mine)
+    shards = make()
+    end_progress()
     outcome = train_mesh_dynamics(
         shards, garment, config, output / "model", device=device, progress=progress
     )

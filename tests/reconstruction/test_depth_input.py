@@ -16,22 +16,9 @@ from clothtrack import cli
 from clothtrack.errors import InvalidRecordingError, InvalidResultError
 from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.checkpoint import save_weights
-from clothtrack.reconstruction.configuration import NetworkConfig
+from clothtrack.reconstruction.configuration import TINY_NETWORK
 from clothtrack.reconstruction.depth_input import from_picture, load_model
 from clothtrack.reconstruction.model import MeshReconstructor
-
-TINY = NetworkConfig(
-    image_size=64,
-    widths=(8, 16),
-    decoder_width=16,
-    bins=16,
-    volume=8,
-    volume_channels=8,
-    point_hidden=16,
-    volume_widths=(8, 16),
-    decoder_hidden=16,
-    grid=8,
-)
 
 
 @pytest.fixture
@@ -49,7 +36,9 @@ def weights(tmp_path):
     """Untrained weights for a towel."""
     torch.manual_seed(0)
     path = tmp_path / "towel.safetensors"
-    save_weights(path, MeshReconstructor(TINY, "towel").state_dict(), TINY, kind="towel")
+    save_weights(
+        path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
+    )
     return path
 
 
@@ -77,7 +66,7 @@ def test_a_mask_of_another_size_is_refused(picture, tmp_path):
 
 def test_weights_come_whole_or_not_at_all(weights):
     model = load_model("towel", weights)
-    assert model.config == TINY
+    assert model.config == TINY_NETWORK
     with pytest.raises(InvalidResultError, match="is for 'towel'"):
         load_model("tshirt", weights)
     weights.write_bytes(weights.read_bytes()[:-100])
@@ -153,8 +142,8 @@ def test_shipped_weights_are_where_the_package_packs_them():
 
 def test_weights_of_another_preset_are_refused(picture, tmp_path, capsys):
     path = tmp_path / "towel.safetensors"
-    other = replace(TINY, decoder_hidden=32)
-    save_weights(path, MeshReconstructor(TINY, "towel").state_dict(), other, kind="towel")
+    other = replace(TINY_NETWORK, decoder_hidden=32)
+    save_weights(path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), other, kind="towel")
     words = ["reconstruct", str(picture), "--garment", "towel", "--weights", str(path)]
     assert cli.main([*words, "--output", str(tmp_path / "mesh.obj")]) == 1
     assert "another preset" in capsys.readouterr().err

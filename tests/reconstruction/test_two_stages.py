@@ -13,7 +13,7 @@ from clothtrack import cli, learning
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.reconstruction.canonicalisation import Canonicaliser
 from clothtrack.reconstruction.checkpoint import load_weights, save_weights
-from clothtrack.reconstruction.configuration import PRESETS, NetworkConfig
+from clothtrack.reconstruction.configuration import PRESETS, TINY_NETWORK
 from clothtrack.reconstruction.examples import LabelledPicture
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.pseudo_labels import LabelledRecording, write_labels
@@ -21,18 +21,6 @@ from clothtrack.reconstruction.two_stages import LearningConfig, network_of
 from clothtrack.simulation.garments import garment
 from clothtrack.world.state_store import StateShard, write_states
 
-TINY = NetworkConfig(
-    image_size=64,
-    widths=(8, 16),
-    decoder_width=16,
-    bins=16,
-    volume=8,
-    volume_channels=8,
-    point_hidden=16,
-    volume_widths=(8, 16),
-    decoder_hidden=16,
-    grid=8,
-)
 FEW = [
     "canonicalisation.epochs=2",
     "completion.epochs=2",
@@ -50,7 +38,7 @@ def settings(*more):
 @pytest.fixture
 def towels(tmp_path, monkeypatch):
     """A folder of states; the smallest network stands in for `small`."""
-    monkeypatch.setitem(PRESETS, "small", TINY)
+    monkeypatch.setitem(PRESETS, "small", TINY_NETWORK)
     mesh = garment("towel", vertex_count=150)
     flat = np.asarray(mesh.vertices, np.float32) + np.float32([0.0, 0.0, 0.005])
     shard = StateShard("towel", mesh, np.stack([flat] * 8), np.arange(8), ("flat",) * 8, 0)
@@ -77,7 +65,7 @@ def test_pretrained_weights_are_finetuned(towels, capsys):
     weights = load_weights(run / "model.safetensors")
     assert weights.kind == "towel"
     assert set(weights.provenance) == {"canonicalisation", "completion"}
-    assert network_of(weights) == TINY
+    assert network_of(weights) == TINY_NETWORK
     card = (run / "model_card.md").read_text()
     digest = hashlib.sha256((run / "model.safetensors").read_bytes()).hexdigest()
     assert digest in card
@@ -100,7 +88,9 @@ def test_pretrained_weights_are_finetuned(towels, capsys):
 
 def test_weights_for_another_garment_are_refused(towels, capsys):
     path = towels / "shirt.safetensors"
-    save_weights(path, MeshReconstructor(TINY, "tshirt").state_dict(), TINY, kind="tshirt")
+    save_weights(
+        path, MeshReconstructor(TINY_NETWORK, "tshirt").state_dict(), TINY_NETWORK, kind="tshirt"
+    )
     labels_of(towels / "labels")
     words = ["finetune", str(path), str(towels / "labels"), "--output", str(towels / "out")]
     assert cli.main(words) == 1
@@ -109,7 +99,9 @@ def test_weights_for_another_garment_are_refused(towels, capsys):
 
 def test_old_states_that_are_asked_for_must_be_given(towels, capsys):
     path = towels / "towel.safetensors"
-    save_weights(path, MeshReconstructor(TINY, "towel").state_dict(), TINY, kind="towel")
+    save_weights(
+        path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
+    )
     labels_of(towels / "labels")
     words = ["finetune", str(path), str(towels / "labels"), "--output", str(towels / "out")]
     assert cli.main([*words, "--set", "completion.old_share=0.5"]) == 1
@@ -118,9 +110,9 @@ def test_old_states_that_are_asked_for_must_be_given(towels, capsys):
 
 def test_a_network_that_nobody_knows_is_refused(tmp_path):
     path = tmp_path / "weights.safetensors"
-    save_weights(path, Canonicaliser(TINY).state_dict(), TINY, kind="towel")
+    save_weights(path, Canonicaliser(TINY_NETWORK).state_dict(), TINY_NETWORK, kind="towel")
     found = load_weights(path)
-    strange = type(found)(path, found.tensors, {**asdict(TINY), "depth": 3}, "towel")
+    strange = type(found)(path, found.tensors, {**asdict(TINY_NETWORK), "depth": 3}, "towel")
     with pytest.raises(InvalidResultError, match="depth"):
         network_of(strange)
 
@@ -150,16 +142,18 @@ def test_nothing_to_work_on_is_wrong_usage(verb, tmp_path, capsys):
 def test_a_file_that_claims_a_huge_network_takes_no_memory(tmp_path):
     """What the file says is compared with what it holds before anything of that size is made."""
     path = tmp_path / "weights.safetensors"
-    save_weights(path, MeshReconstructor(TINY, "towel").state_dict(), TINY, kind="towel")
+    save_weights(
+        path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
+    )
     found = load_weights(path)
-    assert network_of(found) == TINY
-    huge = {**asdict(TINY), "widths": [2048] * 8, "volume_widths": [2048] * 4}
+    assert network_of(found) == TINY_NETWORK
+    huge = {**asdict(TINY_NETWORK), "widths": [2048] * 8, "volume_widths": [2048] * 4}
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(InvalidResultError, match="another preset"):
         network_of(type(found)(path, found.tensors, huge, "towel"))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
     for wrong in ({"bins": 16.5}, {"image_size": "64"}, {"widths": 8}, {"depth_channels": 2}):
         with pytest.raises(InvalidResultError, match="none that this version knows"):
-            network_of(type(found)(path, found.tensors, {**asdict(TINY), **wrong}, "towel"))
+            network_of(type(found)(path, found.tensors, {**asdict(TINY_NETWORK), **wrong}, "towel"))
     with pytest.raises(InvalidResultError, match="sock"):
-        network_of(type(found)(path, found.tensors, asdict(TINY), "sock"))
+        network_of(type(found)(path, found.tensors, asdict(TINY_NETWORK), "sock"))

@@ -183,6 +183,20 @@ PRESETS: dict[str, NetworkConfig] = {
 }
 """The networks that have a name."""
 
+TINY_NETWORK = NetworkConfig(
+    image_size=64,
+    widths=(8, 16),
+    decoder_width=16,
+    bins=16,
+    volume=8,
+    volume_channels=8,
+    point_hidden=16,
+    volume_widths=(8, 16),
+    decoder_hidden=16,
+    grid=8,
+)
+"""Runs in milliseconds and learns nothing: for smoke runs and tests."""
+
 
 def preset(name: str) -> NetworkConfig:
     """The sizes of a named network.
