@@ -38,7 +38,8 @@ def charts(tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]) -> 
             "Distance to the observed cloud",
             "mm",
             (Line("root mean square", rms_mm),),
-            "Visible vertices and cloud, both directions.",
+            "Visible vertices and cloud, both directions; `evaluate` leaves out vertices where "
+            "nothing was measured, and shows less.",
         ),
         Chart(
             "Edge strain",
