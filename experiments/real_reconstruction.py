@@ -42,9 +42,6 @@ from clothtrack.world.episodes import SMALL_WORLD, simulate
 
 LEVEL_DEG = 20.0
 
-FARTHEST = 97.0
-"""Percentile of the depths of a hanging cloth that counts as its farthest part."""
-
 
 @dataclass(frozen=True)
 class RealSet:
@@ -77,14 +74,11 @@ def looking_down(picture: DepthInput) -> DepthInput:
     axis = camera.world_from_camera[:3, 2]
     if picture.table is not None and axis[2] < -np.cos(np.radians(LEVEL_DEG)):
         return picture
-    # A mask's rim shows a few pixels of what is behind, here a metre farther away.
-    seen = picture.depth_m[picture.mask & (picture.depth_m > 0)]
-    farthest = float(np.percentile(seen, FARTHEST))
+    farthest = float(picture.depth_m[picture.mask].max())
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = farthest
     turned: Camera = replace(camera, world_from_camera=pose)
-    near = picture.mask & (picture.depth_m <= farthest)
-    return replace(picture, camera=turned, table=None, mask=near)
+    return replace(picture, camera=turned, table=None)
 
 
 def reconstructed(folder: Path, kind: str, weights: Path, image: Path) -> dict[str, object]:

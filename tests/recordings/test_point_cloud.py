@@ -7,6 +7,7 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.point_cloud import (
     Observation,
+    cloth_measured,
     flying_pixels,
     hidden_pixels,
     observe,
@@ -111,6 +112,21 @@ def test_a_far_outlier_changes_no_other_cube():
     )
     few = thin(both, 0.01)
     np.testing.assert_allclose(few[1:-1], thin(cloud, 0.01), atol=1e-12)
+
+
+def test_a_rim_of_background_is_not_cloth():
+    camera = Camera("top", 64, 48, 60.0, 60.0, 31.5, 23.5, np.diag([1.0, -1.0, -1.0, 1.0]))
+    depth = np.full((48, 64), 0.8)
+    depth[10:40, 10:50] = 0.5
+    cloth = depth == 0.5
+    # A mask one pixel too wide on one side shows the wall behind.
+    mask = cloth.copy()
+    mask[10:40, 50] = True
+    np.testing.assert_array_equal(cloth_measured(depth, mask, camera), cloth)
+    np.testing.assert_array_equal(cloth_measured(depth, mask, camera, stray_share=0.0), mask)
+    depth[12:14, 12:14] = 0.0
+    assert not cloth_measured(depth, mask, camera)[12:14, 12:14].any()
+    assert not cloth_measured(depth, np.zeros_like(mask), camera).any()
 
 
 def test_stray_clusters_go_and_the_cloth_stays_in_order():

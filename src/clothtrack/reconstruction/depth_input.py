@@ -14,7 +14,7 @@ from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.pseudo_labels import cloth_picture
 from clothtrack.reconstruction.two_stages import network_of
 from clothtrack.recordings.pictures import read_depth, read_mask
-from clothtrack.recordings.point_cloud import flying_pixels
+from clothtrack.recordings.point_cloud import cloth_measured
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.segmentation import HeightSegmenter
 from clothtrack.recordings.store import read_recording
@@ -98,7 +98,7 @@ def from_picture(
             f"{mask} has {found.shape[1]} x {found.shape[0]} pixels, {path} has {width} x "
             f"{height}; give a mask of the same picture"
         )
-    return DepthInput(depth, found & (depth > 0) & ~flying_pixels(depth, focal), camera, table)
+    return DepthInput(depth, cloth_measured(depth, found, camera), camera, table)
 
 
 def load_model(kind: str, path: Path | None = None, *, device: str = "cpu") -> MeshReconstructor:

@@ -34,7 +34,7 @@ from clothtrack.reconstruction.examples import (
     draw_example,
 )
 from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.point_cloud import flying_pixels
+from clothtrack.recordings.point_cloud import cloth_measured
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
 from clothtrack.storing import whole_file
@@ -143,7 +143,7 @@ def cloth_picture(
     color = read_color(frame.color[camera.name]) if camera.name in frame.color else None
     find = segmenter or default_segmenter(recording, frame, camera)
     mask = main_components(find(color, depth, camera, recording.table))
-    return depth, mask & (depth > 0) & ~flying_pixels(depth, camera.fx), camera
+    return depth, cloth_measured(depth, mask, camera), camera
 
 
 def projected_faces(

@@ -27,6 +27,8 @@ from clothtrack.recordings.segmentation import (
 CUT_MARGIN_M = 0.012
 TOOL_HEIGHT_M = 0.015
 LEAST_JUMP_M = 0.004
+STRAY_SHARE = 0.04
+"""Clusters of less than this share of the points are not of the cloth."""
 MOST_CELLS = 1 << 20
 """Cubes around the cloth that are counted one by one; if there were more, they are sorted."""
 
@@ -83,7 +85,7 @@ def observe(
     spacing_m: float | None = 0.004,
     largest_component: bool = True,
     drop_flying: bool = True,
-    stray_share: float = 0.04,
+    stray_share: float = STRAY_SHARE,
 ) -> Observation:
     """Points of the cloth in the world, from all cameras or from the frame's cloud.
 
@@ -231,7 +233,25 @@ def without_strays(
     link_m: float = 0.012,
     spacing_m: float = 0.0,
 ) -> Float[np.ndarray, "fewer_points 3"]:
-    """The points without clusters that hold less than a share of all.
+    """The points without clusters that hold less than a share of all (`strays`).
+
+    Args:
+        points: points [m].
+        share: share of the points that a cluster must hold; the largest always stays.
+        link_m: distance [m] over which points belong together.
+        spacing_m: distance [m] of neighbouring points.
+    """
+    return points[~strays(points, share, link_m=link_m, spacing_m=spacing_m)]
+
+
+def strays(
+    points: Float[np.ndarray, "points 3"],
+    share: float,
+    *,
+    link_m: float = 0.012,
+    spacing_m: float = 0.0,
+) -> Bool[np.ndarray, " points"]:
+    """Points of clusters that hold less than a share of all.
 
     Points are linked through cubes whose diagonal is `link_m` and which touch: points nearer than
     0.58 `link_m` are always linked, points farther apart than 2 `link_m` never.
@@ -243,7 +263,7 @@ def without_strays(
         spacing_m: distance [m] of neighbouring points; cubes are never smaller than 1.5 of it.
     """
     if not len(points) or share <= 0:
-        return points
+        return np.zeros(len(points), dtype=bool)
     side = max(link_m / np.sqrt(3.0), 1.5 * spacing_m)
     cells, members = np.unique(_cells(points, side), return_inverse=True)
     first, second = [], []
@@ -259,7 +279,32 @@ def without_strays(
     cluster_of_point = cluster[members]
     sizes = np.bincount(cluster_of_point)
     least = min(share * len(points), sizes.max())
-    return points[sizes[cluster_of_point] >= least]
+    return sizes[cluster_of_point] < least
+
+
+def cloth_measured(
+    depth_m: Float[np.ndarray, "height width"],
+    mask: Bool[np.ndarray, "height width"],
+    camera: Camera,
+    *,
+    stray_share: float = STRAY_SHARE,
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels of a mask where the cloth was measured: neither in mid-air nor specks of other things.
+
+    The rim of a mask often shows a little of what is behind the cloth.
+
+    Args:
+        depth_m: measured depth [m]; 0 where nothing was measured.
+        mask: where the cloth is.
+        camera: that took both.
+        stray_share: clusters of less than this share of the points are dropped; 0 keeps all.
+    """
+    shown = mask & (depth_m > 0) & ~flying_pixels(depth_m, camera.fx)
+    if shown.any():
+        points = camera.back_project(depth_m, shown)
+        spacing_m = float(np.median(depth_m[shown])) / camera.fx
+        shown[shown] = ~strays(points, stray_share, spacing_m=spacing_m)
+    return shown
 
 
 def _cell_numbers(
