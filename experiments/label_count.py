@@ -14,9 +14,6 @@ from learning_experiment import LearningSetup, run_learning
 from learning_labels import tracked_labels
 from learning_runs import Reconstructor
 
-COUNTS = (5, 10, 20, 45)
-SMOKE_COUNTS = (2, 3)
-
 
 def plan(setup: LearningSetup) -> list[Row]:
     """The network before, and after so many trajectories."""
@@ -25,7 +22,7 @@ def plan(setup: LearningSetup) -> list[Row]:
         held_out = setup.held_out(kind)
         rows += setup.rows("label_count", Reconstructor("trajectories=0", start), held_out)
         default = setup.tracking.variant("default", "default")
-        for count in SMOKE_COUNTS if setup.tracking.smoke else COUNTS:
+        for count in setup.counts:
             tasks = setup.tracked(setup.more(kind, count), default)
             labels = [tracked_labels(task, weighted=True) for task in tasks]
             weights = setup.tuner.tuned(start, labels)

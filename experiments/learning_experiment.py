@@ -6,6 +6,7 @@
     --train NAME        split whose tracked trajectories are learned from (dev)
     --split NAME        split that is held out and measured (test)
     --set NAME=VALUE    of the training, such as canonicalisation.epochs=200
+    --counts N...       trajectories to learn from (label_count only)
     --smoke             small towels, a tiny network made on the spot: does everything run?
 
 Tracked runs, fine-tuned networks and rows are kept by the hash of their settings, and shared with
@@ -51,6 +52,11 @@ SMOKE_STATES = StatesConfig(
 SMOKE_TOWELS = 3
 """Filmed in a smoke run: all but the last to learn from, the last held out."""
 
+COUNTS = (5, 10, 20, 45)
+"""Trajectories of each garment that fine-tuning is tried with; 45 in the paper."""
+
+SMOKE_COUNTS = (2, 3)
+
 MORE_SEEDS = 7000
 """Of trajectories filmed to learn from beyond the benchmark's, whose seeds lie below."""
 
@@ -66,6 +72,7 @@ class LearningSetup:
         old: states of the old cloth, by garment.
         train_split: whose tracked trajectories are learned from.
         limit: most trajectories of each garment, to learn from and to measure.
+        counts: how many trajectories are learned from, where that is what is asked.
     """
 
     tracking: Setup
@@ -74,6 +81,7 @@ class LearningSetup:
     old: dict[str, Path] = field(default_factory=dict)
     train_split: str = "dev"
     limit: int | None = None
+    counts: tuple[int, ...] = COUNTS
 
     def training(self, kind: str) -> list[Trajectory]:
         """The trajectories to learn from."""
@@ -206,6 +214,7 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
         old=old,
         train_split=options.train,
         limit=options.limit,
+        counts=SMOKE_COUNTS if options.smoke else tuple(options.counts),
     )
 
 
@@ -240,6 +249,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--train", default="dev", help="split to learn from")
     parser.add_argument("--split", default="test", help="split to measure on")
     parser.add_argument("--limit", type=int, help="so many trajectories of each garment")
+    parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="to learn from")
     parser.add_argument("--training", choices=("finetune", "paper"), default="finetune")
     parser.add_argument("--set", dest="settings", action="append", default=[], help="a setting")
     parser.add_argument("--seed", type=int, default=0, help="of the training")
