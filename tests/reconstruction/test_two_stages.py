@@ -124,6 +124,11 @@ def test_the_presets_differ_as_they_say():
     for one in (tuned.canonicalisation, paper.completion):
         assert (one.low_rate, one.high_rate) == (1e-6, 1e-5)
         assert one.freeze_statistics
+    short = LearningConfig.preset("finetune_short").completion
+    assert short.freeze_statistics
+    # One triangle: the rate is highest half way, and ends where it began.
+    assert short.rate(10 * short.epochs // 2, 10) == pytest.approx(short.high_rate)
+    assert short.rate(10 * short.epochs, 10) == pytest.approx(short.low_rate)
 
 
 def test_a_missing_extra_is_named_with_its_remedy(monkeypatch):
