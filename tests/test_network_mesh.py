@@ -9,7 +9,13 @@ import torch
 from clothtrack import cli
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.network_mesh import front_up, laid_flat, network_mesh, observation_of
+from clothtrack.network_mesh import (
+    distance_from_picture,
+    front_up,
+    laid_flat,
+    network_mesh,
+    observation_of,
+)
 from clothtrack.reconstruction.checkpoint import save_weights
 from clothtrack.reconstruction.configuration import TINY_NETWORK
 from clothtrack.reconstruction.depth_input import DepthInput
@@ -65,6 +71,29 @@ def test_the_cloud_of_a_picture_is_where_it_was_measured(picture):
     np.testing.assert_allclose(cloud.points[:, 2], 0.1015, atol=1e-4)
     np.testing.assert_allclose(np.ptp(cloud.points[:, :2], axis=0), (0.2, 0.3), atol=0.012)
     assert (cloud.hidden["top"] == (picture.depth_m <= 0)).all()
+
+
+def test_a_mesh_above_the_measured_cloth_is_as_far_from_it(picture):
+    mesh = garment("towel", vertex_count=300, size_m=(0.2, 0.3))
+    for above in (0.0, 0.03):
+        there = mesh.with_vertices(mesh.vertices + (0.02, -0.01, 0.1015 + above))
+        # The rim of the picture is half a pixel wide of the mesh.
+        assert distance_from_picture(there, picture) == pytest.approx(above, abs=5e-4)
+
+
+@pytest.mark.parametrize("limit_m", [1e-6, 1.0])
+def test_a_mesh_that_does_not_fit_is_not_to_be_trusted(
+    limit_m, model, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr("clothtrack.network_mesh.LOOSE_FIT_M", limit_m)
+    (recording,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)
+    weights = tmp_path / "towel.safetensors"
+    save_weights(weights, model.state_dict(), TINY_NETWORK, kind="towel")
+    words = ["reconstruct", str(recording), "--weights", str(weights), "--no-refined"]
+    assert cli.main([*words, "--output", str(tmp_path / "mesh.obj")]) == 0
+    told = capsys.readouterr()
+    assert "mm from the cloud" in told.out
+    assert ("do not trust it" in told.err) == (limit_m < 1.0)
 
 
 @pytest.mark.parametrize("over", [False, True])

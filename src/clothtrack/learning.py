@@ -241,7 +241,7 @@ def reconstruct(
         json: machine-readable.
     """
     require_learning()
-    from clothtrack.network_mesh import network_mesh
+    from clothtrack.network_mesh import LOOSE_FIT_M, distance_from_picture, network_mesh
     from clothtrack.reconstruction import depth_input
     from clothtrack.reconstruction.processes import require_torch_device
     from clothtrack.recordings.mesh_file import require_mesh_format, write_mesh
@@ -271,9 +271,11 @@ def reconstruct(
         complain(f"{depth}: no mesh ({found.status}); try --method template")
         return 1
     write_mesh(made.mesh, output)
+    apart_m = distance_from_picture(made.mesh, given)
     report = {
         "mesh": str(output),
         "status": found.status,
+        "cloud_to_mesh_m": apart_m,
         "vertices": made.mesh.vertex_count,
         "confidence": float(found.confidence[found.confidence > 0].mean()),
         # Not a number where nothing of the mesh was seen, which JSON cannot say.
@@ -281,8 +283,15 @@ def reconstruct(
         if made.refinement is None
         else [None if isnan(one) else one for one in made.refinement.chamfer_m2],
     }
-    summary = "{mesh}   {vertices} vertices, confidence {confidence:.2f}".format(**report)
+    summary = "{mesh}   {vertices} vertices, confidence {confidence:.2f}, ".format(**report)
+    summary += f"{1e3 * apart_m:.1f} mm from the cloud"
     say(json_module.dumps(report, indent=2) if json else summary)
+    if apart_m > LOOSE_FIT_M:
+        complain(
+            f"{depth}: the mesh is {1e3 * apart_m:.0f} mm from what was measured (more than "
+            f"{1e3 * LOOSE_FIT_M:.0f}): do not trust it. The network knows a {kind} on a table, of "
+            "the sizes in its model card; is the garment, its mask or the depth's unit another?"
+        )
     return 0
 
 

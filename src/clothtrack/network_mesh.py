@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 SPACING_M = 0.004
 """Side of the cubes [m] in which a picture's points are averaged, as the tracker does."""
 
+LOOSE_FIT_M = 0.02
+"""A mesh that is farther from its picture than this [m] is wrong: layers lie closer together."""
+
 
 @dataclass(frozen=True, eq=False)
 class NetworkMesh:
@@ -115,6 +118,18 @@ def observation_of(picture: "DepthInput") -> Observation:
         tool_positions=np.zeros((0, 3)),
         tool_clearance_m=0.0,
     )
+
+
+def distance_from_picture(mesh: ClothMesh, picture: "DepthInput") -> float:
+    """Distance of the picture's points from the mesh, root of the mean square [m].
+
+    It says that a mesh is wrong, never that it is right: what is hidden does not count, and names
+    do not either.
+    """
+    points, vertices = observation_of(picture).points, mesh.vertices.astype(np.float64)
+    face, weights = closest_on_mesh(points, vertices, mesh.faces)
+    nearest = np.einsum("ij,ijk->ik", weights, vertices[mesh.faces[face]])
+    return float(np.sqrt(np.square(points - nearest).sum(axis=1).mean()))
 
 
 def front_up(
