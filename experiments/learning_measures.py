@@ -23,7 +23,7 @@ from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.simulation.parameters import SolverConfig
 
-LEARNING_ROW_FORMAT = 1
+LEARNING_ROW_FORMAT = 2
 """Raise it when a measure is added or changes its meaning: kept rows are then made anew."""
 
 ON_CLOTH_M = 0.02

@@ -19,7 +19,8 @@ from clothtrack.network_mesh import (
 from clothtrack.reconstruction.checkpoint import save_weights
 from clothtrack.reconstruction.configuration import TINY_NETWORK
 from clothtrack.reconstruction.depth_input import DepthInput
-from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.model import MeshReconstructor, Reconstruction
+from clothtrack.reconstruction.template_fit import SeenPoints
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import garment
 from clothtrack.tracking.refinement import RefinementConfig
@@ -79,6 +80,55 @@ def test_a_mesh_above_the_measured_cloth_is_as_far_from_it(picture):
         there = mesh.with_vertices(mesh.vertices + (0.02, -0.01, 0.1015 + above))
         # The rim of the picture is half a pixel wide of the mesh.
         assert distance_from_picture(there, picture) == pytest.approx(above, abs=5e-4)
+
+
+def test_a_larger_world_has_larger_points(picture):
+    larger = picture.scaled(2.5)
+    points, more = (one.camera.back_project(one.depth_m, one.mask) for one in (picture, larger))
+    np.testing.assert_allclose(more, 2.5 * points, rtol=1e-6)
+    assert larger.table.heights(2.5 * points) == pytest.approx(2.5 * picture.table.heights(points))
+
+
+def test_every_place_of_a_reconstruction_grows_with_its_world(model, picture):
+    found = network_mesh(model, picture, "towel", vertex_count=200).reconstruction
+    larger = found.scaled(2.0)
+    for name in ("mesh", "rest"):
+        one, other = getattr(found, name), getattr(larger, name)
+        np.testing.assert_allclose(other.vertices, 2.0 * one.vertices)
+        np.testing.assert_allclose(other.canonical, 2.0 * one.canonical)
+    np.testing.assert_allclose(larger.seen.points, 2.0 * found.seen.points)
+    np.testing.assert_allclose(larger.canonical_image, 2.0 * found.canonical_image)
+    np.testing.assert_allclose(larger.camera.position, 2.0 * found.camera.position)
+
+
+class OneSize:
+    """A network that lays the towel right at one size only, and far off at all others."""
+
+    def __init__(self, picture, right):
+        self.mesh = garment("towel", vertex_count=300, size_m=(0.2, 0.3))
+        self.picture, self.right, self.asked = picture, right, []
+
+    def reconstruct(self, depths, camera, kind, **options):
+        scale = float(camera.position[2] / self.picture.camera.position[2])
+        self.asked.append(round(scale, 3))
+        off = 0.0 if self.asked[-1] == self.right else 0.1
+        placed = self.mesh.with_vertices(self.mesh.vertices + (0.02, -0.01, 0.1015 + off))
+        seen = SeenPoints(np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1))
+        image = np.zeros((2, 2, 3), np.float32)
+        found = Reconstruction(placed, "template", CAMERA, image, image[..., 0], seen)
+        return (found.scaled(scale),)
+
+
+def test_a_garment_of_another_size_is_tried_at_other_sizes(picture):
+    usual = OneSize(picture, 1.0)
+    assert network_mesh(usual, picture, "towel").scale == 1.0
+    assert usual.asked == [1.0]
+    larger = OneSize(picture, 0.55)
+    found = network_mesh(larger, picture, "towel")
+    assert found.scale == 0.55
+    assert distance_from_picture(found.mesh, picture) < 1e-3
+    # Where none fits better, the picture stands as it is.
+    assert network_mesh(OneSize(picture, 9.0), picture, "towel").scale == 1.0
 
 
 @pytest.mark.parametrize("limit_m", [1e-6, 1.0])

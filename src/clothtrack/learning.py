@@ -276,6 +276,7 @@ def reconstruct(
         "mesh": str(output),
         "status": found.status,
         "cloud_to_mesh_m": apart_m,
+        "scale": made.scale,
         "vertices": made.mesh.vertex_count,
         "confidence": float(found.confidence[found.confidence > 0].mean()),
         # Not a number where nothing of the mesh was seen, which JSON cannot say.
@@ -285,6 +286,8 @@ def reconstruct(
     }
     summary = "{mesh}   {vertices} vertices, confidence {confidence:.2f}, ".format(**report)
     summary += f"{1e3 * apart_m:.1f} mm from the cloud"
+    if made.scale != 1.0:
+        summary += f", seen as if {made.scale:g} times as large"
     say(json_module.dumps(report, indent=2) if json else summary)
     if apart_m > LOOSE_FIT_M:
         complain(

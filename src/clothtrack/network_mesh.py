@@ -4,6 +4,7 @@
 that what is shown, tracked and measured is the same thing.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,9 @@ SPACING_M = 0.004
 LOOSE_FIT_M = 0.02
 """A mesh that is farther from its picture than this [m] is wrong: layers lie closer together."""
 
+OTHER_SIZES = (0.75, 0.55, 0.4, 1.35)
+"""By what a garment that the network does not know so large, or so small, is multiplied."""
+
 
 @dataclass(frozen=True, eq=False)
 class NetworkMesh:
@@ -39,11 +43,14 @@ class NetworkMesh:
         mesh: the garment in the world [m], canonical coordinates filled; None without one.
         reconstruction: the network's part: the mesh before fine-tuning, canonical picture, status.
         refinement: the fine-tuning; None when it was not asked for, or there was no mesh.
+        scale: what the world was multiplied by before the network saw it; 1 unless the mesh of
+            the picture as it is does not fit.
     """
 
     mesh: ClothMesh | None
     reconstruction: "Reconstruction"
     refinement: Refinement | None = None
+    scale: float = 1.0
 
 
 def network_mesh(
@@ -78,18 +85,24 @@ def network_mesh(
     template = None
     if size_m is not None and method == "template":
         template = garment(kind, vertex_count=vertex_count, size_m=size_m)
-    (found,) = model.reconstruct(
-        [picture.depth_m],
-        picture.camera,
-        kind,
-        masks=[picture.mask],
-        method=method,
-        template=template,
-        table=picture.table,
-        fit=TemplateFitConfig(vertex_count=vertex_count),
-    )
+
+    def seen_as(scale: float) -> "Reconstruction":
+        shown = picture.scaled(scale)
+        (found,) = model.reconstruct(
+            [shown.depth_m],
+            shown.camera,
+            kind,
+            masks=[shown.mask],
+            method=method,
+            template=None if template is None else template.scaled(scale),
+            table=shown.table,
+            fit=TemplateFitConfig(vertex_count=vertex_count),
+        )
+        return found.scaled(1.0 / scale)
+
+    found, scale = _best_size(seen_as, picture)
     if found.mesh is None or refinement is None:
-        return NetworkMesh(found.mesh, found)
+        return NetworkMesh(found.mesh, found, scale=scale)
     named = found.mesh
     if named.canonical is not None:
         # Observed coordinates follow the convention of the networks, the garment's its own.
@@ -103,7 +116,27 @@ def network_mesh(
         device=device,
     )
     refined = refiner.refine(found.seen)
-    return NetworkMesh(found.mesh.with_vertices(refined.positions), found, refined)
+    return NetworkMesh(found.mesh.with_vertices(refined.positions), found, refined, scale)
+
+
+def _best_size(
+    seen_as: "Callable[[float], Reconstruction]", picture: "DepthInput"
+) -> "tuple[Reconstruction, float]":
+    """The picture as it is; or, where that fits badly, at the size that fits best.
+
+    The network knows garments of the sizes that it was trained on, and takes another for a crumpled
+    one of its own. Folds look much alike at all sizes.
+    """
+    found = seen_as(1.0)
+    if found.mesh is None or distance_from_picture(found.mesh, picture) <= LOOSE_FIT_M:
+        return found, 1.0
+    tried = [(found, 1.0), *((seen_as(scale), scale) for scale in OTHER_SIZES)]
+    apart = [
+        np.inf if one.mesh is None else distance_from_picture(one.mesh, picture) for one, _ in tried
+    ]
+    # Half as far, or else it is no other size but another bad guess.
+    best = int(np.argmin(apart))
+    return tried[best if apart[best] < 0.5 * apart[0] else 0]
 
 
 def observation_of(picture: "DepthInput") -> Observation:

@@ -1,6 +1,6 @@
 """The pinhole camera: pixel centres at integers, x right, y down, z forward (OpenCV, ROS)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -109,6 +109,12 @@ class Camera:
         points = local @ self.world_from_camera[:3, :3].T
         points += self.position
         return points
+
+    def scaled(self, factor: float) -> "Camera":
+        """The same camera in a world that is larger by a factor."""
+        pose = np.array(self.world_from_camera, dtype=np.float64)
+        pose[:3, 3] *= factor
+        return replace(self, world_from_camera=pose)
 
     def resized(self, width: int) -> "Camera":
         """The same view in an image of another width (whole pixels, aspect kept)."""

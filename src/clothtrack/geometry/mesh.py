@@ -77,6 +77,11 @@ class ClothMesh:
         """The same cloth somewhere else."""
         return replace(self, vertices=np.asarray(vertices))
 
+    def scaled(self, factor: float) -> "ClothMesh":
+        """The same cloth, larger by a factor, canonical coordinates too."""
+        canonical = None if self.canonical is None else np.asarray(self.canonical) * factor
+        return replace(self, vertices=np.asarray(self.vertices) * factor, canonical=canonical)
+
 
 def _check(mesh: ClothMesh) -> None:
     vertices, faces = mesh.vertices, mesh.faces

@@ -1,6 +1,6 @@
 """A depth picture to reconstruct: from a recording, or one file and what is known of its camera."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,15 @@ class DepthInput:
     camera: Camera
     table: Table | None
     kind: str | None = None
+
+    def scaled(self, factor: float) -> "DepthInput":
+        """The same picture of a world that is larger by a factor."""
+        table = self.table
+        if table is not None:
+            table = replace(table, point=np.asarray(table.point) * factor)
+        return replace(
+            self, depth_m=self.depth_m * factor, camera=self.camera.scaled(factor), table=table
+        )
 
 
 def from_recording(folder: Path, frame: int) -> DepthInput:

@@ -54,6 +54,18 @@ class Reconstruction:
     seen: SeenPoints
     rest: ClothMesh | None = None
 
+    def scaled(self, factor: float) -> "Reconstruction":
+        """The same in a world that is larger by a factor."""
+        return Reconstruction(
+            None if self.mesh is None else self.mesh.scaled(factor),
+            self.status,
+            self.camera.scaled(factor),
+            self.canonical_image * np.float32(factor),
+            self.confidence,
+            self.seen.scaled(factor),
+            None if self.rest is None else self.rest.scaled(factor),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Canonicalised:

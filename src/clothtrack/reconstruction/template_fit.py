@@ -77,6 +77,10 @@ class SeenPoints:
     canonical: Float[np.ndarray, "points 3"]
     confidence: Float[np.ndarray, " points"]
 
+    def scaled(self, factor: float) -> "SeenPoints":
+        """The same in a world that is larger by a factor."""
+        return SeenPoints(self.points * factor, self.canonical * factor, self.confidence)
+
 
 def template_of(
     frame: CanonicalFrame,
