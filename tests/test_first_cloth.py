@@ -29,6 +29,8 @@ SHORT = (
     "tracker.solver.substep_s=3.3e-3", "first_mesh.vertex_count=200",
 )  # fmt: skip
 FEW = FirstMeshConfig(vertex_count=200)
+NEVER_FLAT = replace(FEW, doubtful_m=0.0)
+"""Takes every cloth for a crumpled one."""
 
 
 @pytest.fixture(scope="module")
@@ -105,9 +107,18 @@ def test_without_weights_the_garment_is_fitted_flat_and_one_line_says_so(
     assert "no weights for 'towel' come with this installation" in caplog.text
 
 
+def test_a_crumpled_cloth_without_weights_is_fitted_flat_with_a_warning(
+    towels, cloud, none_shipped, caplog
+):
+    assert first_cloth(towels, cloud, NEVER_FLAT).origin == {"source": "flat"}
+    assert "does not match the first cloud" in caplog.text
+
+
 def test_shipped_weights_are_used_when_they_are_there(towels, cloud, none_shipped, weights):
     (none_shipped / "towel.safetensors").write_bytes(weights.read_bytes())
-    first = first_cloth(towels, cloud, FEW)
+    # A cloth that lies flat is fitted: nothing of it is hidden.
+    assert first_cloth(towels, cloud, FEW).origin == {"source": "flat"}
+    first = first_cloth(towels, cloud, NEVER_FLAT)
     assert first.origin["source"] == "network"
     assert first.positions is not None
     # The rest shape is a flat towel and not the network's first guess at one.

@@ -20,7 +20,7 @@ from clothtrack.reconstruction.availability import INSTALL, missing_modules, shi
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
-from clothtrack.tracking.first_mesh import FITTED_KINDS, FirstMeshConfig, fitted_mesh
+from clothtrack.tracking.first_mesh import FITTED_KINDS, FirstMeshConfig, flat_fit
 
 logger = logging.getLogger(__name__)
 
@@ -86,12 +86,30 @@ def first_cloth(
             "out"
         )
     weights = None if config.source == "flat" else _weights(recording, config)
-    if weights is None:
-        mesh = fitted_mesh(recording, observation, config)
-        return FirstCloth(mesh, None, {"source": "flat"})
+    if weights is None or not (config.source == "network" or config.weights):
+        # A cloth that lies flat needs no guess: its outline says where all of it is.
+        flat = flat_fit(recording, observation, config)
+        lies_flat = flat.misfit_m <= config.doubtful_m
+        if lies_flat or weights is None:
+            if not lies_flat:
+                _doubt(recording, flat.misfit_m)
+            return FirstCloth(flat.mesh, None, {"source": "flat"})
+        logger.info(
+            "%s: the first cloud is not that of a flat %s, outlines differ by %.1f mm: the first "
+            "mesh is the network's",
+            recording.folder, recording.cloth.kind, 1e3 * flat.misfit_m,
+        )  # fmt: skip
     return _from_network(
         recording, observation, config, weights, segmenter=segmenter, device=device
     )
+
+
+def _doubt(recording: Recording, misfit_m: float) -> None:
+    logger.warning(
+        "%s: a flat %s does not match the first cloud, outlines differ by %.1f mm; flatten the "
+        "cloth, check cloth.kind, or give cloth.template",
+        recording.folder, recording.cloth.kind, 1e3 * misfit_m,
+    )  # fmt: skip
 
 
 def _weights(recording: Recording, config: FirstMeshConfig) -> Path | None:

@@ -7,7 +7,6 @@ draw the edges inwards. Depth alone cannot tell a shirt's front from its back no
 towel from another: the front is taken to face up.
 """
 
-import logging
 from dataclasses import dataclass, field
 
 import cv2
@@ -24,8 +23,6 @@ from clothtrack.recordings.recording import Recording, Table
 from clothtrack.simulation.garments import garment
 from clothtrack.tracking.refinement import RefinementConfig
 
-logger = logging.getLogger(__name__)
-
 FITTED_KINDS = ("towel", "tshirt")
 
 SOURCES = ("auto", "template", "network", "flat")
@@ -39,8 +36,8 @@ class FirstMeshConfig:
     Attributes:
         source: "template": the recording's own; "network": reconstructed from the first depth
             picture, whether or not there is a template; "flat": a flat garment fitted to the first
-            cloud, likewise; "auto": the template, else the network where there are weights for the
-            garment, else the flat fit.
+            cloud, likewise; "auto": the template, else the flat fit of a cloth that lies flat, else
+            the network where there are weights for the garment.
         weights: file with the network's weights; empty: those that come with the package, if any.
         refined: whether a network's mesh is fine-tuned to the first cloud.
         refinement: how.
@@ -50,8 +47,8 @@ class FirstMeshConfig:
             cubes in which points are averaged, their mean is a quarter of a cube inside: 1 mm for
             the usual 4 mm.
         turns: directions that the fit is started from, equally spaced.
-        doubtful_m: outlines that disagree more than this (root mean square) are warned of [m]: the
-            cloth may not be flat, or of another kind.
+        doubtful_m: where outlines disagree more than this (root mean square) [m] the cloth is not
+            flat, or of another kind: the network is asked, or a warning given.
     """
 
     vertex_count: int = 1000
@@ -76,18 +73,26 @@ class FirstMeshConfig:
             )
 
 
-def fitted_mesh(
-    recording: Recording, observation: Observation, config: FirstMeshConfig
-) -> ClothMesh:
+@dataclass(frozen=True, eq=False)
+class FlatFit:
+    """A flat garment where a cloud is.
+
+    Attributes:
+        mesh: the flat cloth in the world frame [m].
+        misfit_m: how far its outline is from the cloud's, root of the mean square [m].
+    """
+
+    mesh: ClothMesh
+    misfit_m: float
+
+
+def flat_fit(recording: Recording, observation: Observation, config: FirstMeshConfig) -> FlatFit:
     """A flat garment fitted to the first cloud, whether or not the recording has a template.
 
     Args:
         recording: says what the cloth is and where the table is.
         observation: the cloud of the first frame, flat cloth.
         config: size of the mesh.
-
-    Returns:
-        The flat cloth in the world frame [m].
 
     Raises:
         InvalidRecordingError: the kind has no outline, or table or cloud are missing.
@@ -114,7 +119,7 @@ def _fitted(
     table: Table,
     points: Float[np.ndarray, "points 3"],
     config: FirstMeshConfig,
-) -> ClothMesh:
+) -> FlatFit:
     axes = _plane_axes(table)
     covered = CoveredRegion((points - table.point) @ axes[:2].T, config.rim_m)
     cloth, unit = recording.cloth, unit_outline(recording.cloth.kind)
@@ -124,12 +129,6 @@ def _fitted(
     ]
     best = min(fits, key=lambda fit: fit.cost)
     misfit = float(np.sqrt(np.mean(best.fun**2)))
-    if misfit > config.doubtful_m:
-        logger.warning(
-            "%s: a flat %s does not match the first cloud, outlines differ by %.1f mm; flatten "
-            "the cloth, check cloth.kind, or give cloth.template",
-            recording.folder, cloth.kind, 1e3 * misfit,
-        )  # fmt: skip
     x, y, angle = best.x[:3]
     width, length = cloth.size_m or np.exp(best.x[3:])
     size_m = (float(width), float(length))
@@ -137,7 +136,7 @@ def _fitted(
     placed = mesh.vertices.astype(np.float64).copy()
     placed[:, :2] = _rotated(placed[:, :2], angle) + (x, y)
     placed[:, 2] += config.resting_height_m - placed[:, 2].min()
-    return mesh.with_vertices(table.point + placed @ axes)
+    return FlatFit(mesh.with_vertices(table.point + placed @ axes), misfit)
 
 
 GRID_M = 0.001
