@@ -78,7 +78,8 @@ class Page:
         """Press and release a key, as a person does; 8 is shift."""
         text = {"text": key} if len(key) == 1 else {}
         numbers = {
-            "Tab": 9, "Enter": 13, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40,
+            "Tab": 9, "Enter": 13,
+            "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40,
         }  # fmt: skip
         number = numbers.get(key) or ord(key.upper())
         same = {"key": key, "code": code, "windowsVirtualKeyCode": number, "modifiers": modifiers}

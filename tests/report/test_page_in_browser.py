@@ -27,6 +27,7 @@ pytestmark = [
 
 SMALL = ReportConfig(overlay=OverlayConfig(height=120))
 
+
 def cloth_pixels(picture):
     """Blue or ochre pixels."""
     return int((np.abs(picture[..., 0] - picture[..., 2]) > 50).sum())

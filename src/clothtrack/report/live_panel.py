@@ -10,7 +10,7 @@ from jaxtyping import Float
 from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.report.coloring import Coloring
-from clothtrack.report.measures import chamfer_rms_mm, charts
+from clothtrack.report.measures import charts
 from clothtrack.report.palette import HIDDEN, OUTSIDE
 from clothtrack.report.sections import calibration_html
 from clothtrack.report.stage import KEYS, quality_words, scale_legend, sides_legend, swatch
@@ -84,14 +84,12 @@ def review_html(review: LabelReview, judged: Sequence[LabelQuality], current: in
 
 
 def add_curves(
-    gui: viser.GuiApi,
-    tracked: TrackedTrajectory,
-    clouds: Sequence[Float[np.ndarray, "_ 3"]],
+    gui: viser.GuiApi, tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]
 ) -> None:
     """The report's charts; the most telling ones open."""
     if len(tracked.frames) < 2:
         return
-    drawn = charts(tracked, chamfer_rms_mm(tracked, clouds))
+    drawn = charts(tracked, rms_mm)
     frames = tracked.frames.astype(np.float64)
     for title, part, opened in (
         ("Curves", drawn[:CURVES_SHOWN], True),

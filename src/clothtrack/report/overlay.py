@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float, UInt8
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.evidence import (
-    CloudReader,
+    Observer,
     has_picture,
+    observed,
     observed_points,
     view_picture,
 )
@@ -72,12 +73,12 @@ class Overlay:
         recording: Recording,
         *,
         config: OverlayConfig | None = None,
-        cloud: CloudReader = observed_points,
+        observer: Observer = observed,
     ) -> None:
         """Prepare the views: the recording's cameras, or one of ours where it has no picture."""
         self.tracked, self.recording = tracked, recording
         self.config = config or OverlayConfig()
-        self._cloud = cloud
+        self._observer = observer
         self._frames = {frame.index: frame for frame in recording.frames}
         self.views = _views(tracked, recording, self._frames, self.config)
         self._shaders = [
@@ -108,7 +109,9 @@ class Overlay:
     def _observations(self, step: int) -> list[Picture]:
         frame = self.frame(step)
         needs_cloud = not all(has_picture(frame, view.camera) for view in self.views)
-        points = self._cloud(self.recording, frame) if needs_cloud else np.empty((0, 3))
+        points = np.empty((0, 3))
+        if needs_cloud:
+            points = observed_points(self.recording, frame, self._observer)
         return [view_picture(self.recording, frame, view.camera, points) for view in self.views]
 
     def _overlays(self, step: int) -> list[Picture]:
