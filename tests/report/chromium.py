@@ -106,8 +106,11 @@ MOVE_BAR = """(async () => {
 
 
 def scene_picture(page: Page, element: str = "canvas") -> np.ndarray:
-    """An element of the page as it is drawn, RGB; the scene by default."""
+    """An element of the page when it has been drawn, RGB; the scene by default."""
     page.ask(f"void document.querySelector('{element}').scrollIntoView({{block: 'center'}})")
+    # What was asked for is drawn before the next frame but one, however long a frame takes.
+    page.ask("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+             ".then(() => true)")  # fmt: skip
     left, top, width, height = page.ask(
         f"(() => {{ const b = document.querySelector('{element}').getBoundingClientRect();"
         "return [b.left + scrollX, b.top + scrollY, b.width, b.height]; })()"
