@@ -132,7 +132,7 @@ class LivePage:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.set_panel_label(f"{tracked.name} · clothtrack")
         gui.main_panel.dock_right()
-        self._told = gui.add_markdown("")
+        self._told = gui.add_html("")
         self._frame = gui.add_slider(
             "Frame", 0, max(1, len(tracked.frames) - 1), 1, initial_value=0
         )
@@ -217,10 +217,11 @@ class LivePage:
 
     def _words(self, step: int) -> str:
         frame, action = int(self.tracked.frames[step]), self._action()
-        told = f"**frame {frame}**, {self.tracked.time_s[step]:.2f} s"
+        told = f"<b>frame {frame}</b>, {self.tracked.time_s[step]:.2f} s"
         if action is not None:
             told += f", action {action + 1} of {len(self.tracked.actions)}"
-        return f"{told}, {100 * self.tracked.visible[step].mean():.0f} % visible"
+        share = 100 * self.tracked.visible[step].mean()
+        return f'<div class="ct told">{told}, {share:.0f} % visible</div>'
 
     def _add_review(self, gui: viser.GuiApi) -> None:
         self._verdicts = gui.add_html("")

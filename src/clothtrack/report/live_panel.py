@@ -21,6 +21,7 @@ CURVES_SHOWN = 3
 
 STYLE = """<style>
 .ct { font-size: 0.8rem; padding: 0 0.75em 0.5em; opacity: 0.9; }
+.ct.told { font-size: 0.9rem; padding-top: 0.5em; }
 .ct table { width: 100%; border-collapse: collapse; }
 .ct td, .ct th { padding: 0.1em 0.4em; text-align: left; font-weight: 400; }
 .ct .current { outline: 1px solid #8a8f99; border-radius: 4px; }
