@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 LOOP_BACK = "127.0.0.1"
 TONES = 12
 """Graded values are shown in so many colours: a mesh of one colour is all that can be streamed."""
-DAYLIGHT = 1.0
+DAYLIGHT = 0.4
 """Light from everywhere beside viser's lamps."""
 OUT_OF_SIGHT = np.full((1, 3), -1e3, np.float32)
 NO_FACE = np.zeros((1, 3), np.uint32)
