@@ -93,8 +93,7 @@ class Overlay:
 
     def observation(self, step: int) -> Picture:
         """What was seen at a step, all views side by side."""
-        pictures = zip(self.views, self._observations(step), strict=True)
-        return np.hstack([view.cut(picture) for view, picture in pictures])
+        return np.hstack(self._observations(step))
 
     def draw(self, step: int) -> Picture:
         """The tracked mesh over what was seen at a step, all views side by side."""
@@ -112,7 +111,10 @@ class Overlay:
         points = np.empty((0, 3))
         if needs_cloud:
             points = observed_points(self.recording, frame, self._observer)
-        return [view_picture(self.recording, frame, view.camera, points) for view in self.views]
+        return [
+            view.cut(view_picture(self.recording, frame, view.camera, points))
+            for view in self.views
+        ]
 
     def _overlays(self, step: int) -> list[Picture]:
         vertices = self.tracked.positions[step].astype(np.float64)
@@ -121,33 +123,33 @@ class Overlay:
         for view, shader, picture in zip(
             self.views, self._shaders, self._observations(step), strict=True
         ):
-            camera, still = view.camera, shader.render(vertices)
-            photographed = has_picture(self.frame(step), camera)
+            still = shader.render(vertices)
+            cloth = view.cut(still.cloth)
+            photographed = has_picture(self.frame(step), view.camera)
             image = _toned_down(picture) if photographed else picture.astype(np.float32)
             # Blue over red cloth would be the hue that says "hidden": under the mesh only light
             # and shade of the photograph are kept.
-            image[still.cloth] = _grey(image)[still.cloth]
-            shaded = still.image[still.cloth]
-            image[still.cloth] += self.config.surface * (shaded - image[still.cloth])
-            self._draw_wires(image, camera, vertices, visible)
+            grey = _grey(image)[cloth]
+            image[cloth] = grey + self.config.surface * (view.cut(still.image)[cloth] - grey)
+            self._draw_wires(image, view, vertices, visible)
             image = np.clip(image, 0, 255).astype(np.uint8)
-            _outline(image, still.cloth)
+            _outline(image, cloth)
             for path in self.recording.picker_paths.values():
                 time_s = float(self.tracked.time_s[step])
-                _picker(image, camera, path.position_at(time_s), path.closed_at(time_s))
-            pictures.append(view.cut(image))
+                _picker(image, view, path.position_at(time_s), path.closed_at(time_s))
+            pictures.append(image)
         return pictures
 
     def _draw_wires(
         self,
         image: Float[np.ndarray, "height width 3"],
-        camera: Camera,
+        view: "View",
         vertices: Float[np.ndarray, "vertices 3"],
         visible: Bool[np.ndarray, " vertices"],
     ) -> None:
         """The edges: dark where they are seen, in the hidden hue where they are believed."""
         edges = self.tracked.mesh.edges
-        pixels, depth = camera.project(vertices)
+        pixels, depth = view.project(vertices)
         ends = np.clip(np.nan_to_num(pixels[edges]), -8000, 8000)
         drawable = (depth[edges] > 1e-3).all(axis=1)
         length = np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
@@ -179,9 +181,16 @@ class View:
     rows: slice
     columns: slice
 
-    def cut(self, picture: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
+    def cut(self, picture: np.ndarray) -> np.ndarray:
         """The window of a picture of the camera."""
         return picture[self.rows, self.columns]
+
+    def project(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
+        """Pixels of the window, and depths [m], of points in the world [m]."""
+        pixels, depth = self.camera.project(points)
+        return pixels - (self.columns.start, self.rows.start), depth
 
 
 def write_overlay_video(
@@ -316,9 +325,9 @@ def _outline(image: Picture, cloth: Bool[np.ndarray, "height width"]) -> None:
     cv2.drawContours(image, contours, -1, rgb255(OUTSIDE), 1, cv2.LINE_AA)
 
 
-def _picker(image: Picture, camera: Camera, tip: Float[np.ndarray, " 3"], closed: bool) -> None:
+def _picker(image: Picture, view: View, tip: Float[np.ndarray, " 3"], closed: bool) -> None:
     """A ring at the picker's tip, filled while it holds."""
-    pixels, depth = camera.project(tip[None])
+    pixels, depth = view.project(tip[None])
     if not (depth[0] > 1e-3 and np.abs(pixels[0]).max() < 1e4):
         return
     centre = (round(float(pixels[0, 0])), round(float(pixels[0, 1])))
