@@ -37,6 +37,9 @@ from clothtrack.report.viewpoint import view_of
 from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
+LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
+"""Share of red, green and blue in a grey value (ITU-R BT.601)."""
+
 Picture = UInt8[np.ndarray, "height width 3"]
 
 
@@ -129,8 +132,10 @@ class Overlay:
             image = _toned_down(picture) if photographed else picture.astype(np.float32)
             # Blue over red cloth would be the hue that says "hidden": under the mesh only light
             # and shade of the photograph are kept.
-            grey = _grey(image)[cloth]
-            image[cloth] = grey + self.config.surface * (view.cut(still.image)[cloth] - grey)
+            pixels, covered = image.reshape(-1, 3), np.flatnonzero(cloth)
+            grey = (pixels[covered] @ LUMINANCE)[:, None]
+            shaded = view.cut(still.image).reshape(-1, 3)[covered]
+            pixels[covered] = grey + self.config.surface * (shaded - grey)
             self._draw_wires(image, view, vertices, visible)
             image = np.clip(image, 0, 255).astype(np.uint8)
             _outline(image, cloth)
@@ -162,9 +167,10 @@ class Overlay:
             layer = np.zeros(image.shape[:2], dtype=np.uint8)
             lines = np.rint(ends[chosen & drawable] * 16).astype(np.int32)
             cv2.polylines(layer, list(lines), False, 255, 1, cv2.LINE_AA, 4)
-            drawn = layer > 0
-            weight = layer[drawn].astype(np.float32)[:, None] * (opacity * fineness / 255)
-            image[drawn] += weight * (np.asarray(rgb255(color), np.float32) - image[drawn])
+            flat, drawn = image.reshape(-1, 3), np.flatnonzero(layer)
+            weight = layer.ravel()[drawn].astype(np.float32)[:, None] * (opacity * fineness / 255)
+            under = flat[drawn]
+            flat[drawn] = under + weight * (np.asarray(rgb255(color), np.float32) - under)
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,12 +317,10 @@ def _words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
 
 def _toned_down(picture: Picture) -> Float[np.ndarray, "height width 3"]:
     """A calmer copy: less colour, a little lighter, so that the drawing stands out."""
-    image = picture.astype(np.float32)
-    return 0.54 * image + (0.36 * _grey(image) + 12.0)
-
-
-def _grey(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 1"]:
-    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
+    mixed = 0.54 * np.eye(3, dtype=np.float32) + 0.36 * LUMINANCE
+    image = cv2.transform(picture.astype(np.float32), mixed)
+    image += 12.0
+    return image
 
 
 def _outline(image: Picture, cloth: Bool[np.ndarray, "height width"]) -> None:
