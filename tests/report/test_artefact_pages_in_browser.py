@@ -29,6 +29,12 @@ READY = "document.body?.dataset.ready === 'yes'"
 STEP = "document.querySelector('canvas').dataset.step"
 TOLD = "document.querySelector('#told').textContent"
 SHIFT = 8
+PHONE_PX = 420
+CUT_OFF = f"""[...document.querySelectorAll('body *')].filter((one) => {{
+  const box = one.getBoundingClientRect();
+  return box.width > 0 && box.right > {PHONE_PX} + 1 && !one.closest('pre, svg, details');
+}}).map((one) => one.outerHTML.slice(0, 80))"""
+"""What a narrow screen cannot show, but for what can be scrolled by itself."""
 
 
 @contextmanager
@@ -48,6 +54,12 @@ def difference(one, other):
     There is the ring around what has the keys.
     """
     return np.abs(one - other)[8:-8, 8:-8].max(axis=2).mean()
+
+
+def make_narrow(page):
+    """Show the page on a phone held upright."""
+    size = {"width": PHONE_PX, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    page.call("Emulation.setDeviceMetricsOverride", **size)
 
 
 @pytest.fixture(scope="module")
@@ -111,11 +123,14 @@ def test_the_index_of_a_folder_leads_to_its_reports_by_key(tracked, stored, tmp_
         assert "2 open" in shown
         assert "no report" in shown
         assert scene_picture(page, "main").std() > 5
+        make_narrow(page)
+        assert page.ask(CUT_OFF) == []
         page.press("Tab", "Tab")
         assert page.ask("document.activeElement.textContent") == "fold"
         page.press("Enter", "Enter")
         page.wait_for(READY)
         page.wait_for(f"{STEP} === '0'")
         first = scene_picture(page)
+        assert page.ask(CUT_OFF) == []
         page.ask(MOVE_BAR % (5, 5))
         assert difference(scene_picture(page), first) > 1
