@@ -22,7 +22,7 @@ def charts(tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]) -> 
             "Distance to the observed cloud",
             "mm",
             (Line("root mean square", rms_mm),),
-            "Visible vertices and cloud, both directions, as `evaluate` measures it.",
+            "Visible vertices and cloud, both directions, as clothtrack evaluate measures it.",
         ),
         Chart(
             "Edge strain",
