@@ -101,8 +101,12 @@ def test_a_folder_has_an_index_that_names_what_is_broken(world, tmp_path, capsys
     [
         (["view", "tracked/lift.zarr"], "add --recordings"),
         (["view", "tracked"], "add --recordings"),
-        (["view", "nothing.zarr", "--recordings", "recordings"], "no such tracked trajectory"),
-        (["view", "truth"], "is not a tracked trajectory"),
+        (["view", "nothing.zarr", "--recordings", "recordings"], "no such file or folder; view "),
+        (["view", "truth"], "truth is a folder with lift.npz; view takes NAME.zarr that"),
+        (["view", "truth/lift.npz"], "is a .npz file; view takes NAME.zarr that `track` wrote"),
+        (["view", "recordings"], "such as recordings/lift"),
+        (["view", "film.mcap"], "make a recording of it first: clothtrack import"),
+        (["view", "half.zarr"], "has no zarr.json: it was not finished"),
         (["view", "none.ply"], "none.ply"),
         (["export", "tracked/lift.zarr", "--output", "x", "--format", "mp4"], "--recordings"),
         (["export", "tracked/lift.zarr", "--output", "x", "--rows", "0"], "rows is 0"),
@@ -110,6 +114,8 @@ def test_a_folder_has_an_index_that_names_what_is_broken(world, tmp_path, capsys
 )
 def test_what_is_missing_is_said_in_one_line(world, monkeypatch, capsys, words, told):
     monkeypatch.chdir(world)
+    (world / "film.mcap").touch()
+    (world / "half.zarr").mkdir(exist_ok=True)
     assert cli.main(words) == 1
     shown = capsys.readouterr()
     assert told in shown.err

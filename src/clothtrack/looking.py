@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from clothtrack.report.artefact_pages import IndexEntry
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
+IMPORTED_SUFFIXES = (".bag", ".db3", ".mcap", ".mkv")
+VIEWED = (
+    "view takes NAME.zarr that `track` wrote, a folder of them, a recording (a folder with "
+    "recording.json), or a mesh (.obj, .ply, .stl)"
+)
 
 
 def view(
@@ -53,6 +58,8 @@ def view(
         trajectories = sorted(artefact.glob("*.zarr"))
         if trajectories:
             return _view_folder(trajectories, _needed(recordings), truth, html)
+    if not (artefact / "zarr.json").exists():
+        raise InvalidConfigError(_unknown(artefact))
     return _view_trajectory(artefact, recordings, truth, html=html, port=port)
 
 
@@ -93,6 +100,27 @@ def export(
 
 
 LOOKING_VERBS = (view, export)
+
+
+def _unknown(artefact: Path) -> str:
+    """What `view` takes, what lies there instead, and what may have been meant."""
+    if not artefact.exists():
+        return f"{artefact}: there is no such file or folder; {VIEWED}"
+    if artefact.is_file():
+        kind = artefact.suffix.lower()
+        found = f"a {kind} file" if kind else "a file without a suffix"
+        if kind in IMPORTED_SUFFIXES:
+            return f"{artefact} is {found}; make a recording of it first: clothtrack import"
+        return f"{artefact} is {found}; {VIEWED}"
+    inside_it = sorted(artefact.iterdir())
+    if artefact.suffix == ".zarr":
+        return f"{artefact} has no zarr.json: it was not finished; track the recording again"
+    for one in inside_it:
+        if (one / "recording.json").exists() or one.suffix.lower() in MESH_SUFFIXES:
+            return f"{artefact} holds several things; view one of them, such as {one}"
+    names = ", ".join(one.name for one in inside_it[:3]) or "nothing"
+    more = f" and {len(inside_it) - 3} more" if len(inside_it) > 3 else ""
+    return f"{artefact} is a folder with {names}{more}; {VIEWED}"
 
 
 def _needed(recordings: Path | None) -> Path:

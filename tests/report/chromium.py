@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 SWITCHES = (
@@ -72,12 +74,16 @@ class Page:
         entries = [e["params"]["entry"] for e in self.events if e.get("method") == "Log.entryAdded"]
         return thrown + [entry["text"] for entry in entries if entry["level"] == "error"]
 
-    def press(self, key: str, code: str) -> None:
-        """Press and release a key, as a person does."""
+    def press(self, key: str, code: str, *, modifiers: int = 0) -> None:
+        """Press and release a key, as a person does; 8 is shift."""
         text = {"text": key} if len(key) == 1 else {}
-        numbers = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}
+        numbers = {
+            "Tab": 9, "Enter": 13,
+            "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40,
+        }  # fmt: skip
         number = numbers.get(key) or ord(key.upper())
-        same = {"key": key, "code": code, "windowsVirtualKeyCode": number}
+        same = {"key": key, "code": code, "windowsVirtualKeyCode": number, "modifiers": modifiers}
+        text = {"text": "\r"} if key == "Enter" else text
         self.call("Input.dispatchKeyEvent", type="keyDown", **same, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", **same)
 
@@ -86,6 +92,31 @@ class Page:
         part = {} if clip is None else {"clip": {**clip, "scale": 1}}
         shot = self.call("Page.captureScreenshot", format="png", **part)
         return base64.b64decode(shot["data"])
+
+
+MOVE_BAR = """(async () => {
+  const bar = document.querySelector('#time'), canvas = document.querySelector('canvas');
+  const began = performance.now();
+  bar.value = %d;
+  bar.dispatchEvent(new Event('input'));
+  while (canvas.dataset.step !== '%d') await new Promise(requestAnimationFrame);
+  return performance.now() - began;
+})()"""
+"""Moves the time bar of a page; how many milliseconds until the scene has followed."""
+
+
+def scene_picture(page: Page, element: str = "canvas") -> np.ndarray:
+    """An element of the page when it has been drawn, RGB; the scene by default."""
+    page.ask(f"void document.querySelector('{element}').scrollIntoView({{block: 'center'}})")
+    # What was asked for is drawn before the next frame but one, however long a frame takes.
+    page.ask("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+             ".then(() => true)")  # fmt: skip
+    left, top, width, height = page.ask(
+        f"(() => {{ const b = document.querySelector('{element}').getBoundingClientRect();"
+        "return [b.left + scrollX, b.top + scrollY, b.width, b.height]; })()"
+    )
+    shot = page.picture({"x": left, "y": top, "width": width, "height": height})
+    return cv2.imdecode(np.frombuffer(shot, np.uint8), 1)[..., ::-1].astype(int)
 
 
 @contextlib.contextmanager

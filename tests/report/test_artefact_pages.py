@@ -1,7 +1,6 @@
 import re
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidRecordingError
@@ -25,9 +24,7 @@ def test_a_recording_has_a_page_before_it_is_tracked(name, request, tmp_path):
 
 def test_a_recording_without_cloth_is_refused(clouds_only, tmp_path):
     with pytest.raises(InvalidRecordingError, match="no cloth was found in any frame"):
-        write_recording_page(
-            replace(clouds_only), tmp_path / "r.html", cloud=lambda *_: np.empty((0, 3))
-        )
+        write_recording_page(replace(clouds_only), tmp_path / "r.html", observer=lambda *_: None)
 
 
 def test_a_mesh_has_a_page(tracked, tmp_path):

@@ -77,3 +77,11 @@ def test_words_cannot_break_out_of_the_page():
 def test_a_single_frame_can_be_drawn():
     svg = drawn(Chart("one", "", (Line("", np.array([2.0])),)), np.array([7]))
     assert [c.get("class") for c in svg.iter("circle")] == ["tone0"]
+
+
+def test_an_axis_of_nothing_but_zeros_ends_at_one():
+    frames = np.arange(4)
+    for values in (np.zeros(4), np.full(4, np.nan)):
+        drawn = chart_html(Chart("Line search", "", (Line("", values),)), frames, ())
+        assert ">1</text>" in drawn
+        assert "e-" not in drawn

@@ -2,14 +2,27 @@ from dataclasses import replace
 
 import numpy as np
 
+from clothtrack.evaluation.metrics import chamfer_pc, root_mean_square_mm
+from clothtrack.evaluation.results import evaluate
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.store import read_recording
 from clothtrack.report.evidence import (
     cloud_picture,
+    evidence_of,
     has_picture,
     observed_points,
     thinned,
     view_picture,
 )
 from clothtrack.report.viewpoint import look_at
+from clothtrack.tracking.tracked_trajectory import (
+    Calibration,
+    StepRecords,
+    TrackedAction,
+    TrackedTrajectory,
+)
 
 NOTHING = np.empty((0, 3))
 
@@ -61,3 +74,63 @@ def test_observed_points_lie_on_the_cloth(two_cameras, tracked):
     nearest = np.linalg.norm(points[:, None] - tracked.positions[0][None], axis=2).min(axis=1)
     assert len(points) > 300
     assert nearest.max() < 0.02
+
+
+def seeing(clouds, recording):
+    """An observer that has these clouds, and sees every pixel of the recording's cameras."""
+    remaining = iter(clouds)
+
+    def observer(_, frame):
+        return Observation(next(remaining), recording.cameras, {}, None, np.empty((0, 3)), 0.0)
+
+    return observer
+
+
+def test_a_cloud_on_the_vertices_is_at_no_distance(tracked, two_cameras):
+    clouds = [
+        positions[seen].astype(float)
+        for positions, seen in zip(tracked.positions, tracked.visible, strict=True)
+    ]
+    evidence = evidence_of(tracked, two_cameras, seeing(clouds, two_cameras))
+    np.testing.assert_allclose(evidence.rms_mm, 0.0, atol=1e-3)
+    assert [len(one) for one in evidence.clouds] == tracked.visible.sum(axis=1).tolist()
+
+
+def test_a_cloud_beside_the_cloth_is_as_far_as_it_was_moved(tracked, two_cameras):
+    still = replace(tracked, positions=np.repeat(tracked.mesh.vertices[None], 6, axis=0),
+                    visible=np.ones_like(tracked.visible))  # fmt: skip
+    clouds = [tracked.mesh.vertices + np.array([0.0, 0.0, 0.003])] * 6
+    evidence = evidence_of(still, two_cameras, seeing(clouds, two_cameras))
+    np.testing.assert_allclose(evidence.rms_mm, 3.0, rtol=1e-6)
+
+
+def test_nothing_observed_is_no_number(tracked, two_cameras):
+    evidence = evidence_of(tracked, two_cameras, lambda *_: None)
+    assert np.isnan(evidence.rms_mm).all()
+    assert all(len(one) == 0 for one in evidence.clouds)
+
+
+def test_the_chart_and_the_table_of_evaluate_show_the_same_number():
+    """On the shipped recording, where the tool hides some of the cloth."""
+    recording = read_recording(shipped_recording("fold_the_tshirt"))
+    mesh, last = recording.cloth.template, recording.actions[-1].last_frame
+    points = observe(recording, recording.frames[last]).points
+    lift = points.mean(axis=0) - mesh.vertices.mean(axis=0)
+    vertices = (mesh.vertices + lift).astype(np.float32)
+    seen = VisibilityCheck(mesh.faces, recording.cameras)(vertices)
+    blank = Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+    placed = TrackedTrajectory(
+        name=recording.name,
+        mesh=mesh,
+        frames=np.array([last]),
+        time_s=np.array([recording.frames[last].time_s]),
+        positions=vertices[None],
+        visible=seen[None],
+        actions=(TrackedAction(0, last, vertices, vertices, np.zeros(2), {}, blank, {}),),
+        steps=StepRecords.empty(1),
+    )
+    row = evaluate(placed, recording).rows[-1]
+    (shown,) = evidence_of(placed, recording).rms_mm
+    np.testing.assert_allclose(shown, row.chamfer_pc_rms_mm, rtol=1e-6)
+    everything = root_mean_square_mm(chamfer_pc(vertices.astype(float), seen, points))
+    assert abs(shown - everything) > 0.01  # leaving silent vertices out makes a difference here

@@ -43,13 +43,17 @@ def test_without_the_extra_rerun_is_named(tracked, clouds_only, tmp_path, monkey
 
 
 def test_rerun_reads_what_was_written(tracked, two_cameras, tmp_path):
-    pytest.importorskip("rerun")
+    pytest.importorskip(
+        "rerun",
+        reason="writing .rrd needs rerun-sdk and its pyarrow: pip install 'clothtrack[rerun]'",
+        exc_type=ImportError,
+    )
     path = export_pictures(tracked, two_cameras, tmp_path / "fold", "rrd")
     assert path == tmp_path / "fold.rrd"
     assert path.stat().st_size > 10_000
     program = shutil.which("rerun", path=str(sys.executable).rpartition("/")[0])
     if program is None:
-        pytest.skip("the program rerun is not beside this Python")
+        pytest.skip("reading .rrd back needs the program rerun, which lies beside another Python")
     told = subprocess.run(
         [program, "rrd", "print", str(path)],
         capture_output=True, text=True, check=False, timeout=120,

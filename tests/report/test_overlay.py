@@ -52,7 +52,7 @@ def test_the_colour_of_the_cloth_does_not_make_it_look_hidden(tracked, two_camer
     all_seen = replace(tracked, visible=np.ones_like(tracked.visible))
     overlay = Overlay(all_seen, bare, config=replace(SMALL, cameras=1, wires=0.0))
     camera = overlay.views[0].camera
-    red = np.full((camera.height, camera.width, 3), (190, 30, 30), np.uint8)
+    red = np.full((*overlay.observation(0).shape[:2], 3), (190, 30, 30), np.uint8)
     monkeypatch.setattr(overlay, "_observations", lambda step: [red])
     drawn = overlay.draw(0).astype(int)
     bluer = drawn[..., 2] > drawn[..., 0]

@@ -3,7 +3,6 @@ import re
 from dataclasses import replace
 from html import unescape
 
-import numpy as np
 import pytest
 
 from clothtrack.errors import StorageError
@@ -78,7 +77,7 @@ def test_one_frame_without_actions_or_observation_is_a_page(tracked, clouds_only
         clouds_only,
         tmp_path / "one.html",
         config=SMALL,
-        cloud=lambda recording, frame: np.empty((0, 3)),
+        observer=lambda recording, frame: None,
     )
     assert "no action" in path.read_text(encoding="utf-8")
 

@@ -6,7 +6,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -19,6 +18,7 @@ from clothtrack.report.page import ReportConfig, write_report
 _spec = importlib.util.spec_from_file_location("chromium", Path(__file__).with_name("chromium.py"))
 chromium = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(chromium)
+MOVE_BAR, scene_picture = chromium.MOVE_BAR, chromium.scene_picture
 
 pytestmark = [
     pytest.mark.slow,
@@ -26,25 +26,6 @@ pytestmark = [
 ]
 
 SMALL = ReportConfig(overlay=OverlayConfig(height=120))
-MOVE_BAR = """(async () => {
-  const bar = document.querySelector('#time'), canvas = document.querySelector('canvas');
-  const began = performance.now();
-  bar.value = %d;
-  bar.dispatchEvent(new Event('input'));
-  while (canvas.dataset.step !== '%d') await new Promise(requestAnimationFrame);
-  return performance.now() - began;
-})()"""
-
-
-def scene_picture(page):
-    """The scene as it is drawn, RGB."""
-    page.ask("void document.querySelector('canvas').scrollIntoView({block: 'center'})")
-    left, top, width, height = page.ask(
-        "(() => { const b = document.querySelector('canvas').getBoundingClientRect();"
-        "return [b.left + scrollX, b.top + scrollY, b.width, b.height]; })()"
-    )
-    shot = page.picture({"x": left, "y": top, "width": width, "height": height})
-    return cv2.imdecode(np.frombuffer(shot, np.uint8), 1)[..., ::-1].astype(int)
 
 
 def cloth_pixels(picture):

@@ -143,6 +143,24 @@ def evaluate(
     return Evaluation(tracked.name, tuple(rows), labels, tracked.provenance)
 
 
+def observed_chamfer(
+    vertices: Float[np.ndarray, "vertices 3"],
+    seen: Bool[np.ndarray, " vertices"],
+    observation: Observation,
+) -> float:
+    """Visible vertices against what was observed [m^2], both directions, summed.
+
+    A vertex that lies where nothing could be measured (`Observation.silent`) is left out: that the
+    cloud has no point beside it is not its fault. NaN when nothing is seen or observed.
+
+    Args:
+        vertices: of the mesh, in the world [m].
+        seen: whether a camera sees the vertex.
+        observation: of the same frame.
+    """
+    return chamfer_pc(vertices, seen & ~observation.silent(vertices), observation.points)
+
+
 def method_name(config: Mapping[str, Any]) -> str:
     """The named mode that a stored run configuration is, or "custom"."""
     stored = json.dumps(config.get("tracker", config), sort_keys=True, default=str)
@@ -173,8 +191,8 @@ def _reference(
     where = material_map(truth.canonical, truth.faces, canonical)
     points = material_points(surface, truth.faces, where)
     faces, cameras = tracked.mesh.faces, observation.cameras
-    seen = visible_vertices(points, faces, cameras, device=device) & ~observation.silent(points)
-    floor = chamfer_pc(points, seen, observation.points)
+    seen = visible_vertices(points, faces, cameras, device=device)
+    floor = observed_chamfer(points, seen, observation)
     true_seen = visible_vertices(surface, truth.faces, cameras, device=device)
     share = np.einsum("ij,ij->i", where[1], true_seen[truth.faces[where[0]]].astype(float))
     return _Reference(observation, floor, "truth", pair, points, share > 0.5)
@@ -192,7 +210,7 @@ def _row(
 ) -> Row:
     faces, observation = tracked.mesh.faces, reference.observation
     seen = visible_vertices(vertices, faces, observation.cameras, device=device)
-    chamfer = chamfer_pc(vertices, seen & ~observation.silent(vertices), observation.points)
+    chamfer = observed_chamfer(vertices, seen, observation)
     errors: dict[str, ErrorSummary] = {}
     if reference.true_points is not None and reference.truly_visible is not None:
         errors = vertex_error_mm(vertices, reference.true_points, reference.truly_visible)

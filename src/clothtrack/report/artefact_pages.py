@@ -13,7 +13,7 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.document import write_document
-from clothtrack.report.evidence import CloudReader, observed_points, view_picture
+from clothtrack.report.evidence import Observer, observed, observed_points, view_picture
 from clothtrack.report.layers import Layers
 from clothtrack.report.page import evenly
 from clothtrack.report.scene_data import SceneContents
@@ -47,7 +47,7 @@ class IndexEntry:
 
 
 def write_recording_page(
-    recording: Recording, path: Path, *, cloud: CloudReader = observed_points
+    recording: Recording, path: Path, *, observer: Observer = observed
 ) -> Path:
     """Write a page of what was recorded: pictures, observed cloth, pickers; nothing is tracked yet.
 
@@ -57,7 +57,7 @@ def write_recording_page(
     """
     steps = evenly(len(recording.frames), MOST_FRAMES)
     frames = [recording.frames[step] for step in steps]
-    clouds = [cloud(recording, frame) for frame in frames]
+    clouds = [observed_points(recording, frame, observer) for frame in frames]
     points = np.concatenate([np.empty((0, 3)), *clouds])
     if not len(points):
         raise InvalidRecordingError(

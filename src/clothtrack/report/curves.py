@@ -107,7 +107,9 @@ class _Axis:
             low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
             return cls(10.0**low, 10.0 ** max(high, low + 1), True)
         low = min(0.0, float(values.min())) if len(values) else 0.0
-        high = max(float(values.max()) if len(values) else 0.0, chart.least_top, low + 1e-9)
+        high = max(float(values.max()) if len(values) else 0.0, chart.least_top)
+        if high - low < 1e-9:
+            high = low + 1.0
         step = _round_step(high - low)
         return cls(np.floor(low / step) * step, np.ceil(high / step - 1e-9) * step, False)
 

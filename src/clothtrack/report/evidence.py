@@ -5,46 +5,79 @@ point cloud projected on plain paper.
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.evaluation.metrics import root_mean_square_mm
+from clothtrack.evaluation.results import observed_chamfer
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.palette import OBSERVED, PAPER, rgb255
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 log = logging.getLogger(__name__)
 
-CloudReader = Callable[[Recording, Frame], Float[np.ndarray, "points 3"]]
-"""Gives the observed cloth of a frame: points in the world [m]."""
+Observer = Callable[[Recording, Frame], Observation | None]
+"""Gives what was observed of the cloth in a frame; None where nothing can be had."""
 
 
-def observed_points(recording: Recording, frame: Frame) -> Float[np.ndarray, "points 3"]:
-    """The observed cloth of a frame [m, world]; empty, with a warning, when it cannot be had.
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What was observed at every step of a trajectory, and how far its mesh is from it.
+
+    Attributes:
+        clouds: observed points [m, world] of each step.
+        rms_mm: root of half the two-way Chamfer distance [mm] of visible vertices and observed
+            points, where an answer could be had (`clothtrack.evaluation.results`); NaN where none.
+    """
+
+    clouds: Sequence[Float[np.ndarray, "_ 3"]]
+    rms_mm: Float[np.ndarray, " frames"]
+
+
+def observed(recording: Recording, frame: Frame) -> Observation | None:
+    """What was observed of the cloth in a frame; None, with a warning, when it cannot be had.
 
     A report is about a run that is over: a frame that cannot be read any more costs the picture,
     not the report.
     """
     try:
-        return observe(recording, frame).points
+        return observe(recording, frame)
     except ClothTrackError as error:
         log.warning("frame %d of %s: no point cloud (%s)", frame.index, recording.name, error)
-        return np.empty((0, 3))
+        return None
 
 
-def clouds_of(
-    tracked: TrackedTrajectory, recording: Recording, cloud: CloudReader = observed_points
-) -> list[Float[np.ndarray, "_ 3"]]:
-    """The observed cloth [m, world] at every step of a trajectory."""
+def observed_points(
+    recording: Recording, frame: Frame, observer: Observer = observed
+) -> Float[np.ndarray, "points 3"]:
+    """The observed cloth of a frame [m, world]; empty when it cannot be had."""
+    found = observer(recording, frame)
+    return np.empty((0, 3)) if found is None else found.points
+
+
+def evidence_of(
+    tracked: TrackedTrajectory, recording: Recording, observer: Observer = observed
+) -> Evidence:
+    """Look at every step of a trajectory; one observation is held at a time."""
     frames = {frame.index: frame for frame in recording.frames}
+    clouds, rms_mm = [], np.full(len(tracked.frames), np.nan)
     steps = zip(tracked.frames.tolist(), tracked.time_s.tolist(), strict=True)
-    return [cloud(recording, frames.get(index) or Frame(index, time)) for index, time in steps]
+    for step, (index, time_s) in enumerate(steps):
+        found = observer(recording, frames.get(index) or Frame(index, time_s))
+        clouds.append(np.empty((0, 3)) if found is None else found.points)
+        if found is not None:
+            vertices = tracked.positions[step].astype(np.float64)
+            chamfer = observed_chamfer(vertices, tracked.visible[step], found)
+            rms_mm[step] = root_mean_square_mm(chamfer)
+    return Evidence(clouds, rms_mm)
 
 
 def thinned(

@@ -6,8 +6,8 @@ from typing import Literal
 from clothtrack.evaluation.truth import Truth
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.coloring import colorings
-from clothtrack.report.evidence import clouds_of
-from clothtrack.report.measures import chamfer_rms_mm, charts
+from clothtrack.report.evidence import evidence_of
+from clothtrack.report.measures import charts
 from clothtrack.report.overlay import (
     Overlay,
     OverlayConfig,
@@ -49,14 +49,14 @@ def export_pictures(
     suffix = SUFFIXES[kind]
     out = out if out.suffix == suffix else Path(f"{out}{suffix}")
     if kind == "rrd":
-        clouds = clouds_of(tracked, recording)
+        evidence = evidence_of(tracked, recording)
         return write_rerun(
             tracked,
             recording,
             out,
-            clouds=clouds,
-            colorings=colorings(tracked, clouds, truth=truth),
-            charts=charts(tracked, chamfer_rms_mm(tracked, clouds)),
+            clouds=evidence.clouds,
+            colorings=colorings(tracked, evidence.clouds, truth=truth),
+            charts=charts(tracked, evidence.rms_mm),
         )
     overlay = Overlay(tracked, recording, config=OverlayConfig())
     if kind == "sheet":

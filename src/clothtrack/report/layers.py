@@ -1,5 +1,7 @@
 """Which layer of a folded cloth a vertex belongs to, so that layers can be shown apart."""
 
+from itertools import chain
+
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
@@ -65,9 +67,10 @@ class Layers:
         centres = corners.mean(axis=1)
         radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
         reach = 1.01 * radii + np.linalg.norm(self._aside)
-        found = cKDTree(flat).query_ball_point(centres, reach)
-        face = np.repeat(np.arange(len(found)), [len(one) for one in found])
-        return face, np.concatenate([np.asarray(one, np.int64) for one in found])
+        found = cKDTree(flat).query_ball_point(centres, reach, return_sorted=False)
+        counts = np.array([len(one) for one in found])
+        vertex = np.fromiter(chain.from_iterable(found), np.int64, count=int(counts.sum()))
+        return np.repeat(np.arange(len(found)), counts), vertex
 
 
 def _wedge(

@@ -12,7 +12,7 @@ from clothtrack.evaluation.label_review import LabelReview, Verdict
 from clothtrack.evaluation.truth import Truth
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.coloring import colorings, judged_or_none
-from clothtrack.report.evidence import CloudReader, clouds_of, observed_points
+from clothtrack.report.evidence import Observer, evidence_of, observed
 from clothtrack.report.layers import Layers
 from clothtrack.report.live_panel import (
     KEY_HOOK,
@@ -39,7 +39,7 @@ def view_live(
     port: int | None = None,
     *,
     stop: threading.Event | None = None,
-    cloud: CloudReader = observed_points,
+    observer: Observer = observed,
     truth: Truth | None = None,
     review: LabelReview | None = None,
     review_file: Path | None = None,
@@ -55,7 +55,7 @@ def view_live(
         recording: what it was tracked from.
         port: any free one by default; the address is written to the log.
         stop: ends the serving.
-        cloud: gives the observed cloth of a frame; by default the recording's own.
+        observer: looks at a frame; by default as the recording says.
         truth: the true meshes; only with them can the cloth be coloured by its error.
         review: decisions so far.
         review_file: where decisions are written; without it nothing can be decided.
@@ -65,7 +65,7 @@ def view_live(
         InvalidResultError: the truth is of another garment or another recording.
     """
     require_port(port)
-    page = LivePage(tracked, recording, cloud=cloud, truth=truth)
+    page = LivePage(tracked, recording, observer=observer, truth=truth)
     with local_server(port) as server:
         page.build(server, review or LabelReview.blank(tracked), review_file)
         wait(stop)
@@ -99,12 +99,13 @@ class LivePage:
         tracked: TrackedTrajectory,
         recording: Recording,
         *,
-        cloud: CloudReader = observed_points,
+        observer: Observer = observed,
         truth: Truth | None = None,
     ) -> None:
         """Read every observation, judge the labels and colour the vertices."""
         self.tracked, self.recording = tracked, recording
-        self.clouds = clouds_of(tracked, recording, cloud)
+        self._evidence = evidence_of(tracked, recording, observer)
+        self.clouds = self._evidence.clouds
         self.judged = judged_or_none(tracked, recording)
         found = colorings(tracked, self.clouds, self.judged, truth)
         self.colorings = {one.title: one for one in found}
@@ -131,7 +132,7 @@ class LivePage:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.set_panel_label(f"{tracked.name} · clothtrack")
         gui.main_panel.dock_right()
-        self._told = gui.add_markdown("")
+        self._told = gui.add_html("")
         self._frame = gui.add_slider(
             "Frame", 0, max(1, len(tracked.frames) - 1), 1, initial_value=0
         )
@@ -143,7 +144,7 @@ class LivePage:
         for control in (self._frame, self._mode, self._opacity, self._gap, self._points):
             control.on_update(lambda _: self.show())
         self._add_review(gui)
-        add_curves(gui, tracked, self.clouds)
+        add_curves(gui, tracked, self._evidence.rms_mm)
         add_calibrations(gui, tracked)
         self._add_keys(gui)
         self.show()
@@ -216,10 +217,11 @@ class LivePage:
 
     def _words(self, step: int) -> str:
         frame, action = int(self.tracked.frames[step]), self._action()
-        told = f"**frame {frame}**, {self.tracked.time_s[step]:.2f} s"
+        told = f"<b>frame {frame}</b>, {self.tracked.time_s[step]:.2f} s"
         if action is not None:
             told += f", action {action + 1} of {len(self.tracked.actions)}"
-        return f"{told}, {100 * self.tracked.visible[step].mean():.0f} % visible"
+        share = 100 * self.tracked.visible[step].mean()
+        return f'<div class="ct told">{told}, {share:.0f} % visible</div>'
 
     def _add_review(self, gui: viser.GuiApi) -> None:
         self._verdicts = gui.add_html("")

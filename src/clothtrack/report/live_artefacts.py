@@ -7,7 +7,7 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Recording
-from clothtrack.report.evidence import CloudReader, observed_points, view_picture
+from clothtrack.report.evidence import Observer, observed, observed_points, view_picture
 from clothtrack.report.layers import Layers
 from clothtrack.report.live import require_port, wait
 from clothtrack.report.scene import ClothScene, ObservedScene, local_server
@@ -23,7 +23,7 @@ def view_recording_live(
     port: int | None = None,
     *,
     stop: threading.Event | None = None,
-    cloud: CloudReader = observed_points,
+    observer: Observer = observed,
 ) -> None:
     """Serve a page on 127.0.0.1 with every frame's picture, observed cloth and pickers.
 
@@ -32,7 +32,7 @@ def view_recording_live(
         InvalidRecordingError: the first frame shows no cloth.
     """
     require_port(port)
-    points = cloud(recording, recording.frames[0])
+    points = observed_points(recording, recording.frames[0], observer)
     if not len(points):
         raise InvalidRecordingError(
             f"{recording.folder}: no cloth was found in the first frame; look with: "
@@ -62,7 +62,7 @@ def view_recording_live(
         def show() -> None:
             with lock:
                 frame = recording.frames[min(int(slider.value), last)]
-                seen = cloud(recording, frame)
+                seen = observed_points(recording, frame, observer)
                 observed.observe(seen, frame.time_s)
                 picture.image = view_picture(recording, frame, camera, seen)
                 told.content = f"**frame {frame.index}**, {frame.time_s:.2f} s, {len(seen)} points"

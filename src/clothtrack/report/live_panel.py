@@ -10,7 +10,7 @@ from jaxtyping import Float
 from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.report.coloring import Coloring
-from clothtrack.report.measures import chamfer_rms_mm, charts
+from clothtrack.report.measures import charts
 from clothtrack.report.palette import HIDDEN, OUTSIDE
 from clothtrack.report.sections import calibration_html
 from clothtrack.report.stage import KEYS, quality_words, scale_legend, sides_legend, swatch
@@ -21,6 +21,7 @@ CURVES_SHOWN = 3
 
 STYLE = """<style>
 .ct { font-size: 0.8rem; padding: 0 0.75em 0.5em; opacity: 0.9; }
+.ct.told { font-size: 0.9rem; padding-top: 0.5em; }
 .ct table { width: 100%; border-collapse: collapse; }
 .ct td, .ct th { padding: 0.1em 0.4em; text-align: left; font-weight: 400; }
 .ct .current { outline: 1px solid #8a8f99; border-radius: 4px; }
@@ -84,14 +85,12 @@ def review_html(review: LabelReview, judged: Sequence[LabelQuality], current: in
 
 
 def add_curves(
-    gui: viser.GuiApi,
-    tracked: TrackedTrajectory,
-    clouds: Sequence[Float[np.ndarray, "_ 3"]],
+    gui: viser.GuiApi, tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]
 ) -> None:
     """The report's charts; the most telling ones open."""
     if len(tracked.frames) < 2:
         return
-    drawn = charts(tracked, chamfer_rms_mm(tracked, clouds))
+    drawn = charts(tracked, rms_mm)
     frames = tracked.frames.astype(np.float64)
     for title, part, opened in (
         ("Curves", drawn[:CURVES_SHOWN], True),

@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float, UInt8
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.evidence import (
-    CloudReader,
+    Observer,
     has_picture,
+    observed,
     observed_points,
     view_picture,
 )
@@ -35,6 +36,9 @@ from clothtrack.report.video import frame_rate, write_video
 from clothtrack.report.viewpoint import view_of
 from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
+"""Share of red, green and blue in a grey value (ITU-R BT.601)."""
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -72,12 +76,12 @@ class Overlay:
         recording: Recording,
         *,
         config: OverlayConfig | None = None,
-        cloud: CloudReader = observed_points,
+        observer: Observer = observed,
     ) -> None:
         """Prepare the views: the recording's cameras, or one of ours where it has no picture."""
         self.tracked, self.recording = tracked, recording
         self.config = config or OverlayConfig()
-        self._cloud = cloud
+        self._observer = observer
         self._frames = {frame.index: frame for frame in recording.frames}
         self.views = _views(tracked, recording, self._frames, self.config)
         self._shaders = [
@@ -92,8 +96,7 @@ class Overlay:
 
     def observation(self, step: int) -> Picture:
         """What was seen at a step, all views side by side."""
-        pictures = zip(self.views, self._observations(step), strict=True)
-        return np.hstack([view.cut(picture) for view, picture in pictures])
+        return np.hstack(self._observations(step))
 
     def draw(self, step: int) -> Picture:
         """The tracked mesh over what was seen at a step, all views side by side."""
@@ -108,8 +111,13 @@ class Overlay:
     def _observations(self, step: int) -> list[Picture]:
         frame = self.frame(step)
         needs_cloud = not all(has_picture(frame, view.camera) for view in self.views)
-        points = self._cloud(self.recording, frame) if needs_cloud else np.empty((0, 3))
-        return [view_picture(self.recording, frame, view.camera, points) for view in self.views]
+        points = np.empty((0, 3))
+        if needs_cloud:
+            points = observed_points(self.recording, frame, self._observer)
+        return [
+            view.cut(view_picture(self.recording, frame, view.camera, points))
+            for view in self.views
+        ]
 
     def _overlays(self, step: int) -> list[Picture]:
         vertices = self.tracked.positions[step].astype(np.float64)
@@ -118,33 +126,35 @@ class Overlay:
         for view, shader, picture in zip(
             self.views, self._shaders, self._observations(step), strict=True
         ):
-            camera, still = view.camera, shader.render(vertices)
-            photographed = has_picture(self.frame(step), camera)
+            still = shader.render(vertices)
+            cloth = view.cut(still.cloth)
+            photographed = has_picture(self.frame(step), view.camera)
             image = _toned_down(picture) if photographed else picture.astype(np.float32)
             # Blue over red cloth would be the hue that says "hidden": under the mesh only light
             # and shade of the photograph are kept.
-            image[still.cloth] = _grey(image)[still.cloth]
-            shaded = still.image[still.cloth]
-            image[still.cloth] += self.config.surface * (shaded - image[still.cloth])
-            self._draw_wires(image, camera, vertices, visible)
+            pixels, covered = image.reshape(-1, 3), np.flatnonzero(cloth)
+            grey = (pixels[covered] @ LUMINANCE)[:, None]
+            shaded = view.cut(still.image).reshape(-1, 3)[covered]
+            pixels[covered] = grey + self.config.surface * (shaded - grey)
+            self._draw_wires(image, view, vertices, visible)
             image = np.clip(image, 0, 255).astype(np.uint8)
-            _outline(image, still.cloth)
+            _outline(image, cloth)
             for path in self.recording.picker_paths.values():
                 time_s = float(self.tracked.time_s[step])
-                _picker(image, camera, path.position_at(time_s), path.closed_at(time_s))
-            pictures.append(view.cut(image))
+                _picker(image, view, path.position_at(time_s), path.closed_at(time_s))
+            pictures.append(image)
         return pictures
 
     def _draw_wires(
         self,
         image: Float[np.ndarray, "height width 3"],
-        camera: Camera,
+        view: "View",
         vertices: Float[np.ndarray, "vertices 3"],
         visible: Bool[np.ndarray, " vertices"],
     ) -> None:
         """The edges: dark where they are seen, in the hidden hue where they are believed."""
         edges = self.tracked.mesh.edges
-        pixels, depth = camera.project(vertices)
+        pixels, depth = view.project(vertices)
         ends = np.clip(np.nan_to_num(pixels[edges]), -8000, 8000)
         drawable = (depth[edges] > 1e-3).all(axis=1)
         length = np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
@@ -157,9 +167,10 @@ class Overlay:
             layer = np.zeros(image.shape[:2], dtype=np.uint8)
             lines = np.rint(ends[chosen & drawable] * 16).astype(np.int32)
             cv2.polylines(layer, list(lines), False, 255, 1, cv2.LINE_AA, 4)
-            drawn = layer > 0
-            weight = layer[drawn].astype(np.float32)[:, None] * (opacity * fineness / 255)
-            image[drawn] += weight * (np.asarray(rgb255(color), np.float32) - image[drawn])
+            flat, drawn = image.reshape(-1, 3), np.flatnonzero(layer)
+            weight = layer.ravel()[drawn].astype(np.float32)[:, None] * (opacity * fineness / 255)
+            under = flat[drawn]
+            flat[drawn] = under + weight * (np.asarray(rgb255(color), np.float32) - under)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +187,16 @@ class View:
     rows: slice
     columns: slice
 
-    def cut(self, picture: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
+    def cut(self, picture: np.ndarray) -> np.ndarray:
         """The window of a picture of the camera."""
         return picture[self.rows, self.columns]
+
+    def project(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
+        """Pixels of the window, and depths [m], of points in the world [m]."""
+        pixels, depth = self.camera.project(points)
+        return pixels - (self.columns.start, self.rows.start), depth
 
 
 def write_overlay_video(
@@ -299,12 +317,10 @@ def _words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
 
 def _toned_down(picture: Picture) -> Float[np.ndarray, "height width 3"]:
     """A calmer copy: less colour, a little lighter, so that the drawing stands out."""
-    image = picture.astype(np.float32)
-    return 0.54 * image + (0.36 * _grey(image) + 12.0)
-
-
-def _grey(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 1"]:
-    return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None]
+    mixed = 0.54 * np.eye(3, dtype=np.float32) + 0.36 * LUMINANCE
+    image = cv2.transform(picture.astype(np.float32), mixed)
+    image += 12.0
+    return image
 
 
 def _outline(image: Picture, cloth: Bool[np.ndarray, "height width"]) -> None:
@@ -313,9 +329,9 @@ def _outline(image: Picture, cloth: Bool[np.ndarray, "height width"]) -> None:
     cv2.drawContours(image, contours, -1, rgb255(OUTSIDE), 1, cv2.LINE_AA)
 
 
-def _picker(image: Picture, camera: Camera, tip: Float[np.ndarray, " 3"], closed: bool) -> None:
+def _picker(image: Picture, view: View, tip: Float[np.ndarray, " 3"], closed: bool) -> None:
     """A ring at the picker's tip, filled while it holds."""
-    pixels, depth = camera.project(tip[None])
+    pixels, depth = view.project(tip[None])
     if not (depth[0] > 1e-3 and np.abs(pixels[0]).max() < 1e4):
         return
     centre = (round(float(pixels[0, 0])), round(float(pixels[0, 1])))

@@ -49,7 +49,8 @@
   function follow() {
     if (!video.seeking) {
       const at = Math.min(shown.length - 1, Math.floor(video.currentTime * rate + 1e-3));
-      if (!video.paused) show(nearest(all, shown[at]), { seek: false });
+      // A short video may be over before a busy machine has shown any of it.
+      if (!video.paused || video.ended) show(nearest(all, shown[at]), { seek: false });
     }
     if (video.requestVideoFrameCallback && !video.paused) video.requestVideoFrameCallback(follow);
   }

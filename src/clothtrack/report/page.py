@@ -18,9 +18,9 @@ from clothtrack.recordings.store import read_recording
 from clothtrack.report.coloring import Coloring, colorings, judged_or_none
 from clothtrack.report.curves import chart_html
 from clothtrack.report.document import write_document
-from clothtrack.report.evidence import CloudReader, clouds_of, observed_points
+from clothtrack.report.evidence import Observer, evidence_of, observed
 from clothtrack.report.layers import Layers
-from clothtrack.report.measures import chamfer_rms_mm, charts, edge_strains
+from clothtrack.report.measures import charts, edge_strains
 from clothtrack.report.overlay import Overlay, OverlayConfig, scene_view, write_overlay_video
 from clothtrack.report.palette import HIDDEN, OUTSIDE
 from clothtrack.report.scene_data import SceneConfig, SceneContents
@@ -61,7 +61,7 @@ def write_report(
     path: Path,
     *,
     config: ReportConfig | None = None,
-    cloud: CloudReader = observed_points,
+    observer: Observer = observed,
     truth: Truth | None = None,
     review: LabelReview | None = None,
 ) -> Path:
@@ -72,7 +72,7 @@ def write_report(
         recording: what it was tracked from.
         path: of the page.
         config: how much goes into it.
-        cloud: gives the observed cloth of a frame; by default the recording's own.
+        observer: looks at a frame; by default as the recording says.
         truth: the true meshes; only with them can the cloth be coloured by its error.
         review: decisions about labels so far.
 
@@ -81,8 +81,9 @@ def write_report(
         StorageError: when the disk refuses; what was at `path` before is untouched then.
     """
     config = config or ReportConfig()
-    overlay = Overlay(tracked, recording, config=config.overlay, cloud=cloud)
-    clouds = clouds_of(tracked, recording, cloud)
+    overlay = Overlay(tracked, recording, config=config.overlay, observer=observer)
+    evidence = evidence_of(tracked, recording, observer)
+    clouds = evidence.clouds
     judged = judged_or_none(tracked, recording)
     colors = colorings(tracked, clouds, judged, truth)
     upper = stage(
@@ -95,7 +96,7 @@ def write_report(
         wide=len(overlay.views) > 1,
     )
     labels = review_card(tracked, review or LabelReview.blank(tracked), judged)
-    body = _body(tracked, recording, clouds, config, upper=upper + labels)
+    body = _body(tracked, recording, evidence.rms_mm, config, upper=upper + labels)
     return write_document(path, tracked.name, body)
 
 
@@ -120,12 +121,11 @@ def report(
 def _body(
     tracked: TrackedTrajectory,
     recording: Recording,
-    clouds: Sequence[Float[np.ndarray, "_ 3"]],
+    rms_mm: Float[np.ndarray, " frames"],
     config: ReportConfig,
     *,
     upper: str,
 ) -> str:
-    rms_mm = chamfer_rms_mm(tracked, clouds)
     actions = [(action.first_frame, action.last_frame) for action in tracked.actions]
     curves = "".join(
         chart_html(chart, tracked.frames, actions) for chart in charts(tracked, rms_mm)

@@ -248,7 +248,27 @@ function orbit(header, canvas, changed) {
     changed();
   }, { passive: false });
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener("dblclick", () => { Object.assign(state, start); changed(); });
+  const home = () => { Object.assign(state, start); };
+  canvas.addEventListener("dblclick", () => { home(); changed(); });
+  // What the pointer does, for those who have none; the arrows alone go from frame to frame.
+  const tilt = (by) => { state.height = Math.min(1.55, Math.max(-1.55, state.height + by)); };
+  const keys = {
+    ArrowLeft: () => { state.turn += 0.12; },
+    ArrowRight: () => { state.turn -= 0.12; },
+    ArrowUp: () => tilt(0.12),
+    ArrowDown: () => tilt(-0.12),
+    "+": () => { state.distance /= 1.1; },
+    "-": () => { state.distance *= 1.1; },
+    "0": home,
+  };
+  canvas.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
+    if (event.key.startsWith("Arrow") && !event.shiftKey) return;
+    event.preventDefault();
+    event.stopPropagation();
+    keys[event.key]();
+    changed();
+  });
   return {
     eye: () => V.add(state.target, direction(), state.distance),
     target: () => state.target,

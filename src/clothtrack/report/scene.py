@@ -38,6 +38,8 @@ log = logging.getLogger(__name__)
 LOOP_BACK = "127.0.0.1"
 TONES = 12
 """Graded values are shown in so many colours: a mesh of one colour is all that can be streamed."""
+DAYLIGHT = 0.4
+"""Light from everywhere beside viser's lamps."""
 OUT_OF_SIGHT = np.full((1, 3), -1e3, np.float32)
 NO_FACE = np.zeros((1, 3), np.uint32)
 
@@ -59,8 +61,11 @@ class ObservedScene:
         """Prepare for everything that happens around `points` [m, world]."""
         self._config = config or SceneConfig()
         self._paths = pickers
-        # Without shadows a browser that has no graphics card can follow too.
+        # Without shadows and reflections of a room a browser that has no graphics card can follow
+        # too; the light that the room gave comes from everywhere instead.
         server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_ambient("/daylight", intensity=DAYLIGHT)
         self._cloud = server.scene.add_point_cloud(
             "/observed",
             OUT_OF_SIGHT,
@@ -145,10 +150,14 @@ class ClothScene:
             for number, handle in enumerate(handles):
                 chosen = self._faces if paint is None else self._faces[paint == number]
                 shown = name == group and len(chosen) > 0
-                if shown:
+                if shown and paint is None:
                     handle.vertices = placed
-                    if paint is not None:
-                        handle.faces = chosen
+                elif shown:
+                    # Only the corners of these faces travel, not the whole cloth once per paint.
+                    used, corners = np.unique(chosen, return_inverse=True)
+                    handle.vertices = placed[used]
+                    handle.faces = corners.reshape(-1, 3).astype(np.uint32)
+                if shown:
                     handle.opacity = None if opacity > 0.99 else opacity
                 if handle.visible != shown:
                     handle.visible = shown

@@ -6,6 +6,7 @@ darkening, Luft, Colditz and Deussen, "Image enhancement by unsharp masking the 
 SIGGRAPH 2006), which makes thin layers readable.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -13,8 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.visibility import DepthBuffer, Rasteriser
 from clothtrack.recordings.recording import Table
+from clothtrack.recordings.segmentation import bounds_of
 from clothtrack.report.palette import INSIDE, OUTSIDE, PAPER, TABLE
 
 Color = tuple[float, float, float]
@@ -83,6 +85,7 @@ class Shader:
         self._faces = np.asarray(faces, dtype=np.int32)
         self._rasteriser = Rasteriser(self._faces, self.camera, device=device)
         self._backdrop, self._backdrop_depth = _backdrop(self.camera, table, self.config)
+        self._empty = _eight_bits(self._backdrop)
 
     def render(
         self,
@@ -93,23 +96,37 @@ class Shader:
         """The cloth at `vertices` [m, world], in two-sided colours or in `colors` per vertex."""
         buffer = self._rasteriser.render(vertices)
         cloth = (buffer.faces >= 0) & (buffer.depth < self._backdrop_depth + 2e-3)
-        image = self._backdrop.copy()
+        picture = self._empty.copy()
         if cloth.any():
-            image[cloth] = self._shade(vertices, buffer.depth, buffer.faces, cloth, colors)
-        depth = np.where(cloth, buffer.depth, self._backdrop_depth)
-        image *= _darkening(depth, self._backdrop_depth, cloth, self.camera, self.config)[..., None]
-        picture = np.rint(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)
+            # Nothing changes farther from the cloth than its shade reaches.
+            box = bounds_of(cloth, margin=math.ceil(4 * _shade_reach(self.camera)) + 2)
+            picture[box] = self._drawn(vertices, buffer, cloth, box, colors=colors)
         if self.config.supersampling > 1:
             picture = cv2.resize(picture, self.size, interpolation=cv2.INTER_AREA)
             share = cv2.resize(cloth.astype(np.float32), self.size, interpolation=cv2.INTER_AREA)
             cloth = share >= 0.5
         return ShadedStill(picture, cloth)
 
+    def _drawn(
+        self,
+        vertices: Float[np.ndarray, "vertices 3"],
+        buffer: DepthBuffer,
+        cloth: Bool[np.ndarray, "height width"],
+        box: tuple[slice, slice],
+        *,
+        colors: Float[np.ndarray, "vertices 3"] | None,
+    ) -> UInt8[np.ndarray, "rows columns 3"]:
+        """The part of the picture inside a box."""
+        image, behind = self._backdrop[box].copy(), self._backdrop_depth[box]
+        image[cloth[box]] = self._shade(vertices, buffer, cloth, colors)
+        depth = np.where(cloth[box], buffer.depth[box], behind)
+        image *= _darkening(depth, behind, cloth[box], self.camera, self.config)[..., None]
+        return _eight_bits(image)
+
     def _shade(
         self,
         vertices: Float[np.ndarray, "vertices 3"],
-        depth: Float[np.ndarray, "height width"],
-        seen_faces: Int[np.ndarray, "height width"],
+        buffer: DepthBuffer,
         cloth: Bool[np.ndarray, "height width"],
         colors: Float[np.ndarray, "vertices 3"] | None,
     ) -> Float[np.ndarray, "pixels 3"]:
@@ -117,7 +134,7 @@ class Shader:
         camera, config = self.camera, self.config
         local = camera.camera_from_world_points(vertices).astype(np.float32)
         rows, columns = np.nonzero(cloth)
-        face, z = seen_faces[cloth], depth[cloth]
+        face, z = buffer.faces[cloth], buffer.depth[cloth]
         rays = np.stack(
             [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(z))], 1
         ).astype(np.float32)
@@ -137,10 +154,21 @@ class Shader:
         lambert = smooth @ (light / np.linalg.norm(light)) * np.where(front, 1.0, -1.0)
         brightness = config.ambient + (1.08 - config.ambient) * np.clip(lambert, 0.0, 1.0)
         if colors is None:
-            base = np.where(front[:, None], config.outside, config.inside)
+            sides = np.array([config.inside, config.outside], dtype=np.float32)
+            base = sides[front.astype(np.int64)]
         else:
             base = np.clip(interpolate(np.asarray(colors, dtype=np.float32)), 0.0, 1.0)
         return (base * brightness[:, None]).astype(np.float32)
+
+
+def _eight_bits(image: Float[np.ndarray, "*pixels 3"]) -> UInt8[np.ndarray, "*pixels 3"]:
+    """Colours from 0 to 1 as bytes."""
+    return np.rint(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)
+
+
+def _shade_reach(camera: Camera) -> float:
+    """Standard deviation [pixels] of the surroundings that something is dimmed against."""
+    return max(2.0, 0.010 * camera.width)
 
 
 def _triangles(
@@ -219,8 +247,6 @@ def _darkening(
     config: ShadingConfig,
 ) -> Float[np.ndarray, "height width"]:
     """Brightness factor from depth steps (outlines, folds) and from lying deeper than around."""
-    if not cloth.any():
-        return np.ones_like(depth)
     farthest = float(depth[cloth].max())
     filled = np.where(np.isfinite(depth), depth, farthest).astype(np.float32)
     bend = np.abs(cv2.Laplacian(filled, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))
@@ -230,7 +256,7 @@ def _darkening(
     step = np.where(outline, 1.0, np.where(cloth, step, 0.0))
     behind = np.where(np.isfinite(backdrop_depth), backdrop_depth, farthest)
     raised = np.where(cloth, behind - depth, 0.0).astype(np.float32)
-    around = cv2.GaussianBlur(raised, (0, 0), max(2.0, 0.010 * camera.width))
+    around = cv2.GaussianBlur(raised, (0, 0), _shade_reach(camera))
     below = np.clip((around - raised) / config.depth_darkening_m, 0.0, 1.0)
     below[~np.isfinite(depth)] = 0.0
     return (1.0 - config.edge_darkening * step) * (1.0 - config.depth_darkening * below)

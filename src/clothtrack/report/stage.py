@@ -79,7 +79,8 @@ def scene_card(contents: SceneContents, config: SceneConfig | None = None) -> st
     points = _check("cloud", "observed points") if contents.clouds else ""
     return (
         '<section class="card scene"><header><b>In space</b><span class="meaning"></span></header>'
-        '<canvas tabindex="0" aria-label="Scene in three dimensions"></canvas>'
+        '<canvas tabindex="0" role="application" aria-label="Scene in three dimensions; shift and '
+        'arrow keys turn it, plus and minus come nearer, 0 returns"></canvas>'
         '<p class="no-webgl note" hidden>This browser shows no WebGL 2; the pictures need none.</p>'
         f'<div class="controls"><label{hidden}>Colours <select name="mode">{options}</select>'
         f"</label><label{hidden}>Opacity <input type='range' name='opacity' min='0.15' max='1' "
