@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from clothtrack.evaluation.truth import Truth
     from clothtrack.report.artefact_pages import IndexEntry
 
-MESH_SUFFIXES = (".obj", ".ply", ".stl")
 IMPORTED_SUFFIXES = (".bag", ".db3", ".mcap", ".mkv")
 VIEWED = (
     "view takes NAME.zarr that `track` wrote, a folder of them, a recording (a folder with "
@@ -46,6 +45,8 @@ def view(
             the index, with the reports beside it (index.html in that folder by default).
         port: of the local server, which listens on this machine only; any free one by default.
     """
+    from clothtrack.recordings.mesh_file import MESH_SUFFIXES
+
     # The address is in the log, and here it is what one wants to know.
     logging.getLogger("clothtrack.report").setLevel(logging.INFO)
     if artefact.suffix.lower() in MESH_SUFFIXES:
@@ -104,6 +105,8 @@ LOOKING_VERBS = (view, export)
 
 def _unknown(artefact: Path) -> str:
     """What `view` takes, what lies there instead, and what may have been meant."""
+    from clothtrack.recordings.mesh_file import MESH_SUFFIXES
+
     if not artefact.exists():
         return f"{artefact}: there is no such file or folder; {VIEWED}"
     if artefact.is_file():

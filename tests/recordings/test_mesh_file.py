@@ -10,7 +10,7 @@ from clothtrack.simulation.garments import garment
 TOWEL = garment("towel", vertex_count=60, size_m=(0.2, 0.2))
 
 
-@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
+@pytest.mark.parametrize("suffix", [*MESH_SUFFIXES, ".OBJ", ".STL"])
 def test_what_is_written_is_read(tmp_path, suffix):
     path = tmp_path / f"towel{suffix}"
     write_mesh(TOWEL, path)

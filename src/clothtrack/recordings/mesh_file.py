@@ -19,7 +19,7 @@ def require_mesh_format(path: Path) -> None:
     Raises:
         InvalidConfigError: naming those that are.
     """
-    if path.suffix not in MESH_SUFFIXES:
+    if path.suffix.lower() not in MESH_SUFFIXES:
         raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; choose .obj, .ply or .stl")
 
 
@@ -45,9 +45,9 @@ def read_mesh(path: Path) -> ClothMesh:
         InvalidMeshError: the file is missing, damaged, or no cloth.
     """
     require_mesh_format(path)
-    if path.suffix == ".obj":
+    if path.suffix.lower() == ".obj":
         return read_obj(path)
-    kind = path.suffix.removeprefix(".")
+    kind = path.suffix.lower().removeprefix(".")
     try:
         with path.open("rb") as file:
             found = trimesh.load_mesh(file, file_type=kind, process=kind == "stl")
