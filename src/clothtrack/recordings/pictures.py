@@ -25,6 +25,7 @@ _FAST = [
     *(cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
     *(getattr(cv2, name, 0) for name in ("IMWRITE_PNG_FILTER", "IMWRITE_PNG_FILTER_SUB")),
 ]
+_FAST_BY_ROWS = [*_FAST[:-1], getattr(cv2, "IMWRITE_PNG_FILTER_UP", 0)]
 _TORN = "the file breaks off; copy or record it again"
 
 
@@ -142,15 +143,23 @@ def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
     return points.astype(np.float64)
 
 
-def encode_png(picture: np.ndarray) -> bytes:
+def encode_png(picture: np.ndarray, *, by_rows: bool = False) -> bytes:
     """PNG file of a grey (8 or 16 bits) or colour (8 bits, red first) picture; lossless.
 
     Fast compression: a recording is written while the robot moves. Differences to the left
     neighbour, packed by run lengths and Huffman codes, cost half of what searching for repeated
     strings does, and on measured pictures take less room.
+
+    Args:
+        picture: to encode.
+        by_rows: differences to the pixel above instead. Cameras that interpolate or compress
+            along their rows leave less of them: pictures of two real depth cameras take 4 to
+            18 % less room and about 10 % less time, rendered ones up to twice the room.
     """
     ordered = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
-    done, data = cv2.imencode(".png", np.ascontiguousarray(ordered), _FAST)
+    done, data = cv2.imencode(
+        ".png", np.ascontiguousarray(ordered), _FAST_BY_ROWS if by_rows else _FAST
+    )
     assert done, "OpenCV refuses a picture whose shape and type were checked"
     return data.tobytes()
 
@@ -183,6 +192,17 @@ def check_chunks(path: Path, data: bytes) -> PngHeader:
         InvalidRecordingError: not a PNG, or it breaks off, or a byte was changed.
     """
     header = parse_header(path, data[:29], data[-len(_END) :])
+    for _ in png_chunks(path, data):
+        pass
+    return header
+
+
+def png_chunks(path: Path, data: bytes) -> Iterator[tuple[bytes, slice]]:
+    """Kind of every chunk of a PNG and where its content lies, when its checksum is right.
+
+    Raises:
+        InvalidRecordingError: it breaks off, or a byte was changed.
+    """
     position = len(SIGNATURE)
     while position < len(data):
         length = int.from_bytes(data[position : position + 4], "big")
@@ -194,8 +214,8 @@ def check_chunks(path: Path, data: bytes) -> PngHeader:
             raise InvalidRecordingError(
                 f"{path}: the file is damaged at byte {position}; copy or record it again"
             )
+        yield data[position + 4 : position + 8], slice(position + 8, stop)
         position = stop + 4
-    return header
 
 
 def parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:

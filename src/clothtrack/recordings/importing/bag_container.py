@@ -8,7 +8,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from clothtrack.recordings.importing.containers import (
     MOST_TOPICS,
-    BagFile,
+    ChunkedContainer,
     Message,
     Place,
     Topic,
@@ -21,13 +21,12 @@ _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
 _MOST_HEADER = 2**20
 
 
-class BagContainer:
+class BagContainer(ChunkedContainer):
     """A ROS 1 bag; its index is not read, so it need not have one."""
 
     def __init__(self, path: Path) -> None:
         """Open the bag."""
-        self.damage: str | None = None
-        self._file = BagFile(path)
+        super().__init__(path)
         self._topics: dict[int, Topic] = {}
 
     def topics(self) -> list[Topic]:
@@ -55,25 +54,6 @@ class BagContainer:
         except TornError:
             self.damage = f"the bag breaks off or is damaged at byte {position}"
 
-    def fetch(self, place: Place, most: int | None = None) -> bytes:
-        """The bytes of a message, or only the first `most`.
-
-        Raises:
-            TornError: they are not there.
-        """
-        size = place.size if most is None else min(most, place.size)
-        if place.chunk < 0:
-            return self._file.read(place.offset, size)
-        chunk = self._file.kept(place.chunk)
-        if chunk is None:
-            header, start, stop = self._record(self._file.read, place.chunk)
-            chunk = self._unpacked(place.chunk, header, start, stop)
-        return chunk[place.offset : place.offset + size]
-
-    def close(self) -> None:
-        """Let go of the file."""
-        self._file.close()
-
     def _chunk(
         self, position: int, header: dict[str, bytes], start: int, stop: int
     ) -> Iterator[Message]:
@@ -81,10 +61,11 @@ class BagContainer:
             # An open chunk that breaks off still gives the messages before the break.
             yield from self._inside(self._file.read, start, min(stop, self._file.size), -1)
         else:
-            chunk = self._unpacked(position, header, start, stop)
+            chunk = self._unpacked(position)
             yield from self._inside(_reader(chunk), 0, len(chunk), position)
 
-    def _unpacked(self, position: int, header: dict[str, bytes], start: int, stop: int) -> bytes:
+    def _unpacked(self, position: int) -> bytes:
+        header, start, stop = self._record(self._file.read, position)
         compression = header.get("compression", b"").decode("latin-1")
         size = struct.unpack("<I", _field(header, "size", 4))[0]
         return self._file.keep(

@@ -154,6 +154,45 @@ class BagFile:
         return self._chunks.get(position)
 
 
+class ChunkedContainer:
+    """What containers with compressed chunks have in common: how a message is fetched."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file.
+
+        Raises:
+            InvalidRecordingError: it cannot be opened.
+        """
+        self.damage: str | None = None
+        self._file = BagFile(path)
+
+    def fetch(self, place: Place, most: int | None = None) -> bytes:
+        """The bytes of a message, or only the first `most`.
+
+        Raises:
+            TornError: they are not there.
+        """
+        size = place.size if most is None else min(most, place.size)
+        if place.chunk < 0:
+            return self._file.read(place.offset, size)
+        chunk = self._file.kept(place.chunk)
+        if chunk is None:
+            chunk = self._unpacked(place.chunk)
+        return chunk[place.offset : place.offset + size]
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def _unpacked(self, position: int) -> bytes:
+        """The chunk at a position of the file, unpacked and remembered.
+
+        Raises:
+            TornError: it is not there, or damaged.
+        """
+        raise NotImplementedError
+
+
 def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
     """Decompressed bytes, never more than the limit.
 

@@ -114,14 +114,14 @@ def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
 
 
-def compressed_depth(message: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
-    """Depth of a CompressedImage of the transport `compressedDepth`, in whole units.
+def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
+    """The PNG in a CompressedImage of the transport `compressedDepth`.
 
-    Its PNG follows a head of 12 bytes; depth in floats was stored as a / z + b (the head says a
-    and b).
+    It follows a head of 12 bytes. With it what turns its numbers into metres, where depth was
+    measured in floats; else they are counts.
 
     Raises:
-        TornError: compressed otherwise, or damaged.
+        TornError: compressed otherwise.
     """
     form, data = str(message.format).lower(), bytes(message.data)
     start = data.find(SIGNATURE, 0, 64)
@@ -130,12 +130,27 @@ def compressed_depth(message: Any, unit_m: float) -> UInt16[np.ndarray, "height 
             f"depth in the format {message.format!r}; only compressedDepth as PNG keeps what was "
             "measured: record image_raw or image_raw/compressedDepth"
         )
-    counts = png_depth(data[start:])
     if not form.startswith("32fc1"):
-        return counts
+        return data[start:], None
     if start < _HEAD_BYTES:
         raise TornError("compressedDepth of floats without its head")
-    scale, shift = struct.unpack_from("<ff", data, start - 8)
+    return data[start:], struct.unpack_from("<ff", data, start - 8)
+
+
+def inverse_depth(
+    png: bytes, curve: tuple[float, float], unit_m: float
+) -> UInt16[np.ndarray, "height width"]:
+    """Depth, in whole units, of a PNG that stores a / z + b.
+
+    Args:
+        png: of 16-bit grey.
+        curve: a and b.
+        unit_m: metres per unit of the result.
+
+    Raises:
+        TornError: the PNG is damaged.
+    """
+    counts, (scale, shift) = png_depth(png), curve
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         metres = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
     return counts_of(np.where(counts > 0, metres, 0), unit_m)

@@ -17,6 +17,7 @@ from clothtrack.recordings.importing.bag_walk import is_bag
 from clothtrack.recordings.importing.containers import TornError
 from clothtrack.recordings.importing.intrinsics_file import read_json, rigid_matrix
 from clothtrack.recordings.importing.kinect import KinectSource, is_kinect
+from clothtrack.recordings.importing.packed_pictures import PackedPicture
 from clothtrack.recordings.importing.pairing import Pair, pair
 from clothtrack.recordings.importing.picker_paths import FrameWatcher
 from clothtrack.recordings.importing.png_folders import FolderSource, is_picture_folder
@@ -25,7 +26,7 @@ from clothtrack.recordings.importing.registration import Registration
 from clothtrack.recordings.importing.report import ImportReport
 from clothtrack.recordings.importing.reporting import report_of
 from clothtrack.recordings.importing.ros_bags import BagSource, bag_files
-from clothtrack.recordings.importing.source import Footage, Source, Wanted
+from clothtrack.recordings.importing.source import Content, Footage, Source, Wanted
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import ClothDescription
 from clothtrack.recordings.store import RecordingWriter
@@ -226,15 +227,31 @@ class _Job:
             return error
         return pool.submit(self._run, depth, color)
 
-    def _run(
-        self, depth: Callable[[], np.ndarray], color: Callable[[], np.ndarray] | None
-    ) -> _Encoded:
-        counts = self._registration.depth(depth())
-        picture = None if color is None else self._registration.color(color())
-        packed = None if picture is None else encode_png(picture)
-        if self._watcher is None:
-            return _Encoded(encode_png(counts), packed)
-        return _Encoded(encode_png(counts), packed, counts, picture)
+    def _run(self, depth: Callable[[], Content], color: Callable[[], Content] | None) -> _Encoded:
+        registration = self._registration
+        counts, packed = self._ready(depth(), registration.keeps_depth, registration.depth)
+        if color is None:
+            return _Encoded(packed, None, counts)
+        picture, shown = self._ready(color(), registration.keeps_color, registration.color)
+        return _Encoded(packed, shown, counts, picture)
+
+    def _ready(
+        self,
+        content: Content,
+        keeps: Callable[[tuple[int, int]], bool],
+        carry: Callable[[np.ndarray], np.ndarray],
+    ) -> tuple[np.ndarray | None, bytes]:
+        """The picture, if somebody watches, and its PNG: the source's own where it may stay."""
+        png = None
+        if isinstance(content, PackedPicture):
+            png = content.plain_png() if keeps(content.size) else None
+            if png is not None and self._watcher is None:
+                return None, png
+            content = content.decode()
+        carried = carry(content)
+        if png is None:
+            png = encode_png(carried, by_rows=True)
+        return None if self._watcher is None else carried, png
 
 
 def _in_order(

@@ -9,12 +9,12 @@ import numpy as np
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.recordings.importing.containers import TornError
-from clothtrack.recordings.importing.images import compressed_color
 from clothtrack.recordings.importing.intrinsics_file import read_intrinsics
 from clothtrack.recordings.importing.kinect_calibration import kinect_lenses
 from clothtrack.recordings.importing.lens import MOST_PIXELS
 from clothtrack.recordings.importing.matroska import MAGIC, MatroskaReader, Track
-from clothtrack.recordings.importing.source import Footage, Rig, Shot, Wanted
+from clothtrack.recordings.importing.packed_pictures import packed_color
+from clothtrack.recordings.importing.source import Content, Footage, Rig, Shot, Wanted
 
 _CALIBRATION = "calibration.json"
 _RAW_COLOR = {"NV12": (1.5, cv2.COLOR_YUV2RGB_NV12), "YUY2": (2.0, cv2.COLOR_YUV2RGB_YUY2),
@@ -44,12 +44,12 @@ class KinectSource:
             self.close()
             raise
 
-    def depth(self, shot: Shot) -> Callable[[], np.ndarray]:
+    def depth(self, shot: Shot) -> Callable[[], Content]:
         """A function that gives the counts of a depth picture."""
         data = self._file.fetch(shot.place)
         return partial(_depth, data, self._depth_track.width, self._depth_track.height)
 
-    def color(self, shot: Shot) -> Callable[[], np.ndarray]:
+    def color(self, shot: Shot) -> Callable[[], Content]:
         """A function that gives red, green and blue."""
         data = self._file.fetch(shot.place)
         assert self._color_track is not None
@@ -146,9 +146,9 @@ def _depth(data: bytes, width: int, height: int) -> np.ndarray:
     return np.frombuffer(data, ">u2").reshape(height, width).astype(np.uint16)
 
 
-def _color(data: bytes, track: Track, letters: str) -> np.ndarray:
+def _color(data: bytes, track: Track, letters: str) -> Content:
     if letters in ("MJPG", "JPEG"):
-        return compressed_color(data)
+        return packed_color(data)
     if letters not in _RAW_COLOR:
         raise TornError(f"colour of the kind {letters!r}; known are MJPG, {', '.join(_RAW_COLOR)}")
     share, conversion = _RAW_COLOR[letters]

@@ -119,7 +119,8 @@ class Lens:
         pixels = np.stack([columns.ravel(), rows.ravel()], 1)[:, None]
         if self.straight:
             rays = (pixels[:, 0] - (self.cx, self.cy)) / (self.fx, self.fy)
-            return rays.reshape(self.height + 1, self.width + 1, 2).astype(np.float32)
+            with np.errstate(over="ignore"):
+                return rays.reshape(self.height + 1, self.width + 1, 2).astype(np.float32)
         coefficients = np.array(self.distortion)
         if self.fisheye:
             rays = cv2.fisheye.undistortPoints(pixels, self.matrix, coefficients)

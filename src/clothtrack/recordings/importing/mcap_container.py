@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 from clothtrack.recordings.importing.containers import (
     MOST_BYTES,
     MOST_TOPICS,
-    BagFile,
+    ChunkedContainer,
     Message,
     Place,
     Topic,
@@ -27,13 +27,12 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
 
-class McapContainer:
+class McapContainer(ChunkedContainer):
     """An MCAP file of ROS 2 or ROS 1 messages."""
 
     def __init__(self, path: Path) -> None:
         """Open the file."""
-        self.damage: str | None = None
-        self._file = BagFile(path)
+        super().__init__(path)
         self._schemas: dict[int, str] = {}
         self._topics: dict[int, Topic] = {}
 
@@ -61,24 +60,6 @@ class McapContainer:
             pass
         if not whole:
             self.damage = f"the file breaks off or is damaged at byte {position}"
-
-    def fetch(self, place: Place, most: int | None = None) -> bytes:
-        """The bytes of a message, or only the first `most`.
-
-        Raises:
-            TornError: they are not there.
-        """
-        size = place.size if most is None else min(most, place.size)
-        if place.chunk < 0:
-            return self._file.read(place.offset, size)
-        chunk = self._file.kept(place.chunk)
-        if chunk is None:
-            chunk = self._unpacked(place.chunk)
-        return chunk[place.offset : place.offset + size]
-
-    def close(self) -> None:
-        """Let go of the file."""
-        self._file.close()
 
     def _chunk_head(self, start: int) -> tuple[str, int, int, int, int]:
         """Compression, bytes inside and their CRC; where the packed bytes start and how many."""

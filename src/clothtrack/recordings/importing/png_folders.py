@@ -11,10 +11,11 @@ import numpy as np
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.recordings.importing.containers import MOST_BYTES, TornError
-from clothtrack.recordings.importing.images import compressed_color, png_depth
+from clothtrack.recordings.importing.images import png_depth
 from clothtrack.recordings.importing.intrinsics_file import Intrinsics, read_intrinsics, read_json
 from clothtrack.recordings.importing.lens import Lens
-from clothtrack.recordings.importing.source import Footage, Rig, Shot, Wanted
+from clothtrack.recordings.importing.packed_pictures import packed_color, packed_depth
+from clothtrack.recordings.importing.source import Content, Footage, Rig, Shot, Wanted
 
 _DEPTH_FOLDERS = ("depth",)
 _COLOR_FOLDERS = ("rgb", "color", "image", "images")
@@ -56,13 +57,13 @@ class FolderSource:
             streams["colour"] = f"{len(color)} files"
         self.footage = Footage(kind, rig, depth, color, streams, notes)
 
-    def depth(self, shot: Shot) -> Callable[[], np.ndarray]:
+    def depth(self, shot: Shot) -> Callable[[], Content]:
         """A function that gives the counts of a depth picture."""
-        return partial(png_depth, self._bytes(shot))
+        return partial(packed_depth, self._bytes(shot))
 
-    def color(self, shot: Shot) -> Callable[[], np.ndarray]:
+    def color(self, shot: Shot) -> Callable[[], Content]:
         """A function that gives red, green and blue."""
-        return partial(compressed_color, self._bytes(shot))
+        return partial(packed_color, self._bytes(shot))
 
     def close(self) -> None:
         """Nothing is kept open."""

@@ -30,12 +30,35 @@ class Registration:
         self._lock = threading.Lock()
         if self.carried:
             rays = rig.depth.corner_rays()
-            self._corners = wp.array(rays, dtype=wp.vec2, device="cpu")
-            self._painted = np.empty((2, self.lens.width * self.lens.height), dtype=np.int32)
-            self._pixels = [wp.array(one, device="cpu", copy=False) for one in self._painted]
-            pose = rig.color_from_depth
-            self._rotation = wp.mat33(*pose[:3, :3].ravel().tolist())
-            self._translation = wp.vec3(*pose[:3, 3].tolist())
+            ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
+            # The lens is in there already: pixels times depth, and depth, in units.
+            project = self.lens.matrix @ rig.color_from_depth[:3]
+            shift = project[:, 3] / rig.depth_unit_m
+            self._shift = wp.vec3(*shift.tolist())
+            with np.errstate(over="ignore", invalid="ignore"):
+                corners = (ahead @ project[:, :3].T).astype(np.float32)
+            self._corners = wp.array(corners, dtype=wp.vec3, device="cpu")
+            self._painted = np.empty((self.lens.height, self.lens.width), dtype=np.int32)
+            self._pixels = wp.array(self._painted.ravel(), device="cpu", copy=False)
+
+    def keeps_depth(self, size: tuple[int, int]) -> bool:
+        """Whether depth pictures of this width and height pass through.
+
+        Raises:
+            TornError: they have another size than their lens.
+        """
+        _check_size(size, self._rig.depth)
+        return not self.carried and self._rig.depth.straight
+
+    def keeps_color(self, size: tuple[int, int]) -> bool:
+        """Whether colour pictures of this width and height pass through.
+
+        Raises:
+            TornError: they have another size than their lens.
+        """
+        lens = self._rig.color or self._rig.depth
+        _check_size(size, lens)
+        return lens.straight
 
     def depth(self, counts: UInt16[np.ndarray, "_ _"]) -> UInt16[np.ndarray, "_ _"]:
         """The depth picture of the recording's camera, in the same units.
@@ -44,7 +67,7 @@ class Registration:
             TornError: the picture has another size than its lens.
         """
         lens = self._rig.depth
-        _check_size(counts, lens)
+        _check_size(counts.shape[1::-1], lens)
         if not self.carried:
             return lens.straighten(counts, nearest=True)
         # One launch at a time: the buffers are shared, and Warp does not like several threads.
@@ -52,26 +75,19 @@ class Registration:
             self._painted.fill(FARTHEST)
             wp.launch(
                 splat,
-                dim=counts.shape,
+                dim=counts.shape[0],
                 inputs=[
                     wp.array(np.ascontiguousarray(counts), device="cpu", copy=False),
                     self._corners,
-                    self._rotation,
-                    self._translation,
-                    self._rig.depth_unit_m,
-                    wp.vec2(self.lens.fx, self.lens.fy),
-                    wp.vec2(self.lens.cx, self.lens.cy),
+                    self._shift,
                     self.lens.width,
                     self.lens.height,
-                    *self._pixels,
+                    self._pixels,
                 ],
                 device="cpu",
             )
-            nearest, around = self._painted
-            np.copyto(nearest, around, where=nearest == FARTHEST)
-            np.copyto(nearest, 0, where=nearest == FARTHEST)
-            carried = nearest.astype(np.uint16)
-        return carried.reshape(self.lens.height, self.lens.width)
+            # The low 16 bits: what was not painted has none.
+            return self._painted.astype(np.uint16)
 
     def color(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
         """The colour picture without distortion.
@@ -80,14 +96,13 @@ class Registration:
             TornError: the picture has another size than its lens.
         """
         lens = self._rig.color or self._rig.depth
-        _check_size(picture, lens)
+        _check_size(picture.shape[1::-1], lens)
         return lens.straighten(picture)
 
 
-def _check_size(picture: np.ndarray, lens: Lens) -> None:
-    height, width = picture.shape[:2]
-    if (width, height) != lens.size:
+def _check_size(size: tuple[int, ...], lens: Lens) -> None:
+    if size != lens.size:
         raise TornError(
-            f"a picture of {width} x {height} pixels, but the intrinsics are for {lens.width} x "
+            f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are for {lens.width} x "
             f"{lens.height}; give those of this size with --intrinsics FILE"
         )

@@ -4,7 +4,10 @@ from typing import no_type_check
 
 import warp as wp
 
-FARTHEST = 2147483647
+# Beyond every painted value; its low 16 bits are 0, which is "no depth".
+FARTHEST = 0x7FFF0000
+# Added to what only reaches a pixel: every rectangle that covers the pixel comes before it.
+_BEHIND = wp.constant(0x10000)
 _WIDEST = 32
 # Less than half a pixel, so that pictures whose pixels coincide gain nothing.
 _REACH = wp.constant(0.49)
@@ -12,67 +15,88 @@ _REACH = wp.constant(0.49)
 
 @no_type_check
 @wp.func
-def paint(
-    left: float,
-    right: float,
-    top: float,
-    bottom: float,
-    value: int,
+def splat_pixel(
+    count: float,
+    low: wp.vec3,
+    high: wp.vec3,
+    shift: wp.vec3,
     width: int,
     height: int,
-    nearest: wp.array(dtype=wp.int32),
+    painted: wp.array(dtype=wp.int32),
 ):
-    """Give every pixel centre in a rectangle the value, unless it has a nearer one."""
-    first, last = int(wp.max(wp.ceil(left), 0.0)), int(wp.min(wp.ceil(right), float(width)))
-    upper, lower = int(wp.max(wp.ceil(top), 0.0)), int(wp.min(wp.ceil(bottom), float(height)))
-    last, lower = wp.min(last, first + _WIDEST), wp.min(lower, upper + _WIDEST)
-    for y in range(upper, lower):
-        for x in range(first, last):
-            wp.atomic_min(nearest, y * width + x, value)
+    """Paint one pixel as the rectangle between two opposite corners, carried over at its depth.
+
+    Every pixel centre in the rectangle gets the depth, the nearest wins. Neighbours on a slanted
+    surface drift apart by a fraction of a pixel: so the rectangle reaches almost half a pixel
+    farther on every side, but stands there behind every rectangle that covers the pixel itself.
+    """
+    one, other = count * low + shift, count * high + shift
+    # What is not a number is not greater either.
+    if not (one[2] > 0.0 and other[2] > 0.0):
+        return
+    value = int(0.5 * (one[2] + other[2]) + 0.5)
+    if value < 1 or value > 65535:
+        return
+    near, far = 1.0 / one[2], 1.0 / other[2]
+    u, v, s, t = one[0] * near, one[1] * near, other[0] * far, other[1] * far
+    left, right, top, bottom = wp.min(u, s), wp.max(u, s), wp.min(v, t), wp.max(v, t)
+    if not (right > -1.0 and left < float(width) and bottom > -1.0 and top < float(height)):
+        return
+    # Beyond the picture there is nothing to paint, and no whole number large enough.
+    left, right = wp.max(left, -1.0), wp.min(right, float(width))
+    top, bottom = wp.max(top, -1.0), wp.min(bottom, float(height))
+    # In whole pixels from here on: the rectangle, and what it reaches.
+    first, last = int(wp.ceil(left)), int(wp.ceil(right))
+    upper, lower = int(wp.ceil(top)), int(wp.ceil(bottom))
+    start = wp.max(int(wp.ceil(left - _REACH)), 0)
+    stop = wp.min(wp.min(int(wp.ceil(right + _REACH)), width), start + _WIDEST)
+    above = wp.max(int(wp.ceil(top - _REACH)), 0)
+    below = wp.min(wp.min(int(wp.ceil(bottom + _REACH)), height), above + _WIDEST)
+    behind = value + _BEHIND
+    y = above
+    while y < below:
+        covered = value
+        if y < upper or y >= lower:
+            covered = behind
+        x = start
+        while x < stop:
+            wp.atomic_min(
+                painted, y * width + x, wp.where(x >= first and x < last, covered, behind)
+            )
+            x += 1
+        y += 1
 
 
 @no_type_check
 @wp.kernel
 def splat(
     counts: wp.array2d(dtype=wp.uint16),
-    corners: wp.array2d(dtype=wp.vec2),
-    rotation: wp.mat33,
-    translation: wp.vec3,
-    unit_m: float,
-    focal: wp.vec2,
-    center: wp.vec2,
+    corners: wp.array2d(dtype=wp.vec3),
+    shift: wp.vec3,
     width: int,
     height: int,
-    nearest: wp.array(dtype=wp.int32),
-    around: wp.array(dtype=wp.int32),
+    painted: wp.array(dtype=wp.int32),
 ):
-    """Paint every measured pixel as the rectangle that it covers in the other picture.
+    """Paint every measured pixel of a row; the low 16 bits of what is painted are the depth.
 
-    Two opposite corners of the pixel are carried over at the pixel's depth; all pixel centres
-    between them get it, the nearest depth wins. Neighbours on a slanted surface drift apart by a
-    fraction of a pixel: `around` has the same rectangles, almost half a pixel larger on every side.
+    Args:
+        counts: depth [units].
+        corners: rays through the corners of the pixels, times rotation and the other lens.
+        shift: translation to the other camera, times its lens [units].
+        width: of the other picture [pixels].
+        height: of the other picture [pixels].
+        painted: its pixels, FARTHEST at first.
     """
-    row, column = wp.tid()
-    count = int(counts[row, column])
-    if count == 0:
-        return
-    depth = float(count) * unit_m
-    low, high = corners[row, column], corners[row + 1, column + 1]
-    one = rotation * wp.vec3(low[0] * depth, low[1] * depth, depth) + translation
-    other = rotation * wp.vec3(high[0] * depth, high[1] * depth, depth) + translation
-    # What is not a number is not greater either.
-    if not (one[2] > 0.0 and other[2] > 0.0):
-        return
-    value = int(0.5 * (one[2] + other[2]) / unit_m + 0.5)
-    if value < 1 or value > 65535:
-        return
-    u, v = focal[0] * one[0] / one[2] + center[0], focal[1] * one[1] / one[2] + center[1]
-    s, t = focal[0] * other[0] / other[2] + center[0], focal[1] * other[1] / other[2] + center[1]
-    left, right = wp.min(u, s), wp.max(u, s)
-    top, bottom = wp.min(v, t), wp.max(v, t)
-    if not (right > -1.0 and left < float(width) and bottom > -1.0 and top < float(height)):
-        return
-    paint(left, right, top, bottom, value, width, height, nearest)
-    paint(
-        left - _REACH, right + _REACH, top - _REACH, bottom + _REACH, value, width, height, around
-    )
+    row = wp.tid()
+    for column in range(counts.shape[1]):
+        count = int(counts[row, column])
+        if count > 0:
+            splat_pixel(
+                float(count),
+                corners[row, column],
+                corners[row + 1, column + 1],
+                shift,
+                width,
+                height,
+                painted,
+            )

@@ -17,7 +17,8 @@ from clothtrack.recordings.importing.containers import Container, Topic, TornErr
 from clothtrack.recordings.importing.intrinsics_file import read_intrinsics
 from clothtrack.recordings.importing.lens import Lens
 from clothtrack.recordings.importing.messages import decode, lens_of, payload
-from clothtrack.recordings.importing.source import Footage, Rig, Shot, Wanted
+from clothtrack.recordings.importing.packed_pictures import packed_color, packed_depth
+from clothtrack.recordings.importing.source import Content, Footage, Rig, Shot, Wanted
 from clothtrack.recordings.importing.topics import (
     COMPRESSED,
     base_name,
@@ -73,12 +74,12 @@ class BagSource:
             self.close()
             raise
 
-    def depth(self, shot: Shot) -> Callable[[], np.ndarray]:
+    def depth(self, shot: Shot) -> Callable[[], Content]:
         """A function that gives the counts of a depth picture."""
         data = payload(self._parts[shot.place.part], shot.place)
         return partial(_decode_depth, self._depth_topic, data, self._rig.depth_unit_m)
 
-    def color(self, shot: Shot) -> Callable[[], np.ndarray]:
+    def color(self, shot: Shot) -> Callable[[], Content]:
         """A function that gives red, green and blue."""
         assert self._color_topic is not None
         data = payload(self._parts[shot.place.part], shot.place)
@@ -217,17 +218,18 @@ class BagSource:
         return tree.lookup(world, camera, np.array([shot.time_ns]))[0]
 
 
-def _decode_depth(topic: Topic, data: bytes, unit_m: float) -> np.ndarray:
+def _decode_depth(topic: Topic, data: bytes, unit_m: float) -> Content:
     message = decode(topic, data)
     if topic.kind == COMPRESSED:
-        return images.compressed_depth(message, unit_m)
+        png, curve = images.depth_png(message)
+        return packed_depth(png) if curve is None else images.inverse_depth(png, curve, unit_m)
     return images.raw_depth(message, unit_m)
 
 
-def _decode_color(topic: Topic, data: bytes) -> np.ndarray:
+def _decode_color(topic: Topic, data: bytes) -> Content:
     message = decode(topic, data)
     if topic.kind == COMPRESSED:
-        return images.compressed_color(bytes(message.data))
+        return packed_color(bytes(message.data))
     return images.raw_color(message)
 
 

@@ -9,7 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.recordings.importing.lens import Lens
+from clothtrack.recordings.importing.packed_pictures import PackedPicture
 from clothtrack.recordings.recording import PickerPath
+
+# Pixels, or the file that holds them.
+Content = np.ndarray | PackedPicture
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +82,14 @@ class Footage:
 
 @runtime_checkable
 class Source(Protocol):
-    """An opened source. `depth` and `color` take bytes now and decode them when called."""
+    """An opened source. `depth` and `color` take bytes now; what they return does the work."""
 
     @property
     def footage(self) -> Footage:
         """What the source holds."""
         ...
 
-    def depth(self, shot: Shot) -> Callable[[], np.ndarray]:
+    def depth(self, shot: Shot) -> Callable[[], Content]:
         """A function that gives the counts of a depth picture; may be called in another thread.
 
         Raises:
@@ -93,7 +97,7 @@ class Source(Protocol):
         """
         ...
 
-    def color(self, shot: Shot) -> Callable[[], np.ndarray]:
+    def color(self, shot: Shot) -> Callable[[], Content]:
         """A function that gives red, green and blue; may be called in another thread.
 
         Raises:
