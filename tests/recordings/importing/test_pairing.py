@@ -58,8 +58,23 @@ def test_the_tolerance_that_is_proposed_is_enough():
     depth, color = shots([0.0, 100.0]), shots([163.4567])
     with pytest.raises(InvalidRecordingError) as caught:
         pair(FILM, depth, color, 0.01)
-    proposed = float(str(caught.value).partition("--tolerance-s ")[2].partition(",")[0])
+    proposed = float(str(caught.value).partition("--tolerance-s ")[2].split()[0])
     assert len(pair(FILM, depth, color, proposed).pairs) == 1
+
+
+def test_a_constant_offset_is_met_by_the_tolerance_that_is_proposed():
+    """One pair is near by chance; the flag in the report takes in the other ones."""
+    depth = np.arange(10) * 100.0
+    color = depth + 60.0
+    color[0] = 10.0
+    paired = pair(FILM, shots(depth[:9]), shots(np.append(color[:1], color[1:] - 120.0)), 0.02)
+    assert len(paired.pairs) == 1
+    proposed, count = paired.advice.split()[1], int(paired.advice.split()[3])
+    assert count == 8
+    more = pair(FILM, shots(depth[:9]), shots(np.append(color[:1], color[1:] - 120.0)),
+                float(proposed))  # fmt: skip
+    assert len(more.pairs) == 9
+    assert more.advice == ""
 
 
 def test_faster_colour_and_doubles_are_counted():

@@ -66,9 +66,10 @@ def test_the_genuine_recording(data, tmp_path):
     assert (later > 0).mean() == pytest.approx(0.93, abs=0.005)
     assert np.median(later[later > 0]) == pytest.approx(1.478, abs=0.001)
 
-    with pytest.raises(InvalidRecordingError, match="--tolerance-s"):
+    with pytest.raises(InvalidRecordingError, match=r"--tolerance-s 0\.103 for 1 frame") as caught:
         import_recording(source, tmp_path / "both")
-    both = import_recording(source, tmp_path / "both", ImportConfig(tolerance_s=0.11))
+    proposed = float(str(caught.value).partition("--tolerance-s ")[2].split()[0])
+    both = import_recording(source, tmp_path / "both", ImportConfig(tolerance_s=proposed))
     assert both.frames == 1
     assert inspect(tmp_path / "both").valid
     carried = read_depth(tmp_path / "both" / "depth" / "000000.png", 0.001)

@@ -31,6 +31,7 @@ class Pairing:
         color_alone: colour pictures without a depth picture.
         doubles: depth pictures with the time of another.
         worst_s: the largest difference between two pictures of a moment [s].
+        advice: the tolerance that would take more pictures in, and how many; "" when none would.
     """
 
     pairs: tuple[Pair, ...]
@@ -39,6 +40,7 @@ class Pairing:
     color_alone: int
     doubles: int
     worst_s: float
+    advice: str = ""
 
 
 def pair(
@@ -79,11 +81,11 @@ def pair(
     apart = np.abs(times - other_times[mine])
     mutual = yours[mine] == np.arange(len(times))
     chosen = np.flatnonzero(mutual & (apart <= tolerance))
+    advice = _advice(apart[mutual & (apart > tolerance)])
     if not len(chosen):
         raise InvalidRecordingError(
             f"{path}: no colour picture within {tolerance / 1e6:.1f} ms of a depth picture; the "
-            f"nearest is {apart.min() / 1e6:.1f} ms away; give "
-            f"--tolerance-s {np.ceil(apart.min() / 1e6 + 0.5) / 1e3:.3f}, or --without-color"
+            f"nearest is {apart.min() / 1e6:.1f} ms away; give {advice}, or --without-color"
         )
     return Pairing(
         tuple(Pair(single[k], others[mine[k]]) for k in chosen.tolist()),
@@ -92,6 +94,23 @@ def pair(
         len(others) - len(chosen),
         doubles,
         float(apart[chosen].max()) / 1e9,
+        advice,
+    )
+
+
+def _advice(apart: np.ndarray) -> str:
+    """The flag that takes in half of the pairs that are too far apart [ns], and what it costs.
+
+    Half: a constant offset between two clocks is met, a gap in one of the films is not.
+    """
+    if not len(apart):
+        return ""
+    tolerance_ms = float(np.ceil(np.median(apart) / 1e6 + 0.5))
+    count = int((apart <= tolerance_ms * 1e6).sum())
+    frames = "1 frame" if count == 1 else f"{count} frames"
+    return (
+        f"--tolerance-s {tolerance_ms / 1e3:.3f} for {frames} more, if nothing moves much in "
+        f"{tolerance_ms:.0f} ms"
     )
 
 

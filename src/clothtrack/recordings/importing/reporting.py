@@ -73,7 +73,10 @@ def _registration(footage: Footage, registration: Registration) -> str:
 def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
     dropped = []
     if pairing.depth_alone:
-        dropped.append(f"{pairing.depth_alone} depth pictures without colour near enough in time")
+        advice = f" ({pairing.advice})" if pairing.advice else ""
+        dropped.append(
+            f"{pairing.depth_alone} depth pictures without colour near enough in time{advice}"
+        )
     if pairing.color_alone:
         dropped.append(f"{pairing.color_alone} colour pictures without depth near enough in time")
     if pairing.doubles:
