@@ -3,7 +3,8 @@
     python experiments/picker_from_pictures.py --out out/picker_from_pictures
 
 The films are those of `clothtrack simulate`, with a coloured tip and an exactly recorded path; the
-table goes into docs/own_recording.md. `--smoke` films one small towel.
+table goes into docs/own_recording.md. `--films 2` stops after two, each row is written when it is
+there; `--smoke` films one small towel.
 """
 
 import argparse
@@ -43,10 +44,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for films and rows")
     parser.add_argument("--smoke", action="store_true", help="one small towel")
+    parser.add_argument("--films", type=int, default=len(FILMS), help="only the first ones")
     options = parser.parse_args(arguments)
     quiet_warp()
     config = EpisodeConfig(**EXACT)
-    films = FILMS
+    films = FILMS[: options.films]
     if options.smoke:
         action, sensor = ActionConfig(frame_rate=20.0), SensorConfig()
         config = replace(SMALL_WORLD, action=action, sensor=sensor, **EXACT)
@@ -57,8 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not folder.exists():
             simulate_trajectory(kind, seed, options.out, config=config, tip_color=tip)
         rows.append(measured(folder, options.out / "truth" / f"{folder.name}.npz", tip))
-    lines = "".join(json.dumps(row) + "\n" for row in rows)
-    (options.out / "picker_from_pictures.jsonl").write_text(lines, encoding="utf-8")
+        lines = "".join(json.dumps(row) + "\n" for row in rows)
+        (options.out / "picker_from_pictures.jsonl").write_text(lines, encoding="utf-8")
     sys.stdout.write(markdown(rows))
     return 0
 

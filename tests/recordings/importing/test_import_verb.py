@@ -80,6 +80,41 @@ def test_wrong_sources_are_named(kind, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_path_and_the_table_share_one_world(source, tmp_path, capsys):
+    """Import, calibrate aside, import again: the order that the report tells."""
+    path, camera = tmp_path / "path.csv", tmp_path / "camera.json"
+    path.write_text("time,x,y,z\n0,0,0,0.5\n0.1,0,0,0.5\n")
+    words = ["import", str(source), str(tmp_path / "one"), "--picker-csv", str(path)]
+    assert cli.main(words) == 0
+    told = capsys.readouterr().out
+    assert f"next: clothtrack calibrate-camera {tmp_path / 'one'} --output camera.json" in told
+    assert "import again with --world-from-camera camera.json" in told
+    table = {"point": [0.0, 0.0, 0.1], "normal": [0.0, 0.0, 1.0]}
+    pose = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1]]
+    camera.write_text(json.dumps({"world_from_camera": pose, "table": table}))
+    words = ["import", str(source), str(tmp_path / "two"), "--picker-csv", str(path),
+             "--world-from-camera", str(camera)]  # fmt: skip
+    assert cli.main(words) == 0
+    assert "calibrate-camera" not in capsys.readouterr().out
+    recording = read_recording(tmp_path / "two")
+    assert recording.table.point.tolist() == table["point"]
+    assert recording.table.normal.tolist() == table["normal"]
+    assert recording.cameras[0].world_from_camera.tolist() == pose
+
+
+@pytest.mark.parametrize(
+    "table", [{}, [1], {"point": [0, 0], "normal": [0, 0, 1]}, {"point": "a", "normal": "b"},
+              {"point": [0, 0, 0], "normal": [0, 0, 2]}],
+)  # fmt: skip
+def test_a_wrong_table_is_named(table, source, tmp_path, capsys):
+    camera = tmp_path / "camera.json"
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    camera.write_text(json.dumps({"world_from_camera": pose, "table": table}))
+    words = ["import", str(source), str(tmp_path / "out"), "--world-from-camera", str(camera)]
+    assert cli.main(words) == 1
+    assert "table" in capsys.readouterr().err
+
+
 def test_an_existing_recording_is_not_touched(source, tmp_path, capsys):
     (tmp_path / "out").mkdir()
     assert cli.main(["import", str(source), str(tmp_path / "out")]) == 1

@@ -28,7 +28,7 @@ from clothtrack.recordings.importing.reporting import report_of
 from clothtrack.recordings.importing.ros_bags import BagSource, bag_files
 from clothtrack.recordings.importing.source import Content, Footage, Source, Wanted
 from clothtrack.recordings.pictures import encode_png
-from clothtrack.recordings.recording import ClothDescription
+from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
 
 _MOST_WORKERS = 4
@@ -45,7 +45,8 @@ class ImportConfig:
         picker_csv: CSV file with the picker's path.
         picker_clock: clock of that file: the recording's (0 = first frame) or the source's.
         actions: first and last frame of every action, such as "10-50".
-        world_from_camera: JSON file with the pose of the colour camera in the world, 4 x 4.
+        world_from_camera: JSON file with the pose of the colour camera in the world, 4 x 4, and
+            perhaps the table: what `clothtrack calibrate-camera --output` writes.
         camera_name: the camera's name in the recording.
         cloth_kind: "towel", "tshirt" or "other".
         cloth_color: named colour of the cloth.
@@ -128,7 +129,9 @@ def import_recording(
         footage = opened.footage
         pairing = pair(source, footage.depth, footage.color, config.tolerance_s)
         start_ns = pairing.pairs[0].depth.time_ns
-        pose, known = _world_from_camera(config, footage)
+        pose, table = _world(config, footage)
+        known = pose is not None
+        pose = np.eye(4) if pose is None else pose
         paths, told = placed_paths(
             source, footage, config.picker_csv, config.picker_clock, pose=pose, start_ns=start_ns,
             posed=known,
@@ -140,6 +143,7 @@ def import_recording(
             folder,
             [camera],
             {camera.name: footage.rig.depth_unit_m},
+            table=table,
             cloth=cloth,
             provenance=_provenance(source, footage),
         ) as writer:
@@ -160,7 +164,8 @@ def import_recording(
     return report_of(
         source, folder, footage, pairing, registration,
         camera=camera, times=times, damaged=damaged, paths=paths, actions=actions,
-        notes=[*told, *notes], posed=known, color_named=config.cloth_color is not None,
+        notes=[*told, *notes], posed=known, table=table is not None,
+        color_named=config.cloth_color is not None,
     )  # fmt: skip
 
 
@@ -305,19 +310,37 @@ def _check(config: ImportConfig, folder: Path) -> None:
         raise InvalidConfigError("--picker-topic and --picker-frame: give one of them")
 
 
-def _world_from_camera(
+def _world(
     config: ImportConfig, footage: Footage
-) -> tuple[Float[np.ndarray, "4 4"], bool]:
-    """The camera's pose, and whether anybody knows it."""
+) -> tuple[Float[np.ndarray, "4 4"] | None, Table | None]:
+    """The camera's pose and the table, as far as anybody knows them."""
     file = config.world_from_camera
-    if file is not None:
-        content = read_json(file)
-        if isinstance(content, dict):
-            content = content.get("world_from_camera")
-        return rigid_matrix(f"{file}: world_from_camera", content), True
-    if footage.world_from_camera is not None:
-        return footage.world_from_camera, True
-    return np.eye(4), False
+    if file is None:
+        return footage.world_from_camera, None
+    content = read_json(file)
+    table = None
+    if isinstance(content, dict):
+        table = _table(file, content.get("table"))
+        content = content.get("world_from_camera")
+    return rigid_matrix(f"{file}: world_from_camera", content), table
+
+
+def _table(file: Path, content: object) -> Table | None:
+    if content is None:
+        return None
+    try:
+        point, normal = (np.array(content[name], dtype=float) for name in ("point", "normal"))
+        length = np.linalg.norm(normal)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidConfigError(f"{file}: table has no point and normal of 3 numbers") from error
+    if point.shape != (3,) or normal.shape != (3,) or not (
+        np.isfinite(point).all() and 0.99 < length < 1.01
+    ):  # fmt: skip
+        raise InvalidConfigError(
+            f"{file}: table.point {point.tolist()} and table.normal {normal.tolist()}; write 3 "
+            "numbers [m] and a unit vector that points up"
+        )
+    return Table(point, normal / length)
 
 
 def _camera(

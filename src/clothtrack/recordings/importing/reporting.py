@@ -26,6 +26,7 @@ def report_of(
     actions: Sequence[PickAndPlace],
     notes: Sequence[str],
     posed: bool,
+    table: bool,
     color_named: bool,
 ) -> ImportReport:
     """What was found, left out and is missing."""
@@ -53,12 +54,19 @@ def report_of(
         actions=[(one.first_frame, one.last_frame) for one in actions],
         missing=_missing(
             folder, footage, pickers=bool(paths), actions=bool(actions), posed=posed,
-            color_named=color_named,
+            table=table, color_named=color_named,
         ),
         next_command=(
-            f"clothtrack inspect {folder}" if posed else f"clothtrack calibrate-camera {folder}"
+            f"clothtrack inspect {folder}"
+            if posed
+            else f"clothtrack calibrate-camera {folder}{_aside(paths)}"
         ),
     )  # fmt: skip
+
+
+def _aside(pickers: object) -> str:
+    """Where calibration goes when a path stands in the present world: not into the recording."""
+    return " --output camera.json" if pickers else ""
 
 
 def _registration(footage: Footage, registration: Registration) -> str:
@@ -89,15 +97,26 @@ def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
 
 
 def _missing(
-    folder: Path, footage: Footage, *, pickers: bool, actions: bool, posed: bool, color_named: bool
+    folder: Path,
+    footage: Footage,
+    *,
+    pickers: bool,
+    actions: bool,
+    posed: bool,
+    table: bool,
+    color_named: bool,
 ) -> list[str]:
     missing = []
     if not posed:
+        again = (
+            "; then import again with --world-from-camera camera.json, so that the picker's path "
+            "stands in the same world"
+        )  # fmt: skip
         missing.append(
-            "the table and the camera's pose (world_from_camera): "
-            f"clothtrack calibrate-camera {folder} finds both"
+            "the table and the camera's pose (world_from_camera): clothtrack calibrate-camera "
+            f"{folder}{_aside(pickers)} finds both{again if pickers else ''}"
         )
-    else:
+    elif not table:
         missing.append(f"the table: clothtrack calibrate-camera {folder} finds it")
     if not pickers:
         missing.append(
