@@ -120,8 +120,9 @@ def _missing(
         missing.append(f"the table: clothtrack calibrate-camera {folder} finds it")
     if not pickers:
         missing.append(
-            "the picker's path: import again with --picker-csv, --picker-topic or --picker-frame, "
-            "or write picker.csv (docs/data_format.md)"
+            f"the picker's path: clothtrack find-picker {folder} --tip-color NAME finds it in the "
+            "pictures; or write picker.csv (docs/data_format.md), or import again with "
+            "--picker-csv, --picker-topic or --picker-frame"
         )
     elif not actions:
         missing.append(
