@@ -17,7 +17,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from docs_screenshots import READY, TURN, opened, save
+from docs_screenshots import READY, TURN, WIDTH_PX, opened, save
 from figures import say, write_png
 from jaxtyping import UInt8
 
@@ -25,10 +25,10 @@ from clothtrack import cli
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.report.palette import OUTSIDE, PICKER_CLOSED, PICKER_OPEN, rgb255
+from clothtrack.report.palette import HIDDEN, OUTSIDE, PICKER_CLOSED, rgb255
 
 SQUARE_M = 0.05
-NEAR_M = 0.004
+NEAR_M = 0.002
 
 
 def main() -> None:
@@ -54,7 +54,7 @@ def walk(film: Recording, place: Path, image: Callable[[str], Path]) -> None:
     write_png(image("table"), shown)
     sheet = place / "masks.png"
     run("segment", towel, "--click", 320, 240, "--keep", "--sheet", sheet)
-    shutil.copy(sheet, image("masks"))
+    write_png(image("masks"), smaller(read_color(sheet)))
     run("find-picker", towel, "--tip-color", "pink")
     run("inspect", towel)
     run("track", towel, "--output", place / "tracked")
@@ -74,6 +74,14 @@ def run(*words: object) -> None:
     done = cli.main([str(word) for word in words])
     if done:
         raise SystemExit(done)
+
+
+def smaller(
+    picture: UInt8[np.ndarray, "height width 3"],
+) -> UInt8[np.ndarray, "rows columns 3"]:
+    """As wide as a document wants it."""
+    height = round(WIDTH_PX * picture.shape[0] / picture.shape[1])
+    return cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
 
 
 def strip(film: Recording, folder: Path) -> Path:
@@ -112,7 +120,7 @@ def table_picture(recording: Recording) -> UInt8[np.ndarray, "height width 3"]:
     lines += [((reach[0], y), (reach[-1], y)) for y in reach]
     for ends in lines:
         cv2.line(picture, *pixels(recording, ends), (255, 255, 255), 1, cv2.LINE_AA)
-    for end, color in (((0.1, 0), rgb255(PICKER_CLOSED)), ((0, 0.1), rgb255(PICKER_OPEN))):
+    for end, color in (((0.1, 0), rgb255(PICKER_CLOSED)), ((0, 0.1), rgb255(HIDDEN))):
         cv2.arrowedLine(picture, *pixels(recording, ((0, 0), end)), color, 3, cv2.LINE_AA)
     return picture
 
