@@ -28,7 +28,7 @@ from clothtrack.recordings.store import read_recording
 from clothtrack.report.palette import HIDDEN, OUTSIDE, PICKER_CLOSED, rgb255
 
 SQUARE_M = 0.05
-NEAR_M = 0.002
+NEAR_M = 0.003
 
 
 def main() -> None:
@@ -114,7 +114,7 @@ def table_picture(recording: Recording) -> UInt8[np.ndarray, "height width 3"]:
     flat = np.abs(points @ pose[2, :3] + pose[2, 3]) < NEAR_M
     tint = np.array(rgb255(OUTSIDE))
     chosen = rows[flat], columns[flat]
-    picture[chosen] = (0.6 * picture[chosen] + 0.4 * tint).astype(np.uint8)
+    picture[chosen] = (0.45 * picture[chosen] + 0.55 * tint).astype(np.uint8)
     reach = np.arange(-4, 5) * SQUARE_M
     lines = [((x, reach[0]), (x, reach[-1])) for x in reach]
     lines += [((reach[0], y), (reach[-1], y)) for y in reach]

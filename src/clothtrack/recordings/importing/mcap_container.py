@@ -107,12 +107,12 @@ class McapContainer(ChunkedContainer):
                 self._learn(kind, self._file.read(begin, length))
             position = begin + length
 
-    def _unpacked(self, start: int) -> bytes:
-        compression, inside, crc, data, packed = self._chunk_head(start)
+    def _unpacked(self, position: int) -> bytes:
+        compression, inside, crc, data, packed = self._chunk_head(position)
         chunk = unpack(self._file.read(data, packed), compression, inside)
         if crc and zlib.crc32(chunk) != crc:
             raise TornError("a chunk's checksum differs")
-        return self._file.keep(start, chunk)
+        return self._file.keep(position, chunk)
 
     def _message(self, head: bytes, start: int, length: int, chunk: int) -> Iterator[Message]:
         if len(head) < _MESSAGE_HEAD.size:
