@@ -109,7 +109,7 @@ def _missing(
     missing = []
     if not posed:
         again = (
-            "; then import again with --world-from-camera camera.json, so that the picker's path "
+            "; then import again with --world-from-camera camera.json, so that the path "
             "stands in the same world"
         )  # fmt: skip
         missing.append(
