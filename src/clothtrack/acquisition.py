@@ -53,7 +53,8 @@ def import_(
         fps: pictures per second, for folders without time stamps.
         tolerance_s: how far apart colour and depth may be; half the time between depth pictures
             by default.
-        world_from_camera: JSON file with the colour camera's pose in the world, 4 x 4, metres.
+        world_from_camera: JSON file with the colour camera's pose in the world, 4 x 4, metres, and
+            with the table where `calibrate-camera --output` wrote it.
         world_frame: TF frame that is the world.
         picker_csv: the picker's path: picker.csv, or time,x,y,z[,closed] in seconds and metres.
         picker_clock: clock of that file: 0 is the first frame, or the source's time stamps.
