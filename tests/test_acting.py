@@ -37,6 +37,47 @@ def test_wishes_that_exclude_each_other_are_usage_errors(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_what_cannot_be_read_is_refused_before_a_start_is_made(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("clothtrack.reconstruction.depth_input.shipped_weights", lambda kind: None)
+    bad = tmp_path / "bad.safetensors"
+    bad.write_bytes(b"not weights")
+    out = tmp_path / "out"
+    for words, told in (
+        ([], "no weights for 'towel'"),
+        (["--weights", str(bad)], "not a whole safetensors file"),
+        (["--set", f"perception.weights={tmp_path / 'none'}"], "no such weights"),
+        (
+            ["--perception", "truth", "--dynamics", "mesh", "--dynamics-weights", str(bad)],
+            "not a whole safetensors file",
+        ),
+        (["--perception", "truth", "--episodes", "0"], "--episodes is 0"),
+        (["--robot", "dry-run", "--recording", str(tmp_path), "--policy", "random"], "recording"),
+    ):
+        assert cli.main(["flatten", str(out), *words]) == 1
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert told in line
+    words = ["improve", str(bad), "--output", str(out)]
+    assert cli.main(words) == 1
+    assert "not a whole safetensors file" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(tmp_path, capsys):
+    from clothtrack.recordings.pictures import read_depth
+    from clothtrack.recordings.store import read_recording
+    from clothtrack.world.episodes import SMALL_WORLD, simulate
+
+    (folder,) = simulate(tmp_path / "world", "towel", 1, config=SMALL_WORLD)
+    frame = read_recording(folder).frames[-1]
+    (path,) = frame.depth.values()
+    assert read_depth(path, 0.001).any()
+    path.write_bytes(b"no picture")
+    words = ["flatten", str(tmp_path / "plan"), "--robot", "dry-run", "--policy", "heuristic"]
+    assert cli.main([*words, "--recording", str(folder)]) == 1
+    assert path.name in capsys.readouterr().err
+    assert not (tmp_path / "plan").exists()
+
+
 def test_a_dry_run_without_a_mesh_needs_a_recording_only(tmp_path, capsys):
     from clothtrack.world.episodes import SMALL_WORLD, simulate
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from clothtrack import self_improvement
-from clothtrack.errors import ClothTrackError
+from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.pipeline import RunConfig
 from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
 from clothtrack.planning.flattening import FlattenConfig
@@ -70,6 +70,7 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
 def test_too_few_labels_are_told(tmp_path, monkeypatch):
     weights = tmp_path / "towel.safetensors"
     weights.write_bytes(b"weights")
+    monkeypatch.setattr(self_improvement, "_require_inputs", lambda *_, **__: None)
     monkeypatch.setattr(self_improvement, "_flattened", lambda *_, **__: [0.1, 0.3])
     monkeypatch.setattr(self_improvement, "_labelled", lambda *_, **__: [tmp_path / "one"])
     with pytest.raises(ClothTrackError, match="1 of 2 episodes"):
@@ -93,6 +94,7 @@ def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
         path.write_bytes(path.name.encode())
         return path
 
+    monkeypatch.setattr(self_improvement, "_require_inputs", lambda *_, **__: None)
     monkeypatch.setattr(self_improvement, "_flattened", flattened)
     monkeypatch.setattr(self_improvement, "_labelled", lambda *_, **__: [tmp_path, tmp_path])
     monkeypatch.setattr(self_improvement, "_tuned", tuned)
@@ -100,3 +102,32 @@ def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
     assert [name for name, _ in asked] == ["w0", "w1", "w2"]
     assert len({starts for _, starts in asked}) == 1
     assert [row["mean"] for row in curve] == pytest.approx([0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"), [({"rounds": -1}, "rounds"), ({"episodes": 1}, "labelled episodes")]
+)
+def test_rounds_that_cannot_end_well_are_refused(asked, told):
+    with pytest.raises(InvalidConfigError, match=told):
+        ImprovementConfig(**asked)
+
+
+def test_what_cannot_be_read_is_refused_before_anything_is_written(tmp_path):
+    torch.manual_seed(0)
+    good, bad = tmp_path / "good.safetensors", tmp_path / "bad.safetensors"
+    save_weights(
+        good, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
+    )
+    bad.write_bytes(good.read_bytes()[:100])
+    out, config = tmp_path / "out", ImprovementConfig()
+    learned = replace(config, flatten=FlattenConfig(dynamics="mesh", dynamics_weights=str(bad)))
+    for weights, kind, asked, old in (
+        (bad, "towel", config, None),
+        (tmp_path / "none.safetensors", "towel", config, None),
+        (good, "tshirt", config, None),
+        (good, "towel", learned, None),
+        (good, "towel", config, tmp_path / "no_states"),
+    ):
+        with pytest.raises(InvalidResultError):
+            improve_rounds(weights, out, kind, asked, old=old)
+    assert not out.exists()

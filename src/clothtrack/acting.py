@@ -79,9 +79,17 @@ def flatten(
         complain("--recording is for --robot dry-run; the simulated robot has its own camera")
         return 2
     from clothtrack.planning.flattening import improvement
-    from clothtrack.planning.simulated_episodes import SimulatedEpisode, flatten_simulated
+    from clothtrack.planning.simulated_episodes import (
+        SimulatedEpisode,
+        flatten_simulated,
+        shared_parts,
+    )
     from clothtrack.report.flattening_page import write_flattening_report
 
+    if episodes < 1:
+        raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
+    # Before the first start is made and the page is served: weights may be missing.
+    parts = shared_parts(garment, config, device=device)
     told = []
     with ExitStack() as until_done:
         watch = None
@@ -92,7 +100,9 @@ def flatten(
             watch = until_done.enter_context(watched_live(port))
         for number in range(episodes):
             episode = SimulatedEpisode(garment, seed + number)
-            store = flatten_simulated(output, episode, config, device=device, watch=watch)
+            store = flatten_simulated(
+                output, episode, config, parts=parts, device=device, watch=watch
+            )
             page = write_flattening_report(store, output / f"{episode.label}.html")
             gained = improvement(store.steps)
             told.append({**_summary(store), "improvement": gained, "report": str(page)})
@@ -273,11 +283,14 @@ def _dry_run(
     from clothtrack.planning.flattening import EpisodeScene, Flattening, dynamics_of, flat_area
     from clothtrack.planning.perception import perception_of
     from clothtrack.planning.robot import MotionLimits
+    from clothtrack.planning.seen import seen_area
     from clothtrack.recordings.store import read_recording
 
     source = read_recording(recording)
     if source.table is None:
         raise InvalidConfigError(f"{recording}: it has no table; flattening needs one")
+    # Refuses a picture that cannot be read, or shows no cloth, before anything is written.
+    seen_area(source, source.frames[-1])
     planned = config.policy == "planned"
     robot = DryRunRobot(
         pictures_of(source), output, limits=MotionLimits(workspace=config.planner.space.workspace)

@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clothtrack.artefacts import load_tracked
-from clothtrack.errors import ClothTrackError
+from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.learning import pseudo_labels_of
 from clothtrack.pipeline import RunConfig, track_recordings
-from clothtrack.planning.flattening import FlattenConfig, improvement
+from clothtrack.planning.flattening import FlattenConfig, dynamics_of, improvement
 from clothtrack.planning.simulated_episodes import (
-    EpisodeParts,
     SimulatedEpisode,
     flatten_simulated,
+    shared_parts,
 )
 from clothtrack.planning.simulated_robot import SimulatedRobotConfig
 from clothtrack.recordings.store import read_recording
@@ -72,6 +72,21 @@ class ImprovementConfig:
     track: RunConfig = field(default_factory=RunConfig)
     finetune: "LearningConfig" = field(default_factory=_finetune)
 
+    def __post_init__(self) -> None:
+        """Refuse rounds that cannot end well before the first is begun.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        if self.rounds < 0:
+            raise InvalidConfigError(f"rounds is {self.rounds}; give at least 0")
+        fewest = 2 if self.rounds else 1
+        if self.episodes < fewest:
+            raise InvalidConfigError(
+                f"episodes is {self.episodes}; give at least {fewest}: fine-tuning needs two "
+                "labelled episodes, one of them to select by"
+            )
+
 
 def improve_rounds(
     weights: Path,
@@ -100,8 +115,10 @@ def improve_rounds(
         Per round: mean and deviation of the normalised improvement, and the weights' digest.
 
     Raises:
+        InvalidResultError: the weights or the old states cannot be read; nothing is written.
         ClothTrackError: a stage fails.
     """
+    _require_inputs(weights, kind, config, old=old, device=device)
     curve: list[dict[str, Any]] = []
     labels: list[Path] = []
     for number in range(config.rounds + 1):
@@ -135,6 +152,25 @@ def improve_rounds(
     return curve
 
 
+def _require_inputs(
+    weights: Path, kind: str, config: ImprovementConfig, *, old: Path | None, device: str
+) -> None:
+    """Refuse now what a round would trip over hours later."""
+    from clothtrack.reconstruction.depth_input import load_model
+    from clothtrack.reconstruction.processes import require_torch_device
+    from clothtrack.world.state_store import open_states
+
+    require_torch_device(device)
+    load_model(kind, weights, device=device)
+    dynamics_of(config.flatten, device=device)
+    if old is not None:
+        states = open_states(old)
+        if states.kind != kind:
+            raise InvalidConfigError(
+                f"{old}: its states are of a {states.kind!r}, not of a {kind!r}; name others"
+            )
+
+
 def _flattened(
     folder: Path,
     starts: Path,
@@ -147,14 +183,16 @@ def _flattened(
 ) -> list[float]:
     """Normalised improvement of each episode with these weights."""
     perceived = replace(config.flatten.perception, weights=str(weights))
+    flatten = replace(config.flatten, perception=perceived)
+    parts = shared_parts(kind, flatten, starts=starts, device=device)
     gained = []
     for number in range(config.episodes):
         store = flatten_simulated(
             folder,
             SimulatedEpisode(kind, seed + number),
-            replace(config.flatten, perception=perceived),
+            flatten,
             robot_config=config.robot,
-            parts=EpisodeParts(starts=starts),
+            parts=parts,
             device=device,
         )
         gained.append(improvement(store.steps)[-1])

@@ -92,19 +92,15 @@ def flatten_simulated(
 
     Raises:
         InvalidConfigError: `out` holds an episode of this name with other settings.
+        InvalidResultError: weights are missing, damaged or of another garment; nothing is written.
         SimulationDivergedError: the physics does.
         StorageError: the disk refuses.
     """
     parts = parts or EpisodeParts()
     name = episode.label
     robot = SimulatedRobot(episode.kind, episode.seed, robot_config)
-    worlds = _Worlds(robot, out / "worlds" / name)
-    if not (out / "episodes" / name / "episode.json").exists():
-        start = (parts.starts or out / "starts") / f"{episode.kind}_{episode.seed:04d}.npz"
-        begin(robot, start)
-    flat, _ = robot.true_cloth()
-    flat_area_m2 = projected_area(flat.vertices, flat.faces)
     dynamics, perception = parts.dynamics, parts.perception
+    # Before anything is written: weights that cannot be read are refused here.
     if config.policy == "planned":
         dynamics = dynamics or dynamics_of(config, device=device)
         # A control asks this robot, so that it cannot be shared.
@@ -112,6 +108,12 @@ def flatten_simulated(
             perception = perception_of(
                 episode.kind, config.perception, true_cloth=robot.true_cloth, device=device
             )
+    worlds = _Worlds(robot, out / "worlds" / name)
+    if not (out / "episodes" / name / "episode.json").exists():
+        start = (parts.starts or out / "starts") / f"{episode.kind}_{episode.seed:04d}.npz"
+        begin(robot, start)
+    flat, _ = robot.true_cloth()
+    flat_area_m2 = projected_area(flat.vertices, flat.faces)
 
     def score() -> float:
         mesh, positions = robot.true_cloth()
@@ -135,6 +137,29 @@ def flatten_simulated(
     )
     _write_truth(out / "truth" / f"{name}.npz", robot, store, worlds)
     return store
+
+
+def shared_parts(
+    kind: GarmentKind, config: FlattenConfig, *, starts: Path | None = None, device: str = "cpu"
+) -> EpisodeParts:
+    """What episodes of one garment can share; weights that cannot be read are refused here.
+
+    Args:
+        kind: the garment.
+        config: how it is flattened.
+        starts: folder of crumpled starts.
+        device: where to compute.
+
+    Raises:
+        InvalidConfigError: something is asked for that there is not.
+        InvalidResultError: weights are missing, damaged or of another garment.
+    """
+    if config.policy != "planned":
+        return EpisodeParts(starts=starts)
+    perception = None
+    if config.perception.name != "truth":
+        perception = perception_of(kind, config.perception, device=device)
+    return EpisodeParts(perception, dynamics_of(config, device=device), starts)
 
 
 def begin(robot: SimulatedRobot, start: Path) -> None:
