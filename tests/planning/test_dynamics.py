@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.dynamics import (
@@ -10,6 +11,7 @@ from clothtrack.planning.dynamics import (
     MotionConfig,
     PlannedCloth,
     PlanningDynamics,
+    SimulatorConfig,
     SimulatorDynamics,
     held_vertex,
 )
@@ -85,3 +87,11 @@ def test_ways_end_at_the_place_and_wait_there():
     for index, action in ((0, INWARDS), (2, ASIDE)):
         beside = LYING.positions[held.vertices[index]] - action.pick
         np.testing.assert_allclose(held.ways[index, -1], action.place + beside, atol=1e-9)
+
+
+def test_batches_of_candidates_that_last_alike_change_nothing_but_the_wait(dynamics):
+    asked = [INWARDS, None, ASIDE, MISSED]
+    apart = SimulatorDynamics(SimulatorConfig(together=1)).predict(LYING, asked)
+    np.testing.assert_allclose(apart, dynamics.predict(LYING, asked), atol=2e-3)
+    with pytest.raises(InvalidConfigError, match="together"):
+        SimulatorConfig(together=0)
