@@ -31,7 +31,7 @@ from figures import say
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.pipeline import commit
+from clothtrack.origin import commit
 from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flattening import FlattenConfig, improvement
@@ -140,7 +140,12 @@ def methods(options: argparse.Namespace) -> list[Method]:
         if options.dynamics:
             found.append(Method(f"{name}, learned dynamics", replace(seen["network"], **learned)))
     if options.only:
-        found = [one for one in found if any(one.name.startswith(name) for name in options.only)]
+        known = {one.name for one in found}
+        found = [
+            one for one in found
+            if any(one.name == name if name in known else one.name.startswith(name)
+                   for name in options.only)
+        ]  # fmt: skip
     return found
 
 
@@ -235,18 +240,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for method in chosen
             ]
             make_starts(tasks, options.workers)
-            rows = [row for part in finished_in_workers(run, tasks, options.workers)
-                    for row in noted(part)]  # fmt: skip
+            order = [one.name for one in chosen]
+            rows: list[Row] = []
+            for part in finished_in_workers(run, tasks, options.workers):
+                rows += noted(part)
+                rows.sort(key=lambda row: (order.index(row["variant"]), row["recording"]))
+                # After each episode: a run that is stopped leaves a table of what it had.
+                write_rows(rows, out / f"{NAME}.jsonl")
         except ClothTrackError as error:
             sys.stderr.write(f"{error}\n")
             return 1
-        order = [one.name for one in chosen]
-        rows.sort(key=lambda row: (order.index(row["variant"]), row["recording"]))
-        write_rows(rows, out / f"{NAME}.jsonl")
         if options.smoke:
             say("Smoke run: a napkin, two actions, a network that has learned nothing.\n\n")
-        title = __doc__.splitlines()[0]
-        say(f"{title}\n\n{tables.markdown(NAME, read_rows(out / f'{NAME}.jsonl'))}")
+        say(f"{__doc__.splitlines()[0]}\n")
+        for kind in dict.fromkeys(task.episode.kind for task in tasks):
+            own = [row for row in read_rows(out / f"{NAME}.jsonl") if row["kind"] == kind]
+            say(f"\n{kind}\n\n{tables.markdown(NAME, own)}")
     return 1 if not rows or all("error" in row for row in rows) else 0
 
 
@@ -306,7 +315,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--tuned", type=Path, help="of the fine-tuned network")
     parser.add_argument("--dynamics", type=Path, help="of the learned mesh dynamics")
     parser.add_argument("--film", action="store_true", help="pictures all through the actions")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="methods, or their beginnings")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NAME", help="methods by name, or by how their names begin"
+    )
     parser.add_argument(
         "--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
         help="of all methods, such as planner.candidates=300",

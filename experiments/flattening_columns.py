@@ -26,20 +26,23 @@ FLATTENING_PAIRED = {"flattening": (IMPROVEMENT,)}
 PRETRAINED, TUNED, BOUND = "pretrained", "fine-tuned", "control: truth, simulator"
 
 
+def curve_values(rows: Sequence[Row], variant: str) -> tuple[list[int], list[float]]:
+    """Actions of a method, and the mean normalised improvement after each."""
+    of: dict[int, list[float]] = {}
+    for row in rows:
+        if row["variant"] == variant:
+            of.setdefault(int(row["action"]), []).append(float(row["improvement"]))
+    actions = sorted(of)
+    return actions, [float(np.mean(of[action])) for action in actions]
+
+
 def curve(rows: Sequence[Row], variants: Sequence[str]) -> str:
     """Mean normalised improvement after each action; an episode that ended stays where it was."""
     actions = sorted({int(row["action"]) for row in rows})
     lines = []
     for variant in variants:
-        line = [variant]
-        for action in actions:
-            chosen = [
-                float(row["improvement"])
-                for row in rows
-                if (row["variant"], row["action"]) == (variant, action)
-            ]
-            line.append(f"{np.mean(chosen):.3f}" if chosen else "-")
-        lines.append(line)
+        means = dict(zip(*curve_values(rows, variant), strict=True))
+        lines.append([variant, *(f"{means[n]:.3f}" if n in means else "-" for n in actions)])
     return table(["method", *map(str, actions)], lines)
 
 
@@ -55,10 +58,15 @@ def targets(rows: Sequence[Row]) -> str:
         (TUNED, BOUND, "fine-tuned over the upper bound", "0.80 or more"),
     ):
         both = [name for name in values[ours] if name in values[theirs]]
-        below = float(np.mean([values[theirs][name] for name in both])) if both else 0.0
-        if below > 0.0:
-            above = float(np.mean([values[ours][name] for name in both]))
-            told.append(f"- {words}: {above / below:.2f} (target: {target})")
+        pairs = np.array([(values[ours][name], values[theirs][name]) for name in both])
+        if not len(pairs) or pairs[:, 1].mean() <= 0.0:
+            continue
+        gap = pairs[:, 0] - pairs[:, 1]
+        spread = f" ± {gap.std(ddof=1) / np.sqrt(len(gap)):.3f}" if len(gap) > 1 else ""
+        told.append(
+            f"- {words}: {pairs[:, 0].mean() / pairs[:, 1].mean():.2f} (target: {target}); "
+            f"{gap.mean():+.3f}{spread} over {len(gap)} shared starts"
+        )
     if values[TUNED]:
         mean = float(np.mean(list(values[TUNED].values())))
         told.append(f"- fine-tuned: {mean:.3f} (target: 0.45 or more)")

@@ -1,0 +1,98 @@
+"""The flattening experiment: which methods, what its table says, and its figure."""
+
+import cv2
+import flattening
+import flattening_figure
+import numpy as np
+import pytest
+import tables
+from bench_runs import write_rows
+
+from clothtrack.errors import InvalidConfigError
+
+METHODS = {"random": 0.1, "control: truth, simulator": 0.5, "pretrained": 0.3, "fine-tuned": 0.45}
+USED, EPISODES = 2, 3
+
+
+def rows_of(method, gained, hashed):
+    return [
+        {
+            "experiment": "flattening", "variant": method, "recording": f"tshirt_900{episode}",
+            "kind": "tshirt", "split": "", "action": action, "actions": USED, "stage": "after",
+            "improvement": (gained + 0.1 * episode) * action / USED, "share": 0.5,
+            "seen_share": 0.5, "start_share": 0.4, "used": USED, "missed": 0.0,
+            "expected_m2": 0.01, "gain_m2": 0.01, "perception_cpu_s": 1.0, "decision_cpu_s": 5.0,
+            "control": method.startswith("control"),
+            "provenance": {"config_hash": hashed, "commit": "0", "clothtrack": "0"},
+        }
+        for episode in range(EPISODES)
+        for action in range(1, USED + 1)
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def rows():
+    return [row for n, (name, gained) in enumerate(METHODS.items())
+            for row in rows_of(name, gained, f"{n:010d}")]  # fmt: skip
+
+
+def names(*words):
+    return [one.name for one in flattening.methods(flattening.parse(["--out", "out", *words]))]
+
+
+def test_methods_without_their_weights_are_left_out_and_some_can_be_chosen():
+    everything = names("--weights", "w", "--tuned", "t", "--dynamics", "d")
+    assert len(everything) == len(set(everything))
+    without = names()
+    assert set(without) < set(everything)
+    assert not [name for name in without if name.startswith(("pretrained", "fine-tuned"))]
+    assert names("--only", "random", "heuristic") == ["random", "heuristic"]
+    assert names("--only", "control: truth, simulator") == ["control: truth, simulator"]
+    assert len(names("--only", "control")) > 1
+    assert flattening.parse(["--out", "out"]).kind == ["tshirt"]
+    both = flattening.parse(["--out", "out", "--kind", "tshirt", "--kind", "towel"])
+    assert both.kind == ["tshirt", "towel"]
+
+
+def test_the_table_tells_pairs_the_curve_and_the_targets(rows):
+    told = tables.markdown("flattening", rows)
+    assert "Paired by recording, minus *random*" in told
+    # Means of the three episodes: gained + 0.1.
+    assert "fine-tuned over pretrained: 1.38" in told
+    assert "+0.150 ± 0.000 over 3 shared starts" in told
+    assert "fine-tuned over the upper bound: 0.92" in told
+    assert "fine-tuned: 0.550 (target: 0.45 or more)" in told
+    (line,) = [line for line in told.splitlines() if line.startswith("| pretrained | 0.2")]
+    assert line == "| pretrained | 0.200 | 0.400 |"
+
+
+def test_the_figure_shows_the_best_the_median_and_the_worst(rows, tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="the extra [experiments] brings it")
+    assert flattening_figure.chosen_episodes(rows, "fine-tuned") == {
+        "best": "tshirt_9002", "median": "tshirt_9001", "worst": "tshirt_9000"
+    }  # fmt: skip
+    with pytest.raises(InvalidConfigError, match="no rows"):
+        flattening_figure.chosen_episodes(rows, "none")
+    write_rows(rows, tmp_path / "flattening.jsonl")
+    arguments = ["--out", str(tmp_path), "--image", str(tmp_path / "figure.png")]
+    assert flattening_figure.main(arguments) == 1
+    assert "no strip" in capsys.readouterr().err
+    width, height = flattening_figure.TILE
+    strips = tmp_path / "flattening" / "0000000003" / "strips"
+    strips.mkdir(parents=True)
+    for episode in range(EPISODES):
+        strip = np.full((height, 4 * width, 3), 60 * episode, np.uint8)
+        cv2.imwrite(str(strips / f"tshirt_900{episode}.png"), strip)
+    assert flattening_figure.main(arguments) == 0
+    assert (tmp_path / "figure.png").stat().st_size > 10_000
+
+
+def test_a_long_episode_is_shown_from_its_first_picture_to_its_last():
+    width, height = flattening_figure.TILE
+    tones = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    strip = np.repeat(np.repeat(tones, height, axis=0), width, axis=1)
+    line = flattening_figure.episode_line(np.stack([strip] * 3, axis=-1), used=10, most=6)
+    shown = line[0, width // 2 :: width, 0]
+    assert shown.tolist() == [0, 2, 4, 6, 8, 10]
+    short = flattening_figure.episode_line(np.stack([strip] * 3, axis=-1), used=1, most=6)
+    assert short[0, width // 2 :: width, 0].tolist() == [0, 1, 255, 255, 255, 255]
