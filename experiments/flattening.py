@@ -43,6 +43,7 @@ from clothtrack.planning.simulated_episodes import (
     flatten_simulated,
 )
 from clothtrack.planning.simulated_robot import SimulatedRobotConfig
+from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.report.flattening_page import write_film_strip
 from clothtrack.tracking.settings import with_settings
 from clothtrack.workers import finished_in_workers
@@ -289,18 +290,18 @@ def noted(rows: list[Row]) -> list[Row]:
 
 
 def tiny_network(path: Path) -> Path | None:
-    """Weights of a network that has learned nothing; None where PyTorch is not installed."""
-    try:
-        import torch
-        from learning_experiment import TINY
-
-        from clothtrack.reconstruction.checkpoint import save_weights
-        from clothtrack.reconstruction.model import MeshReconstructor
-    except ImportError:
+    """Weights of a network that has learned nothing; None where [learn] is not installed."""
+    if missing_modules():
         return None
+    import torch
+
+    from clothtrack.reconstruction.checkpoint import save_weights
+    from clothtrack.reconstruction.configuration import TINY_NETWORK
+    from clothtrack.reconstruction.model import MeshReconstructor
+
     torch.manual_seed(0)
-    model = MeshReconstructor(TINY, "towel")
-    save_weights(path, model.state_dict(), TINY, kind="towel")
+    model = MeshReconstructor(TINY_NETWORK, "towel")
+    save_weights(path, model.state_dict(), TINY_NETWORK, kind="towel")
     return path
 
 
