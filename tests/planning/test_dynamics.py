@@ -95,3 +95,13 @@ def test_batches_of_candidates_that_last_alike_change_nothing_but_the_wait(dynam
     np.testing.assert_allclose(apart, dynamics.predict(LYING, asked), atol=2e-3)
     with pytest.raises(InvalidConfigError, match="together"):
         SimulatorConfig(together=0)
+
+
+def test_a_fine_cloth_says_which_layer_is_on_top():
+    """Two layers: the coarse mesh has no vertex of the upper one near, the fine one has."""
+    fine = np.array([[0.1, 0.1, 0.02], [0.1, 0.1, 0.0], [-0.1, -0.1, 0.0]])
+    stands_for = np.array([7, 3, 5])
+    known = PlannedCloth(FLAT, LYING.positions, fine=fine, stands_for=stands_for)
+    assert held_vertex(known, INWARDS) == 7
+    elsewhere = PickPlace(np.array([0.0, 0.0, 0.0]), CORNER, 0.05)
+    assert held_vertex(known, elsewhere) == held_vertex(LYING, elsewhere)

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.closest_point import closest_on_mesh
@@ -54,6 +55,8 @@ class Coarsener:
 
     Attributes:
         flat: the coarse garment at rest [m].
+        stands_for: for each vertex of the fine garment, the coarse one nearest to it in the flat
+            garment; None: they are the same.
     """
 
     def __init__(self, flat: ClothMesh, kind: str, config: CoarseConfig | None = None) -> None:
@@ -68,6 +71,7 @@ class Coarsener:
         self._faces = flat.faces
         self._face_of: np.ndarray | None = None
         self.flat = flat
+        self.stands_for: Int[np.ndarray, " fine_vertices"] | None = None
         if kind not in DEFAULT_SIZES_M or flat.canonical is None:
             return
         width, length = (float(side) for side in np.ptp(flat.canonical[:, :2], axis=0))
@@ -82,6 +86,7 @@ class Coarsener:
             points.astype(np.float64), flat.canonical.astype(np.float64), flat.faces
         )
         self.flat = coarse
+        self.stands_for = cKDTree(points).query(flat.canonical)[1]
 
     def __call__(
         self, positions: Float[np.ndarray, "vertices 3"]
