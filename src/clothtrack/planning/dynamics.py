@@ -203,6 +203,27 @@ class SimulatorConfig:
             raise InvalidConfigError(f"together is {self.together}; give at least 1")
 
 
+def screening_simulator() -> SimulatorConfig:
+    """Searches for contacts less often, which takes 0.6 of the time: to choose finalists with."""
+    usual = SimulatorConfig()
+    return replace(usual, solver=replace(usual.solver, rebuild_s=0.025))
+
+
+def several_materials(usual: ClothParameters, count: int, seed: int) -> list[ClothParameters]:
+    """The usual material, and others drawn around it: what a cloth is made of is not known."""
+    rng = np.random.default_rng(seed)
+    drawn = [
+        ClothParameters(
+            stretch_compliance=usual.stretch_compliance,
+            bend_compliance=float(np.exp(rng.uniform(np.log(3.0), np.log(300.0)))),
+            table_friction=float(rng.uniform(0.3, 0.9)),
+            particle_friction=float(rng.uniform(0.25, 0.75)),
+        )
+        for _ in range(count - 1)
+    ]
+    return [usual, *drawn]
+
+
 class SimulatorDynamics:
     """The cloth solver as dynamics: every candidate is one environment.
 

@@ -16,7 +16,13 @@ import numpy as np
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.actions import PickPlace, farthest_corner, sample_actions
-from clothtrack.planning.dynamics import PlanningDynamics, SimulatorConfig, SimulatorDynamics
+from clothtrack.planning.dynamics import (
+    PlanningDynamics,
+    SimulatorConfig,
+    SimulatorDynamics,
+    screening_simulator,
+    several_materials,
+)
 from clothtrack.planning.episode_store import EpisodeStore, write_step
 from clothtrack.planning.perception import (
     Estimate,
@@ -31,7 +37,6 @@ from clothtrack.planning.seen import seen_area, seen_cloth
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
-from clothtrack.simulation.parameters import ClothParameters
 
 logger = logging.getLogger(__name__)
 
@@ -52,6 +57,7 @@ class FlattenConfig:
         dynamics_weights: file with the weights of the learned dynamics.
         materials: materials of the simulator that a gain is the mean over; 1: the usual one.
         simulator: the solver as dynamics.
+        screening: the solver that rates all candidates where finalists are rated anew.
         planner: how an action is chosen.
         actions: most actions of an episode (paper: 10).
         enough: an episode ends when the cloth covers this share of the flat garment's area.
@@ -62,8 +68,9 @@ class FlattenConfig:
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     dynamics: Literal["simulator", "mesh"] = "simulator"
     dynamics_weights: str = ""
-    materials: int = 1
+    materials: int = 3
     simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
+    screening: SimulatorConfig = field(default_factory=screening_simulator)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     actions: int = 10
     enough: float = 0.95
@@ -162,21 +169,11 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningD
                 "train-dynamics"
             )
         return [load_mesh_dynamics(Path(config.dynamics_weights), device=device)]
-    usual = config.simulator.parameters
-    rng = np.random.default_rng(_OF_EPISODES)
-    drawn = [
-        ClothParameters(
-            stretch_compliance=usual.stretch_compliance,
-            bend_compliance=float(np.exp(rng.uniform(np.log(3.0), np.log(300.0)))),
-            table_friction=float(rng.uniform(0.3, 0.9)),
-            particle_friction=float(rng.uniform(0.25, 0.75)),
-        )
-        for _ in range(config.materials - 1)
-    ]
-    return [
-        SimulatorDynamics(replace(config.simulator, parameters=one), device=device)
-        for one in (usual, *drawn)
-    ]
+    materials = several_materials(config.simulator.parameters, config.materials, _OF_EPISODES)
+    asked = [replace(config.simulator, parameters=one) for one in materials]
+    if config.planner.finalists:
+        asked.insert(0, config.screening)
+    return [SimulatorDynamics(one, device=device) for one in asked]
 
 
 class Flattening:
