@@ -111,7 +111,7 @@ def methods(options: argparse.Namespace) -> list[Method]:
     if options.smoke:
         quick = SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1))
         base = FlattenConfig(
-            actions=2, simulator=quick, screening=quick,
+            actions=2, simulator=quick,
             planner=PlannerConfig(candidates=10, finalists=3),
         )  # fmt: skip
     base = with_settings(base, options.settings)
@@ -124,10 +124,7 @@ def methods(options: argparse.Namespace) -> list[Method]:
             replace(base, perception=TRUTH, planner=replace(base.planner, refinements=2)),
         ),
         Method(
-            "control: truth, simulator, no final",
-            replace(
-                base, perception=TRUTH, materials=1, planner=replace(base.planner, finalists=0)
-            ),
+            "control: truth, simulator, 3 materials", replace(base, perception=TRUTH, materials=3)
         ),
     ]
     learned = {"dynamics": "mesh", "dynamics_weights": str(options.dynamics or "")}

@@ -245,10 +245,7 @@ def test_settings_that_cannot_be_are_refused():
         FlattenConfig(actions=0)
     with pytest.raises(InvalidConfigError, match="dynamics_weights"):
         dynamics_of(FlattenConfig(dynamics="mesh"))
-    # One that screens, and as many as there are materials.
-    assert len(dynamics_of(FlattenConfig(materials=3))) == 4
-    everyone = FlattenConfig(materials=3, planner=PlannerConfig(finalists=0))
-    assert len(dynamics_of(everyone)) == 3
+    assert len(dynamics_of(FlattenConfig(materials=3))) == 3
     with pytest.raises(InvalidConfigError, match="planned"):
         Flattening(PaperRobot(), EpisodeScene(CLOTH, TABLE), FlattenConfig(), perception=None)
     assert flat_area(ClothDescription(kind="other")) is None

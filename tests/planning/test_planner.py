@@ -63,15 +63,15 @@ def test_refinement_comes_nearer_and_never_loses_what_it_has():
 def test_finalists_are_rated_by_all_and_the_others_rank_behind_them():
     first, second = GrowTowards([0.2, 0.0]), GrowTowards([0.12, 0.1])
     decision = decide([first, second], PlannerConfig(finalists=10))
-    assert first.asked == [101]
+    assert first.asked == [101, 11]
     assert second.asked == [11]
     alone = decide([GrowTowards([0.2, 0.0])]).gains_m2
     finalists = np.argsort(-alone, kind="stable")[:10]
     order = np.argsort(-decision.gains_m2, kind="stable")
     assert set(order[:10]) == set(finalists)
     assert decision.action is decision.candidates[order[0]]
-    judged = decide([GrowTowards([0.12, 0.1])])
-    np.testing.assert_allclose(decision.gains_m2[finalists], judged.gains_m2[finalists])
+    everyone = decide([first, second], PlannerConfig(finalists=0))
+    np.testing.assert_allclose(decision.gains_m2[finalists], everyone.gains_m2[finalists])
     with pytest.raises(InvalidConfigError, match="finalists"):
         PlannerConfig(finalists=-1)
 

@@ -20,7 +20,6 @@ from clothtrack.planning.dynamics import (
     PlanningDynamics,
     SimulatorConfig,
     SimulatorDynamics,
-    screening_simulator,
     several_materials,
 )
 from clothtrack.planning.episode_store import EpisodeStore, write_step
@@ -57,7 +56,6 @@ class FlattenConfig:
         dynamics_weights: file with the weights of the learned dynamics.
         materials: materials of the simulator that a gain is the mean over; 1: the usual one.
         simulator: the solver as dynamics.
-        screening: the solver that rates all candidates where finalists are rated anew.
         planner: how an action is chosen.
         actions: most actions of an episode (paper: 10).
         enough: an episode ends when the cloth covers this share of the flat garment's area.
@@ -68,9 +66,8 @@ class FlattenConfig:
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     dynamics: Literal["simulator", "mesh"] = "simulator"
     dynamics_weights: str = ""
-    materials: int = 3
+    materials: int = 1
     simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
-    screening: SimulatorConfig = field(default_factory=screening_simulator)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     actions: int = 10
     enough: float = 0.95
@@ -171,8 +168,6 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningD
         return [load_mesh_dynamics(Path(config.dynamics_weights), device=device)]
     materials = several_materials(config.simulator.parameters, config.materials, _OF_EPISODES)
     asked = [replace(config.simulator, parameters=one) for one in materials]
-    if config.planner.finalists:
-        asked.insert(0, config.screening)
     return [SimulatorDynamics(one, device=device) for one in asked]
 
 

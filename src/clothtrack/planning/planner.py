@@ -45,7 +45,7 @@ class PlannerConfig:
         reward: "exact" coverage, or the literature's "raster".
         caution: standard deviations over hypotheses and materials that are taken off the mean gain.
         finalists: of several dynamics the first rates all candidates, and so many of the most
-            promising are rated anew by the others. 0: all rate all.
+            promising are rated by all. 0: all rate all.
         space: which actions are tried.
         coarse: the mesh that is rolled out.
     """
@@ -127,7 +127,7 @@ class Planner:
 
         Args:
             dynamics: one, or several whose answers are averaged, such as the simulator with
-                several materials; with finalists the first only screens for the others.
+                several materials; with finalists the first alone chooses those.
             config: how to choose.
 
         Raises:
@@ -159,16 +159,14 @@ class Planner:
         beliefs = [(cloth.flat, np.asarray(cloth.positions)) for cloth in cloths]
         weights = pick_weights(seen.cloud, beliefs)
         tried = sample_actions(seen, config.candidates, config.space, rng, weights=weights)
-        judges, last = self._dynamics, self._dynamics[1:]
-        if config.finalists and last:
-            judges = self._dynamics[:1]
+        judges = self._dynamics[:1] if config.finalists else self._dynamics
         gains = self._gains(cloths, tried, judges)
         for round_ in range(config.refinements):
             fresh = self._around_the_best(tried, gains, seen, round_, rng)
             tried = tried + fresh
             gains = np.concatenate([gains, self._gains(cloths, fresh, judges)])
         if len(judges) < len(self._dynamics) and tried:
-            gains = self._after_a_final(cloths, tried, gains, last)
+            gains = self._after_a_final(cloths, tried, gains)
         best = int(np.argmax(gains)) if len(gains) else -1
         improves = best >= 0 and gains[best] > 0.0
         return Decision(
@@ -185,16 +183,15 @@ class Planner:
         cloths: Sequence[PlannedCloth],
         tried: Sequence[PickPlace],
         gains: Float[np.ndarray, " tried"],
-        judges: Sequence[PlanningDynamics],
     ) -> Float[np.ndarray, " tried"]:
-        """Gains with those of the most promising as the judges see them [m^2].
+        """Gains with those of the most promising as all dynamics see them [m^2].
 
         The best of many promises more than it keeps: it is the best for its luck, too. What did
         not come so far ranks behind all that did.
         """
         best = np.argsort(-gains, kind="stable")[: self.config.finalists]
         told = np.array(gains)
-        told[best] = self._gains(cloths, [tried[k] for k in best], judges)
+        told[best] = self._gains(cloths, [tried[k] for k in best], self._dynamics)
         others = np.setdiff1d(np.arange(len(gains)), best)
         told[others] = np.minimum(gains[others], np.nextafter(told[best].min(), -np.inf))
         return told
