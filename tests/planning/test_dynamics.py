@@ -65,7 +65,10 @@ def test_a_higher_table_changes_nothing_but_the_height(dynamics):
     action = PickPlace(INWARDS.pick + up, INWARDS.place + up, INWARDS.lift_m)
     (high,) = dynamics.predict(raised, [action])
     (low,) = dynamics.predict(LYING, [INWARDS])
-    np.testing.assert_allclose(high - up, low, atol=5e-3)
+    # Rounding decides where a vertex in the fold comes to lie, and on which of its neighbours.
+    assert np.linalg.norm(high - up - low, axis=1).mean() < 2e-3
+    area = projected_area(low, FLAT.faces)
+    assert projected_area(high, FLAT.faces) == pytest.approx(area, rel=0.002)
 
 
 def test_the_topmost_vertex_under_the_pick_is_held():
