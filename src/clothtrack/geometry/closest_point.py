@@ -17,12 +17,12 @@ def closest_on_mesh(
 ) -> tuple[Int[np.ndarray, " points"], Float[np.ndarray, "points 3"]]:
     """Face and barycentric coordinates of the closest point of a mesh, for each point.
 
-    Exact: a face can only beat the closest vertex when its centre lies within that vertex's
-    distance plus the face's radius, and all such faces are tried.
+    Exact: a face can only beat the face with the nearest centre when its own centre lies within
+    that face's distance plus its own radius, and all such faces are tried.
 
     Args:
         points: query points [m].
-        vertices: vertices of the mesh [m]; each belongs to a face.
+        vertices: vertices of the mesh [m].
         faces: vertex indices per triangle.
 
     Returns:
@@ -31,8 +31,10 @@ def closest_on_mesh(
     corners = vertices[faces]
     centres = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centres[:, None], axis=2).max()
-    bound = cKDTree(vertices).query(points)[0]
-    candidates = cKDTree(centres).query_ball_point(points, bound + radius + 1e-12)
+    tree = cKDTree(centres)
+    near = tree.query(points)[1]
+    bound = _gaps(points, corners[near], closest_on_triangle(points, corners[near]))
+    candidates = tree.query_ball_point(points, bound + radius + 1e-12)
     counts = np.array([len(one) for one in candidates])
     face_of = np.empty(len(points), np.int64)
     weights_of = np.empty((len(points), 3))
@@ -41,7 +43,7 @@ def closest_on_mesh(
         owner = np.repeat(np.arange(chunk.stop - chunk.start), counts[chunk])
         queries = points[chunk][owner]
         weights = closest_on_triangle(queries, corners[face])
-        gaps = np.linalg.norm((weights[:, :, None] * corners[face]).sum(axis=1) - queries, axis=1)
+        gaps = _gaps(queries, corners[face], weights)
         order = np.lexsort((gaps, owner))
         first = order[np.searchsorted(owner[order], np.arange(chunk.stop - chunk.start))]
         face_of[chunk], weights_of[chunk] = face[first], weights[first]
@@ -79,6 +81,15 @@ def closest_on_triangle(
         best[nearer] = weights[nearer]
         least[nearer] = squared[nearer]
     return best
+
+
+def _gaps(
+    points: Float[np.ndarray, "pairs 3"],
+    corners: Float[np.ndarray, "pairs 3 3"],
+    weights: Float[np.ndarray, "pairs 3"],
+) -> Float[np.ndarray, " pairs"]:
+    """Distance of each point from the weighted mean of its triangle's corners."""
+    return np.linalg.norm(np.einsum("ij,ijk->ik", weights, corners) - points, axis=1)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
