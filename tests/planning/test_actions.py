@@ -124,6 +124,16 @@ def test_the_heuristic_pulls_a_corner_outwards():
     assert (action.place - action.pick)[:2] @ action.pick[:2] > 0.0
 
 
+def test_no_pick_is_below_the_table_however_noisy_the_cloud_is(rng):
+    noisy = SEEN.cloud + np.column_stack([np.zeros((len(SEEN.cloud), 2)),
+                                          rng.normal(scale=0.004, size=len(SEEN.cloud))])  # fmt: skip
+    seen = replace(SEEN, cloud=noisy)
+    assert noisy[:, 2].min() < seen.table_height_m
+    tried = sample_actions(seen, 200, ActionSpace(), rng)
+    assert min(one.pick[2] for one in tried) >= seen.table_height_m
+    assert farthest_corner(seen, ActionSpace()).pick[2] >= seen.table_height_m
+
+
 def test_a_path_starts_at_the_pick_rises_and_ends_at_the_place():
     action = PickPlace(np.array([0.1, 0.0, 0.01]), np.array([-0.1, 0.1, 0.02]), 0.07)
     path = action.path(0.3, 0.02)

@@ -259,6 +259,8 @@ def within_limits(
         lifts_m: height of each path over the straight line [m].
         space: the limits.
     """
+    # Noise puts points of flat cloth below the table, where no gripper may go.
+    picks = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], seen.table_height_m)])
     tree = cKDTree(seen.cloud[:, :2])
     ground = np.full(len(places), seen.table_height_m)
     on_cloth = np.zeros(len(places), dtype=bool)
