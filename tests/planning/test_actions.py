@@ -125,8 +125,8 @@ def test_the_heuristic_pulls_a_corner_outwards():
 
 
 def test_no_pick_is_below_the_table_however_noisy_the_cloud_is(rng):
-    noisy = SEEN.cloud + np.column_stack([np.zeros((len(SEEN.cloud), 2)),
-                                          rng.normal(scale=0.004, size=len(SEEN.cloud))])  # fmt: skip
+    noisy = SEEN.cloud.copy()
+    noisy[:, 2] += rng.normal(scale=0.004, size=len(noisy))
     seen = replace(SEEN, cloud=noisy)
     assert noisy[:, 2].min() < seen.table_height_m
     tried = sample_actions(seen, 200, ActionSpace(), rng)
