@@ -210,7 +210,7 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
     return LearningSetup(
         tracking=tracking,
         weights=weights,
-        tuner=Tuner(out / "networks", config, options.device),
+        tuner=Tuner(out / "networks", config, options.device, old),
         old=old,
         train_split=options.train,
         limit=options.limit,

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -34,6 +34,7 @@ from clothtrack.reconstruction.two_stages import MODEL, LearningConfig, finetune
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.refinement import RefinementConfig
+from clothtrack.world.state_store import StateSet, open_states
 
 DIGITS = 12
 
@@ -76,11 +77,13 @@ class Tuner:
         store: folder of all fine-tuned networks.
         config: the training.
         device: where it computes.
+        old: folders of simulated states by garment, mixed in where the training asks for them.
     """
 
     store: Path
     config: LearningConfig = field(default_factory=lambda: LearningConfig.preset("finetune"))
     device: str = "cpu"
+    old: Mapping[str, Path] = field(default_factory=dict)
 
     def tuned(self, start: Path, labels: Sequence[LabelledRecording]) -> Path:
         """The weights after fine-tuning on these labels; trained where they are not kept.
@@ -91,7 +94,12 @@ class Tuner:
         folder = self.folder(start, labels)
         if not (folder / MODEL).exists():
             outcome = finetune(
-                start, labels, self.config, folder, processes=Processes(device=self.device)
+                start,
+                labels,
+                self.config,
+                folder,
+                old=self._old(labels[0].kind),
+                processes=Processes(device=self.device),
             )
             if outcome.model is None:
                 raise InvalidConfigError(
@@ -102,12 +110,19 @@ class Tuner:
 
     def folder(self, start: Path, labels: Sequence[LabelledRecording]) -> Path:
         """Where the network is kept that begins with these weights and learns from these labels."""
-        settings = {
+        settings: dict[str, object] = {
             "start": content_digest(start),
             "labels": digest_of(labels),
             "config": asdict(self.config),
         }
+        if old := self._old(labels[0].kind):
+            settings["old"] = [len(one.shards) for one in old]
         return self.store / labels[0].kind / _digest(settings)
+
+    def _old(self, kind: str) -> tuple[StateSet, ...]:
+        stages = self.config.canonicalisation, self.config.completion
+        mixed = any(one.old_share > 0.0 for one in stages)
+        return (open_states(self.old[kind]),) if mixed and kind in self.old else ()
 
 
 def content_digest(path: Path) -> str:
