@@ -7,6 +7,7 @@
     --split NAME        split that is held out and measured (test)
     --set NAME=VALUE    of the training, such as canonicalisation.epochs=200
     --counts N...       trajectories to learn from (label_count only)
+    --only NAME...      labels to learn from, as the table calls them (table2 only)
     --smoke             small towels, a tiny network made on the spot: does everything run?
 
 Tracked runs, fine-tuned networks and rows are kept by the hash of their settings, and shared with
@@ -73,6 +74,7 @@ class LearningSetup:
         train_split: whose tracked trajectories are learned from.
         limit: most trajectories of each garment, to learn from and to measure.
         counts: how many trajectories are learned from, where that is what is asked.
+        only: names of the label sets that are learned from; empty: all.
     """
 
     tracking: Setup
@@ -82,6 +84,7 @@ class LearningSetup:
     train_split: str = "dev"
     limit: int | None = None
     counts: tuple[int, ...] = COUNTS
+    only: tuple[str, ...] = ()
 
     def training(self, kind: str) -> list[Trajectory]:
         """The trajectories to learn from."""
@@ -215,6 +218,7 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
         train_split=options.train,
         limit=options.limit,
         counts=SMOKE_COUNTS if options.smoke else tuple(options.counts),
+        only=tuple(options.only),
     )
 
 
@@ -249,6 +253,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--train", default="dev", help="split to learn from")
     parser.add_argument("--split", default="test", help="split to measure on")
     parser.add_argument("--limit", type=int, help="so many trajectories of each garment")
+    parser.add_argument("--only", nargs="+", default=(), help="labels to learn from")
     parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="to learn from")
     presets = ("finetune", "finetune_short", "paper")
     parser.add_argument("--training", choices=presets, default="finetune", help="how it is tuned")

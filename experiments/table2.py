@@ -16,6 +16,7 @@ from learning_experiment import LearningSetup, run_learning
 from learning_labels import old_labels, tracked_labels, true_labels
 from learning_runs import Reconstructor
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.reconstruction.pseudo_labels import LabelledRecording
 
 BEFORE = "before"
@@ -39,7 +40,7 @@ def plan(setup: LearningSetup) -> list[Row]:
             networks[name] = setup.tuner.tuned(start, labels)
         for name, weights in networks.items():
             rows += setup.rows("table2", Reconstructor(name, weights), held_out)
-        if CONTROL not in networks:
+        if CONTROL not in networks and not setup.only:
             rows.append(
                 {
                     "experiment": "table2",
@@ -57,20 +58,30 @@ def label_sets(setup: LearningSetup, kind: str) -> dict[str, list[LabelledRecord
     """What is learned from, by name: the same frames of the same trajectories, but for the control.
 
     Trajectories that a mode cannot track are missing in that mode's labels.
+
+    Raises:
+        InvalidConfigError: `only` names labels that there are not.
     """
+    names = (*TRACKED, TRUTH, CONTROL)
+    if unknown := [name for name in setup.only if name not in names]:
+        raise InvalidConfigError(f"--only {unknown[0]!r}: choose from {', '.join(names)}")
+    wanted = setup.only or names
     training = setup.training(kind)
+    modes = {"default", *(mode for name, (mode, _) in TRACKED.items() if name in wanted)}
     runs = {
-        mode: setup.tracked(training, setup.tracking.variant(mode, mode))
-        for mode in dict.fromkeys(mode for mode, _ in TRACKED.values())
+        mode: setup.tracked(training, setup.tracking.variant(mode, mode)) for mode in sorted(modes)
     }
     sets = {
         name: [tracked_labels(task, weighted=weighted) for task in runs[mode]]
         for name, (mode, weighted) in TRACKED.items()
+        if name in wanted
     }
-    sets[TRUTH] = [true_labels(task) for task in runs["default"]]
+    if TRUTH in wanted:
+        sets[TRUTH] = [true_labels(task) for task in runs["default"]]
     states = setup.old_states(kind)
-    if states is not None:
-        sets[CONTROL] = old_labels(states, sets["labels: default"])
+    if states is not None and CONTROL in wanted:
+        like = [tracked_labels(task) for task in runs["default"]]
+        sets[CONTROL] = old_labels(states, like)
     return sets
 
 
