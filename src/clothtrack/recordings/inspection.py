@@ -168,8 +168,8 @@ def _notes(recording: Recording) -> tuple[str, ...]:
         notes.append("no actions: there is nothing that moves the cloth in the simulation")
     if recording.cloth.template is None:
         notes.append(
-            "no template (cloth.template): tracking starts from the reconstruction network, or "
-            "from a flat garment fitted to the first cloud"
+            "no template (cloth.template): tracking starts from a flat garment fitted to the first "
+            "cloud, or from the reconstruction network where the cloth does not lie flat"
             if recording.cloth.kind in ("towel", "tshirt") and recording.table is not None
             else "no template (cloth.template): only a towel or a T-shirt on a table is tracked "
             f"without one, and this is {recording.cloth.kind!r}"
