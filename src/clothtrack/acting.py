@@ -2,6 +2,7 @@
 
 import json as json_module
 import logging
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
@@ -18,6 +19,7 @@ from clothtrack.terminal import complain, end_progress, progress, say
 if TYPE_CHECKING:
     from clothtrack.planning.episode_store import EpisodeStore
     from clothtrack.planning.flattening import FlattenConfig
+    from clothtrack.planning.simulated_episodes import SimulatedEpisode
 
 logger = logging.getLogger(__name__)
 
@@ -78,18 +80,32 @@ def flatten(
     if recording is not None:
         complain("--recording is for --robot dry-run; the simulated robot has its own camera")
         return 2
-    from clothtrack.planning.flattening import improvement
-    from clothtrack.planning.simulated_episodes import (
-        SimulatedEpisode,
-        flatten_simulated,
-        shared_parts,
-    )
-    from clothtrack.report.flattening_page import write_flattening_report
+    from clothtrack.planning.simulated_episodes import SimulatedEpisode
 
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
+    chosen = [SimulatedEpisode(garment, seed + number) for number in range(episodes)]
+    return _flatten_simulated(
+        output, chosen, config, device=device, live=live, port=port, json=json
+    )
+
+
+def _flatten_simulated(
+    output: Path,
+    episodes: Sequence["SimulatedEpisode"],
+    config: "FlattenConfig",
+    *,
+    device: str,
+    live: bool,
+    port: int | None,
+    json: bool,
+) -> int:
+    from clothtrack.planning.flattening import improvement
+    from clothtrack.planning.simulated_episodes import flatten_simulated, shared_parts
+    from clothtrack.report.flattening_page import write_flattening_report
+
     # Before the first start is made and the page is served: weights may be missing.
-    parts = shared_parts(garment, config, device=device)
+    parts = shared_parts(episodes[0].kind, config, device=device)
     told = []
     with ExitStack() as until_done:
         watch = None
@@ -98,8 +114,7 @@ def flatten(
 
             logging.getLogger("clothtrack.report").setLevel(logging.INFO)
             watch = until_done.enter_context(watched_live(port))
-        for number in range(episodes):
-            episode = SimulatedEpisode(garment, seed + number)
+        for episode in episodes:
             store = flatten_simulated(
                 output, episode, config, parts=parts, device=device, watch=watch
             )

@@ -4,7 +4,6 @@ import json as json_module
 import logging
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
-from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -241,7 +240,7 @@ def reconstruct(
         json: machine-readable.
     """
     require_learning()
-    from clothtrack.network_mesh import LOOSE_FIT_M, distance_from_picture, network_mesh
+    from clothtrack.network_mesh import LOOSE_FIT_M, figures_of, network_mesh
     from clothtrack.reconstruction import depth_input
     from clothtrack.reconstruction.processes import require_torch_device
     from clothtrack.recordings.mesh_file import require_mesh_format, write_mesh
@@ -250,11 +249,9 @@ def reconstruct(
     require_torch_device(device)
     require_mesh_format(output)
     of_picture = {
-        "mask": mask,
-        "depth_unit_m": depth_unit,
-        "focal": focal,
-        "table_distance_m": table_distance,
-    }
+        "mask": mask, "depth_unit_m": depth_unit,
+        "focal": focal, "table_distance_m": table_distance,
+    }  # fmt: skip
     told = {name: value for name, value in of_picture.items() if value is not None}
     if depth.is_dir():
         _refuse(told, f"{depth} is a recording, which says itself")
@@ -266,32 +263,20 @@ def reconstruct(
     model = depth_input.load_model(kind, weights, device=device)
     refinement = RefinementConfig() if refined else None
     made = network_mesh(model, given, kind, method=method, refinement=refinement)
-    found = made.reconstruction
     if made.mesh is None:
-        complain(f"{depth}: no mesh ({found.status}); try --method template")
+        complain(f"{depth}: no mesh ({made.reconstruction.status}); try --method template")
         return 1
     write_mesh(made.mesh, output)
-    apart_m = distance_from_picture(made.mesh, given)
-    report = {
-        "mesh": str(output),
-        "status": found.status,
-        "cloud_to_mesh_m": apart_m,
-        "scale": made.scale,
-        "vertices": made.mesh.vertex_count,
-        "confidence": float(found.confidence[found.confidence > 0].mean()),
-        # Not a number where nothing of the mesh was seen, which JSON cannot say.
-        "chamfer_m2": []
-        if made.refinement is None
-        else [None if isnan(one) else one for one in made.refinement.chamfer_m2],
-    }
+    report = {"mesh": str(output), **figures_of(made, made.mesh, given)}
+    apart_mm = 1e3 * report["cloud_to_mesh_m"]
     summary = "{mesh}   {vertices} vertices, confidence {confidence:.2f}, ".format(**report)
-    summary += f"{1e3 * apart_m:.1f} mm from the cloud"
+    summary += f"{apart_mm:.1f} mm from the cloud"
     if made.scale != 1.0:
         summary += f", seen as if {made.scale:g} times as large"
     say(json_module.dumps(report, indent=2) if json else summary)
-    if apart_m > LOOSE_FIT_M:
+    if apart_mm > 1e3 * LOOSE_FIT_M:
         complain(
-            f"{depth}: the mesh is {1e3 * apart_m:.0f} mm from what was measured (more than "
+            f"{depth}: the mesh is {apart_mm:.0f} mm from what was measured (more than "
             f"{1e3 * LOOSE_FIT_M:.0f}): do not trust it. The network knows a {kind} on a table, of "
             "the sizes in its model card; is the garment, its mask or the depth's unit another?"
         )

@@ -6,7 +6,7 @@ that what is shown, tracked and measured is the same thing.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -163,6 +163,27 @@ def distance_from_picture(mesh: ClothMesh, picture: "DepthInput") -> float:
     face, weights = closest_on_mesh(points, vertices, mesh.faces)
     nearest = np.einsum("ij,ijk->ik", weights, vertices[mesh.faces[face]])
     return float(np.sqrt(np.square(points - nearest).sum(axis=1).mean()))
+
+
+def figures_of(made: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> dict[str, Any]:
+    """What is told about a reconstruction, ready for JSON.
+
+    Args:
+        made: the reconstruction.
+        mesh: its mesh.
+        picture: what it was made from.
+    """
+    found, refined = made.reconstruction, made.refinement
+    chamfer_m2 = () if refined is None else refined.chamfer_m2
+    return {
+        "status": found.status,
+        "cloud_to_mesh_m": distance_from_picture(mesh, picture),
+        "scale": made.scale,
+        "vertices": mesh.vertex_count,
+        "confidence": float(found.confidence[found.confidence > 0].mean()),
+        # Not a number where nothing of the mesh was seen, which JSON cannot say.
+        "chamfer_m2": [None if np.isnan(one) else one for one in chamfer_m2],
+    }
 
 
 def front_up(
