@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 from bench_measures import Row
 from bench_runs import read_rows
-from figures import say
+from figures import plot_style, say
 from tables import Column, differences
 
-from clothtrack.report.palette import HIDDEN, INK, INSIDE, OBSERVED, OUTSIDE, PAPER
+from clothtrack.report.palette import HIDDEN, INK, INSIDE, OBSERVED, OUTSIDE
 
 ERROR = Column("error", "error_all_mm")
 KINDS = {"towel": "towel", "tshirt": "T-shirt"}
@@ -146,13 +146,7 @@ def draw(rows: dict[str, list[Row]], image: Path) -> Path:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    style = {
-        "font.size": 9, "axes.edgecolor": INK, "text.color": INK, "axes.labelcolor": INK,
-        "xtick.color": INK, "ytick.color": INK, "axes.facecolor": PAPER,
-        "figure.facecolor": PAPER, "axes.spines.top": False, "axes.spines.right": False,
-        "axes.titlesize": 10, "axes.titleweight": "bold", "axes.titlelocation": "left",
-    }  # fmt: skip
-    with plt.rc_context(style):
+    with plt.rc_context(plot_style(title_size=10)):
         figure, axes = plt.subplots(2, 2, figsize=(11.0, 7.5), layout="constrained")
         panels: Sequence[tuple[Any, Callable[..., bool], str]] = (
             (axes[0, 0], _drift_panel, "table1.py or sensitivity.py --axes actions"),

@@ -1,13 +1,16 @@
-"""Where an experiment's figures go: to the terminal, and to a file that a program can read."""
+"""Where an experiment's figures go, and how they look: terminal, files, pictures."""
 
 import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8
+
+from clothtrack.report.palette import INK, PAPER
 
 COLOR_STEP = 6
 """Colours of a picture in a document are rounded to this: nobody sees it, and files are small."""
@@ -43,3 +46,17 @@ def _finite(value: object) -> object:
     if isinstance(value, list | tuple):
         return [_finite(each) for each in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def plot_style(*, title_size: float) -> dict[str, Any]:
+    """The report's colours and plain frames, for matplotlib's `rc_context`.
+
+    Args:
+        title_size: of the panels' titles [points].
+    """
+    return {
+        "font.size": 9, "axes.edgecolor": INK, "text.color": INK, "axes.labelcolor": INK,
+        "xtick.color": INK, "ytick.color": INK, "axes.facecolor": PAPER,
+        "figure.facecolor": PAPER, "axes.spines.top": False, "axes.spines.right": False,
+        "axes.titlesize": title_size, "axes.titleweight": "bold", "axes.titlelocation": "left",
+    }  # fmt: skip

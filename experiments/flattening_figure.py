@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 from bench_measures import Row
 from bench_runs import read_rows
-from figures import say
+from figures import plot_style, say
 from flattening_columns import BOUND, IMPROVEMENT, PRETRAINED, TUNED, curve_values
 from jaxtyping import UInt8
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
-from clothtrack.report.palette import INK, PAPER
+from clothtrack.report.palette import INK
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -99,14 +99,8 @@ def draw(out: Path, rows: Sequence[Row], method: str, image: Path) -> Path:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    style = {
-        "font.size": 9, "axes.edgecolor": INK, "text.color": INK, "axes.labelcolor": INK,
-        "xtick.color": INK, "ytick.color": INK, "axes.facecolor": PAPER,
-        "figure.facecolor": PAPER, "axes.spines.top": False, "axes.spines.right": False,
-        "axes.titlesize": 9, "axes.titleweight": "bold", "axes.titlelocation": "left",
-    }  # fmt: skip
     chosen = chosen_episodes(rows, method)
-    with plt.rc_context(style):
+    with plt.rc_context(plot_style(title_size=9)):
         figure, axes = plt.subplots(
             1 + len(chosen), 1, figsize=(11.0, 9.5), layout="constrained",
             height_ratios=[2.2, *[1.0] * len(chosen)],

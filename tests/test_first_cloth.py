@@ -60,16 +60,14 @@ def weights(tmp_path_factory) -> Path:
     """Untrained: bad, and a network like any other."""
     torch = pytest.importorskip("torch")
     from clothtrack.reconstruction.checkpoint import save_weights
-    from clothtrack.reconstruction.configuration import NetworkConfig
+    from clothtrack.reconstruction.configuration import TINY_NETWORK
     from clothtrack.reconstruction.model import MeshReconstructor
 
-    tiny = NetworkConfig(
-        image_size=64, widths=(8, 16), decoder_width=16, bins=16, volume=8, volume_channels=8,
-        point_hidden=16, volume_widths=(8, 16), decoder_hidden=16, grid=8,
-    )  # fmt: skip
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "towel.safetensors"
-    save_weights(path, MeshReconstructor(tiny, "towel").state_dict(), tiny, kind="towel")
+    save_weights(
+        path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
+    )
     return path
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.closest_point import closest_on_mesh, distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import align
 from clothtrack.reconstruction.canonical_frame import conventional, symmetries
@@ -160,9 +160,7 @@ def distance_from_picture(mesh: ClothMesh, picture: "DepthInput") -> float:
     do not either.
     """
     points, vertices = observation_of(picture).points, mesh.vertices.astype(np.float64)
-    face, weights = closest_on_mesh(points, vertices, mesh.faces)
-    nearest = np.einsum("ij,ijk->ik", weights, vertices[mesh.faces[face]])
-    return float(np.sqrt(np.square(points - nearest).sum(axis=1).mean()))
+    return float(np.sqrt(np.square(distance_to_mesh(points, vertices, mesh.faces)).mean()))
 
 
 def figures_of(made: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> dict[str, Any]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidResultError
-from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings
 from clothtrack.geometry.visibility import visible_vertices
@@ -147,9 +147,7 @@ def cloud_gap_m(
     """Mean distance [m] of a cloud's points to the surface of the mesh."""
     if not (len(cloud) and np.isfinite(vertices).all()):
         return float("nan")
-    face, weights = closest_on_mesh(cloud, vertices, mesh.faces)
-    nearest = np.einsum("ij,ijk->ik", weights, vertices[mesh.faces[face]])
-    return _mean_distance(nearest, cloud)
+    return float(distance_to_mesh(cloud, vertices, mesh.faces).mean())
 
 
 def _far_quantile(

@@ -50,6 +50,22 @@ def closest_on_mesh(
     return face_of, weights_of
 
 
+def distance_to_mesh(
+    points: Float[np.ndarray, "points 3"],
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+) -> Float[np.ndarray, " points"]:
+    """Distance of each point from the surface of a mesh [m], exactly.
+
+    Args:
+        points: query points [m].
+        vertices: vertices of the mesh [m].
+        faces: vertex indices per triangle.
+    """
+    face, weights = closest_on_mesh(points, vertices, faces)
+    return _gaps(points, vertices[faces[face]], weights)
+
+
 def closest_on_triangle(
     points: Float[np.ndarray, "pairs 3"], corners: Float[np.ndarray, "pairs 3 3"]
 ) -> Float[np.ndarray, "pairs 3"]:

@@ -7,6 +7,7 @@ sizes costs no memory, and only the place of a message is kept: its bytes are fe
 
 import bz2
 import os
+from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -154,7 +155,7 @@ class BagFile:
         return self._chunks.get(position)
 
 
-class ChunkedContainer:
+class ChunkedContainer(ABC):
     """What containers with compressed chunks have in common: how a message is fetched."""
 
     def __init__(self, path: Path) -> None:
@@ -184,13 +185,13 @@ class ChunkedContainer:
         """Let go of the file."""
         self._file.close()
 
+    @abstractmethod
     def _unpacked(self, position: int) -> bytes:
         """The chunk at a position of the file, unpacked and remembered.
 
         Raises:
             TornError: it is not there, or damaged.
         """
-        raise NotImplementedError
 
 
 def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
