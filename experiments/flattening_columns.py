@@ -4,9 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from bench_measures import Row
+from scipy.stats import spearmanr
 from table_column import Column, table
 
 IMPROVEMENT = Column("normalised improvement", "improvement", digits=3, last=True, spread=True)
+DECISION = Column("decision CPU s", "decision_cpu_s", digits=1)
+END_ERROR = Column("error at the end, mm", "end_error_mm", spread=True)
 FLATTENING_COLUMNS: Mapping[str, tuple[Column, ...]] = {
     "flattening": (
         IMPROVEMENT,
@@ -17,11 +20,23 @@ FLATTENING_COLUMNS: Mapping[str, tuple[Column, ...]] = {
         Column("expected gain, cm2", "expected_m2", 1e4, 1),
         Column("true gain, cm2", "gain_m2", 1e4, 1),
         Column("perception CPU s", "perception_cpu_s", digits=1),
-        Column("decision CPU s", "decision_cpu_s", digits=1),
-    )
+        DECISION,
+    ),
+    "planning_dynamics": (
+        END_ERROR,
+        Column("had nothing moved, mm", "still_mm"),
+        Column("doing nothing moves it by, mm", "rest_error_mm"),
+        Column("promised gain, cm2", "promised_m2", 1e4, 1),
+        Column("true gain, cm2", "gain_m2", 1e4, 1),
+        DECISION,
+        Column("rank correlation with the simulator", "agreement", digits=2),
+    ),
 }
-FLATTENING_TITLES = {"flattening": "Flattening: ten pick-and-places from the same crumpled starts"}
-FLATTENING_PAIRED = {"flattening": (IMPROVEMENT,)}
+FLATTENING_TITLES = {
+    "flattening": "Flattening: ten pick-and-places from the same crumpled starts",
+    "planning_dynamics": "Dynamics to plan in: what they say of actions that were done (control)",
+}
+FLATTENING_PAIRED = {"flattening": (IMPROVEMENT,), "planning_dynamics": (END_ERROR,)}
 
 PRETRAINED, TUNED, BOUND = "pretrained", "fine-tuned", "control: truth, simulator"
 
@@ -44,6 +59,23 @@ def curve(rows: Sequence[Row], variants: Sequence[str]) -> str:
         means = dict(zip(*curve_values(rows, variant), strict=True))
         lines.append([variant, *(f"{means[n]:.3f}" if n in means else "-" for n in actions)])
     return table(["method", *map(str, actions)], lines)
+
+
+def promises(rows: Sequence[Row], variants: Sequence[str]) -> str:
+    """How well each dynamics orders actions by what they gain, per policy that chose them."""
+    policies = list(dict.fromkeys(str(row["policy"]) for row in rows if "policy" in row))
+    lines = []
+    for variant in variants:
+        line = [variant]
+        for policy in policies:
+            pairs = np.array(
+                [(row["promised_m2"], row["gain_m2"]) for row in rows
+                 if row["variant"] == variant and row.get("policy") == policy]
+            )  # fmt: skip
+            known = len(pairs) > 2
+            line.append(f"{spearmanr(*pairs.T).statistic:.2f} ({len(pairs)})" if known else "-")
+        lines.append(line)
+    return table(["dynamics", *policies], lines)
 
 
 def targets(rows: Sequence[Row]) -> str:

@@ -24,6 +24,7 @@ from flattening_columns import (
     FLATTENING_PAIRED,
     FLATTENING_TITLES,
     curve,
+    promises,
     targets,
 )
 from learning_columns import LEARNING_COLUMNS, LEARNING_PAIRED, LEARNING_TITLES, gains
@@ -95,6 +96,7 @@ REFERENCES: Mapping[str, tuple[str, ...]] = {
     "label_count": ("trajectories=0",),
     "network_alone": ("network, template",),
     "flattening": ("random",),
+    "planning_dynamics": ("simulator",),
 }
 """What the others are paired with; of several, each with those that begin like it."""
 
@@ -122,6 +124,12 @@ def markdown(experiment: str, rows: Sequence[Row]) -> str:
     if experiment == "flattening":
         parts += ["Mean normalised improvement after each action:", curve(good, variants)]
         parts += [targets(good)]
+        return _with_failures(parts, rows)
+    if experiment == "planning_dynamics":
+        parts += [
+            "Rank correlation of promised and true gains over actions chosen by (how many):",
+            promises(good, variants),
+        ]
         return _with_failures(parts, rows)
     if any(row["actions"] > 1 for row in good):
         parts += ["Error by action [mm], all vertices / hidden:", by_action(good, variants)]

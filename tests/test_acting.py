@@ -106,7 +106,11 @@ def test_dynamics_are_made_and_trained_by_one_command(tmp_path, capsys):
         "network.width=16", "network.message_steps=2", "loop.epochs=1", "examples_per_shard=2",
         "loop.held_out_share=0.4",
     )  # fmt: skip
-    assert train_dynamics(tmp_path, roll_outs=6, settings=settings) == 0
+    asked = {"garment": ("towel", "tshirt"), "roll_outs": 3, "settings": settings}
+    assert train_dynamics(tmp_path, **asked) == 0
     told = capsys.readouterr().out
     assert "best.safetensors" in told
-    assert len(list((tmp_path / "roll_outs" / "shards").iterdir())) == 2
+    assert len(list((tmp_path / "roll_outs").glob("*/shards/*.npz"))) == 2
+    card = (tmp_path / "model" / "model_card.md").read_text()
+    assert "towel, tshirt" in card
+    assert "whole error mm" in card

@@ -5,7 +5,6 @@ import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -58,7 +57,8 @@ def flatten(
         weights: of the reconstruction network; the ones that come with clothtrack by default.
         policy: planned; or, without any mesh, random actions or the farthest corner outwards.
         dynamics: what a plan is tried in: our simulator, or the learned mesh dynamics.
-        dynamics_weights: of the learned ones (`train-dynamics`).
+        dynamics_weights: of the learned ones (`train-dynamics`); the ones that come with clothtrack
+            by default.
         recording: for a dry run: its last picture is what is planned for.
         actions: most actions of an episode.
         episodes: how many, with the seeds SEED, SEED + 1 and so on.
@@ -133,7 +133,7 @@ def _flatten_simulated(
 def train_dynamics(
     output: Positional[Path],
     *,
-    garment: Literal["towel", "tshirt"] = "towel",
+    garment: tuple[Literal["towel", "tshirt"], ...] = ("towel", "tshirt"),
     roll_outs: int = 2000,
     only_roll_outs: bool = False,
     settings: Settings = (),
@@ -147,9 +147,9 @@ def train_dynamics(
     The same command goes on where an interrupted one stopped.
 
     Args:
-        output: folder for roll_outs/ and model/best.safetensors.
-        garment: what is rolled out.
-        roll_outs: at least so many, in whole shards; finished ones are kept.
+        output: folder for roll_outs/GARMENT/ and model/best.safetensors, with its card.
+        garment: what is rolled out; one network learns from all of them.
+        roll_outs: at least so many of each garment, in whole shards; finished ones are kept.
         only_roll_outs: make them, and train nothing.
         settings: changes, such as loop.epochs=20 or network.width=64; those that begin with
             roll_outs. are of the roll-outs.
@@ -164,14 +164,21 @@ def train_dynamics(
     mine = [one for one in settings if not one.startswith("roll_outs.")]
     theirs = [one.removeprefix("roll_outs.") for one in settings if one.startswith("roll_outs.")]
     recipe = with_settings(RollOutConfig(), theirs)
-    make = partial(
-        generate_roll_outs, output / "roll_outs", garment, roll_outs, seed=seed, config=recipe,
-        processes=workers, progress=progress,
-    )  # fmt: skip
+    if not garment:
+        raise InvalidConfigError("--garment names nothing; give towel, tshirt or both")
+
+    def make() -> list[Path]:
+        shards: list[Path] = []
+        for kind in garment:
+            shards += generate_roll_outs(
+                output / "roll_outs" / kind, kind, roll_outs, seed=seed, config=recipe,
+                processes=workers, progress=progress,
+            )  # fmt: skip
+            end_progress()
+        return shards
+
     if only_roll_outs:
-        shards = make()
-        end_progress()
-        say(f"{output / 'roll_outs'}   ({len(shards)} garments)")
+        say(f"{output / 'roll_outs'}   ({len(make())} shards)")
         return 0
     # What cannot be trained is refused before anything is rolled out.
     require_learning()
@@ -181,10 +188,8 @@ def train_dynamics(
     require_torch_device(device)
     config = DynamicsTrainingConfig()
     config = with_settings(replace(config, loop=replace(config.loop, seed=seed)), mine)
-    shards = make()
-    end_progress()
     outcome = train_mesh_dynamics(
-        shards, garment, config, output / "model", device=device, progress=progress
+        make(), ", ".join(garment), config, output / "model", device=device, progress=progress
     )
     end_progress()
     if json:

@@ -4,9 +4,10 @@ import cv2
 import flattening
 import flattening_figure
 import numpy as np
+import planning_dynamics
 import pytest
 import tables
-from bench_runs import write_rows
+from bench_runs import read_rows, write_rows
 
 from clothtrack.errors import InvalidConfigError
 
@@ -96,3 +97,47 @@ def test_a_long_episode_is_shown_from_its_first_picture_to_its_last():
     assert shown.tolist() == [0, 2, 4, 6, 8, 10]
     short = flattening_figure.episode_line(np.stack([strip] * 3, axis=-1), used=1, most=6)
     assert short[0, width // 2 :: width, 0].tolist() == [0, 1, 255, 255, 255, 255]
+
+
+def test_what_the_dynamics_promise_is_ranked_against_what_came():
+    def row(variant, action, promised, gained):
+        return {
+            "experiment": "planning_dynamics", "variant": variant, "recording": "towel_0",
+            "kind": "towel", "split": "", "action": action, "actions": 4, "stage": "after",
+            "policy": "random", "end_error_mm": 10.0 * action, "still_mm": 50.0,
+            "rest_error_mm": 1.0, "promised_m2": promised, "gain_m2": gained,
+        }  # fmt: skip
+
+    gains = (0.001, 0.002, 0.003, 0.004)
+    rows = [row("simulator", n, gain, gain) for n, gain in enumerate(gains, start=1)]
+    rows += [row("learned mesh dynamics", n, -gain, gain) for n, gain in enumerate(gains, start=1)]
+    told = tables.markdown("planning_dynamics", rows)
+    assert "| simulator | 1.00 (4) |" in told
+    assert "| learned mesh dynamics | -1.00 (4) |" in told
+    assert "| simulator | 1 | 25.0 ± - | 25.0 | 50.0 |" in told
+
+
+@pytest.mark.slow
+def test_every_action_that_was_done_is_predicted_by_both_dynamics(tmp_path, capsys):
+    torch = pytest.importorskip("torch", reason="the extra [learn] brings it")
+    from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig
+    from clothtrack.reconstruction.checkpoint import save_weights
+
+    out = tmp_path / "out"
+    assert flattening.main(["--smoke", "--out", str(out), "--only", "random"]) == 0
+    torch.manual_seed(0)
+    config = MeshNetworkConfig(width=16, message_steps=1)
+    weights = tmp_path / "dynamics.safetensors"
+    save_weights(weights, MeshNetwork(config).state_dict(), config, kind="towel")
+    words = ["--out", str(out), "--kind", "towel", "--dynamics", str(weights)]
+    assert planning_dynamics.main(words) == 0
+    assert "Rank correlation" in capsys.readouterr().out
+    rows = read_rows(out / "planning_dynamics.jsonl")
+    moved = [row for row in rows if "end_error_mm" in row]
+    assert len(moved) == 4
+    assert all(np.isfinite(row["end_error_mm"]) and row["still_mm"] > 0.0 for row in moved)
+    decided = [row for row in rows if "decision_cpu_s" in row]
+    assert [row["candidates"] for row in decided] == [100, 100]
+    assert decided[0]["agreement"] == pytest.approx(1.0)
+    assert planning_dynamics.main(["--out", str(tmp_path), "--dynamics", str(weights)]) == 1
+    assert "no episodes" in capsys.readouterr().err

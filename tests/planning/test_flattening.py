@@ -7,7 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.metrics import normalised_improvement
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.camera import Camera
@@ -243,8 +243,8 @@ def test_a_killed_simulated_episode_ends_like_one_that_was_not(tmp_path):
 def test_settings_that_cannot_be_are_refused():
     with pytest.raises(InvalidConfigError, match="actions"):
         FlattenConfig(actions=0)
-    with pytest.raises(InvalidConfigError, match="dynamics_weights"):
-        dynamics_of(FlattenConfig(dynamics="mesh"))
+    with pytest.raises(InvalidResultError, match="no such weights"):
+        dynamics_of(FlattenConfig(dynamics="mesh", dynamics_weights="nowhere.safetensors"))
     assert len(dynamics_of(FlattenConfig(materials=3))) == 3
     with pytest.raises(InvalidConfigError, match="planned"):
         Flattening(PaperRobot(), EpisodeScene(CLOTH, TABLE), FlattenConfig(), perception=None)

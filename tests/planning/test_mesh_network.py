@@ -1,12 +1,21 @@
 """The graph network keeps the symmetries of what it models."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.planning.mesh_dynamics import springs_of
-from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig, advance
+from clothtrack.planning.mesh_network import (
+    MeshNetwork,
+    MeshNetworkConfig,
+    Ways,
+    advance,
+    less_stretched,
+    roll_out,
+)
 from clothtrack.simulation.garments import towel
 
 CONFIG = MeshNetworkConfig(width=16, message_steps=2)
@@ -16,7 +25,10 @@ FLAT = towel(0.2, 0.2, 0.04)
 @pytest.fixture(scope="module")
 def network():
     torch.manual_seed(0)
-    return MeshNetwork(CONFIG).eval()
+    network = MeshNetwork(CONFIG).eval()
+    # A fresh one accelerates nothing, which would keep every symmetry.
+    torch.nn.init.normal_(network.decode[-1].weight)
+    return network
 
 
 def state(copies=1):
@@ -80,7 +92,11 @@ def test_a_step_is_semi_implicit_and_obeys_the_gripper_and_the_table(network):
     positions, velocities, held = state()
     targets = positions + 0.02
     lowest = 0.0
-    change = accelerations(network, positions, velocities, held)
+    told = velocities.clone()
+    told[held] = torch.cat([told[held][:, :-1], torch.full((1, 1, 3), 0.02 / CONFIG.step_s)], dim=1)
+    change = accelerations(network, positions, told, held)
+    assert change.abs().max() > 0.1
+    network = unprojected(network)
     with torch.no_grad():
         after, past = advance(
             network, positions, velocities, held, springs_of(FLAT), targets=targets, lowest_m=lowest
@@ -94,8 +110,49 @@ def test_a_step_is_semi_implicit_and_obeys_the_gripper_and_the_table(network):
     np.testing.assert_allclose(past[:, :, -1], (after - positions) / step, atol=1e-5)
 
 
+def unprojected(network):
+    free = MeshNetwork(replace(CONFIG, projections=0)).eval()
+    free.load_state_dict(network.state_dict())
+    return free
+
+
+def test_a_held_corner_draws_the_cloth_along_and_stretches_it_little():
+    """A fresh network accelerates nothing: what moves is drawn by edges."""
+    positions = torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
+    springs = springs_of(FLAT)
+    corner = int(torch.argmax(positions[0, :, 0] + positions[0, :, 1]))
+    # Out to the side by half the cloth, 1 cm per step.
+    places = positions[:, corner : corner + 1] + 0.01 * torch.arange(1, 11)[:, None] * (
+        torch.tensor([1.0, 0.0, 0.0])
+    )
+    ways = Ways(torch.tensor([corner]), places, torch.tensor([10]))
+    strain = {}
+    for projections in (0, 20):
+        network = MeshNetwork(replace(CONFIG, projections=projections)).eval()
+        after = roll_out(network, positions, springs, ways, steps=10)
+        np.testing.assert_allclose(after[0, corner], places[0, -1], atol=1e-6)
+        gap = (after[:, springs.sender] - after[:, springs.receiver]).norm(dim=-1)
+        strain[projections] = float((gap / springs.rest - 1.0).clamp_min(0.0).max())
+    assert strain[0] > 1.0
+    assert strain[20] < 0.1 * strain[0]
+
+
+def test_a_slack_cloth_is_left_alone_and_a_stretched_one_shrinks():
+    positions, _, _ = state()
+    springs = springs_of(FLAT)
+    nobody = torch.zeros(positions.shape[:2], dtype=torch.bool)
+    slack = 0.8 * torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
+    torch.testing.assert_close(less_stretched(slack, nobody, springs), slack)
+    wide = 1.5 * torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
+    closer = less_stretched(wide, nobody, springs)
+    assert float(closer.std()) < float(wide.std())
+    torch.testing.assert_close(closer.mean(dim=1), wide.mean(dim=1), atol=1e-3, rtol=0.0)
+
+
 def test_sizes_without_sense_are_refused():
     with pytest.raises(InvalidConfigError, match="width"):
         MeshNetworkConfig(width=0)
     with pytest.raises(InvalidConfigError, match="step_s"):
         MeshNetworkConfig(step_s=0.0)
+    with pytest.raises(InvalidConfigError, match="projections"):
+        MeshNetworkConfig(projections=-1)

@@ -24,7 +24,7 @@ from clothtrack.reconstruction.training_config import TrainingConfig
 from clothtrack.simulation.garments import towel
 
 TINY = DynamicsTrainingConfig(
-    network=MeshNetworkConfig(width=16, message_steps=2, collision_radius_m=0.06),
+    network=MeshNetworkConfig(width=16, message_steps=2, collision_radius_m=0.06, projections=2),
     loop=TrainingConfig(
         epochs=6, batch_size=1, low_rate=3e-3, high_rate=3e-3, save_steps=5, held_out_share=0.3
     ),
@@ -96,9 +96,9 @@ def test_the_noise_is_on_the_past_alone_and_grows_towards_its_end(roll_outs):
 
 def test_the_loss_of_the_truth_is_zero(roll_outs):
     """A network that predicts what happens: here, of a cloth at rest, nothing."""
-    stage = MeshDynamicsStage(TINY, "towel")
-    for parameter in stage.trained.decode[-1].parameters():
-        torch.nn.init.zeros_(parameter)
+    # Fresh, it accelerates nothing; roll-outs may be stretched a little, so nothing is shortened.
+    free = replace(TINY, network=replace(TINY.network, projections=0))
+    stage = MeshDynamicsStage(free, "towel")
     windows = WindowExamples(roll_outs, TINY, noisy=False)[0, 0]
     still = windows.past[:, -1:].clone()
     still[..., 2].clamp_(min=0.0015)

@@ -76,6 +76,38 @@ def test_finalists_are_rated_by_all_and_the_others_rank_behind_them():
         PlannerConfig(finalists=-1)
 
 
+class PaysLater:
+    """Places on the left win a little at once; those on the right let the next action win much.
+
+    Where the cloth lies remembers what was done before.
+    """
+
+    def predict(self, cloth, actions):
+        ready = cloth.positions[:, 1].mean() > 0.2
+        ends = np.repeat(np.asarray(cloth.positions)[None], len(actions), axis=0)
+        for end, one in zip(ends, actions, strict=True):
+            if one is None:
+                continue
+            right = one.place[0] > 0.0
+            end[:, :2] *= 1.5 if ready else 1.0 + 0.01 * (not right)
+            end[:, 1] += 0.3 * right
+        return ends
+
+
+def test_looking_ahead_finds_what_pays_later():
+    near = decide([PaysLater()])
+    assert near.action.place[0] < 0.0
+    ahead = decide([PaysLater()], PlannerConfig(look_ahead=100, second_candidates=2))
+    assert ahead.action.place[0] > 0.0
+    assert ahead.gain_m2 == pytest.approx(0.04 * (1.5**2 - 1.0), rel=1e-3)
+    few = decide([PaysLater()], PlannerConfig(look_ahead=3))
+    assert few.action.place[0] < 0.0
+    with pytest.raises(InvalidConfigError, match="look_ahead"):
+        PlannerConfig(look_ahead=-1)
+    with pytest.raises(InvalidConfigError, match="second_candidates"):
+        PlannerConfig(second_candidates=0)
+
+
 def test_refined_candidates_keep_the_limits():
     space = ActionSpace(place="off")
     config = PlannerConfig(candidates=40, refinements=2, space=space)

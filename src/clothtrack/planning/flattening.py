@@ -33,6 +33,7 @@ from clothtrack.planning.perception import (
 from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
 from clothtrack.planning.robot import Execution, PickPlaceRobot
 from clothtrack.planning.seen import seen_area, seen_cloth
+from clothtrack.reconstruction.availability import INSTALL, missing_modules
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
@@ -53,7 +54,7 @@ class FlattenConfig:
             the farthest corner outwards.
         perception: where the cloth is.
         dynamics: "simulator", or "mesh": the learned ones.
-        dynamics_weights: file with the weights of the learned dynamics.
+        dynamics_weights: file with the weights of the learned dynamics; "": those that come along.
         materials: materials of the simulator that a gain is the mean over; 1: the usual one.
         simulator: the solver as dynamics.
         planner: how an action is chosen.
@@ -154,18 +155,19 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningD
     """The dynamics that a configuration names; PyTorch is imported for the learned ones only.
 
     Raises:
-        InvalidConfigError: the learned ones are asked for without weights.
+        InvalidConfigError: the learned ones are asked for, and [learn] is not installed.
         InvalidResultError: the weights are missing, damaged or of something else.
     """
     if config.dynamics == "mesh":
-        from clothtrack.planning.mesh_dynamics import load_mesh_dynamics
-
-        if not config.dynamics_weights:
+        missing = missing_modules()
+        if missing:
             raise InvalidConfigError(
-                "dynamics is mesh, and no dynamics_weights are given; train some with clothtrack "
-                "train-dynamics"
+                f"dynamics is mesh, which needs {', '.join(missing)}; install with: {INSTALL}, or "
+                "plan in the simulator"
             )
-        return [load_mesh_dynamics(Path(config.dynamics_weights), device=device)]
+        from clothtrack.planning.mesh_dynamics import SHIPPED, load_mesh_dynamics
+
+        return [load_mesh_dynamics(Path(config.dynamics_weights or SHIPPED), device=device)]
     materials = several_materials(config.simulator.parameters, config.materials, _OF_EPISODES)
     asked = [replace(config.simulator, parameters=one) for one in materials]
     return [SimulatorDynamics(one, device=device) for one in asked]

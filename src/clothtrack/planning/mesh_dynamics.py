@@ -16,8 +16,17 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.dynamics import HeldWays, MotionConfig, PlannedCloth
-from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig, Springs, advance
+from clothtrack.planning.mesh_network import (
+    MeshNetwork,
+    MeshNetworkConfig,
+    Springs,
+    Ways,
+    roll_out,
+)
 from clothtrack.reconstruction.checkpoint import load_weights
+
+SHIPPED = Path(__file__).parent / "weights" / "mesh_dynamics.safetensors"
+"""The weights that come with the package, for every garment; their card lies beside them."""
 
 
 @dataclass(frozen=True)
@@ -76,30 +85,25 @@ class MeshDynamics:
     def _rolled(self, cloth: PlannedCloth, held: HeldWays, part: slice) -> np.ndarray:
         """Some of the candidates."""
         config, device = self.config, self._device
-        taken, ways, steps = held.vertices[part], held.ways[part], held.steps[part]
         lowest = cloth.table_height_m + config.resting_height_m
         placed = np.array(cloth.positions)
         placed[:, 2] = np.maximum(placed[:, 2], lowest)
-        positions = torch.tensor(placed, dtype=torch.float32, device=device)
-        positions = positions.expand(len(taken), -1, -1).contiguous()
-        history = self._network.config.history
-        velocities = positions.new_zeros(*positions.shape[:2], history, 3)
-        every = torch.arange(len(taken), device=device)
-        vertex = torch.tensor(np.maximum(taken, 0), device=device)
+        start = torch.tensor(placed, dtype=torch.float32, device=device)
+        ways = Ways(
+            torch.tensor(held.vertices[part], device=device),
+            torch.tensor(held.ways[part], dtype=torch.float32, device=device),
+            torch.tensor(held.steps[part], device=device),
+        )
         rest = math.ceil(config.motion.rest_s / config.motion.time_step_s)
-        with torch.no_grad():
-            for step in range(ways.shape[1] + rest):
-                holds = torch.zeros(positions.shape[:2], dtype=torch.bool, device=device)
-                holds[every, vertex] = torch.tensor((step < steps) & (taken >= 0), device=device)
-                targets = positions.clone()
-                if step < ways.shape[1]:
-                    told = torch.tensor(ways[:, step], dtype=torch.float32, device=device)
-                    targets[every, vertex] = told
-                positions, velocities = advance(
-                    self._network, positions, velocities, holds, self._mesh_edges(cloth.flat),
-                    targets=targets, lowest_m=lowest,
-                )  # fmt: skip
-        return positions.cpu().numpy().astype(np.float64)
+        ends = roll_out(
+            self._network,
+            start.expand(len(ways.vertices), -1, -1).contiguous(),
+            self._mesh_edges(cloth.flat),
+            ways,
+            steps=ways.places.shape[1] + rest,
+            lowest_m=lowest,
+        )
+        return ends.cpu().numpy().astype(np.float64)
 
     def _mesh_edges(self, flat: ClothMesh) -> Springs:
         if self._springs is None or self._mesh is not flat:

@@ -27,6 +27,9 @@ class MeshNetworkConfig:
         length_scale_m: lengths are divided by this [m].
         velocity_scale: velocities are divided by this [m/s].
         acceleration_scale: the output is multiplied by this [m/s^2].
+        projections: times per step that stretched edges are shortened towards their rest length
+            (position-based dynamics, Jacobi); 0 leaves it to the network, as the reference does,
+            and a planner then finds candidates that promise much because they stretch the cloth.
     """
 
     width: int = 128
@@ -37,6 +40,7 @@ class MeshNetworkConfig:
     length_scale_m: float = 0.025
     velocity_scale: float = 0.25
     acceleration_scale: float = 2.0
+    projections: int = 6
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network has, or that would take all memory.
@@ -49,6 +53,8 @@ class MeshNetworkConfig:
                 raise InvalidConfigError(
                     f"{name} is {getattr(self, name)}; it must be from 1 to {most}"
                 )
+        if not 0 <= self.projections <= 64:
+            raise InvalidConfigError(f"projections is {self.projections}; it must be from 0 to 64")
         for name, value in vars(self).items():
             if isinstance(value, float) and not value > 0.0:
                 raise InvalidConfigError(f"{name} is {value}; it must be above 0")
@@ -84,11 +90,43 @@ class Springs:
         return Springs(*(one.to(device) for one in vars(self).values()))
 
 
-def mlp(inputs: int, width: int, outputs: int) -> nn.Sequential:
-    """Two hidden layers, ReLU, no normalisation (reference)."""
+def less_stretched(positions: Tensor, held: Tensor, springs: Springs) -> Tensor:
+    """Every end of a stretched edge comes nearer to the other; held vertices stay."""
+    gap = positions[:, springs.sender] - positions[:, springs.receiver]
+    length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    excess = (length - springs.rest[:, None]).clamp_min(0.0)
+    # The whole excess where the other end is held, else half of it.
+    share = torch.where(held[:, springs.sender], 1.0, 0.5)[..., None]
+    pull = share * gap * (excess / length)
+    stretched = (excess > 0.0).to(positions.dtype)
+    where = springs.receiver
+    total = torch.zeros_like(positions).index_add(1, where, pull)
+    count = torch.zeros_like(positions[..., :1]).index_add(1, where, stretched)
+    # A mean of what the edges ask for is stable; half as much again is faster.
+    moved = positions + 1.5 * total / count.clamp_min(1.5)
+    return torch.where(held[..., None], positions, moved)
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """What each cloth of a batch is held by.
+
+    Attributes:
+        vertices: held vertex per cloth (B); -1: none.
+        places: where it is after each step (B, steps, 3) [m].
+        steps: steps until it is let go (B).
+    """
+
+    vertices: Tensor
+    places: Tensor
+    steps: Tensor
+
+
+def mlp(inputs: int, width: int) -> nn.Sequential:
+    """Two hidden layers, ReLU, and a normalised output (the reference has none)."""
     return nn.Sequential(
         nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
-        nn.Linear(width, outputs),
+        nn.Linear(width, width), nn.LayerNorm(width),
     )  # fmt: skip
 
 
@@ -103,10 +141,11 @@ class MessageStep(nn.Module):
         self.of_receiver = nn.Linear(width, width, bias=False)
         self.of_whole = nn.Linear(width, width, bias=False)
         self.edge = nn.Sequential(
-            nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width)
-        )
-        self.node = mlp(3 * width, width, width)
-        self.whole = mlp(3 * width, width, width)
+            nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width),
+            nn.LayerNorm(width),
+        )  # fmt: skip
+        self.node = mlp(3 * width, width)
+        self.whole = mlp(3 * width, width)
 
     def forward(
         self, nodes: Tensor, edges: Tensor, whole: Tensor, links: tuple[Tensor, Tensor, Tensor]
@@ -139,10 +178,14 @@ class MeshNetwork(nn.Module):
         super().__init__()
         self.config = config
         width = config.width
-        self.encode_node = mlp(3 * config.history + 3, width, width)
-        self.encode_edge = mlp(7, width, width)
+        self.encode_node = mlp(3 * config.history + 3, width)
+        self.encode_edge = mlp(7, width)
         self.steps = nn.ModuleList(MessageStep(width) for _ in range(config.message_steps))
-        self.decode = mlp(width, width, 3)
+        last = nn.Linear(width, 3)
+        # Before it has learned anything, nothing accelerates.
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.decode = nn.Sequential(nn.Linear(width, width), nn.ReLU(), last)
 
     def forward(
         self, positions: Tensor, velocities: Tensor, height: Tensor, held: Tensor, springs: Springs
@@ -224,10 +267,49 @@ def advance(
     """
     step_s = network.config.step_s
     height = positions[..., 2] - lowest_m
-    change = network(positions, velocities, height, held, springs)
+    # The network is told where held vertices are about to go, not only where they came from.
+    coming = torch.where(held[..., None], (targets - positions) / step_s, velocities[:, :, -1])
+    told = torch.cat([velocities[:, :, :-1], coming[:, :, None]], dim=2)
+    change = network(positions, told, height, held, springs)
     after = positions + step_s * (velocities[:, :, -1] + step_s * change)
     above = after[..., 2].clamp_min(lowest_m)
     after = torch.cat([after[..., :2], above[..., None]], dim=-1)
     after = torch.where(held[..., None], targets, after)
+    for _ in range(network.config.projections):
+        after = less_stretched(after, held, springs)
     latest = (after - positions) / step_s
     return after, torch.cat([velocities[:, :, 1:], latest[:, :, None]], dim=2)
+
+
+def roll_out(
+    network: MeshNetwork,
+    positions: Tensor,
+    springs: Springs,
+    ways: Ways,
+    *,
+    steps: int,
+    lowest_m: float = 0.0,
+) -> Tensor:
+    """The vertices after so many steps of the model, from rest (B, V, 3) [m]; no gradients.
+
+    Args:
+        network: gives the accelerations.
+        positions: vertices at the start (B, V, 3) [m].
+        springs: the mesh.
+        ways: what is held, and where it goes.
+        steps: of the model, the last ones with nothing held.
+        lowest_m: no vertex goes under this height [m].
+    """
+    every = torch.arange(len(positions), device=positions.device)
+    velocities = positions.new_zeros(*positions.shape[:2], network.config.history, 3)
+    with torch.no_grad():
+        for step in range(steps):
+            held = torch.zeros(positions.shape[:2], dtype=torch.bool, device=positions.device)
+            held[every, ways.vertices.clamp_min(0)] = (step < ways.steps) & (ways.vertices >= 0)
+            targets = positions.clone()
+            if step < ways.places.shape[1]:
+                targets[every, ways.vertices.clamp_min(0)] = ways.places[:, step]
+            positions, velocities = advance(
+                network, positions, velocities, held, springs, targets=targets, lowest_m=lowest_m
+            )
+    return positions

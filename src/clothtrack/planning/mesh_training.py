@@ -14,10 +14,22 @@ import torch
 from torch import Tensor
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.origin import made_with
+from clothtrack.planning.dynamics_card import write_dynamics_card
 from clothtrack.planning.mesh_dynamics import springs_of
-from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig, Springs, advance
+from clothtrack.planning.mesh_network import (
+    MeshNetwork,
+    MeshNetworkConfig,
+    Springs,
+    Ways,
+    advance,
+    roll_out,
+)
 from clothtrack.planning.roll_outs import RollOutShard, read_roll_outs
 from clothtrack.reconstruction.batches import Draw, Subset, split_by_group
+from clothtrack.reconstruction.checkpoint import load_weights
+from clothtrack.reconstruction.model_card import PACKAGES
+from clothtrack.reconstruction.processes import Processes
 from clothtrack.reconstruction.training import Progress, Stage, TrainingOutcome, train
 from clothtrack.reconstruction.training_config import TrainingConfig
 
@@ -237,12 +249,15 @@ def train_mesh_dynamics(
     """Train mesh dynamics on roll-outs, or go on where an earlier run stopped.
 
     Args:
-        shards: of one kind of garment; one in ten is held out to select by.
-        kind: the garment.
+        shards: of one kind of garment or several; one in ten is held out to select by.
+        kind: the garments, in words.
         config: how.
         folder: gets progress, scalars and best.safetensors.
         device: where to compute.
         progress: called after every step.
+
+    Returns:
+        How it ended; the best weights, with a card beside them (`dynamics_card`).
 
     Raises:
         InvalidConfigError: there are fewer than two shards.
@@ -254,12 +269,13 @@ def train_mesh_dynamics(
     chosen, held_out = split_by_group(examples.groups, config.loop.held_out_share, config.loop.seed)
     data: dict[str, Any] = {
         "shards": len(examples.shards),
+        "roll_outs": sum(len(read_roll_outs(path).positions) for path in shards),
         "windows": config.windows,
         "unrolled": config.unrolled,
         "noise_m": config.noise_m,
         "examples_per_shard": config.examples_per_shard,
     }
-    return train(
+    outcome = train(
         MeshDynamicsStage(config, kind).to(device),
         Subset(examples, chosen),
         Subset(calm, held_out),
@@ -269,3 +285,41 @@ def train_mesh_dynamics(
         data=data,
         progress=progress,
     )
+    if outcome.weights is not None and outcome.status != "interrupted":
+        unseen = [shards[number] for number in sorted({examples.groups[k] for k in held_out})]
+        weights = load_weights(outcome.weights)
+        network = MeshNetwork(config.network).to(device)
+        weights.load_into(network)
+        made = {**made_with(PACKAGES), "device": Processes(device=device).machine}
+        whole = whole_roll_outs(network, unseen, device=device)
+        write_dynamics_card(weights, whole, outcome.cpu_s, made)
+    return outcome
+
+
+def whole_roll_outs(
+    network: MeshNetwork, shards: Sequence[Path], *, device: str = "cpu"
+) -> Mapping[str, float]:
+    """Mean distance to the simulator at the end of whole roll-outs, by name [mm].
+
+    Raises:
+        InvalidResultError: a shard is damaged.
+    """
+    ends, still = [], []
+    for path in shards:
+        shard = read_roll_outs(path)
+        positions = torch.tensor(shard.positions, device=device)
+        taken = torch.tensor(shard.held, device=device)
+        every = torch.arange(len(positions), device=device)
+        places = positions[every, 1:, taken.clamp_min(0)]
+        ways = Ways(taken, places, torch.tensor(shard.held_frames, device=device))
+        last = positions[:, -1]
+        own = roll_out(
+            network, positions[:, 0], springs_of(shard.mesh).to(device), ways,
+            steps=places.shape[1], lowest_m=RESTING_HEIGHT_M,
+        )  # fmt: skip
+        ends.append((own - last).norm(dim=-1).mean(dim=1))
+        still.append((positions[:, 0] - last).norm(dim=-1).mean(dim=1))
+    return {
+        "whole_error_mm": 1e3 * float(torch.cat(ends).mean()),
+        "whole_still_mm": 1e3 * float(torch.cat(still).mean()),
+    }

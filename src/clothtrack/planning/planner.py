@@ -7,10 +7,10 @@ mesh or material are values of the same configuration.
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
@@ -46,6 +46,9 @@ class PlannerConfig:
         caution: standard deviations over hypotheses and materials that are taken off the mean gain.
         finalists: of several dynamics the first rates all candidates, and so many of the most
             promising are rated by all. 0: all rate all.
+        look_ahead: so many of the most promising are judged by what could be done after them, too:
+            the best of `second_candidates` from where each ends. 0: what comes at once counts.
+        second_candidates: actions that are tried after each of those.
         space: which actions are tried.
         coarse: the mesh that is rolled out.
     """
@@ -59,6 +62,8 @@ class PlannerConfig:
     reward: CoverageMeasure = "exact"
     caution: float = 0.0
     finalists: int = 10
+    look_ahead: int = 0
+    second_candidates: int = 20
     space: ActionSpace = field(default_factory=ActionSpace)
     coarse: CoarseConfig = field(default_factory=CoarseConfig)
 
@@ -73,8 +78,13 @@ class PlannerConfig:
                 f"candidates is {self.candidates} and refinements {self.refinements}; give at "
                 "least 1 candidate and 0 refinements"
             )
-        if self.finalists < 0:
-            raise InvalidConfigError(f"finalists is {self.finalists}; give 0 or more")
+        for name in ("finalists", "look_ahead"):
+            if getattr(self, name) < 0:
+                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give 0 or more")
+        if self.second_candidates < 1:
+            raise InvalidConfigError(
+                f"second_candidates is {self.second_candidates}; give at least 1"
+            )
         if not 0.0 < self.elite <= 1.0:
             raise InvalidConfigError(f"elite is {self.elite}; it is a share, above 0 up to 1")
         if self.reward not in ("exact", "raster"):
@@ -102,7 +112,7 @@ class Decision:
 
     Attributes:
         action: the best; None when nothing beats doing nothing.
-        gain_m2: coverage that it is expected to add [m^2].
+        gain_m2: coverage that it is expected to add [m^2]; with look_ahead, together with the next.
         candidates: every action that was tried.
         gains_m2: expected gain of each, less the caution [m^2].
         seconds: wall-clock time of the decision [s].
@@ -167,6 +177,8 @@ class Planner:
             gains = np.concatenate([gains, self._gains(cloths, fresh, judges)])
         if len(judges) < len(self._dynamics) and tried:
             gains = self._after_a_final(cloths, tried, gains)
+        if config.look_ahead and tried:
+            gains = self._looking_ahead(cloths, tried, gains, seen, rng)
         best = int(np.argmax(gains)) if len(gains) else -1
         improves = best >= 0 and gains[best] > 0.0
         return Decision(
@@ -190,11 +202,36 @@ class Planner:
         not come so far ranks behind all that did.
         """
         best = np.argsort(-gains, kind="stable")[: self.config.finalists]
-        told = np.array(gains)
-        told[best] = self._gains(cloths, [tried[k] for k in best], self._dynamics)
-        others = np.setdiff1d(np.arange(len(gains)), best)
-        told[others] = np.minimum(gains[others], np.nextafter(told[best].min(), -np.inf))
-        return told
+        told = self._gains(cloths, [tried[k] for k in best], self._dynamics)
+        return _judged_anew(gains, best, told)
+
+    def _looking_ahead(
+        self,
+        cloths: Sequence[PlannedCloth],
+        tried: Sequence[PickPlace],
+        gains: Float[np.ndarray, " tried"],
+        seen: SeenCloth,
+        rng: np.random.Generator,
+    ) -> Float[np.ndarray, " tried"]:
+        """Gains of the most promising with the best that could come after each [m^2].
+
+        What comes after is asked of the first dynamics and of the first hypothesis alone.
+        """
+        config, cloth = self.config, cloths[0]
+        best = np.argsort(-gains, kind="stable")[: config.look_ahead]
+        best = best[np.isfinite(gains[best])]
+        ends = self._dynamics[0].predict(cloth, [tried[k] for k in best])
+        told = np.array(gains[best])
+        for number, end in enumerate(ends):
+            after = replace(cloth, positions=end, fine=None, stands_for=None)
+            shown = replace(seen, cloud=end)
+            weights = pick_weights(end, [(cloth.flat, end)])
+            next_ones = sample_actions(
+                shown, config.second_candidates, config.space, rng, weights=weights
+            )
+            further = self._gains([after], next_ones, self._dynamics[:1])
+            told[number] += max(0.0, float(further.max(initial=0.0)))
+        return _judged_anew(gains, best, told)
 
     def _gains(
         self,
@@ -263,3 +300,18 @@ class Planner:
         return PlannedCloth(
             coarsen.flat, coarsen(fine), table_height_m, fine=fine, stands_for=coarsen.stands_for
         )
+
+
+def _judged_anew(
+    gains: Float[np.ndarray, " tried"],
+    best: Int[np.ndarray, " best"],
+    told: Float[np.ndarray, " best"],
+) -> Float[np.ndarray, " tried"]:
+    """The gains with those of the best as they are now; the others rank behind all of those."""
+    anew = np.array(gains)
+    if not len(best):
+        return anew
+    anew[best] = told
+    others = np.setdiff1d(np.arange(len(gains)), best)
+    anew[others] = np.minimum(gains[others], np.nextafter(told.min(), -np.inf))
+    return anew

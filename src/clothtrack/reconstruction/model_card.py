@@ -49,7 +49,7 @@ def model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, 
         "One example in ten, by whole episodes or trajectories, which training never saw and by "
         "which the weights were selected.\n\n" + _measures(weights),
         "## Training\n\n" + _training(weights, cpu_s),
-        "## Made with\n\n" + _made(made),
+        "## Made with\n\n" + made_in_words(made),
         "## What it cannot do\n\n" + _LIMITS.format(name=name),
         "## Network\n\n```json\n" + json.dumps(dict(weights.network), indent=1) + "\n```",
     ]
@@ -77,7 +77,7 @@ def _measures(weights: Weights) -> str:
         for stage in STAGES
         for name, value in weights.provenance[stage]["held_out"].items()
     ]
-    return _table(("stage", "measure", "value"), rows)
+    return markdown_table(("stage", "measure", "value"), rows)
 
 
 def _training(weights: Weights, cpu_s: Mapping[str, float]) -> str:
@@ -88,10 +88,11 @@ def _training(weights: Weights, cpu_s: Mapping[str, float]) -> str:
         values = [str(provenance["training"][name]) for name in fields]
         rows.append((stage, *values, str(provenance["step"]), f"{cpu_s[stage] / 60:.0f}"))
     titles = [name.replace("_", " ") for name in fields]
-    return _table(("stage", *titles, "kept step", "CPU minutes"), rows)
+    return markdown_table(("stage", *titles, "kept step", "CPU minutes"), rows)
 
 
-def _made(made: Mapping[str, Any]) -> str:
+def made_in_words(made: Mapping[str, Any]) -> str:
+    """Versions and machine in a sentence (`origin.made_with` and the device)."""
     packages = ", ".join(f"{name} {version}" for name, version in made["packages"].items())
     commit = f" (`{made['commit']}`)" if made["commit"] else ""
     return (
@@ -100,7 +101,8 @@ def _made(made: Mapping[str, Any]) -> str:
     )
 
 
-def _table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of texts."""
     lines = [titles, ["---"] * len(titles), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 

@@ -33,6 +33,13 @@ class Processes:
         """Whether this process writes the files."""
         return self.rank == 0
 
+    @property
+    def machine(self) -> str:
+        """What computes, in words."""
+        if self.device.startswith("cuda"):
+            return f"{self.count} x {torch.cuda.get_device_name(self.device)}"
+        return f"a CPU (threads: {self.count * torch.get_num_threads()})"
+
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
         """This process's part."""
         return items[self.rank :: self.count]

@@ -263,17 +263,10 @@ class _Learning:
             write_model_card(
                 load_weights(path),
                 {name: outcome.cpu_s for name, outcome in self.outcomes.items()},
-                {**made_with(PACKAGES), "device": self._device()},
+                {**made_with(PACKAGES), "device": self.processes.machine},
             )
         self.processes.wait()
         return LearningOutcome(self.outcomes, path)
-
-    def _device(self) -> str:
-        """What computed, in words."""
-        device = self.processes.device
-        if device.startswith("cuda"):
-            return f"{self.processes.count} x {torch.cuda.get_device_name(device)}"
-        return f"a CPU (threads: {self.processes.count * torch.get_num_threads()})"
 
     def _one(
         self,
