@@ -39,7 +39,7 @@ class MeshDynamicsConfig:
         chunk: candidates at once; fewer take less memory.
     """
 
-    motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.05))
+    motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.1))
     resting_height_m: float = 0.0015
     chunk: int = 25
 

@@ -156,7 +156,7 @@ class WindowExamples:
         if number not in self._kept:
             if len(self._kept) >= 64:
                 self._kept.pop(next(iter(self._kept)))
-            shard = read_roll_outs(self.shards[number])
+            shard = read_roll_outs(self.shards[number]).every(self.config.network.step_s)
             self._kept[number] = shard, springs_of(shard.mesh)
         return self._kept[number]
 
@@ -306,7 +306,7 @@ def whole_roll_outs(
     """
     ends, still = [], []
     for path in shards:
-        shard = read_roll_outs(path)
+        shard = read_roll_outs(path).every(network.config.step_s)
         positions = torch.tensor(shard.positions, device=device)
         taken = torch.tensor(shard.held, device=device)
         every = torch.arange(len(positions), device=device)

@@ -106,6 +106,25 @@ class RollOutShard:
     held_frames: Int[np.ndarray, " roll_outs"]
     frame_s: float
 
+    def every(self, step_s: float) -> "RollOutShard":
+        """The same with a moment kept every so often; held until the first one after letting go.
+
+        Raises:
+            InvalidConfigError: the time is no multiple of what there is.
+        """
+        stride = round(step_s / self.frame_s)
+        if stride < 1 or abs(stride * self.frame_s - step_s) > 1e-9:
+            raise InvalidConfigError(
+                f"step_s is {step_s}, and the roll-outs have a moment every {self.frame_s} s; give "
+                "a multiple of that"
+            )
+        return replace(
+            self,
+            positions=self.positions[:, ::stride],
+            held_frames=-(-self.held_frames // stride),
+            frame_s=step_s,
+        )
+
 
 def generate_roll_outs(
     out: Path,
