@@ -236,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 options.weights = tiny_network(out / "tiny.safetensors")
         try:
             chosen = methods(options)
-            seeds = range(FIRST_SEED, FIRST_SEED + (1 if options.smoke else options.episodes))
+            seeds = range(options.first_seed, options.first_seed + options.episodes)
             tasks = [
                 Task(method, SimulatedEpisode(kind, seed), out / NAME, robot, options.device)
                 for seed in seeds
@@ -313,6 +313,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, help="folder of rows, episodes and starts")
     parser.add_argument("--episodes", type=int, default=20, help="starts of each garment")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="of the starts")
     parser.add_argument("--kind", action="append", choices=("towel", "tshirt"))
     parser.add_argument("--actions", type=int, default=10, help="of an episode")
     parser.add_argument("--weights", type=Path, help="of the pretrained network")
@@ -332,6 +333,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--verbose", action="store_true", help="log what happens")
     options = parser.parse_args(arguments)
     options.kind = options.kind or ["tshirt"]
+    if options.smoke:
+        options.episodes = 1
     if options.out is None and not options.smoke:
         parser.error("give --out FOLDER, or --smoke")
     if options.episodes < 1 or options.actions < 1:

@@ -113,7 +113,7 @@ def test_the_held_vertex_ends_at_the_place():
     torch.manual_seed(0)
     dynamics = MeshDynamics(
         MeshNetwork(TINY.network),
-        MeshDynamicsConfig(motion=MotionConfig(time_step_s=0.1, rest_s=0.0), chunk=2),
+        MeshDynamicsConfig(motion=MotionConfig(time_step_s=0.1, rest_s=0.0), together=2),
     )
     moved = dynamics.predict(LYING, [ACTION, None, ACTION])
     corner = int(np.argmax(FLAT.vertices[:, 0] + FLAT.vertices[:, 1]))

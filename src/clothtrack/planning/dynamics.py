@@ -146,6 +146,15 @@ class HeldWays:
         vertices = np.array([-1 if one is None else one for one in held], dtype=np.int64)
         return cls(vertices, ways, steps)
 
+    def batches(self, size: int) -> list[Int[np.ndarray, " chosen"]]:
+        """Candidates in batches of about this size, those together that last alike.
+
+        Long ways last four times as long as short ones, which need not wait for them.
+        """
+        lasts = np.where(self.vertices < 0, np.median(self.steps), self.steps)
+        order = np.argsort(lasts, kind="stable")
+        return np.array_split(order, math.ceil(len(order) / size))
+
     def of_candidates(self, chosen: Int[np.ndarray, " chosen"]) -> "HeldWays":
         """Those of some candidates, as long as the longest of them."""
         steps = self.steps[chosen]
@@ -244,11 +253,7 @@ class SimulatorDynamics:
         rested = replace(cloth, positions=start.positions[0].astype(np.float64))
         held = HeldWays.of(rested, actions, self.config.motion)
         ends = np.zeros((len(actions), cloth.flat.vertex_count, 3))
-        # Long ways last four times as long as short ones, which need not wait for them.
-        free = held.vertices < 0
-        lasts = np.where(free, np.median(held.steps), held.steps)
-        order = np.argsort(lasts, kind="stable")
-        for group in np.array_split(order, math.ceil(len(order) / self.config.together)):
+        for group in held.batches(self.config.together):
             ends[group] = self._rolled(cloth, start, held.of_candidates(group))
         return ends
 

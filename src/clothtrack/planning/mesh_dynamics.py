@@ -36,12 +36,13 @@ class MeshDynamicsConfig:
     Attributes:
         motion: of the tip; its time step is the model's.
         resting_height_m: of a vertex on the table [m].
-        chunk: candidates at once; fewer take less memory.
+        together: about how many candidates are rolled out at once on a processor, whose caches
+            few fit; a GPU takes them all.
     """
 
     motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.1))
     resting_height_m: float = 0.0015
-    chunk: int = 25
+    together: int = 10
 
 
 class MeshDynamics:
@@ -74,15 +75,15 @@ class MeshDynamics:
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
         """The vertices [m] after each of the actions and a rest."""
-        held = HeldWays.of(cloth, actions, self.config.motion)
-        parts = [
-            self._rolled(cloth, held, slice(first, first + self.config.chunk))
-            for first in range(0, len(actions), self.config.chunk)
-        ]
-        empty = np.zeros((0, cloth.flat.vertex_count, 3))
-        return np.concatenate([empty, *parts])
+        ends = np.zeros((len(actions), cloth.flat.vertex_count, 3))
+        if len(actions):
+            held = HeldWays.of(cloth, actions, self.config.motion)
+            together = self.config.together if self._device == "cpu" else len(actions)
+            for group in held.batches(together):
+                ends[group] = self._rolled(cloth, held.of_candidates(group))
+        return ends
 
-    def _rolled(self, cloth: PlannedCloth, held: HeldWays, part: slice) -> np.ndarray:
+    def _rolled(self, cloth: PlannedCloth, held: HeldWays) -> np.ndarray:
         """Some of the candidates."""
         config, device = self.config, self._device
         lowest = cloth.table_height_m + config.resting_height_m
@@ -90,9 +91,9 @@ class MeshDynamics:
         placed[:, 2] = np.maximum(placed[:, 2], lowest)
         start = torch.tensor(placed, dtype=torch.float32, device=device)
         ways = Ways(
-            torch.tensor(held.vertices[part], device=device),
-            torch.tensor(held.ways[part], dtype=torch.float32, device=device),
-            torch.tensor(held.steps[part], device=device),
+            torch.tensor(held.vertices, device=device),
+            torch.tensor(held.ways, dtype=torch.float32, device=device),
+            torch.tensor(held.steps, device=device),
         )
         rest = math.ceil(config.motion.rest_s / config.motion.time_step_s)
         ends = roll_out(
@@ -123,6 +124,11 @@ def load_mesh_dynamics(
 ) -> MeshDynamics:
     """Learned dynamics from a weights file; nothing in it is executed.
 
+    Args:
+        path: the weights.
+        config: how they are asked; in steps of the network's own by default.
+        device: where to compute.
+
     Raises:
         InvalidResultError: it is missing, damaged, or of another network.
     """
@@ -137,4 +143,7 @@ def load_mesh_dynamics(
     except (InvalidConfigError, TypeError) as error:
         raise InvalidResultError(f"{path}: its sizes are damaged ({error})") from error
     weights.load_into(network)
+    if config is None:
+        motion = MotionConfig(time_step_s=network.config.step_s)
+        config = MeshDynamicsConfig(motion=motion)
     return MeshDynamics(network, config, device=device)
