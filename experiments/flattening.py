@@ -32,7 +32,7 @@ from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.origin import commit
-from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
+from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig, SimulatorConfig
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flattening import FlattenConfig, improvement
 from clothtrack.planning.perception import PerceptionConfig
@@ -124,11 +124,15 @@ def methods(options: argparse.Namespace) -> list[Method]:
             replace(base, perception=TRUTH, planner=replace(base.planner, refinements=2)),
         ),
         Method(
+            "control: truth, simulator, two steps",
+            replace(base, perception=TRUTH, planner=replace(base.planner, look_ahead=5)),
+        ),
+        Method(
             "control: truth, simulator, 3 materials", replace(base, perception=TRUTH, materials=3)
         ),
     ]
-    learned = {"dynamics": "mesh", "dynamics_weights": str(options.dynamics or "")}
-    if options.dynamics:
+    learned = {"dynamics": "mesh", "dynamics_weights": str(options.dynamics or SHIPPED_WEIGHTS)}
+    if not missing_modules():
         found.append(
             Method("control: truth, learned dynamics", replace(base, perception=TRUTH, **learned))
         )
@@ -141,8 +145,7 @@ def methods(options: argparse.Namespace) -> list[Method]:
         }
         found.append(Method(name, seen["network"]))
         found += [Method(f"{name}, {how}", seen[how]) for how in ("tracker", "both")]
-        if options.dynamics:
-            found.append(Method(f"{name}, learned dynamics", replace(seen["network"], **learned)))
+        found.append(Method(f"{name}, learned dynamics", replace(seen["network"], **learned)))
     if options.only:
         known = {one.name for one in found}
         found = [
@@ -318,7 +321,11 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--actions", type=int, default=10, help="of an episode")
     parser.add_argument("--weights", type=Path, help="of the pretrained network")
     parser.add_argument("--tuned", type=Path, help="of the fine-tuned network")
-    parser.add_argument("--dynamics", type=Path, help="of the learned mesh dynamics")
+    parser.add_argument(
+        "--dynamics",
+        type=Path,
+        help="of the learned mesh dynamics; those that come along by default",
+    )
     parser.add_argument("--film", action="store_true", help="pictures all through the actions")
     parser.add_argument(
         "--only", nargs="+", metavar="NAME", help="methods by name, or by how their names begin"

@@ -7,6 +7,7 @@ The solver rolls out all candidates at once, one environment each. The learned d
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -19,6 +20,9 @@ from clothtrack.recordings.recording import Table
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState
+
+SHIPPED_WEIGHTS = Path(__file__).parent / "weights" / "mesh_dynamics.safetensors"
+"""Of the learned dynamics, for every garment; they come with the package, with a card."""
 
 REACH = 1.5
 """A pick this many edges from every vertex holds nothing."""

@@ -17,6 +17,7 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.actions import PickPlace, farthest_corner, sample_actions
 from clothtrack.planning.dynamics import (
+    SHIPPED_WEIGHTS,
     PlanningDynamics,
     SimulatorConfig,
     SimulatorDynamics,
@@ -165,9 +166,10 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningD
                 f"dynamics is mesh, which needs {', '.join(missing)}; install with: {INSTALL}, or "
                 "plan in the simulator"
             )
-        from clothtrack.planning.mesh_dynamics import SHIPPED, load_mesh_dynamics
+        from clothtrack.planning.mesh_dynamics import load_mesh_dynamics
 
-        return [load_mesh_dynamics(Path(config.dynamics_weights or SHIPPED), device=device)]
+        weights = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
+        return [load_mesh_dynamics(weights, device=device)]
     materials = several_materials(config.simulator.parameters, config.materials, _OF_EPISODES)
     asked = [replace(config.simulator, parameters=one) for one in materials]
     return [SimulatorDynamics(one, device=device) for one in asked]

@@ -25,9 +25,6 @@ from clothtrack.planning.mesh_network import (
 )
 from clothtrack.reconstruction.checkpoint import load_weights
 
-SHIPPED = Path(__file__).parent / "weights" / "mesh_dynamics.safetensors"
-"""The weights that come with the package, for every garment; their card lies beside them."""
-
 
 @dataclass(frozen=True)
 class MeshDynamicsConfig:

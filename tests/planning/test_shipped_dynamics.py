@@ -1,0 +1,73 @@
+"""The mesh dynamics that come along: whole, described, and better than standing still."""
+
+import hashlib
+
+import numpy as np
+import pytest
+import torch
+
+from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, PlannedCloth
+from clothtrack.planning.flattening import FlattenConfig, dynamics_of
+from clothtrack.planning.mesh_dynamics import MeshDynamics
+from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig
+from clothtrack.planning.mesh_training import whole_roll_outs
+from clothtrack.planning.roll_outs import RollOutConfig, generate_roll_outs
+from clothtrack.reconstruction.availability import SHIPPED as NETWORKS
+from clothtrack.reconstruction.checkpoint import load_weights
+from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
+
+UNSEEN_SEED = 4711
+
+
+@pytest.mark.parametrize(
+    ("weights", "limit_mb"),
+    [(SHIPPED_WEIGHTS, 2.0), *((path, 10.0) for path in sorted(NETWORKS.glob("*.safetensors")))],
+    ids=lambda value: getattr(value, "stem", None),
+)
+def test_a_card_lies_beside_the_weights_and_is_of_them(weights, limit_mb):
+    content = weights.read_bytes()
+    assert len(content) < limit_mb * 1e6
+    card = weights.with_suffix(".md").read_text(encoding="utf-8")
+    assert hashlib.sha256(content).hexdigest() in card
+    assert f"`{weights.name}`" in card
+
+
+@pytest.mark.parametrize("kind", DEFAULT_SIZES_M)
+def test_they_beat_standing_still_on_a_garment_that_they_never_saw(kind, tmp_path):
+    config = RollOutConfig(vertex_count=300, starts=1, actions=6)
+    shards = generate_roll_outs(tmp_path, kind, 6, seed=UNSEEN_SEED, config=config)
+    weights = load_weights(SHIPPED_WEIGHTS)
+    network = MeshNetwork(MeshNetworkConfig(**weights.network))
+    weights.load_into(network)
+    errors = whole_roll_outs(network, shards)
+    assert errors["whole_error_mm"] < 0.85 * errors["whole_still_mm"]
+    fresh = whole_roll_outs(MeshNetwork(network.config), shards)
+    assert errors["whole_error_mm"] < fresh["whole_error_mm"]
+
+
+def test_without_other_weights_they_are_what_a_plan_is_tried_in():
+    (dynamics,) = dynamics_of(FlattenConfig(dynamics="mesh"))
+    assert isinstance(dynamics, MeshDynamics)
+    flat = garment("towel", vertex_count=150)
+    lying = PlannedCloth(flat, flat.vertices + [0.0, 0.0, 0.0015])
+    corner = flat.vertices[int(np.argmax(flat.vertices[:, 0] + flat.vertices[:, 1]))]
+    inwards = PickPlace(corner.copy(), 0.2 * corner, 0.05)
+    moved, still = dynamics.predict(lying, [inwards, None])
+    assert np.linalg.norm(still - lying.positions, axis=1).mean() < 0.01
+    assert np.linalg.norm(moved - lying.positions, axis=1).max() > 0.05
+    stretch = np.linalg.norm(np.diff(moved[flat.edges], axis=1)[:, 0], axis=1) / flat.edge_lengths
+    assert np.quantile(stretch, 0.99) < 1.2
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_gpu_predicts_the_same():
+    flat = garment("towel", vertex_count=150)
+    lying = PlannedCloth(flat, flat.vertices + [0.0, 0.0, 0.0015])
+    actions = [PickPlace(flat.vertices[k], 0.5 * flat.vertices[k], 0.05) for k in (0, 40, 100)]
+    on = {
+        device: dynamics_of(FlattenConfig(dynamics="mesh"), device=device)[0]
+        for device in ("cpu", "cuda:0")
+    }
+    here, there = (one.predict(lying, actions) for one in on.values())
+    np.testing.assert_allclose(here, there, atol=2e-3)
