@@ -13,12 +13,14 @@ from clothtrack.planning.mesh_network import (
     MeshNetworkConfig,
     Ways,
     advance,
-    less_stretched,
+    nearer_to_rest,
     roll_out,
+    tethered,
 )
 from clothtrack.simulation.garments import towel
 
 CONFIG = MeshNetworkConfig(width=16, message_steps=2)
+REFERENCE = {"projections": 0, "kept_velocity": 1.0, "gravity": 0.0, "tethered": False}
 FLAT = towel(0.2, 0.2, 0.04)
 
 
@@ -68,7 +70,8 @@ def test_numbering_means_nothing(network):
     springs = springs_of(FLAT)
     renamed = type(springs)(
         new_number[springs.sender], new_number[springs.receiver], springs.rest,
-        springs.joined[order][:, order],
+        springs.joined[order][:, order], springs.count[order],
+        springs.along[order][:, order],
     )  # fmt: skip
     here = accelerations(network, positions, velocities, held)
     there = accelerations(
@@ -111,7 +114,7 @@ def test_a_step_is_semi_implicit_and_obeys_the_gripper_and_the_table(network):
 
 
 def unprojected(network):
-    free = MeshNetwork(replace(CONFIG, projections=0)).eval()
+    free = MeshNetwork(replace(CONFIG, **REFERENCE)).eval()
     free.load_state_dict(network.state_dict())
     return free
 
@@ -128,7 +131,8 @@ def test_a_held_corner_draws_the_cloth_along_and_stretches_it_little():
     ways = Ways(torch.tensor([corner]), places, torch.tensor([10]))
     strain = {}
     for projections in (0, 20):
-        network = MeshNetwork(replace(CONFIG, projections=projections)).eval()
+        free = replace(CONFIG, projections=projections, tethered=False)
+        network = MeshNetwork(free).eval()
         after = roll_out(network, positions, springs, ways, steps=10)
         np.testing.assert_allclose(after[0, corner], places[0, -1], atol=1e-6)
         gap = (after[:, springs.sender] - after[:, springs.receiver]).norm(dim=-1)
@@ -142,11 +146,26 @@ def test_a_slack_cloth_is_left_alone_and_a_stretched_one_shrinks():
     springs = springs_of(FLAT)
     nobody = torch.zeros(positions.shape[:2], dtype=torch.bool)
     slack = 0.8 * torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
-    torch.testing.assert_close(less_stretched(slack, nobody, springs), slack)
+    torch.testing.assert_close(nearer_to_rest(slack, nobody, springs, unfolding=0.0), slack)
     wide = 1.5 * torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
-    closer = less_stretched(wide, nobody, springs)
+    closer = nearer_to_rest(wide, nobody, springs, unfolding=0.0)
     assert float(closer.std()) < float(wide.std())
     torch.testing.assert_close(closer.mean(dim=1), wide.mean(dim=1), atol=1e-3, rtol=0.0)
+
+
+def test_a_tether_is_as_long_as_the_cloth_between():
+    positions = torch.tensor(FLAT.vertices, dtype=torch.float32)[None].repeat(2, 1, 1)
+    springs = springs_of(FLAT)
+    held = torch.zeros(positions.shape[:2], dtype=torch.bool)
+    held[0, 0] = True
+    positions[:, 0] += torch.tensor([0.0, 0.0, 0.5])
+    after = tethered(positions, held, springs)
+    apart = (after[0] - after[0, 0]).norm(dim=-1)
+    assert (apart <= springs.along[0] + 1e-6).all()
+    assert float(apart.max()) > 0.15
+    torch.testing.assert_close(after[0, 0], positions[0, 0])
+    # Nobody holds the other cloth.
+    torch.testing.assert_close(after[1], positions[1])
 
 
 def test_sizes_without_sense_are_refused():
@@ -156,3 +175,7 @@ def test_sizes_without_sense_are_refused():
         MeshNetworkConfig(step_s=0.0)
     with pytest.raises(InvalidConfigError, match="projections"):
         MeshNetworkConfig(projections=-1)
+    with pytest.raises(InvalidConfigError, match="kept_velocity"):
+        MeshNetworkConfig(kept_velocity=1.5)
+    with pytest.raises(InvalidConfigError, match="gravity"):
+        MeshNetworkConfig(gravity=-1.0)

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
@@ -111,9 +113,14 @@ class MeshDynamics:
 
 def springs_of(flat: ClothMesh) -> Springs:
     """The edges of a flat garment, for the network."""
-    edges = torch.tensor(np.asarray(flat.edges), dtype=torch.int64)
-    rest = torch.tensor(np.asarray(flat.edge_lengths), dtype=torch.float32)
-    return Springs.of(edges, rest, flat.vertex_count)
+    edges, lengths = np.asarray(flat.edges), np.asarray(flat.edge_lengths, dtype=np.float64)
+    graph = coo_matrix((lengths, edges.T), shape=(flat.vertex_count, flat.vertex_count))
+    along = dijkstra(graph.tocsr(), directed=False)
+    return Springs.of(
+        torch.tensor(edges, dtype=torch.int64),
+        torch.tensor(lengths, dtype=torch.float32),
+        torch.tensor(along, dtype=torch.float32),
+    )
 
 
 def load_mesh_dynamics(

@@ -28,9 +28,16 @@ class MeshNetworkConfig:
         length_scale_m: lengths are divided by this [m].
         velocity_scale: velocities are divided by this [m/s].
         acceleration_scale: the output is multiplied by this [m/s^2].
-        projections: times per step that stretched edges are shortened towards their rest length
-            (position-based dynamics, Jacobi); 0 leaves it to the network, as the reference does,
-            and a planner then finds candidates that promise much because they stretch the cloth.
+        kept_velocity: share of its velocity that a vertex keeps where nothing is learned.
+        gravity: at which it falls then [m/s^2]; cloth floats, so it is less than the earth's.
+        projections: times per step that edges are brought nearer to their rest lengths
+            (position-based dynamics, Jacobi). 0, with kept_velocity 1 and gravity 0, leaves all
+            of it to the network, as the reference does; minutes of training do not suffice then.
+        tethered: no vertex is farther from the held one than along the cloth (long range
+            attachments, Kim et al. 2012, DOI 10.2312/SCA/SCA12/305-310): messages and projections
+            carry a pull a few edges far per step, and the gripper draws the whole cloth along.
+        unfolding: how eagerly an edge that is too short grows, beside one that is too long: a
+            fold shortens the edges across it.
     """
 
     width: int = 128
@@ -41,7 +48,11 @@ class MeshNetworkConfig:
     length_scale_m: float = 0.025
     velocity_scale: float = 0.25
     acceleration_scale: float = 2.0
-    projections: int = 20
+    kept_velocity: float = 0.7
+    gravity: float = 3.0
+    projections: int = 40
+    tethered: bool = True
+    unfolding: float = 0.3
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network has, or that would take all memory.
@@ -56,8 +67,14 @@ class MeshNetworkConfig:
                 )
         if not 0 <= self.projections <= 64:
             raise InvalidConfigError(f"projections is {self.projections}; it must be from 0 to 64")
+        for name in ("kept_velocity", "unfolding"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidConfigError(
+                    f"{name} is {getattr(self, name)}; it is a share, from 0 to 1"
+                )
         for name, value in vars(self).items():
-            if isinstance(value, float) and not value > 0.0:
+            may_be_zero = name in ("kept_velocity", "unfolding", "gravity")
+            if isinstance(value, float) and not (value > 0.0 or (may_be_zero and value == 0.0)):
                 raise InvalidConfigError(f"{name} is {value}; it must be above 0")
 
 
@@ -70,42 +87,65 @@ class Springs:
         receiver: vertex that it leads to.
         rest: length in the flat garment [m].
         joined: matrix of which vertices share an edge or are the same.
+        count: edges of each vertex, at least one.
+        along: from each vertex to each, along the edges of the flat garment [m].
     """
 
     sender: Tensor
     receiver: Tensor
     rest: Tensor
     joined: Tensor
+    count: Tensor
+    along: Tensor
 
     @classmethod
-    def of(cls, edges: Tensor, rest: Tensor, vertices: int) -> "Springs":
-        """Both directions of each edge (edges, 2), with its rest length [m]."""
+    def of(cls, edges: Tensor, rest: Tensor, along: Tensor) -> "Springs":
+        """Both directions of each edge (edges, 2), with its rest length, and `along` [m]."""
+        vertices = len(along)
         sender = torch.cat([edges[:, 0], edges[:, 1]])
         receiver = torch.cat([edges[:, 1], edges[:, 0]])
         joined = torch.eye(vertices, dtype=torch.bool, device=edges.device)
         joined[sender, receiver] = True
-        return cls(sender, receiver, torch.cat([rest, rest]), joined)
+        count = torch.bincount(receiver, minlength=vertices).clamp_min(1)
+        return cls(sender, receiver, torch.cat([rest, rest]), joined, count, along)
 
     def to(self, device: str) -> "Springs":
         """The same on a device."""
         return Springs(*(one.to(device) for one in vars(self).values()))
 
 
-def less_stretched(positions: Tensor, held: Tensor, springs: Springs) -> Tensor:
-    """Every end of a stretched edge comes nearer to the other; held vertices stay."""
+def nearer_to_rest(
+    positions: Tensor, held: Tensor, springs: Springs, *, unfolding: float
+) -> Tensor:
+    """Every edge comes nearer to its rest length; held vertices stay (B, V, 3) [m].
+
+    Args:
+        positions: vertices (B, V, 3) [m].
+        held: which are held (B, V).
+        springs: the mesh.
+        unfolding: share of what an edge that is too short asks for.
+    """
     gap = positions[:, springs.sender] - positions[:, springs.receiver]
     length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
-    excess = (length - springs.rest[:, None]).clamp_min(0.0)
+    excess = length - springs.rest[:, None]
+    excess = torch.where(excess > 0.0, excess, unfolding * excess)
     # The whole excess where the other end is held, else half of it.
     share = torch.where(held[:, springs.sender], 1.0, 0.5)[..., None]
     pull = share * gap * (excess / length)
-    stretched = (excess > 0.0).to(positions.dtype)
-    where = springs.receiver
-    total = torch.zeros_like(positions).index_add(1, where, pull)
-    count = torch.zeros_like(positions[..., :1]).index_add(1, where, stretched)
+    total = torch.zeros_like(positions).index_add(1, springs.receiver, pull)
     # A mean of what the edges ask for is stable; half as much again is faster.
-    moved = positions + 1.5 * total / count.clamp_min(1.5)
+    moved = positions + 1.5 * total / springs.count[:, None]
     return torch.where(held[..., None], positions, moved)
+
+
+def tethered(positions: Tensor, held: Tensor, springs: Springs) -> Tensor:
+    """Vertices farther from the held one of their cloth than along its edges come nearer to it."""
+    one = held.to(torch.uint8).argmax(dim=1)
+    anchor = positions[torch.arange(len(one), device=one.device), one][:, None]
+    gap = positions - anchor
+    length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    share = (springs.along[one][..., None] / length).clamp_max(1.0)
+    return torch.where(held.any(dim=1)[:, None, None], anchor + share * gap, positions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,18 +304,22 @@ def advance(
     Returns:
         Positions and past velocities after the step.
     """
-    step_s = network.config.step_s
+    config, step_s = network.config, network.config.step_s
     height = positions[..., 2] - lowest_m
     # The network is told where held vertices are about to go, not only where they came from.
     coming = torch.where(held[..., None], (targets - positions) / step_s, velocities[:, :, -1])
     told = torch.cat([velocities[:, :, :-1], coming[:, :, None]], dim=2)
     change = network(positions, told, height, held, springs)
-    after = positions + step_s * (velocities[:, :, -1] + step_s * change)
+    down = positions.new_tensor([0.0, 0.0, -config.gravity])
+    kept = config.kept_velocity * velocities[:, :, -1]
+    after = positions + step_s * (kept + step_s * (change + down))
     above = after[..., 2].clamp_min(lowest_m)
     after = torch.cat([after[..., :2], above[..., None]], dim=-1)
     after = torch.where(held[..., None], targets, after)
-    for _ in range(network.config.projections):
-        after = less_stretched(after, held, springs)
+    if config.tethered:
+        after = tethered(after, held, springs)
+    for _ in range(config.projections):
+        after = nearer_to_rest(after, held, springs, unfolding=config.unfolding)
     latest = (after - positions) / step_s
     return after, torch.cat([velocities[:, :, 1:], latest[:, :, None]], dim=2)
 
