@@ -185,7 +185,7 @@ class MessageStep(nn.Module):
         self.of_receiver = nn.Linear(width, width, bias=False)
         self.of_whole = nn.Linear(width, width, bias=False)
         # What is added begins with nothing: deep sums of many edges would drown the start.
-        self.edge = nn.Sequential(nn.ReLU(), *mlp(width, width, width, silent=True)[2:])
+        self.edge = nn.Sequential(nn.ReLU(), *list(mlp(width, width, width, silent=True))[2:])
         self.node = mlp(3 * width, width, width, silent=True)
         self.whole = mlp(3 * width, width, width, silent=True)
 
