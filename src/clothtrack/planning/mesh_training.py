@@ -34,6 +34,7 @@ from clothtrack.reconstruction.training import Progress, Stage, TrainingOutcome,
 from clothtrack.reconstruction.training_config import TrainingConfig
 
 RESTING_HEIGHT_M = 0.0015
+WHOLE_ERROR = "whole_error_mm"
 
 
 @dataclass(frozen=True)
@@ -291,7 +292,11 @@ def train_mesh_dynamics(
         network = MeshNetwork(config.network).to(device)
         weights.load_into(network)
         made = {**made_with(PACKAGES), "device": Processes(device=device).machine}
-        whole = whole_roll_outs(network, unseen, device=device)
+        untrained = MeshNetwork(config.network).to(device)
+        whole = {
+            **whole_roll_outs(network, unseen, device=device),
+            "whole_untrained_mm": whole_roll_outs(untrained, unseen, device=device)[WHOLE_ERROR],
+        }
         write_dynamics_card(weights, whole, outcome.cpu_s, made)
     return outcome
 
@@ -320,6 +325,6 @@ def whole_roll_outs(
         ends.append((own - last).norm(dim=-1).mean(dim=1))
         still.append((positions[:, 0] - last).norm(dim=-1).mean(dim=1))
     return {
-        "whole_error_mm": 1e3 * float(torch.cat(ends).mean()),
+        WHOLE_ERROR: 1e3 * float(torch.cat(ends).mean()),
         "whole_still_mm": 1e3 * float(torch.cat(still).mean()),
     }
