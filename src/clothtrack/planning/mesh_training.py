@@ -15,7 +15,7 @@ from torch import Tensor
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.origin import made_with
-from clothtrack.planning.dynamics_card import write_dynamics_card
+from clothtrack.planning.mesh_card import write_dynamics_card
 from clothtrack.planning.mesh_dynamics import springs_of
 from clothtrack.planning.mesh_network import (
     MeshNetwork,
@@ -258,7 +258,7 @@ def train_mesh_dynamics(
         progress: called after every step.
 
     Returns:
-        How it ended; the best weights, with a card beside them (`dynamics_card`).
+        How it ended; the best weights, with a card beside them (`mesh_card`).
 
     Raises:
         InvalidConfigError: there are fewer than two shards.
