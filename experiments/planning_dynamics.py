@@ -14,7 +14,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -161,7 +161,7 @@ def _decisions(
     rows: dict[str, Row] = {}
     gains: dict[str, np.ndarray] = {}
     for name, dynamics in asked.items():
-        decision = Planner([dynamics], replace(PlannerConfig(), finalists=0)).decide(
+        decision = Planner([dynamics], PlannerConfig(finalists=0)).decide(
             [Hypothesis(flat, start, kind)], seen, np.random.default_rng(seed)
         )
         gains[name] = decision.gains_m2

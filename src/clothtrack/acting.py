@@ -158,7 +158,7 @@ def train_dynamics(
         seed: of roll-outs, weights and order.
         json: machine-readable.
     """
-    from clothtrack.planning.roll_outs import RollOutConfig, generate_roll_outs
+    from clothtrack.planning.roll_outs import RollOutConfig, frames_per_step, generate_roll_outs
     from clothtrack.tracking.settings import with_settings
 
     mine = [one for one in settings if not one.startswith("roll_outs.")]
@@ -169,7 +169,8 @@ def train_dynamics(
 
     def make() -> list[Path]:
         shards: list[Path] = []
-        for kind in garment:
+        # Named twice, its shards would be learned from and held out at once.
+        for kind in dict.fromkeys(garment):
             shards += generate_roll_outs(
                 output / "roll_outs" / kind, kind, roll_outs, seed=seed, config=recipe,
                 processes=workers, progress=progress,
@@ -188,6 +189,7 @@ def train_dynamics(
     require_torch_device(device)
     config = DynamicsTrainingConfig()
     config = with_settings(replace(config, loop=replace(config.loop, seed=seed)), mine)
+    frames_per_step(config.network.step_s, recipe.frame_s)
     outcome = train_mesh_dynamics(
         make(), ", ".join(garment), config, output / "model", device=device, progress=progress
     )

@@ -147,6 +147,8 @@ def test_a_slack_cloth_is_left_alone_and_a_stretched_one_shrinks():
     nobody = torch.zeros(positions.shape[:2], dtype=torch.bool)
     slack = 0.8 * torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
     torch.testing.assert_close(nearer_to_rest(slack, nobody, springs, unfolding=0.0), slack)
+    wider = nearer_to_rest(slack, nobody, springs, unfolding=0.3)
+    assert float(wider.std()) > float(slack.std())
     wide = 1.5 * torch.tensor(FLAT.vertices, dtype=torch.float32)[None]
     closer = nearer_to_rest(wide, nobody, springs, unfolding=0.0)
     assert float(closer.std()) < float(wide.std())

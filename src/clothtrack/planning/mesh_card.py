@@ -18,7 +18,7 @@ _LIMITS = """\
   it knows the mean one only.
 - The mesh has edges of about 25 mm; folds that are finer are not in it.
 - It predicts one gripper that takes one point, on a level table.
-- On a processor the simulator is faster and more exact; the graph network is for a GPU."""
+- Whether to plan in it or in the simulator, `experiments/planning_dynamics.py` tells."""
 
 
 def write_dynamics_card(

@@ -112,18 +112,28 @@ class RollOutShard:
         Raises:
             InvalidConfigError: the time is no multiple of what there is.
         """
-        stride = round(step_s / self.frame_s)
-        if stride < 1 or abs(stride * self.frame_s - step_s) > 1e-9:
-            raise InvalidConfigError(
-                f"step_s is {step_s}, and the roll-outs have a moment every {self.frame_s} s; give "
-                "a multiple of that"
-            )
+        stride = frames_per_step(step_s, self.frame_s)
         return replace(
             self,
             positions=self.positions[:, ::stride],
             held_frames=-(-self.held_frames // stride),
             frame_s=step_s,
         )
+
+
+def frames_per_step(step_s: float, frame_s: float) -> int:
+    """Kept moments of roll-outs from one step of a model to the next.
+
+    Raises:
+        InvalidConfigError: the step is no multiple of the time between two moments.
+    """
+    stride = round(step_s / frame_s)
+    if stride < 1 or abs(stride * frame_s - step_s) > 1e-9:
+        raise InvalidConfigError(
+            f"step_s is {step_s}, and the roll-outs have a moment every {frame_s} s; give a "
+            "multiple of that"
+        )
+    return stride
 
 
 def generate_roll_outs(
