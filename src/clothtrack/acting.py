@@ -191,7 +191,12 @@ def train_dynamics(
     config = with_settings(replace(config, loop=replace(config.loop, seed=seed)), mine)
     frames_per_step(config.network.step_s, recipe.frame_s)
     outcome = train_mesh_dynamics(
-        make(), ", ".join(garment), config, output / "model", device=device, progress=progress
+        make(),
+        ", ".join(dict.fromkeys(garment)),
+        config,
+        output / "model",
+        device=device,
+        progress=progress,
     )
     end_progress()
     if json:
