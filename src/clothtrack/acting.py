@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from clothtrack.planning.episode_store import EpisodeStore
     from clothtrack.planning.flattening import FlattenConfig
     from clothtrack.planning.simulated_episodes import SimulatedEpisode
+    from clothtrack.reconstruction.training import TrainingOutcome
 
 logger = logging.getLogger(__name__)
 
@@ -199,6 +200,11 @@ def train_dynamics(
         progress=progress,
     )
     end_progress()
+    return _told(outcome, json=json)
+
+
+def _told(outcome: "TrainingOutcome", *, json: bool) -> int:
+    """Say how a training ended, and give the exit status."""
     if json:
         say(json_module.dumps(asdict(outcome), indent=2, default=str))
     else:
