@@ -61,6 +61,7 @@ def network_mesh(
     method: "Method" = "template",
     size_m: tuple[float, float] | None = None,
     vertex_count: int = 1000,
+    turn_rad: float = 0.0,
     refinement: RefinementConfig | None = None,
     observation: Observation | None = None,
     device: str = "cpu",
@@ -74,6 +75,8 @@ def network_mesh(
         method: "template" or "implicit" (`reconstruction.model: MeshReconstructor.reconstruct`).
         size_m: width and length of the garment when known [m]; else taken from the picture.
         vertex_count: of a template, about.
+        turn_rad: the world is turned by it about the vertical before the network sees it, and back
+            again: another picture of the same cloth.
         refinement: how to fine-tune the mesh; None leaves it as the network makes it.
         observation: what it is fine-tuned against; the picture's own points when None.
         device: of the fine-tuning; the networks compute where they are.
@@ -87,7 +90,7 @@ def network_mesh(
         template = garment(kind, vertex_count=vertex_count, size_m=size_m)
 
     def seen_as(scale: float) -> "Reconstruction":
-        shown = picture.scaled(scale)
+        shown = picture.turned(turn_rad).scaled(scale)
         (found,) = model.reconstruct(
             [shown.depth_m],
             shown.camera,
@@ -98,7 +101,7 @@ def network_mesh(
             table=shown.table,
             fit=TemplateFitConfig(vertex_count=vertex_count),
         )
-        return found.scaled(1.0 / scale)
+        return found.scaled(1.0 / scale).turned(-turn_rad)
 
     found, scale = _best_size(seen_as, picture)
     if found.mesh is None or refinement is None:

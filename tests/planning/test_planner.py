@@ -76,6 +76,20 @@ def test_finalists_are_rated_by_all_and_the_others_rank_behind_them():
         PlannerConfig(finalists=-1)
 
 
+def test_a_second_hypothesis_rates_the_finalists_of_the_first():
+    smaller = Hypothesis(FLAT, LYING * [0.5, 0.5, 1.0], "towel")
+    beliefs = (BELIEF, smaller)
+    dynamics = GrowTowards([0.2, 0.0])
+    decision = decide([dynamics], PlannerConfig(finalists=10), beliefs)
+    assert dynamics.asked == [101, 11, 11]
+    everyone = decide([GrowTowards([0.2, 0.0])], PlannerConfig(finalists=0), beliefs)
+    finalists = np.argsort(-decision.gains_m2, kind="stable")[:10]
+    # Here both like the same actions: the mean over both is five eighths of the first's gain.
+    np.testing.assert_allclose(decision.gains_m2[finalists], everyone.gains_m2[finalists])
+    assert set(finalists) == set(np.argsort(-everyone.gains_m2, kind="stable")[:10])
+    np.testing.assert_array_equal(decision.action.place, everyone.action.place)
+
+
 class PaysLater:
     """Places on the left win a little at once; those on the right let the next action win much.
 

@@ -116,6 +116,12 @@ class Camera:
         pose[:3, 3] *= factor
         return replace(self, world_from_camera=pose)
 
+    def turned(self, angle_rad: float) -> "Camera":
+        """The same camera in a world that is turned about the vertical through its origin."""
+        pose = np.array(self.world_from_camera, dtype=np.float64)
+        pose[:3] = about_vertical(angle_rad) @ pose[:3]
+        return replace(self, world_from_camera=pose)
+
     def resized(self, width: int) -> "Camera":
         """The same view in an image of another width (whole pixels, aspect kept)."""
         scale = width / self.width
@@ -129,3 +135,9 @@ class Camera:
             (self.cy + 0.5) * scale - 0.5,
             self.world_from_camera,
         )
+
+
+def about_vertical(angle_rad: float) -> Float[np.ndarray, "3 3"]:
+    """Rotation by an angle about z, from x towards y."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])

@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -22,11 +22,17 @@ from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.refinement import RefinementConfig
 from clothtrack.tracking.tracker import Tracker
 
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.depth_input import DepthInput
+
 logger = logging.getLogger(__name__)
 
 PerceptionName = Literal["network", "tracker", "both", "truth"]
 CONTROLS = ("truth",)
 """Perceptions that no camera can have: upper bounds, never results."""
+
+MOST_VIEWS = 16
+"""Each costs as much as the first."""
 
 TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
 
@@ -45,6 +51,8 @@ class PerceptionConfig:
             followed through every action; "both": the two as hypotheses that a planner averages;
             "truth": the control.
         weights: file with the network's weights; empty: those that come with the package, if any.
+        views: from so many directions around the vertical the network is shown the cloth; what it
+            makes of each is a hypothesis, and where they differ it guessed.
         refined: fine-tune the network's mesh to the picture.
         refinement: how.
         vertex_count: of the network's mesh, about.
@@ -54,6 +62,7 @@ class PerceptionConfig:
 
     name: PerceptionName = "network"
     weights: str = ""
+    views: int = 1
     refined: bool = True
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_count: int = 1000
@@ -69,6 +78,10 @@ class PerceptionConfig:
         if self.name not in ("network", "tracker", "both", "truth"):
             raise InvalidConfigError(
                 f"perception is {self.name!r}; choose network, tracker, both or truth"
+            )
+        if not 1 <= self.views <= MOST_VIEWS:
+            raise InvalidConfigError(
+                f"perception.views is {self.views}; it must be from 1 to {MOST_VIEWS}"
             )
 
 
@@ -121,7 +134,7 @@ class Perception(Protocol):
 
 
 class NetworkPerception:
-    """The network's mesh of the latest picture, fine-tuned to it. Needs [learn] and weights."""
+    """The network's meshes of the latest picture, fine-tuned to it. Needs [learn] and weights."""
 
     def __init__(self, kind: str, config: PerceptionConfig, *, device: str = "cpu") -> None:
         """Load the networks.
@@ -136,36 +149,58 @@ class NetworkPerception:
         self._model: Any = load_model(kind, path, device=device)
 
     def perceive(self, look: Look) -> list[Estimate]:
-        """One estimate, from the latest picture alone.
+        """One estimate per view, from the latest picture alone.
 
         Raises:
             InvalidRecordingError: there is no cloth in the picture, or no mesh comes of it.
         """
-        from clothtrack.network_mesh import laid_flat, network_mesh
         from clothtrack.reconstruction.depth_input import DepthInput
         from clothtrack.reconstruction.pseudo_labels import cloth_picture
 
-        config, recording = self._config, look.recording
+        recording = look.recording
         depth, mask, camera = cloth_picture(recording, look.frame)
+        picture = DepthInput(depth, mask, camera, recording.table, self._kind)
+        views, observation = self._config.views, look.observation()
+        made = [
+            self._reconstructed(picture, 2.0 * np.pi * view / views, recording, observation)
+            for view in range(views)
+        ]
+        estimates = [one for one in made if isinstance(one, Estimate)]
+        if not estimates:
+            raise InvalidRecordingError(
+                f"{recording.folder}: the network makes no mesh of it ({made[0]}); flattening "
+                "needs a table and a mesh"
+            )
+        return estimates
+
+    def _reconstructed(
+        self,
+        picture: "DepthInput",
+        turn_rad: float,
+        recording: Recording,
+        observation: Observation,
+    ) -> Estimate | str:
+        """The mesh of one view, on the table; or why there is none."""
+        from clothtrack.network_mesh import laid_flat, network_mesh
+
+        config = self._config
         found = network_mesh(
             self._model,
-            DepthInput(depth, mask, camera, recording.table, self._kind),
+            picture,
             self._kind,
             size_m=recording.cloth.size_m,
             vertex_count=config.vertex_count,
+            turn_rad=turn_rad,
             refinement=config.refinement if config.refined else None,
-            observation=look.observation(),
+            observation=observation,
             device=self._device,
         )
         rest = found.reconstruction.rest
         if found.mesh is None or rest is None or recording.table is None:
-            raise InvalidRecordingError(
-                f"{recording.folder}: the network makes no mesh of it "
-                f"({found.reconstruction.status}); flattening needs a table and a mesh"
-            )
+            return found.reconstruction.status
         positions = found.mesh.vertices.astype(np.float64)
         flat = laid_flat(rest, positions, recording.table, config.resting_height_m)
-        return [Estimate(flat, positions, "network")]
+        return Estimate(flat, positions, "network")
 
 
 class TrackerPerception:

@@ -44,8 +44,8 @@ class PlannerConfig:
         lift_spread_m: the same of the lift [m].
         reward: "exact" coverage, or the literature's "raster".
         caution: standard deviations over hypotheses and materials that are taken off the mean gain.
-        finalists: of several dynamics the first rates all candidates, and so many of the most
-            promising are rated by all. 0: all rate all.
+        finalists: of several hypotheses and dynamics the first rates all candidates, and so many of
+            the most promising are rated by all. 0: all rate all.
         look_ahead: so many of the most promising are judged by what could be done after them, too:
             the best of `second_candidates` from where each ends. 0: what comes at once counts.
         second_candidates: actions that are tried after each of those.
@@ -155,7 +155,7 @@ class Planner:
         """Choose the next action.
 
         Args:
-            hypotheses: where the cloth may be; the gain is the mean over them.
+            hypotheses: where the cloth may be, the likeliest first; the gain is the mean over them.
             seen: what the camera sees of it: picks are there.
             rng: source of the candidates.
 
@@ -169,13 +169,14 @@ class Planner:
         beliefs = [(cloth.flat, np.asarray(cloth.positions)) for cloth in cloths]
         weights = pick_weights(seen.cloud, beliefs)
         tried = sample_actions(seen, config.candidates, config.space, rng, weights=weights)
-        judges = self._dynamics[:1] if config.finalists else self._dynamics
-        gains = self._gains(cloths, tried, judges)
+        every = cloths, self._dynamics
+        judges = (cloths[:1], self._dynamics[:1]) if config.finalists else every
+        gains = self._gains(tried, *judges)
         for round_ in range(config.refinements):
             fresh = self._around_the_best(tried, gains, seen, round_, rng)
             tried = tried + fresh
-            gains = np.concatenate([gains, self._gains(cloths, fresh, judges)])
-        if len(judges) < len(self._dynamics) and tried:
+            gains = np.concatenate([gains, self._gains(fresh, *judges)])
+        if judges is not every and len(cloths) * len(self._dynamics) > 1 and tried:
             gains = self._after_a_final(cloths, tried, gains)
         if config.look_ahead and tried:
             gains = self._looking_ahead(cloths, tried, gains, seen, rng)
@@ -196,13 +197,13 @@ class Planner:
         tried: Sequence[PickPlace],
         gains: Float[np.ndarray, " tried"],
     ) -> Float[np.ndarray, " tried"]:
-        """Gains with those of the most promising as all dynamics see them [m^2].
+        """Gains with those of the most promising as all hypotheses and dynamics see them [m^2].
 
         The best of many promises more than it keeps: it is the best for its luck, too. What did
         not come so far ranks behind all that did.
         """
         best = np.argsort(-gains, kind="stable")[: self.config.finalists]
-        told = self._gains(cloths, [tried[k] for k in best], self._dynamics)
+        told = self._gains([tried[k] for k in best], cloths, self._dynamics)
         return _judged_anew(gains, best, told)
 
     def _looking_ahead(
@@ -229,17 +230,17 @@ class Planner:
             next_ones = sample_actions(
                 shown, config.second_candidates, config.space, rng, weights=weights
             )
-            further = self._gains([after], next_ones, self._dynamics[:1])
+            further = self._gains(next_ones, [after], self._dynamics[:1])
             told[number] += max(0.0, float(further.max(initial=0.0)))
         return _judged_anew(gains, best, told)
 
     def _gains(
         self,
-        cloths: Sequence[PlannedCloth],
         actions: Sequence[PickPlace],
+        cloths: Sequence[PlannedCloth],
         judges: Sequence[PlanningDynamics],
     ) -> Float[np.ndarray, " actions"]:
-        """Coverage that each action adds to doing nothing [m^2], over all hypotheses."""
+        """Coverage that each action adds to doing nothing [m^2], over hypotheses and dynamics."""
         if not actions:
             return np.zeros(0)
         rows = []

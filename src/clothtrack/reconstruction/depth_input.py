@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
-from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.camera import Camera, about_vertical
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.checkpoint import load_weights
 from clothtrack.reconstruction.model import MeshReconstructor
@@ -51,6 +51,13 @@ class DepthInput:
         return replace(
             self, depth_m=self.depth_m * factor, camera=self.camera.scaled(factor), table=table
         )
+
+    def turned(self, angle_rad: float) -> "DepthInput":
+        """The same picture of a world that is turned about the vertical through its origin."""
+        turn, table = about_vertical(angle_rad), self.table
+        if table is not None:
+            table = replace(table, point=turn @ table.point, normal=turn @ table.normal)
+        return replace(self, camera=self.camera.turned(angle_rad), table=table)
 
 
 def from_recording(folder: Path, frame: int) -> DepthInput:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from torch import Tensor
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.camera import Camera, about_vertical
 from clothtrack.geometry.closest_point import closest_on_triangle
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.canonical_frame import canonical_frame, check_canonical, conventional
@@ -149,10 +149,8 @@ class LabelledPicture:
 
     def turned(self, angle: float) -> "LabelledPicture":
         """Camera and cloth turned about the vertical through the origin [rad]."""
-        turn = np.eye(4)
-        turn[:2, :2] = (np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))
-        camera = replace(self.camera, world_from_camera=turn @ self.camera.world_from_camera)
-        return replace(self, camera=camera, positions=self.positions @ turn[:3, :3].T)
+        positions = self.positions @ about_vertical(angle).T
+        return replace(self, camera=self.camera.turned(angle), positions=positions)
 
 
 @dataclass(frozen=True, eq=False)

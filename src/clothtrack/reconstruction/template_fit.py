@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.camera import about_vertical
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import align
@@ -80,6 +81,10 @@ class SeenPoints:
     def scaled(self, factor: float) -> "SeenPoints":
         """The same in a world that is larger by a factor."""
         return SeenPoints(self.points * factor, self.canonical * factor, self.confidence)
+
+    def turned(self, angle_rad: float) -> "SeenPoints":
+        """The same in a world that is turned about the vertical through its origin."""
+        return replace(self, points=self.points @ about_vertical(angle_rad).T)
 
 
 def template_of(
