@@ -53,6 +53,9 @@ NAME = "flattening"
 FIRST_SEED = 9000
 """Of the starts; the benchmark's seeds, and those that are learned from, lie below."""
 
+VIEWS = 3
+"""Directions from which the network is shown the cloth, in the row that asks what that is worth."""
+
 TRUTH = PerceptionConfig(name="truth")
 
 
@@ -145,6 +148,16 @@ def methods(options: argparse.Namespace) -> list[Method]:
         }
         found.append(Method(name, seen["network"]))
         found += [Method(f"{name}, {how}", seen[how]) for how in ("tracker", "both")]
+        found.append(
+            Method(
+                f"{name}, {VIEWS} views",
+                replace(
+                    seen["network"],
+                    perception=replace(seen["network"].perception, views=VIEWS),
+                    planner=replace(base.planner, finalists=30),
+                ),
+            )
+        )
         found.append(Method(f"{name}, learned dynamics", replace(seen["network"], **learned)))
     if options.only:
         known = {one.name for one in found}

@@ -34,8 +34,13 @@ class GrowTowards:
         return np.stack([cloth.positions * [scale, scale, 1.0] for scale in scales])
 
 
+def plain(**settings):
+    """A planner that believes what the dynamics promise."""
+    return PlannerConfig(strip_m=0.0, **settings)
+
+
 def decide(dynamics, config=None, beliefs=(BELIEF,), seed=0):
-    planner = Planner(dynamics, config)
+    planner = Planner(dynamics, config or plain())
     return planner.decide(beliefs, SEEN, np.random.default_rng(seed))
 
 
@@ -50,27 +55,27 @@ def test_the_best_candidate_wins_and_its_gain_is_its_own():
 
 
 def test_refinement_comes_nearer_and_never_loses_what_it_has():
-    plain = decide([GrowTowards([0.17, 0.05])])
+    once = decide([GrowTowards([0.17, 0.05])])
     dynamics = GrowTowards([0.17, 0.05])
-    refined = decide([dynamics], PlannerConfig(refinements=3))
+    refined = decide([dynamics], plain(refinements=3))
     assert dynamics.asked == [101] * 4
-    assert refined.gain_m2 > plain.gain_m2
-    assert refined.gains_m2[:100].max() == plain.gain_m2
+    assert refined.gain_m2 > once.gain_m2
+    assert refined.gains_m2[:100].max() == once.gain_m2
     gap = np.linalg.norm(refined.action.place[:2] - [0.17, 0.05])
     assert gap < 0.01
 
 
 def test_finalists_are_rated_by_all_and_the_others_rank_behind_them():
     first, second = GrowTowards([0.2, 0.0]), GrowTowards([0.12, 0.1])
-    decision = decide([first, second], PlannerConfig(finalists=10))
+    decision = decide([first, second], plain(finalists=10))
     assert first.asked == [101, 11]
     assert second.asked == [11]
     alone = decide([GrowTowards([0.2, 0.0])]).gains_m2
     finalists = np.argsort(-alone, kind="stable")[:10]
-    order = np.argsort(-decision.gains_m2, kind="stable")
+    order = np.argsort(-decision.worth_m2, kind="stable")
     assert set(order[:10]) == set(finalists)
     assert decision.action is decision.candidates[order[0]]
-    everyone = decide([first, second], PlannerConfig(finalists=0))
+    everyone = decide([first, second], plain(finalists=0))
     np.testing.assert_allclose(decision.gains_m2[finalists], everyone.gains_m2[finalists])
     with pytest.raises(InvalidConfigError, match="finalists"):
         PlannerConfig(finalists=-1)
@@ -80,9 +85,9 @@ def test_a_second_hypothesis_rates_the_finalists_of_the_first():
     smaller = Hypothesis(FLAT, LYING * [0.5, 0.5, 1.0], "towel")
     beliefs = (BELIEF, smaller)
     dynamics = GrowTowards([0.2, 0.0])
-    decision = decide([dynamics], PlannerConfig(finalists=10), beliefs)
+    decision = decide([dynamics], plain(finalists=10), beliefs)
     assert dynamics.asked == [101, 11, 11]
-    everyone = decide([GrowTowards([0.2, 0.0])], PlannerConfig(finalists=0), beliefs)
+    everyone = decide([GrowTowards([0.2, 0.0])], plain(finalists=0), beliefs)
     finalists = np.argsort(-decision.gains_m2, kind="stable")[:10]
     # Here both like the same actions: the mean over both is five eighths of the first's gain.
     np.testing.assert_allclose(decision.gains_m2[finalists], everyone.gains_m2[finalists])
@@ -108,13 +113,38 @@ class PaysLater:
         return ends
 
 
+def test_of_two_alike_the_place_farther_off_the_cloth_is_taken():
+    """Everything gains as much; the strip decides, and is no gain."""
+    alike = GrowTowards([0.2, 0.0])
+    alike.predict = lambda cloth, actions: np.stack(
+        [cloth.positions * [1.0 + 0.1 * (one is not None), 1.0, 1.0] for one in actions]
+    )
+    decision = decide([alike], PlannerConfig(strip_m=0.05))
+    off = [
+        np.linalg.norm(SEEN.cloud[:, :2] - one.place[:2], axis=1).min()
+        for one in decision.candidates
+    ]
+    assert max(off) > 0.1
+    assert decision.action is decision.candidates[int(np.argmax(off))]
+    np.testing.assert_allclose(decision.worth_m2 - decision.gains_m2, 0.05 * np.array(off))
+    np.testing.assert_allclose(decision.gain_m2, 0.1 * 0.04, rtol=1e-3)
+
+
+def test_a_strip_is_no_reason_to_act():
+    worse = decide([GrowTowards([0.1, 0.1], strength=-0.5)], PlannerConfig(strip_m=10.0))
+    assert worse.action is None
+    assert worse.gain_m2 == 0.0
+    with pytest.raises(InvalidConfigError, match="strip_m is -1"):
+        PlannerConfig(strip_m=-1.0)
+
+
 def test_looking_ahead_finds_what_pays_later():
     near = decide([PaysLater()])
     assert near.action.place[0] < 0.0
-    ahead = decide([PaysLater()], PlannerConfig(look_ahead=100, second_candidates=2))
+    ahead = decide([PaysLater()], plain(look_ahead=100, second_candidates=2))
     assert ahead.action.place[0] > 0.0
     assert ahead.gain_m2 == pytest.approx(0.04 * (1.5**2 - 1.0), rel=1e-3)
-    few = decide([PaysLater()], PlannerConfig(look_ahead=3))
+    few = decide([PaysLater()], plain(look_ahead=3))
     assert few.action.place[0] < 0.0
     with pytest.raises(InvalidConfigError, match="look_ahead"):
         PlannerConfig(look_ahead=-1)
@@ -141,10 +171,10 @@ def test_nothing_is_done_when_everything_makes_it_worse():
 
 def test_gains_are_means_over_hypotheses_and_dynamics():
     left, right = GrowTowards([-0.2, 0.0]), GrowTowards([0.2, 0.0])
-    both = decide([left, right], PlannerConfig(finalists=0))
+    both = decide([left, right], plain(finalists=0))
     alone = [decide([one]).gains_m2 for one in (left, right)]
     np.testing.assert_allclose(both.gains_m2, np.mean(alone, axis=0), atol=1e-12)
-    cautious = decide([left, right], PlannerConfig(caution=1.0, finalists=0))
+    cautious = decide([left, right], plain(caution=1.0, finalists=0))
     lost = both.gains_m2 - cautious.gains_m2
     np.testing.assert_allclose(lost, np.std(alone, axis=0), atol=1e-12)
 

@@ -310,7 +310,7 @@ class Flattening:
         kind = self._scene.cloth.kind
         beliefs = [Hypothesis(one.flat, one.positions, kind) for one in estimates]
         decision = self._planner.decide(beliefs, seen, rng)
-        order = np.argsort(-decision.gains_m2, kind="stable")
+        order = np.argsort(-decision.worth_m2, kind="stable")
         good = [k for k in order if decision.gains_m2[k] > 0.0]
         action = self._reachable([decision.candidates[k] for k in good])
         if action is decision.action:

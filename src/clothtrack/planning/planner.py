@@ -44,6 +44,9 @@ class PlannerConfig:
         lift_spread_m: the same of the lift [m].
         reward: "exact" coverage, or the literature's "raster".
         caution: standard deviations over hypotheses and materials that are taken off the mean gain.
+        strip_m: a place farther off the cloth is preferred, as if a strip of cloth this wide came
+            along to it [m]; 0: what the dynamics promise counts alone. They promise too much for
+            places on the cloth and beside it (docs/flattening.md).
         finalists: of several hypotheses and dynamics the first rates all candidates, and so many of
             the most promising are rated by all. 0: all rate all.
         look_ahead: so many of the most promising are judged by what could be done after them, too:
@@ -61,6 +64,7 @@ class PlannerConfig:
     lift_spread_m: float = 0.02
     reward: CoverageMeasure = "exact"
     caution: float = 0.0
+    strip_m: float = 0.06
     finalists: int = 10
     look_ahead: int = 0
     second_candidates: int = 20
@@ -81,6 +85,8 @@ class PlannerConfig:
         for name in ("finalists", "look_ahead"):
             if getattr(self, name) < 0:
                 raise InvalidConfigError(f"{name} is {getattr(self, name)}; give 0 or more")
+        if not 0.0 <= self.strip_m < float("inf"):
+            raise InvalidConfigError(f"strip_m is {self.strip_m}; give 0 or more metres")
         if self.second_candidates < 1:
             raise InvalidConfigError(
                 f"second_candidates is {self.second_candidates}; give at least 1"
@@ -115,6 +121,7 @@ class Decision:
         gain_m2: coverage that it is expected to add [m^2]; with look_ahead, together with the next.
         candidates: every action that was tried.
         gains_m2: expected gain of each, less the caution [m^2].
+        worth_m2: what each is chosen by: its gain, and the strip to its place [m^2].
         seconds: wall-clock time of the decision [s].
         cpu_s: processor time of the decision [s].
     """
@@ -123,6 +130,7 @@ class Decision:
     gain_m2: float
     candidates: tuple[PickPlace, ...] = ()
     gains_m2: Float[np.ndarray, " candidates"] = field(default_factory=lambda: np.zeros(0))
+    worth_m2: Float[np.ndarray, " candidates"] = field(default_factory=lambda: np.zeros(0))
     seconds: float = 0.0
     cpu_s: float = 0.0
 
@@ -171,58 +179,72 @@ class Planner:
         tried = sample_actions(seen, config.candidates, config.space, rng, weights=weights)
         every = cloths, self._dynamics
         judges = (cloths[:1], self._dynamics[:1]) if config.finalists else every
-        gains = self._gains(tried, *judges)
+        worth = self._gains(tried, *judges) + self._strips(tried, seen)
         for round_ in range(config.refinements):
-            fresh = self._around_the_best(tried, gains, seen, round_, rng)
+            fresh = self._around_the_best(tried, worth, seen, round_, rng)
             tried = tried + fresh
-            gains = np.concatenate([gains, self._gains(fresh, *judges)])
+            further = self._gains(fresh, *judges) + self._strips(fresh, seen)
+            worth = np.concatenate([worth, further])
         if judges is not every and len(cloths) * len(self._dynamics) > 1 and tried:
-            gains = self._after_a_final(cloths, tried, gains)
+            worth = self._after_a_final(cloths, tried, worth, seen)
         if config.look_ahead and tried:
-            gains = self._looking_ahead(cloths, tried, gains, seen, rng)
-        best = int(np.argmax(gains)) if len(gains) else -1
+            worth = self._looking_ahead(cloths, tried, worth, seen, rng)
+        gains = worth - self._strips(tried, seen)
+        # A strip says which action, never that there should be one.
+        improving = np.where(gains > 0.0, worth, -np.inf)
+        best = int(np.argmax(improving)) if len(gains) else -1
         improves = best >= 0 and gains[best] > 0.0
         return Decision(
             action=tried[best] if improves else None,
             gain_m2=float(gains[best]) if improves else 0.0,
             candidates=tuple(tried),
             gains_m2=gains,
+            worth_m2=worth,
             seconds=time.perf_counter() - clock,
             cpu_s=time.process_time() - cpu,
         )
+
+    def _strips(self, tried: Sequence[PickPlace], seen: SeenCloth) -> Float[np.ndarray, " tried"]:
+        """What each place is preferred by for lying off the cloth [m^2]."""
+        if not tried or not self.config.strip_m:
+            return np.zeros(len(tried))
+        places = np.array([one.place[:2] for one in tried])
+        return self.config.strip_m * cKDTree(seen.cloud[:, :2]).query(places)[0]
 
     def _after_a_final(
         self,
         cloths: Sequence[PlannedCloth],
         tried: Sequence[PickPlace],
-        gains: Float[np.ndarray, " tried"],
+        worth: Float[np.ndarray, " tried"],
+        seen: SeenCloth,
     ) -> Float[np.ndarray, " tried"]:
-        """Gains with those of the most promising as all hypotheses and dynamics see them [m^2].
+        """Worth with that of the most promising as all hypotheses and dynamics see them [m^2].
 
         The best of many promises more than it keeps: it is the best for its luck, too. What did
         not come so far ranks behind all that did.
         """
-        best = np.argsort(-gains, kind="stable")[: self.config.finalists]
-        told = self._gains([tried[k] for k in best], cloths, self._dynamics)
-        return _judged_anew(gains, best, told)
+        best = np.argsort(-worth, kind="stable")[: self.config.finalists]
+        finalists = [tried[k] for k in best]
+        told = self._gains(finalists, cloths, self._dynamics) + self._strips(finalists, seen)
+        return _judged_anew(worth, best, told)
 
     def _looking_ahead(
         self,
         cloths: Sequence[PlannedCloth],
         tried: Sequence[PickPlace],
-        gains: Float[np.ndarray, " tried"],
+        worth: Float[np.ndarray, " tried"],
         seen: SeenCloth,
         rng: np.random.Generator,
     ) -> Float[np.ndarray, " tried"]:
-        """Gains of the most promising with the best that could come after each [m^2].
+        """Worth of the most promising with the best that could come after each [m^2].
 
         What comes after is asked of the first dynamics and of the first hypothesis alone.
         """
         config, cloth = self.config, cloths[0]
-        best = np.argsort(-gains, kind="stable")[: config.look_ahead]
-        best = best[np.isfinite(gains[best])]
+        best = np.argsort(-worth, kind="stable")[: config.look_ahead]
+        best = best[np.isfinite(worth[best])]
         ends = self._dynamics[0].predict(cloth, [tried[k] for k in best])
-        told = np.array(gains[best])
+        told = np.array(worth[best])
         for number, end in enumerate(ends):
             after = replace(cloth, positions=end, fine=None, stands_for=None)
             shown = replace(seen, cloud=end)
@@ -232,7 +254,7 @@ class Planner:
             )
             further = self._gains(next_ones, [after], self._dynamics[:1])
             told[number] += max(0.0, float(further.max(initial=0.0)))
-        return _judged_anew(gains, best, told)
+        return _judged_anew(worth, best, told)
 
     def _gains(
         self,
@@ -261,7 +283,7 @@ class Planner:
     def _around_the_best(
         self,
         tried: Sequence[PickPlace],
-        gains: Float[np.ndarray, " tried"],
+        worth: Float[np.ndarray, " tried"],
         seen: SeenCloth,
         round_: int,
         rng: np.random.Generator,
@@ -269,7 +291,7 @@ class Planner:
         """As many new candidates as a round has, drawn around the best so far."""
         config = self.config
         count = max(1, round(config.elite * config.candidates))
-        best = np.argsort(-gains, kind="stable")[:count]
+        best = np.argsort(-worth, kind="stable")[:count]
         if not len(best):
             return []
         shrink = 0.5**round_
@@ -304,15 +326,15 @@ class Planner:
 
 
 def _judged_anew(
-    gains: Float[np.ndarray, " tried"],
+    worth: Float[np.ndarray, " tried"],
     best: Int[np.ndarray, " best"],
     told: Float[np.ndarray, " best"],
 ) -> Float[np.ndarray, " tried"]:
-    """The gains with those of the best as they are now; the others rank behind all of those."""
-    anew = np.array(gains)
+    """The worth with that of the best as it is now; the others rank behind all of those."""
+    anew = np.array(worth)
     if not len(best):
         return anew
     anew[best] = told
-    others = np.setdiff1d(np.arange(len(gains)), best)
-    anew[others] = np.minimum(gains[others], np.nextafter(told.min(), -np.inf))
+    others = np.setdiff1d(np.arange(len(worth)), best)
+    anew[others] = np.minimum(worth[others], np.nextafter(told.min(), -np.inf))
     return anew
