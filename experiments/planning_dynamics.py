@@ -54,6 +54,9 @@ class Done:
         action: what was done.
         before: true vertices before it [m].
         after: true vertices after it [m].
+        perception: that it was planned from; "none" without a mesh.
+        promised_m2: gain that was expected of it [m^2].
+        strip_m: that it was planned with (`planner.strip_m`) [m]; before there was any, 0.
     """
 
     flat: ClothMesh
@@ -62,6 +65,9 @@ class Done:
     action: PickPlace
     before: np.ndarray
     after: np.ndarray
+    perception: str = "none"
+    promised_m2: float = 0.0
+    strip_m: float = 0.0
 
 
 def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
@@ -78,7 +84,9 @@ def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
         name = document.parent.name
         worlds = document.parents[2] / "worlds" / name
         flat = _garment(document.parents[2] / "truth" / f"{name}.npz")
-        policy = episode["asked"]["config"]["policy"]
+        asked = episode["asked"]
+        policy = asked["config"]["policy"]
+        strip_m = float(asked["config"]["planner"].get("strip_m", 0.0))
         for row in episode["steps"][1:]:
             number = int(row["step"])
             told = row["action"]
@@ -86,8 +94,9 @@ def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
                 flat, policy, number,
                 PickPlace(np.array(told["pick"]), np.array(told["place"]), float(told["lift_m"])),
                 _positions(worlds, number - 1), _positions(worlds, number),
+                asked["label"]["perception"], float(row["gain_m2"]), strip_m,
             )  # fmt: skip
-            found.setdefault(int(episode["asked"]["seed"]), []).append(done)
+            found.setdefault(int(asked["seed"]), []).append(done)
     if not found:
         raise InvalidConfigError(
             f"{out}: no episodes of a {kind} are there; flatten some with flattening.py"
