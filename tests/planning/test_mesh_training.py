@@ -108,14 +108,14 @@ def test_the_loss_of_the_truth_is_zero(roll_outs):
         still.repeat(1, TINY.network.history + 1, 1, 1), still.repeat(1, 2, 1, 1),
         torch.zeros_like(windows.held), windows.springs,
     )  # fmt: skip
-    assert float(stage(WindowBatch([resting]))["loss"].detach()) == 0.0
+    assert float(stage(WindowBatch([resting]))["loss"].detach()) == pytest.approx(0.0, abs=1e-5)
 
 
 def test_the_held_vertex_ends_at_the_place():
     torch.manual_seed(0)
     dynamics = MeshDynamics(
         MeshNetwork(TINY.network),
-        MeshDynamicsConfig(motion=MotionConfig(time_step_s=0.1, rest_s=0.0), together=2),
+        MeshDynamicsConfig(motion=MotionConfig(time_step_s=0.2, rest_s=0.0), together=2),
     )
     moved = dynamics.predict(LYING, [ACTION, None, ACTION])
     corner = int(np.argmax(FLAT.vertices[:, 0] + FLAT.vertices[:, 1]))

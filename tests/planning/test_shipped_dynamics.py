@@ -41,7 +41,7 @@ def test_they_beat_standing_still_on_a_garment_that_they_never_saw(kind, tmp_pat
     network = MeshNetwork(MeshNetworkConfig(**weights.network))
     weights.load_into(network)
     errors = whole_roll_outs(network, shards)
-    assert errors["whole_error_mm"] < 0.75 * errors["whole_still_mm"]
+    assert errors["whole_error_mm"] < 0.65 * errors["whole_still_mm"]
 
 
 def test_without_other_weights_they_are_what_a_plan_is_tried_in():

@@ -21,6 +21,17 @@ _LIMITS = """\
 - Whether to plan in it or in the simulator, `experiments/planning_dynamics.py` tells."""
 
 
+def _learned_in_words(whole: Mapping[str, float]) -> str:
+    """How much of it is learned, where both are known."""
+    if "whole_untrained_mm" not in whole:
+        return ""
+    alone, whole_mm = whole["whole_untrained_mm"], whole["whole_error_mm"]
+    return (
+        "\n- Much of it is the plain cloth that the network corrects (`planning/mesh_prior.py`): alone "
+        f"it\n  ends {alone:.1f} mm from the simulator, with the network {whole_mm:.1f} mm."
+    )
+
+
 def write_dynamics_card(
     weights: Weights, whole: Mapping[str, float], cpu_s: float, made: Mapping[str, Any]
 ) -> Path:
@@ -71,7 +82,7 @@ def dynamics_card(
         ),
         "## Training\n\n" + markdown_table(list(asked), [list(asked.values())]),
         "## Made with\n\n" + made_in_words(made),
-        "## What it cannot do\n\n" + _LIMITS,
+        "## What it cannot do\n\n" + _LIMITS + _learned_in_words(whole),
         "## Network\n\n```json\n" + json.dumps(dict(weights.network), indent=1) + "\n```",
     ]
     return "\n\n".join(parts) + "\n"

@@ -21,10 +21,10 @@ from clothtrack.planning.dynamics import HeldWays, MotionConfig, PlannedCloth
 from clothtrack.planning.mesh_network import (
     MeshNetwork,
     MeshNetworkConfig,
-    Springs,
     Ways,
     roll_out,
 )
+from clothtrack.planning.mesh_prior import Springs
 from clothtrack.reconstruction.checkpoint import load_weights
 
 
@@ -39,7 +39,7 @@ class MeshDynamicsConfig:
             few fit; a GPU takes them all.
     """
 
-    motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.1))
+    motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.2))
     resting_height_m: float = 0.0015
     together: int = 10
 

@@ -11,6 +11,14 @@ import torch
 from torch import Tensor, nn
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.planning.mesh_prior import (
+    Springs,
+    above,
+    contacts,
+    dragged,
+    nearer_to_rest,
+    tethered,
+)
 
 
 @dataclass(frozen=True)
@@ -21,8 +29,8 @@ class MeshNetworkConfig:
         width: of all hidden layers and latents.
         message_steps: rounds of message passing.
         history: past velocities that a vertex knows; the reference's are 5 of 0.05 s.
-        step_s: time of one step of the model [s]; the reference's 0.05 makes a plan take twice as
-            long.
+        step_s: time of one step of the model [s]; the reference's 0.05 makes a plan take four
+            times as long.
         collision_radius_m: vertices this near that share no edge get a collision edge, found anew
             in every step [m]; the reference has 0.036, VCD 0.045, with the same 0.025 spacing.
         length_scale_m: lengths are divided by this [m].
@@ -30,9 +38,12 @@ class MeshNetworkConfig:
         acceleration_scale: the output is multiplied by this [m/s^2].
         kept_velocity: share of its velocity that a vertex keeps where nothing is learned.
         gravity: at which it falls then [m/s^2]; cloth floats, so it is less than the earth's.
-        projections: times per step that edges are brought nearer to their rest lengths
-            (position-based dynamics, Jacobi). 0, with kept_velocity 1 and gravity 0, leaves all
-            of it to the network, as the reference does; minutes of training do not suffice then.
+        parts: of a step; the gripper goes on in each, and the cloth follows.
+        dragging: times per part that what is near moves along (`dragged`).
+        projections: times per part that edges are brought nearer to their rest lengths
+            (position-based dynamics, Jacobi). 0, with kept_velocity 1, gravity 0 and no dragging,
+            leaves all of it to the network, as the reference does; minutes of training do not
+            suffice then.
         tethered: no vertex is farther from the held one than along the cloth (long range
             attachments, Kim et al. 2012, DOI 10.2312/SCA/SCA12/305-310): messages and projections
             carry a pull a few edges far per step, and the gripper draws the whole cloth along.
@@ -42,17 +53,19 @@ class MeshNetworkConfig:
 
     width: int = 128
     message_steps: int = 10
-    history: int = 3
-    step_s: float = 0.1
+    history: int = 2
+    step_s: float = 0.2
     collision_radius_m: float = 0.03
     length_scale_m: float = 0.025
     velocity_scale: float = 0.25
     acceleration_scale: float = 2.0
-    kept_velocity: float = 0.7
+    kept_velocity: float = 0.5
     gravity: float = 3.0
-    projections: int = 40
+    parts: int = 12
+    dragging: int = 2
+    projections: int = 5
     tethered: bool = True
-    unfolding: float = 0.3
+    unfolding: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network has, or that would take all memory.
@@ -60,13 +73,13 @@ class MeshNetworkConfig:
         Raises:
             InvalidConfigError: with the field, its value and the limits.
         """
-        for name, most in (("width", 1024), ("message_steps", 64), ("history", 64)):
-            if not 1 <= getattr(self, name) <= most:
+        sizes = {"width": 1024, "message_steps": 64, "history": 64, "parts": 64}
+        for name, most in {**sizes, "dragging": 64, "projections": 64}.items():
+            least = 1 if name in sizes else 0
+            if not least <= getattr(self, name) <= most:
                 raise InvalidConfigError(
-                    f"{name} is {getattr(self, name)}; it must be from 1 to {most}"
+                    f"{name} is {getattr(self, name)}; it must be from {least} to {most}"
                 )
-        if not 0 <= self.projections <= 64:
-            raise InvalidConfigError(f"projections is {self.projections}; it must be from 0 to 64")
         for name in ("kept_velocity", "unfolding"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidConfigError(
@@ -76,76 +89,6 @@ class MeshNetworkConfig:
             may_be_zero = name in ("kept_velocity", "unfolding", "gravity")
             if isinstance(value, float) and not (value > 0.0 or (may_be_zero and value == 0.0)):
                 raise InvalidConfigError(f"{name} is {value}; it must be above 0")
-
-
-@dataclass(frozen=True, eq=False)
-class Springs:
-    """The edges of the mesh, each in both directions.
-
-    Attributes:
-        sender: vertex that an edge comes from.
-        receiver: vertex that it leads to.
-        rest: length in the flat garment [m].
-        joined: matrix of which vertices share an edge or are the same.
-        count: edges of each vertex, at least one.
-        along: from each vertex to each, along the edges of the flat garment [m].
-    """
-
-    sender: Tensor
-    receiver: Tensor
-    rest: Tensor
-    joined: Tensor
-    count: Tensor
-    along: Tensor
-
-    @classmethod
-    def of(cls, edges: Tensor, rest: Tensor, along: Tensor) -> "Springs":
-        """Both directions of each edge (edges, 2), with its rest length, and `along` [m]."""
-        vertices = len(along)
-        sender = torch.cat([edges[:, 0], edges[:, 1]])
-        receiver = torch.cat([edges[:, 1], edges[:, 0]])
-        joined = torch.eye(vertices, dtype=torch.bool, device=edges.device)
-        joined[sender, receiver] = True
-        count = torch.bincount(receiver, minlength=vertices).clamp_min(1)
-        return cls(sender, receiver, torch.cat([rest, rest]), joined, count, along)
-
-    def to(self, device: str) -> "Springs":
-        """The same on a device."""
-        return Springs(*(one.to(device) for one in vars(self).values()))
-
-
-def nearer_to_rest(
-    positions: Tensor, held: Tensor, springs: Springs, *, unfolding: float
-) -> Tensor:
-    """Every edge comes nearer to its rest length; held vertices stay (B, V, 3) [m].
-
-    Args:
-        positions: vertices (B, V, 3) [m].
-        held: which are held (B, V).
-        springs: the mesh.
-        unfolding: share of what an edge that is too short asks for.
-    """
-    gap = positions[:, springs.sender] - positions[:, springs.receiver]
-    length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
-    excess = length - springs.rest[:, None]
-    excess = torch.where(excess > 0.0, excess, unfolding * excess)
-    # The whole excess where the other end is held, else half of it.
-    share = torch.where(held[:, springs.sender], 1.0, 0.5)[..., None]
-    pull = share * gap * (excess / length)
-    total = torch.zeros_like(positions).index_add(1, springs.receiver, pull)
-    # A mean of what the edges ask for is stable; half as much again is faster.
-    moved = positions + 1.5 * total / springs.count[:, None]
-    return torch.where(held[..., None], positions, moved)
-
-
-def tethered(positions: Tensor, held: Tensor, springs: Springs) -> Tensor:
-    """Vertices farther from the held one of their cloth than along its edges come nearer to it."""
-    one = held.to(torch.uint8).argmax(dim=1)
-    anchor = positions[torch.arange(len(one), device=one.device), one][:, None]
-    gap = positions - anchor
-    length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
-    share = (springs.along[one][..., None] / length).clamp_max(1.0)
-    return torch.where(held.any(dim=1)[:, None, None], anchor + share * gap, positions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +170,14 @@ class MeshNetwork(nn.Module):
         self.decode = mlp(width, width, 3, silent=True)
 
     def forward(
-        self, positions: Tensor, velocities: Tensor, height: Tensor, held: Tensor, springs: Springs
+        self,
+        positions: Tensor,
+        velocities: Tensor,
+        height: Tensor,
+        held: Tensor,
+        near: Tensor,
+        *,
+        springs: Springs,
     ) -> Tensor:
         """Accelerations (B, V, 3) [m/s^2].
 
@@ -236,6 +186,8 @@ class MeshNetwork(nn.Module):
             velocities: past velocities (B, V, history, 3), the latest last [m/s].
             height: of the vertices over the table (B, V) [m].
             held: which vertices are held (B, V).
+            near: which vertices are near which (B, V, V); those that share no edge get a
+                collision edge.
             springs: the mesh.
         """
         config = self.config
@@ -251,7 +203,7 @@ class MeshNetwork(nn.Module):
                 dim=-1,
             ).reshape(cloths * vertices, -1)
         )
-        sender, receiver, rest = self._edges(positions, springs)
+        sender, receiver, rest = self._edges(positions, near, springs)
         flat = positions.reshape(-1, 3)
         gap = flat[receiver] - flat[sender]
         length = gap.norm(dim=1, keepdim=True)
@@ -268,11 +220,12 @@ class MeshNetwork(nn.Module):
             nodes, edges, whole = step(nodes, edges, whole, links)
         return config.acceleration_scale * self.decode(nodes).reshape(cloths, vertices, 3)
 
-    def _edges(self, positions: Tensor, springs: Springs) -> tuple[Tensor, Tensor, Tensor]:
+    def _edges(
+        self, positions: Tensor, near: Tensor, springs: Springs
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Edges of mesh and collision of all cloths, as numbers into B * V; rest 0: collision."""
         cloths, vertices, _ = positions.shape
         shift = vertices * torch.arange(cloths, device=positions.device)[:, None]
-        near = torch.cdist(positions.detach(), positions.detach()) < self.config.collision_radius_m
         cloth, first, second = (near & ~springs.joined).nonzero(as_tuple=True)
         sender = torch.cat([(springs.sender + shift).flatten(), first + vertices * cloth])
         receiver = torch.cat([(springs.receiver + shift).flatten(), second + vertices * cloth])
@@ -305,21 +258,24 @@ def advance(
         Positions and past velocities after the step.
     """
     config, step_s = network.config, network.config.step_s
+    near = contacts(positions, config.collision_radius_m)
     height = positions[..., 2] - lowest_m
     # The network is told where held vertices are about to go, not only where they came from.
     coming = torch.where(held[..., None], (targets - positions) / step_s, velocities[:, :, -1])
     told = torch.cat([velocities[:, :, :-1], coming[:, :, None]], dim=2)
-    change = network(positions, told, height, held, springs)
+    change = network(positions, told, height, held, near, springs=springs)
     down = positions.new_tensor([0.0, 0.0, -config.gravity])
     kept = config.kept_velocity * velocities[:, :, -1]
-    after = positions + step_s * (kept + step_s * (change + down))
-    above = after[..., 2].clamp_min(lowest_m)
-    after = torch.cat([after[..., :2], above[..., None]], dim=-1)
-    after = torch.where(held[..., None], targets, after)
-    if config.tethered:
-        after = tethered(after, held, springs)
-    for _ in range(config.projections):
-        after = nearer_to_rest(after, held, springs, unfolding=config.unfolding)
+    after = above(positions + step_s * (kept + step_s * (change + down)), lowest_m)
+    for part in range(1, config.parts + 1):
+        on_the_way = positions + (targets - positions) * (part / config.parts)
+        after = torch.where(held[..., None], on_the_way, after)
+        if config.tethered:
+            after = tethered(after, held, springs)
+        after = dragged(positions, after, near, held, times=config.dragging)
+        for _ in range(config.projections):
+            after = nearer_to_rest(after, held, springs, unfolding=config.unfolding)
+        after = above(after, lowest_m)
     latest = (after - positions) / step_s
     return after, torch.cat([velocities[:, :, 1:], latest[:, :, None]], dim=2)
 

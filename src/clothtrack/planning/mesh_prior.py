@@ -1,0 +1,112 @@
+"""What is known of a cloth's motion before anything is learned: tethers, contact, edges, table.
+
+A step of the learned mesh dynamics (`mesh_network.advance`) ends with these: the graph network
+only has to learn what they miss. Minutes of training do not teach it that edges keep their length.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """The edges of the mesh, each in both directions.
+
+    Attributes:
+        sender: vertex that an edge comes from.
+        receiver: vertex that it leads to.
+        rest: length in the flat garment [m].
+        joined: matrix of which vertices share an edge or are the same.
+        count: edges of each vertex, at least one.
+        along: from each vertex to each, along the edges of the flat garment [m].
+    """
+
+    sender: Tensor
+    receiver: Tensor
+    rest: Tensor
+    joined: Tensor
+    count: Tensor
+    along: Tensor
+
+    @classmethod
+    def of(cls, edges: Tensor, rest: Tensor, along: Tensor) -> "Springs":
+        """Both directions of each edge (edges, 2), with its rest length, and `along` [m]."""
+        vertices = len(along)
+        sender = torch.cat([edges[:, 0], edges[:, 1]])
+        receiver = torch.cat([edges[:, 1], edges[:, 0]])
+        joined = torch.eye(vertices, dtype=torch.bool, device=edges.device)
+        joined[sender, receiver] = True
+        count = torch.bincount(receiver, minlength=vertices).clamp_min(1)
+        return cls(sender, receiver, torch.cat([rest, rest]), joined, count, along)
+
+    def to(self, device: str) -> "Springs":
+        """The same on a device."""
+        return Springs(*(one.to(device) for one in vars(self).values()))
+
+
+def nearer_to_rest(
+    positions: Tensor, held: Tensor, springs: Springs, *, unfolding: float
+) -> Tensor:
+    """Every edge comes nearer to its rest length; held vertices stay (B, V, 3) [m].
+
+    Args:
+        positions: vertices (B, V, 3) [m].
+        held: which are held (B, V).
+        springs: the mesh.
+        unfolding: share of what an edge that is too short asks for.
+    """
+    gap = positions[:, springs.sender] - positions[:, springs.receiver]
+    length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    excess = length - springs.rest[:, None]
+    excess = torch.where(excess > 0.0, excess, unfolding * excess)
+    # The whole excess where the other end is held, else half of it.
+    share = torch.where(held[:, springs.sender], 1.0, 0.5)[..., None]
+    pull = share * gap * (excess / length)
+    total = torch.zeros_like(positions).index_add(1, springs.receiver, pull)
+    # A mean of what the edges ask for is stable; half as much again is faster.
+    moved = positions + 1.5 * total / springs.count[:, None]
+    return torch.where(held[..., None], positions, moved)
+
+
+def tethered(positions: Tensor, held: Tensor, springs: Springs) -> Tensor:
+    """Vertices farther from the held one of their cloth than along its edges come nearer to it."""
+    one = held.to(torch.uint8).argmax(dim=1)
+    anchor = positions[torch.arange(len(one), device=one.device), one][:, None]
+    gap = positions - anchor
+    length = gap.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    share = (springs.along[one][..., None] / length).clamp_max(1.0)
+    return torch.where(held.any(dim=1)[:, None, None], anchor + share * gap, positions)
+
+
+def contacts(positions: Tensor, radius_m: float) -> Tensor:
+    """Which vertices (B, V, 3) [m] are nearer than a radius, themselves among them (B, V, V)."""
+    here = positions.detach()
+    return torch.cdist(here, here) < radius_m
+
+
+def dragged(before: Tensor, after: Tensor, near: Tensor, held: Tensor, *, times: int) -> Tensor:
+    """What is near moves along: layers in contact hold each other by friction (B, V, 3) [m].
+
+    Every vertex moves by the mean of what moved near it; a crumpled cloth goes as one clump.
+
+    Args:
+        before: vertices at the start of the step (B, V, 3) [m].
+        after: where they would be without it (B, V, 3) [m].
+        near: which vertices are near which, themselves among them (B, V, V).
+        held: which are held (B, V); they stay where they are told.
+        times: how often.
+    """
+    moved = after - before
+    share = near.to(moved.dtype)
+    share = share / share.sum(dim=2, keepdim=True)
+    for _ in range(times):
+        moved = torch.where(held[..., None], moved, share @ moved)
+    return before + moved
+
+
+def above(positions: Tensor, lowest_m: float) -> Tensor:
+    """No vertex (B, V, 3) [m] is under a height."""
+    height = positions[..., 2].clamp_min(lowest_m)
+    return torch.cat([positions[..., :2], height[..., None]], dim=-1)
