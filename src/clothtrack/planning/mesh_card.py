@@ -27,8 +27,8 @@ def _learned_in_words(whole: Mapping[str, float]) -> str:
         return ""
     alone, whole_mm = whole["whole_untrained_mm"], whole["whole_error_mm"]
     return (
-        "\n- Much of it is the plain cloth that the network corrects (`planning/mesh_prior.py`): alone "
-        f"it\n  ends {alone:.1f} mm from the simulator, with the network {whole_mm:.1f} mm."
+        "\n- Much of it is the plain cloth that the network corrects (`planning/mesh_prior.py`): "
+        f"alone it\n  ends {alone:.1f} mm from the simulator, with the network {whole_mm:.1f} mm."
     )
 
 
