@@ -120,6 +120,7 @@ def methods(options: argparse.Namespace) -> list[Method]:
     base = with_settings(base, options.settings)
     found = [
         Method("random", replace(base, policy="random")),
+        Method("outwards", replace(base, policy="outwards")),
         Method("heuristic", replace(base, policy="heuristic")),
         Method("control: truth, simulator", replace(base, perception=TRUTH)),
         Method(

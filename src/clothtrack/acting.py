@@ -33,7 +33,7 @@ def flatten(
     robot: Literal["simulated", "dry-run"] = "simulated",
     perception: PerceptionChoice = "network",
     weights: Path | None = None,
-    policy: Literal["planned", "random", "heuristic"] = "planned",
+    policy: Literal["planned", "random", "outwards", "heuristic"] = "planned",
     dynamics: Literal["simulator", "mesh"] = "simulator",
     dynamics_weights: Path | None = None,
     recording: Path | None = None,
@@ -56,7 +56,8 @@ def flatten(
         perception: the network's mesh of each picture, the tracker's carried on, both as
             hypotheses; truth is a control (an upper bound, no result) and simulated only.
         weights: of the reconstruction network; the ones that come with clothtrack by default.
-        policy: planned; or, without any mesh, random actions or the farthest corner outwards.
+        policy: planned; or, without any mesh, random actions, the place farthest off the cloth of
+            a hundred, or the farthest corner outwards.
         dynamics: what a plan is tried in: our simulator, or the learned mesh dynamics.
         dynamics_weights: of the learned ones (`train-dynamics`); the ones that come with clothtrack
             by default.
@@ -267,7 +268,7 @@ ACTING_VERBS = (flatten, train_dynamics, improve)
 
 
 def _config(
-    policy: Literal["planned", "random", "heuristic"],
+    policy: Literal["planned", "random", "outwards", "heuristic"],
     perception: PerceptionChoice,
     weights: Path | None,
     dynamics: Literal["simulator", "mesh"],

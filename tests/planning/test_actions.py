@@ -15,6 +15,7 @@ from clothtrack.planning.actions import (
     edge_measure,
     farthest_corner,
     in_picture,
+    off_cloth,
     pick_weights,
     sample_actions,
 )
@@ -115,6 +116,14 @@ def test_nothing_in_reach_gives_no_action():
     space = ActionSpace(workspace=Workspace(x_m=(1.0, 2.0)))
     assert sample_actions(SEEN, 10, space, np.random.default_rng(0)) == []
     assert farthest_corner(SEEN, space) is None
+
+
+def test_a_place_is_as_far_off_the_cloth_as_it_lies_beside_it_whatever_its_height():
+    """The sheet ends 10 cm from the middle."""
+    places = [np.array([0.0, 0.0, 0.0]), np.array([0.25, 0.0, 0.3])]
+    tried = [PickPlace(np.zeros(3), place, 0.05) for place in places]
+    np.testing.assert_allclose(off_cloth(SEEN, tried), [0.0, 0.15], atol=0.006)
+    assert off_cloth(SEEN, []).shape == (0,)
 
 
 def test_the_heuristic_pulls_a_corner_outwards():

@@ -187,7 +187,7 @@ def test_a_pixel_of_the_table_is_as_large_as_it_is():
     assert table_pixel_areas(camera, TABLE)[20, 10] == pytest.approx(area, rel=0.01)
 
 
-@pytest.mark.parametrize("policy", ["random", "heuristic"])
+@pytest.mark.parametrize("policy", ["random", "outwards", "heuristic"])
 def test_policies_without_a_mesh_need_no_weights(tmp_path, policy):
     config = FlattenConfig(policy=policy, actions=2)
     store = flatten_simulated(tmp_path, SimulatedEpisode("towel", 3), config, robot_config=SMALL)

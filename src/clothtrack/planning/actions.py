@@ -303,6 +303,12 @@ def in_picture(
     return inside.all(axis=1) & (depth > 0)
 
 
+def off_cloth(seen: SeenCloth, actions: Sequence[PickPlace]) -> Float[np.ndarray, " actions"]:
+    """How far each place is from the nearest cloth that is seen, from above [m]."""
+    places = np.array([one.place[:2] for one in actions]).reshape(-1, 2)
+    return cKDTree(seen.cloud[:, :2]).query(places)[0]
+
+
 def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
     """The geometric heuristic: pull the corner that is farthest from the middle outwards.
 

@@ -9,13 +9,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.coverage import projected_area
-from clothtrack.planning.actions import PickPlace, farthest_corner, sample_actions
+from clothtrack.planning.actions import PickPlace, farthest_corner, off_cloth, sample_actions
 from clothtrack.planning.dynamics import (
     SHIPPED_WEIGHTS,
     PlanningDynamics,
@@ -41,7 +41,7 @@ from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
 
 logger = logging.getLogger(__name__)
 
-Policy = Literal["planned", "random", "heuristic"]
+Policy = Literal["planned", "random", "outwards", "heuristic"]
 _OF_EPISODES = 0xEF15
 """Keeps the draws of this module apart from those of others with the same seed."""
 
@@ -51,8 +51,9 @@ class FlattenConfig:
     """One way to flatten.
 
     Attributes:
-        policy: "planned"; or, without any mesh, "random" actions, or the "heuristic" that pulls
-            the farthest corner outwards.
+        policy: "planned"; or, without any mesh, "random" actions, "outwards": of as many as the
+            planner tries the one that is placed farthest off the cloth, or the "heuristic" that
+            pulls the farthest corner outwards.
         perception: where the cloth is.
         dynamics: "simulator", or "mesh": the learned ones.
         dynamics_weights: file with the weights of the learned dynamics; "": those that come along.
@@ -81,9 +82,9 @@ class FlattenConfig:
         Raises:
             InvalidConfigError: with the field and the value.
         """
-        if self.policy not in ("planned", "random", "heuristic"):
+        if self.policy not in get_args(Policy):
             raise InvalidConfigError(
-                f"policy is {self.policy!r}; choose planned, random or heuristic"
+                f"policy is {self.policy!r}; choose one of {', '.join(get_args(Policy))}"
             )
         if self.dynamics not in ("simulator", "mesh"):
             raise InvalidConfigError(f"dynamics is {self.dynamics!r}; choose simulator or mesh")
@@ -305,6 +306,10 @@ class Flattening:
         if self._config.policy == "heuristic":
             action = farthest_corner(seen, space)
             return Decision(self._reachable([] if action is None else [action]), 0.0)
+        if self._config.policy == "outwards":
+            tried = sample_actions(seen, self._config.planner.candidates, space, rng)
+            order = np.argsort(-off_cloth(seen, tried), kind="stable")
+            return Decision(self._reachable([tried[k] for k in order]), 0.0)
         if self._config.policy == "random" or self._planner is None:
             return Decision(self._reachable(sample_actions(seen, 20, space, rng)), 0.0)
         kind = self._scene.cloth.kind

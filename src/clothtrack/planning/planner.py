@@ -19,6 +19,7 @@ from clothtrack.planning.actions import (
     ActionSpace,
     PickPlace,
     SeenCloth,
+    off_cloth,
     pick_weights,
     sample_actions,
     within_limits,
@@ -206,10 +207,7 @@ class Planner:
 
     def _strips(self, tried: Sequence[PickPlace], seen: SeenCloth) -> Float[np.ndarray, " tried"]:
         """What each place is preferred by for lying off the cloth [m^2]."""
-        if not tried or not self.config.strip_m:
-            return np.zeros(len(tried))
-        places = np.array([one.place[:2] for one in tried])
-        return self.config.strip_m * cKDTree(seen.cloud[:, :2]).query(places)[0]
+        return self.config.strip_m * off_cloth(seen, tried)
 
     def _after_a_final(
         self,
