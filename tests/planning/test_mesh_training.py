@@ -121,6 +121,9 @@ def test_the_held_vertex_ends_at_the_place():
     corner = int(np.argmax(FLAT.vertices[:, 0] + FLAT.vertices[:, 1]))
     np.testing.assert_allclose(moved[0, corner, :2], ACTION.place[:2], atol=1e-6)
     np.testing.assert_allclose(moved[0], moved[2], atol=1e-6)
+    # What nobody takes stays, above the table.
+    np.testing.assert_allclose(moved[1], LYING.positions, atol=1e-9)
+    assert dynamics.predict(LYING, []).shape == (0, FLAT.vertex_count, 3)
     with pytest.raises(InvalidConfigError, match="time_step_s"):
         MeshDynamics(MeshNetwork(TINY.network), MeshDynamicsConfig(motion=MotionConfig()))
 

@@ -73,22 +73,35 @@ class MeshDynamics:
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """The vertices [m] after each of the actions and a rest."""
-        ends = np.zeros((len(actions), cloth.flat.vertex_count, 3))
-        if len(actions):
-            held = HeldWays.of(cloth, actions, self.config.motion)
-            together = self.config.together if self._device == "cpu" else len(actions)
-            for group in held.batches(together):
-                ends[group] = self._rolled(cloth, held.of_candidates(group))
+        """The vertices [m] after each of the actions and a rest.
+
+        What nobody takes stays where it is. Left alone, this cloth would go on to unfold, and no
+        action would promise as much as none.
+        """
+        if not actions:
+            return np.zeros((0, cloth.flat.vertex_count, 3))
+        ends = np.repeat(self._placed(cloth)[None], len(actions), axis=0)
+        held = HeldWays.of(cloth, actions, self.config.motion)
+        taken = np.flatnonzero(held.vertices >= 0)
+        if len(taken):
+            moved = held.of_candidates(taken)
+            together = self.config.together if self._device == "cpu" else len(taken)
+            for group in moved.batches(together):
+                ends[taken[group]] = self._rolled(cloth, moved.of_candidates(group))
         return ends
+
+    def _placed(self, cloth: PlannedCloth) -> np.ndarray:
+        """The vertices [m] with none under the table."""
+        placed = np.array(cloth.positions, dtype=np.float64)
+        lowest = cloth.table_height_m + self.config.resting_height_m
+        placed[:, 2] = np.maximum(placed[:, 2], lowest)
+        return placed
 
     def _rolled(self, cloth: PlannedCloth, held: HeldWays) -> np.ndarray:
         """Some of the candidates."""
         config, device = self.config, self._device
         lowest = cloth.table_height_m + config.resting_height_m
-        placed = np.array(cloth.positions)
-        placed[:, 2] = np.maximum(placed[:, 2], lowest)
-        start = torch.tensor(placed, dtype=torch.float32, device=device)
+        start = torch.tensor(self._placed(cloth), dtype=torch.float32, device=device)
         ways = Ways(
             torch.tensor(held.vertices, device=device),
             torch.tensor(held.ways, dtype=torch.float32, device=device),
