@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 PerceptionChoice = Literal["network", "tracker", "both", "truth"]
+PolicyChoice = Literal["planned", "random", "outwards", "heuristic"]
 
 
 def flatten(
@@ -33,7 +34,7 @@ def flatten(
     robot: Literal["simulated", "dry-run"] = "simulated",
     perception: PerceptionChoice = "network",
     weights: Path | None = None,
-    policy: Literal["planned", "random", "outwards", "heuristic"] = "planned",
+    policy: PolicyChoice = "planned",
     dynamics: Literal["simulator", "mesh"] = "simulator",
     dynamics_weights: Path | None = None,
     recording: Path | None = None,
@@ -268,7 +269,7 @@ ACTING_VERBS = (flatten, train_dynamics, improve)
 
 
 def _config(
-    policy: Literal["planned", "random", "outwards", "heuristic"],
+    policy: PolicyChoice,
     perception: PerceptionChoice,
     weights: Path | None,
     dynamics: Literal["simulator", "mesh"],

@@ -202,16 +202,11 @@ def test_a_tether_is_as_long_as_the_cloth_between():
     torch.testing.assert_close(after[1], positions[1])
 
 
-def test_sizes_without_sense_are_refused():
-    with pytest.raises(InvalidConfigError, match="width"):
-        MeshNetworkConfig(width=0)
-    with pytest.raises(InvalidConfigError, match="step_s"):
-        MeshNetworkConfig(step_s=0.0)
-    with pytest.raises(InvalidConfigError, match="projections"):
-        MeshNetworkConfig(projections=-1)
-    with pytest.raises(InvalidConfigError, match="parts is 0; it must be from 1"):
-        MeshNetworkConfig(parts=0)
-    with pytest.raises(InvalidConfigError, match="kept_velocity"):
-        MeshNetworkConfig(kept_velocity=1.5)
-    with pytest.raises(InvalidConfigError, match="gravity"):
-        MeshNetworkConfig(gravity=-1.0)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("width", 0), ("step_s", 0.0), ("parts", 0), ("dragging", -1), ("projections", -1),
+     ("kept_velocity", 1.5), ("gravity", -1.0)],
+)  # fmt: skip
+def test_sizes_without_sense_are_refused(name, value):
+    with pytest.raises(InvalidConfigError, match=f"{name} is {value}; it"):
+        MeshNetworkConfig(**{name: value})

@@ -14,8 +14,7 @@ from clothtrack.reconstruction.model_card import CARD, made_in_words, markdown_t
 from clothtrack.storing import whole_file
 
 _LIMITS = """\
-- It has learned from our simulator, and is no better than that: materials were drawn at random, and
-  it knows the mean one only.
+- It has learned from our simulator, where materials were drawn at random, and knows none of them.
 - The mesh has edges of about 25 mm; folds that are finer are not in it.
 - It predicts one gripper that takes one point, on a level table.
 - Whether to plan in it or in the simulator, `experiments/planning_dynamics.py` tells."""
