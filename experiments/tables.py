@@ -27,7 +27,14 @@ from flattening_columns import (
     promises,
     targets,
 )
-from learning_columns import LEARNING_COLUMNS, LEARNING_PAIRED, LEARNING_TITLES, gains
+from learning_columns import (
+    LEARNING_COLUMNS,
+    LEARNING_PAIRED,
+    LEARNING_TITLES,
+    SYMMETRIC,
+    SYMMETRIC_HIDDEN,
+    gains,
+)
 from paper_numbers import PAPER, PAPER_MESH
 from table_column import Column, table
 
@@ -97,6 +104,7 @@ REFERENCES: Mapping[str, tuple[str, ...]] = {
     "network_alone": ("network, template",),
     "flattening": ("random",),
     "planning_dynamics": ("simulator",),
+    "planning_perception": ("network",),
 }
 """What the others are paired with; of several, each with those that begin like it."""
 
@@ -130,6 +138,10 @@ def markdown(experiment: str, rows: Sequence[Row]) -> str:
             "Rank correlation of promised and true gains over actions chosen by (how many):",
             promises(good, variants),
         ]
+        return _with_failures(parts, rows)
+    if experiment == "planning_perception":
+        told = by_action(good, variants, (SYMMETRIC, SYMMETRIC_HIDDEN))
+        parts += ["Error by action [mm], up to symmetry, all vertices / hidden:", told]
         return _with_failures(parts, rows)
     if any(row["actions"] > 1 for row in good):
         parts += ["Error by action [mm], all vertices / hidden:", by_action(good, variants)]
@@ -221,7 +233,9 @@ def differences(rows: Sequence[Row], variant: str, reference: str, column: Colum
     return np.array([ours[name] - theirs[name] for name in ours if name in theirs])
 
 
-def by_action(rows: Sequence[Row], variants: Sequence[str]) -> str:
+def by_action(
+    rows: Sequence[Row], variants: Sequence[str], columns: Sequence[Column] | None = None
+) -> str:
     """Errors per action: how a method drifts."""
     actions = sorted({int(row["action"]) for row in rows})
     lines = []
@@ -229,7 +243,7 @@ def by_action(rows: Sequence[Row], variants: Sequence[str]) -> str:
         line = [variant]
         for action in actions:
             chosen = [r for r in rows if (r["variant"], r["action"]) == (variant, action)]
-            line.append(" / ".join(each.cells(chosen)[0] for each in (_ALL, HIDDEN)))
+            line.append(" / ".join(each.cells(chosen)[0] for each in columns or (_ALL, HIDDEN)))
         lines.append(line)
     return table(["method", *(f"action {action}" for action in actions)], lines)
 

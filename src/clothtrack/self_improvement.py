@@ -1,7 +1,8 @@
 """Getting better by doing: flatten, track what was done, label it, fine-tune, flatten again.
 
     OUT/round_0/flattening/    episodes with the weights at hand, as `clothtrack flatten` does
-    OUT/round_0/tracked/       their recordings, tracked from the network's own first mesh
+    OUT/round_0/hindsight/     their recordings backwards: the flattest cloth comes first
+    OUT/round_0/tracked/       those, tracked from the network's own first mesh
     OUT/round_0/labels/        pseudo-labels
     OUT/round_0/tuned/         the network fine-tuned on all labels so far; the next round's
     OUT/improvement.json       the curve
@@ -31,6 +32,7 @@ from clothtrack.planning.simulated_episodes import (
     shared_parts,
 )
 from clothtrack.planning.simulated_robot import SimulatedRobotConfig
+from clothtrack.recordings.reversal import reversed_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.storing import write_file
@@ -47,7 +49,7 @@ Progress = Callable[[str, int, int], None]
 def _finetune() -> "LearningConfig":
     from clothtrack.reconstruction.two_stages import LearningConfig
 
-    return LearningConfig.preset("finetune")
+    return LearningConfig.preset("finetune_short")
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class ImprovementConfig:
         rounds: of fine-tuning; one more flattening follows, to see what the last was worth.
         episodes: per round, of the same starts in every round.
         old_share: how often an example is one of the old states, where there are some.
+        hindsight: track each episode from its end to its beginning. At its end the cloth is
+            flattest, and the network knows it best.
         flatten: how episodes are done.
         robot: of the stand-in world.
         track: how their recordings are tracked.
@@ -67,6 +71,7 @@ class ImprovementConfig:
     rounds: int = 1
     episodes: int = 5
     old_share: float = 0.25
+    hindsight: bool = True
     flatten: FlattenConfig = field(default_factory=FlattenConfig)
     robot: SimulatedRobotConfig = field(default_factory=SimulatedRobotConfig)
     track: RunConfig = field(default_factory=RunConfig)
@@ -212,6 +217,11 @@ def _labelled(
     from clothtrack.reconstruction.pseudo_labels import label_recording, write_labels
 
     recordings = sorted((folder / "flattening" / "recordings").glob("[!.]*"))
+    if config.hindsight:
+        recordings = [
+            reversed_recording(read_recording(one), folder / "hindsight" / one.name).folder
+            for one in recordings
+        ]
     first = replace(config.track.first_mesh, source="network", weights=str(weights))
     outcomes = track_recordings(
         recordings, folder / "tracked", replace(config.track, first_mesh=first), device=device,

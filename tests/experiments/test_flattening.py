@@ -5,6 +5,7 @@ import flattening
 import flattening_figure
 import numpy as np
 import planning_dynamics
+import planning_perception
 import planning_promises
 import pytest
 import tables
@@ -160,3 +161,27 @@ def test_every_action_that_was_done_is_predicted_by_both_dynamics(tmp_path, caps
     assert "| random |" in capsys.readouterr().out
     assert planning_dynamics.main(["--out", str(tmp_path), "--dynamics", str(weights)]) == 1
     assert "no episodes" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_every_picture_of_a_network_s_episode_is_believed_in_four_ways(tmp_path, capsys):
+    pytest.importorskip("torch", reason="the extra [learn] brings it")
+    out = tmp_path / "out"
+    assert flattening.main(["--smoke", "--out", str(out), "--only", "random"]) == 0
+    assert planning_perception.main(["--out", str(out), "--kind", "towel"]) == 1
+    assert "planned from a network's mesh" in capsys.readouterr().err
+    assert flattening.main(["--smoke", "--out", str(out), "--only", "pretrained"]) == 0
+    assert planning_perception.main(["--out", str(out), "--kind", "towel"]) == 0
+    assert "minus *network*" in capsys.readouterr().out
+    rows = read_rows(out / "planning_perception.jsonl")
+    assert len(rows) == 4 * max(row["action"] for row in rows)
+    by = {(row["action"], row["variant"]): row for row in rows}
+    for action in {row["action"] for row in rows}:
+        network, nearer = (
+            by[action, name] for name in (planning_perception.NETWORK, planning_perception.NEARER)
+        )
+        tracked = by[action, planning_perception.ALL_ACTIONS]
+        assert nearer["chamfer_pc_m2"] == min(network["chamfer_pc_m2"], tracked["chamfer_pc_m2"])
+        assert network["cpu_s"] is None
+        assert tracked["cpu_s"] > 0.0
+        assert network["error_symmetric_mm"] <= network["error_all_mm"]
