@@ -170,6 +170,12 @@ def methods(options: argparse.Namespace) -> list[Method]:
     return found
 
 
+def filming(robot: SimulatedRobotConfig, method: Method) -> SimulatedRobotConfig:
+    """The robot, which films where somebody tracks: without pictures of an action nobody can."""
+    tracks = method.config.perception.name in ("tracker", "both")
+    return replace(robot, film=robot.film or tracks)
+
+
 def run(task: Task) -> list[Row]:
     """One episode's rows, one per action; an episode that ended early stays where it was."""
     quiet_warp()
@@ -255,7 +261,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             chosen = methods(options)
             seeds = range(options.first_seed, options.first_seed + options.episodes)
             tasks = [
-                Task(method, SimulatedEpisode(kind, seed), out / NAME, robot, options.device)
+                Task(
+                    method,
+                    SimulatedEpisode(kind, seed),
+                    out / NAME,
+                    filming(robot, method),
+                    options.device,
+                )
                 for seed in seeds
                 for kind in (("towel",) if options.smoke else options.kind)
                 for method in chosen

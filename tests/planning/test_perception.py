@@ -10,9 +10,16 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.planning.episode_store import write_step
-from clothtrack.planning.perception import Look, NetworkPerception, PerceptionConfig
-from clothtrack.planning.robot import RgbdFrame
-from clothtrack.recordings.recording import ClothDescription, Table
+from clothtrack.planning.perception import (
+    Estimate,
+    Look,
+    NetworkPerception,
+    PerceptionConfig,
+    TrackerPerception,
+    unseen_way_m,
+)
+from clothtrack.planning.robot import Execution, RgbdFrame
+from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import towel
 
@@ -56,3 +63,52 @@ def test_every_view_is_a_belief_of_the_same_cloth(look, views):
 def test_no_view_and_too_many_are_refused(views):
     with pytest.raises(InvalidConfigError, match=f"views is {views}; it must be from 1 to 16"):
         PerceptionConfig(views=views)
+
+
+class Anew:
+    """Says that it was asked."""
+
+    def __init__(self, estimate):
+        self.estimate = estimate
+
+    def perceive(self, look):
+        del look
+        return [self.estimate]
+
+
+def acted(folder, picture_times_s):
+    """A towel of which nothing is seen moving, and a picker that drags it 20 cm in 2 s."""
+    depth = np.full((240, 320), 0.9, np.float32)
+    depth[60:160, 80:200] = 0.89
+    frames = [RgbdFrame(time_s, CAMERA, depth) for time_s in picture_times_s]
+    tips = np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.2, 0.0, 0.1]])
+    path = PickerPath(np.array([0.0, 1.0, 3.0, 4.0]), tips, np.array([False, True, False, False]))
+    done = Execution(path, tuple(frames), grasped=True)
+    write_step(
+        folder, frames, cloth=ClothDescription(kind="towel", size_m=SIZE_M), table=TABLE,
+        execution=done,
+    )  # fmt: skip
+    return read_recording(folder)
+
+
+def test_cloth_that_was_carried_unseen_is_perceived_anew(tmp_path, caplog):
+    flat = towel(*SIZE_M, 0.03)
+    lying = flat.vertices + [0.0, 0.0, 0.0015]
+    fresh = Estimate(flat, lying + 0.01, "network")
+    perception = TrackerPerception(Anew(fresh), PerceptionConfig(name="tracker"))
+    before = [Estimate(flat, lying, "network")]
+
+    unseen = acted(tmp_path / "unseen", [0.0, 3.5, 4.0])
+    assert unseen_way_m(unseen) == pytest.approx(0.2)
+    assert perception.perceive(Look(unseen, acted=True, before=before)) == [fresh]
+    assert "carried 0.20 m between two pictures (limit 0.06 m)" in caplog.text
+
+    filmed = acted(tmp_path / "filmed", np.linspace(0.0, 4.0, 17))
+    assert unseen_way_m(filmed) == pytest.approx(0.025)
+    (tracked,) = perception.perceive(Look(filmed, acted=True, before=before))
+    assert tracked.source == "tracker"
+
+
+def test_a_way_of_nothing_is_refused():
+    with pytest.raises(InvalidConfigError, match="longest_way_m is 0"):
+        PerceptionConfig(longest_way_m=0.0)

@@ -57,6 +57,8 @@ class PerceptionConfig:
         refinement: how.
         vertex_count: of the network's mesh, about.
         resting_height_m: of a vertex on the table [m].
+        longest_way_m: cloth that was carried farther than this between two pictures is perceived
+            anew: a tracker that is shown the end alone loses it [m].
         tracker: Algorithm 1.
     """
 
@@ -67,6 +69,7 @@ class PerceptionConfig:
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_count: int = 1000
     resting_height_m: float = 0.0015
+    longest_way_m: float = 0.06
     tracker: TrackerConfig = field(default_factory=_one_pass)
 
     def __post_init__(self) -> None:
@@ -82,6 +85,10 @@ class PerceptionConfig:
         if not 1 <= self.views <= MOST_VIEWS:
             raise InvalidConfigError(
                 f"perception.views is {self.views}; it must be from 1 to {MOST_VIEWS}"
+            )
+        if not self.longest_way_m > 0.0:
+            raise InvalidConfigError(
+                f"perception.longest_way_m is {self.longest_way_m}; give more than 0"
             )
 
 
@@ -216,6 +223,14 @@ class TrackerPerception:
         if not look.acted or not before or not look.recording.actions:
             return self._first.perceive(look)
         recording, start = look.recording, before[0]
+        way_m, limit_m = unseen_way_m(recording), self._config.longest_way_m
+        if way_m > limit_m:
+            logger.warning(
+                "%s: cloth is carried %.2f m between two pictures (limit %.2f m); take pictures "
+                "all through an action to track it: perceived anew", recording.folder, way_m,
+                limit_m,
+            )  # fmt: skip
+            return self._first.perceive(look)
         try:
             tracker = Tracker(
                 recording,
@@ -234,6 +249,21 @@ class TrackerPerception:
             logger.warning("%s: tracking burst: perceived anew", recording.folder)
             return self._first.perceive(look)
         return [Estimate(start.flat, positions, "tracker")]
+
+
+def unseen_way_m(recording: Recording) -> float:
+    """How far a picker carries cloth between two pictures of an action, at most [m]."""
+    longest = 0.0
+    for action in recording.actions:
+        frames = recording.frames[action.first_frame : action.last_frame + 1]
+        for picker in action.pickers:
+            path = recording.picker_paths[picker]
+            legs = np.linalg.norm(np.diff(path.positions, axis=0), axis=1) * path.closed[:-1]
+            carried = np.interp(
+                [frame.time_s for frame in frames], path.time_s, np.append(0.0, np.cumsum(legs))
+            )
+            longest = max(longest, float(np.diff(carried).max(initial=0.0)))
+    return longest
 
 
 class BothPerception:
