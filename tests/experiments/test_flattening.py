@@ -164,7 +164,7 @@ def test_every_action_that_was_done_is_predicted_by_both_dynamics(tmp_path, caps
 
 
 @pytest.mark.slow
-def test_every_picture_of_a_network_s_episode_is_believed_in_four_ways(tmp_path, capsys):
+def test_every_picture_of_a_network_s_episode_is_believed_in_five_ways(tmp_path, capsys):
     pytest.importorskip("torch", reason="the extra [learn] brings it")
     out = tmp_path / "out"
     assert flattening.main(["--smoke", "--out", str(out), "--only", "random"]) == 0
@@ -174,7 +174,8 @@ def test_every_picture_of_a_network_s_episode_is_believed_in_four_ways(tmp_path,
     assert planning_perception.main(["--out", str(out), "--kind", "towel"]) == 0
     assert "minus *network*" in capsys.readouterr().out
     rows = read_rows(out / "planning_perception.jsonl")
-    assert len(rows) == 4 * max(row["action"] for row in rows)
+    last = max(row["action"] for row in rows)
+    assert len(rows) == 5 * (last + 1)
     by = {(row["action"], row["variant"]): row for row in rows}
     for action in {row["action"] for row in rows}:
         network, nearer = (
@@ -183,5 +184,10 @@ def test_every_picture_of_a_network_s_episode_is_believed_in_four_ways(tmp_path,
         tracked = by[action, planning_perception.ALL_ACTIONS]
         assert nearer["chamfer_pc_m2"] == min(network["chamfer_pc_m2"], tracked["chamfer_pc_m2"])
         assert network["cpu_s"] is None
-        assert tracked["cpu_s"] > 0.0
+        assert tracked["cpu_s"] >= 0.0
         assert network["error_symmetric_mm"] <= network["error_all_mm"]
+    ends = [row["error_symmetric_mm"] for row in rows if row["action"] == last]
+    behind = by[last, planning_perception.HINDSIGHT]
+    assert behind["error_symmetric_mm"] == pytest.approx(ends[0], abs=0.01)
+    # Nothing was filmed: no belief was carried through an action.
+    assert by[last, planning_perception.ALL_ACTIONS]["anew"] == 1.0
