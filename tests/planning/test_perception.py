@@ -105,10 +105,17 @@ def test_cloth_that_was_carried_unseen_is_perceived_anew(tmp_path, caplog):
 
     filmed = acted(tmp_path / "filmed", np.linspace(0.0, 4.0, 17))
     assert unseen_way_m(filmed) == pytest.approx(0.025)
-    (tracked,) = perception.perceive(Look(filmed, acted=True, before=before))
+    look = Look(filmed, acted=True, before=before)
+    config = PerceptionConfig(name="tracker", lost_m=1.0)
+    (tracked,) = TrackerPerception(Anew(fresh), config).perceive(look)
     assert tracked.source == "tracker"
 
+    strict = PerceptionConfig(name="tracker", lost_m=1e-4)
+    assert TrackerPerception(Anew(fresh), strict).perceive(look) == [fresh]
+    assert "mm from its cloud (limit 0 mm): perceived anew" in caplog.text
 
-def test_a_way_of_nothing_is_refused():
-    with pytest.raises(InvalidConfigError, match="longest_way_m is 0"):
-        PerceptionConfig(longest_way_m=0.0)
+
+@pytest.mark.parametrize("name", ["longest_way_m", "lost_m"])
+def test_a_limit_that_nothing_keeps_is_refused(name):
+    with pytest.raises(InvalidConfigError, match=f"{name} is 0"):
+        PerceptionConfig(**{name: 0.0})

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
@@ -59,6 +60,8 @@ class PerceptionConfig:
         resting_height_m: of a vertex on the table [m].
         longest_way_m: cloth that was carried farther than this between two pictures is perceived
             anew: a tracker that is shown the end alone loses it [m].
+        lost_m: a tracked mesh that is farther from its cloud than this is lost, and the cloth is
+            perceived anew (root mean square, cloud to mesh) [m].
         tracker: Algorithm 1.
     """
 
@@ -70,6 +73,7 @@ class PerceptionConfig:
     vertex_count: int = 1000
     resting_height_m: float = 0.0015
     longest_way_m: float = 0.06
+    lost_m: float = 0.02
     tracker: TrackerConfig = field(default_factory=_one_pass)
 
     def __post_init__(self) -> None:
@@ -86,10 +90,11 @@ class PerceptionConfig:
             raise InvalidConfigError(
                 f"perception.views is {self.views}; it must be from 1 to {MOST_VIEWS}"
             )
-        if not self.longest_way_m > 0.0:
-            raise InvalidConfigError(
-                f"perception.longest_way_m is {self.longest_way_m}; give more than 0"
-            )
+        for name in ("longest_way_m", "lost_m"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidConfigError(
+                    f"perception.{name} is {getattr(self, name)}; give more than 0"
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,6 +252,14 @@ class TrackerPerception:
         positions = tracked.actions[-1].positions_after_final_alignment.astype(np.float64)
         if not np.isfinite(positions).all():
             logger.warning("%s: tracking burst: perceived anew", recording.folder)
+            return self._first.perceive(look)
+        gaps = distance_to_mesh(look.observation().points, positions, start.flat.faces)
+        apart_m = float(np.sqrt(np.mean(np.square(gaps))))
+        if apart_m > self._config.lost_m:
+            logger.warning(
+                "%s: the tracked mesh is %.0f mm from its cloud (limit %.0f mm): perceived anew",
+                recording.folder, 1e3 * apart_m, 1e3 * self._config.lost_m,
+            )  # fmt: skip
             return self._first.perceive(look)
         return [Estimate(start.flat, positions, "tracker")]
 
