@@ -18,6 +18,7 @@ from clothtrack.reconstruction.checkpoint import save_weights
 from clothtrack.reconstruction.configuration import TINY_NETWORK
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.two_stages import LearningConfig
+from clothtrack.recordings.store import read_recording
 from clothtrack.self_improvement import ImprovementConfig, improve_rounds
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
@@ -62,7 +63,13 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
     assert all(row["episodes"] == 4 == len(row["improvement"]) for row in curve)
     assert json.loads((tmp_path / "out" / "improvement.json").read_text()) == curve
     assert len(list((tmp_path / "out" / "starts").iterdir())) == 4
-    assert list((tmp_path / "out" / "round_0" / "labels").glob("*.labels.npz"))
+    behind = tmp_path / "out" / "round_0" / "hindsight"
+    assert list((behind / "labels").glob("*.labels.npz"))
+    for one in (behind / "recordings").iterdir():
+        backwards = read_recording(one)
+        forwards = read_recording(tmp_path / "out/round_0/flattening/recordings" / one.name)
+        assert len(backwards.frames) == len(forwards.frames)
+        assert backwards.provenance["reversed"] == one.name
     assert (tmp_path / "out" / "round_0" / "tuned" / "model.safetensors").exists()
     assert improve_rounds(weights, tmp_path / "out", "towel", config) == curve
 

@@ -242,7 +242,8 @@ def improve(
         rounds: of fine-tuning; the last one is followed by one more flattening.
         episodes: per round; the same starts in every round.
         old: folder of simulated states to mix in, against forgetting.
-        settings: changes to flatten., track. and finetune., such as flatten.actions=5.
+        settings: changes to flatten., track. and finetune., such as flatten.actions=5; or
+            hindsight=False, which tracks episodes as they were filmed, not from their end.
         device: where to compute.
         seed: of the first episode.
         json: machine-readable.

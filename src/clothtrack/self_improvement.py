@@ -1,9 +1,10 @@
 """Getting better by doing: flatten, track what was done, label it, fine-tune, flatten again.
 
     OUT/round_0/flattening/    episodes with the weights at hand, as `clothtrack flatten` does
-    OUT/round_0/hindsight/     their recordings backwards: the flattest cloth comes first
-    OUT/round_0/tracked/       those, tracked from the network's own first mesh
-    OUT/round_0/labels/        pseudo-labels
+    OUT/round_0/hindsight/     what was made of the episodes backwards, their flattest cloth first:
+        recordings/            they themselves
+        tracked/               tracked from the network's own first mesh
+        labels/                pseudo-labels
     OUT/round_0/tuned/         the network fine-tuned on all labels so far; the next round's
     OUT/improvement.json       the curve
 
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clothtrack.artefacts import load_tracked
-from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.learning import pseudo_labels_of
 from clothtrack.pipeline import RunConfig, track_recordings
@@ -218,8 +219,10 @@ def _labelled(
 
     recordings = sorted((folder / "flattening" / "recordings").glob("[!.]*"))
     if config.hindsight:
+        # Apart from what was tracked forwards: names of recordings, and of frames, are the same.
+        folder = folder / "hindsight"
         recordings = [
-            reversed_recording(read_recording(one), folder / "hindsight" / one.name).folder
+            reversed_recording(read_recording(one), folder / "recordings" / one.name).folder
             for one in recordings
         ]
     first = replace(config.track.first_mesh, source="network", weights=str(weights))
@@ -237,9 +240,11 @@ def _labelled(
             tracked = load_tracked(outcome.result)
             recording = read_recording(outcome.recording)
             judged = judge_labels(tracked, recording, device=device)
-            chosen = pseudo_labels_of(tracked, judged, (), weighted=True, flat_weight=0.0)
-            if not chosen:
-                logger.warning("no label: nothing of %s can be judged", outcome.recording)
+            try:
+                chosen = pseudo_labels_of(tracked, judged, (), weighted=True, flat_weight=0.0)
+            except InvalidResultError as error:
+                # An episode in which nothing promised a gain has no action, and so no label.
+                logger.warning("no label: %s", error)
                 continue
             labelled = label_recording(
                 recording, tracked.mesh, chosen, kind=kind,
