@@ -11,7 +11,7 @@ planner, `flattening.py` tells.
     python experiments/flattening.py --out OUT --kind tshirt --film --only pretrained --weights FILE
     python experiments/planning_perception.py --out OUT --kind tshirt
 
-A tracker needs pictures of the actions: without `--film` there are none, and it goes astray.
+A tracker needs pictures of the actions: without `--film` every picture is perceived anew.
 """
 
 import argparse

@@ -162,7 +162,12 @@ def distance_from_picture(mesh: ClothMesh, picture: "DepthInput") -> float:
     It says that a mesh is wrong, never that it is right: what is hidden does not count, and names
     do not either.
     """
-    points, vertices = observation_of(picture).points, mesh.vertices.astype(np.float64)
+    return distance_from_cloud(mesh, observation_of(picture).points)
+
+
+def distance_from_cloud(mesh: ClothMesh, points: Float[np.ndarray, "points 3"]) -> float:
+    """Distance of points from the mesh, root of the mean square [m]."""
+    vertices = mesh.vertices.astype(np.float64)
     return float(np.sqrt(np.square(distance_to_mesh(points, vertices, mesh.faces)).mean()))
 
 

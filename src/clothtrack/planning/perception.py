@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
-from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.network_mesh import LOOSE_FIT_M, distance_from_cloud
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.tracking.calibration import CalibrationConfig
@@ -73,7 +73,7 @@ class PerceptionConfig:
     vertex_count: int = 1000
     resting_height_m: float = 0.0015
     longest_way_m: float = 0.06
-    lost_m: float = 0.02
+    lost_m: float = LOOSE_FIT_M
     tracker: TrackerConfig = field(default_factory=_one_pass)
 
     def __post_init__(self) -> None:
@@ -253,8 +253,8 @@ class TrackerPerception:
         if not np.isfinite(positions).all():
             logger.warning("%s: tracking burst: perceived anew", recording.folder)
             return self._first.perceive(look)
-        gaps = distance_to_mesh(look.observation().points, positions, start.flat.faces)
-        apart_m = float(np.sqrt(np.mean(np.square(gaps))))
+        tracked_mesh = start.flat.with_vertices(positions)
+        apart_m = distance_from_cloud(tracked_mesh, look.observation().points)
         if apart_m > self._config.lost_m:
             logger.warning(
                 "%s: the tracked mesh is %.0f mm from its cloud (limit %.0f mm): perceived anew",
