@@ -247,18 +247,27 @@ def counted_settings(config: RunConfig) -> dict[str, Any]:
     Settings that came when results had already been kept count where they are not as they were, so
     that those results stay valid; weights count by what is in their file, not by its name.
     """
-    settings = asdict(config)
-    first, usual = settings["first_mesh"], asdict(FirstMeshConfig())
-    for name in _CAME_LATER:
-        if first[name] == usual[name]:
-            del first[name]
+    settings, usual = asdict(config), asdict(RunConfig())
+    for *groups, name in _CAME_LATER:
+        group, of_usual = settings, usual
+        for part in groups:
+            group, of_usual = group[part], of_usual[part]
+        if group[name] == of_usual[name]:
+            del group[name]
+    first = settings["first_mesh"]
     if weights := first.get("weights"):
         with suppress(OSError):
             first["weights"] = hashlib.sha256(Path(weights).read_bytes()).hexdigest()
     return settings
 
 
-_CAME_LATER = ("source", "weights", "refined", "refinement")
+_CAME_LATER = (
+    ("first_mesh", "source"),
+    ("first_mesh", "weights"),
+    ("first_mesh", "refined"),
+    ("first_mesh", "refinement"),
+    ("tracker", "solver", "buckling"),
+)
 
 
 def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str, object]:

@@ -97,6 +97,27 @@ def test_sharp_creases_resist():
     np.testing.assert_allclose(solver.positions[0], oracle.positions, atol=1e-6)
 
 
+def test_edges_give_more_to_a_push_than_to_a_pull():
+    mesh = sheet(4, 4, 1.0)
+    parameters = ClothParameters(1e-2, 1e6, 0.4, 0.3)
+    steps = {}
+    for name, scale in (("pushed", 0.8), ("pulled", 1.2)):
+        for buckling in (1.0, 20.0):
+            settings = config(table=None, gravity=(0.0, 0.0, 0.0), buckling=buckling)
+            solver = ClothSolver(mesh, settings, parameters=parameters)
+            solver.place(mesh.vertices * (scale, 1.0, 1.0))
+            solver.step(SUBSTEP_S)
+            steps[name, buckling] = solver.positions[0]
+            oracle = reference(mesh, settings, mesh.vertices * (scale, 1.0, 1.0), 0 * mesh.vertices)
+            oracle.parameters = parameters
+            oracle.substep(SUBSTEP_S, 1)
+            np.testing.assert_allclose(solver.positions[0], oracle.positions, atol=1e-7)
+    width = {key: np.ptp(found[:, 0]) / 0.03 for key, found in steps.items()}
+    # The diagonals are pushed where the sheet is pulled, and the other way round: hence bounds.
+    assert 1.2 - width["pulled", 20.0] > 0.8 * (1.2 - width["pulled", 1.0])
+    assert 0.0 < width["pushed", 20.0] - 0.8 < 0.5 * (width["pushed", 1.0] - 0.8)
+
+
 @pytest.mark.parametrize("push_out_speed", [0.05, 5.0])
 def test_vertex_triangle_contact(push_out_speed):
     mesh = two_layers(5, gap=0.0025)

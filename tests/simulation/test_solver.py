@@ -60,5 +60,7 @@ def test_settings_that_cannot_be_computed_are_refused():
         ClothParameters(table_friction=-0.1)
     with pytest.raises(InvalidConfigError, match=r"SolverConfig\.substep_s"):
         SolverConfig(substep_s=0.0)
+    with pytest.raises(InvalidConfigError, match=r"buckling is 0\.5; give 1"):
+        SolverConfig(buckling=0.5)
     with pytest.raises(InvalidConfigError, match="contact_depth_m"):
         SolverConfig(thickness_m=0.02)

@@ -1,15 +1,18 @@
 import numpy as np
+import pytest
 
 from clothtrack.simulation.garments import towel
-from clothtrack.simulation.parameters import ClothParameters
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 
 MESH = towel(0.12, 0.1, 0.01, pattern="random")
 
 
-def test_all_colours_at_once_are_the_colours_one_after_the_other():
+@pytest.mark.parametrize("buckling", [1.0, 20.0])
+def test_all_colours_at_once_are_the_colours_one_after_the_other(buckling):
     softness = [ClothParameters(1e-5, 1.0), ClothParameters(0.0, 100.0)]
-    solver = ClothSolver(MESH, parameters=softness, environments=2)
+    config = SolverConfig(buckling=buckling)
+    solver = ClothSolver(MESH, config, parameters=softness, environments=2)
     solver._set_clock(0.001, 1)
     noise = np.random.default_rng(1).normal(scale=0.002, size=(2, *MESH.vertices.shape))
     # Folded as well: pairs under the bend limit resist without compliance.
@@ -22,8 +25,8 @@ def test_all_colours_at_once_are_the_colours_one_after_the_other():
     solver._launch_constraints()
     at_once = solver.positions
     solver.place(shape)
-    solver._sweep_colours(solver._stretch, solver._material[0], 0.0)
-    solver._sweep_colours(solver._bend, solver._material[1], solver.config.bend_limit)
+    solver._sweep_colours(solver._stretch, solver._material[0])
+    solver._sweep_colours(solver._bend, solver._material[1])
 
     assert np.abs(at_once - shape).max() > 1e-3
     np.testing.assert_array_equal(at_once[1, :5], shape.astype(np.float32)[1, :5])

@@ -171,8 +171,10 @@ def _planning_solver() -> SolverConfig:
     """Coarse cloth: no contact between edges, long substeps, and folds as sharp as they come.
 
     A bend pair that resists at half its rest length would spring every fold of such long edges
-    open: with 0.55 a folded corner moved by 8 cm on its own, with 0.1 by 3 cm. Contacts are
-    searched for every 25 ms, which takes 0.6 of the time of 10 ms and ranks actions as well.
+    open: with 0.55 a folded corner moved by 8 cm on its own, with 0.1 by 3 cm. Edges that resist a
+    push as they do a pull would unfold what is crumpled between their ends: with `buckling` the
+    cloth ends 25 instead of 33 mm from where it should (docs/flattening.md). Contacts are searched
+    for every 25 ms, which takes 0.6 of the time of 10 ms and ranks actions as well.
     """
     return SolverConfig(
         edge_contact=False,
@@ -183,6 +185,7 @@ def _planning_solver() -> SolverConfig:
         damping=4.0,
         bend_limit=0.1,
         rebuild_s=0.025,
+        buckling=20.0,
     )
 
 
@@ -192,8 +195,6 @@ class SimulatorConfig:
 
     Attributes:
         motion: how actions are carried out.
-        start_rest_s: time in which the coarse cloth finds its rest before any action [s]: folds
-            finer than its edges do not fit it.
         parameters: what the cloth is made of.
         solver: how its motion is computed.
         together: about how many candidates are rolled out at once, those that last alike: each
@@ -201,7 +202,6 @@ class SimulatorConfig:
     """
 
     motion: MotionConfig = field(default_factory=MotionConfig)
-    start_rest_s: float = 0.1
     parameters: ClothParameters = field(
         default_factory=lambda: ClothParameters(stretch_compliance=3e-3, bend_compliance=30.0)
     )
@@ -278,7 +278,7 @@ class SimulatorDynamics:
         return solver.positions.astype(np.float64)
 
     def _start(self, cloth: PlannedCloth) -> ClothState:
-        """The cloth at rest where it is: once, for all candidates."""
+        """The cloth where it is, on the table: once, for all candidates."""
         solver, fresh = self._solver(cloth, 1)
         solver.restore(fresh)
         placed = np.array(cloth.positions, dtype=np.float64)
@@ -286,10 +286,7 @@ class SimulatorDynamics:
         placed[:, 2] = np.maximum(placed[:, 2], low)
         solver.place(placed)
         solver.set_velocities(np.zeros_like(placed))
-        for _ in range(math.ceil(self.config.start_rest_s / self.config.motion.time_step_s)):
-            solver.step(self.config.motion.time_step_s)
-        state = solver.save()
-        return ClothState(state.positions, np.zeros_like(state.velocities), state.contacts)
+        return solver.save()
 
     def _solver(self, cloth: PlannedCloth, environments: int) -> tuple[ClothSolver, ClothState]:
         """A solver for so many candidates, and its state with the flat cloth on the table."""

@@ -63,6 +63,8 @@ class SolverConfig:
         push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; one that is
             still on its own side is kept there whatever it takes.
         bend_limit: share of the rest length under which a bend pair resists without compliance.
+        buckling: how many times more an edge gives to a push than to a pull. Cloth buckles between
+            the vertices of a coarse mesh, whose edges would be struts; 1: they are.
     """
 
     contact: Literal["vertex-triangle", "particle", "none"] = "vertex-triangle"
@@ -82,6 +84,7 @@ class SolverConfig:
     edge_contact: bool = True
     push_out_speed: float = 0.6
     bend_limit: float = 0.55
+    buckling: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be computed.
@@ -99,6 +102,10 @@ class SolverConfig:
                 raise InvalidConfigError(
                     f"SolverConfig.{name} is {getattr(self, name)}; it must be above 0"
                 )
+        if not 1.0 <= self.buckling < float("inf"):
+            raise InvalidConfigError(
+                f"SolverConfig.buckling is {self.buckling}; give 1 (edges are struts) or more"
+            )
         if self.contact_depth_m < self.thickness_m:
             raise InvalidConfigError(
                 f"SolverConfig.contact_depth_m is {self.contact_depth_m}; it must be at least "

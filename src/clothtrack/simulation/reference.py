@@ -68,14 +68,14 @@ class ReferenceCloth:
                 inverse,
                 stretch_constraints(self.mesh),
                 self.parameters.stretch_compliance / elastic_s**2,
-                0.0,
+                buckling=config.buckling,
             )
             _solve(
                 positions,
                 inverse,
                 bend_constraints(self.mesh),
                 self.parameters.bend_compliance / elastic_s**2,
-                config.bend_limit,
+                limit=config.bend_limit,
             )
             velocities = (positions - previous) / elastic_s
         moves, stops = self._contact(positions, start, inverse, substep_s)
@@ -119,7 +119,9 @@ def _solve(
     inverse: Float[np.ndarray, " vertices"],
     constraints: DistanceConstraints,
     softness: float,
-    limit: float,
+    *,
+    limit: float = 0.0,
+    buckling: float = 1.0,
 ) -> None:
     for (first, second), length in zip(constraints.pairs, constraints.lengths, strict=True):
         weight = inverse[first] + inverse[second]
@@ -130,7 +132,8 @@ def _solve(
         if distance < limit * length:
             change = (distance - limit * length) / weight
         else:
-            change = (distance - length) / (weight + softness)
+            give = softness * (buckling if distance < length else 1.0)
+            change = (distance - length) / (weight + give)
         positions[first] += inverse[first] * change / distance * across
         positions[second] -= inverse[second] * change / distance * across
 

@@ -39,15 +39,21 @@ class _DeviceConstraints:
     lengths: wp.array
     colours: list[tuple[int, int]]
     bounds: wp.array
+    limit: float
+    buckling: float
 
     @classmethod
-    def upload(cls, constraints: DistanceConstraints, device: str) -> "_DeviceConstraints":
-        """Copy to the device."""
+    def upload(
+        cls, constraints: DistanceConstraints, device: str, *, limit: float, buckling: float
+    ) -> "_DeviceConstraints":
+        """Copy to the device; `kernels.solve_distances` says what limit and buckling are."""
         return cls(
             wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
             wp.array(constraints.lengths, dtype=float, device=device),
             constraints.colours,
             wp.array(constraints.first, dtype=int, device=device),
+            limit,
+            buckling,
         )
 
 
@@ -88,8 +94,12 @@ class ClothSolver:
         self.environments = environments
         self.device = device
         self._buffers = allocate(mesh, self.config.area_density, environments, device)
-        self._stretch = _DeviceConstraints.upload(stretch_constraints(mesh), device)
-        self._bend = _DeviceConstraints.upload(bend_constraints(mesh), device)
+        self._stretch = _DeviceConstraints.upload(
+            stretch_constraints(mesh), device, limit=0.0, buckling=self.config.buckling
+        )
+        self._bend = _DeviceConstraints.upload(
+            bend_constraints(mesh), device, limit=self.config.bend_limit, buckling=1.0
+        )
         self._material = wp.zeros((4, environments), dtype=float, device=device)
         self.set_parameters(parameters or ClothParameters())
         self._contact = self._make_contact()
@@ -317,49 +327,31 @@ class ClothSolver:
 
     def _launch_constraints(self) -> None:
         sweep = self._sweep_at_once if self._is_cpu else self._sweep_colours
-        sweep(self._stretch, self._material[0], 0.0)
-        sweep(self._bend, self._material[1], self.config.bend_limit)
+        sweep(self._stretch, self._material[0])
+        sweep(self._bend, self._material[1])
 
-    def _sweep_at_once(
-        self, constraints: _DeviceConstraints, compliances: wp.array, limit: float
-    ) -> None:
+    def _sweep_at_once(self, constraints: _DeviceConstraints, compliances: wp.array) -> None:
         buffers = self._buffers
         wp.launch(
             sweep_kernels.sweep_constraints,
             dim=self.environments,
-            inputs=[
-                buffers.clocks,
-                constraints.pairs,
-                constraints.lengths,
-                constraints.bounds,
-                compliances,
-                limit,
-                buffers.inverse_masses,
-                buffers.positions,
-            ],
+            inputs=[buffers.clocks, constraints.pairs, constraints.lengths, constraints.bounds,
+                    compliances, constraints.limit, constraints.buckling,
+                    buffers.inverse_masses, buffers.positions],
             device=self.device,
-        )
+        )  # fmt: skip
 
-    def _sweep_colours(
-        self, constraints: _DeviceConstraints, compliances: wp.array, limit: float
-    ) -> None:
+    def _sweep_colours(self, constraints: _DeviceConstraints, compliances: wp.array) -> None:
         buffers = self._buffers
         for first, count in constraints.colours:
             wp.launch(
                 kernels.solve_distances,
                 dim=(self.environments, count),
-                inputs=[
-                    buffers.clocks,
-                    constraints.pairs,
-                    constraints.lengths,
-                    first,
-                    compliances,
-                    limit,
-                    buffers.inverse_masses,
-                    buffers.positions,
-                ],
+                inputs=[buffers.clocks, constraints.pairs, constraints.lengths, first,
+                        compliances, constraints.limit, constraints.buckling,
+                        buffers.inverse_masses, buffers.positions],
                 device=self.device,
-            )
+            )  # fmt: skip
 
     def _launch_end(self) -> None:
         buffers, config = self._buffers, self.config

@@ -28,7 +28,8 @@ _SOLVE_COLOUR = """
             across_x * across_x + across_y * across_y + across_z * across_z);
         const bool sharp = distance < limit * rest[n];
         const float length = sharp ? limit * rest[n] : rest[n];
-        const float weight = mass[i] + mass[j] + (sharp ? 0.0f : softness);
+        const float give = sharp ? 0.0f : (distance < length ? buckling : 1.0f) * softness;
+        const float weight = mass[i] + mass[j] + give;
         const float impulse = (distance - length) / (distance * weight + 1.0e-12f);
         const float move_a = mass[i] * impulse, move_b = mass[j] * impulse;
         x[3 * i] = ax + move_a * across_x;
@@ -50,10 +51,11 @@ def solve_colour(
     end: int,
     softness: float,
     limit: float,
+    buckling: float,
     inverse_masses: wp.array(dtype=float),
     positions: wp.array(dtype=wp.vec3),
 ):
-    """Solve constraints that share no vertex (XPBD, equation 18), those under a limit stiffly."""
+    """Solve constraints that share no vertex (XPBD, equation 18); see `sweep_constraints`."""
 
 
 @no_type_check
@@ -65,17 +67,19 @@ def sweep_constraints(
     colours: wp.array(dtype=int),
     compliances: wp.array(dtype=float),
     limit: float,
+    buckling: float,
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
 ):
     """One Gauss-Seidel pass over all colours; `colours` says where each begins, and the end.
 
-    A pair shorter than `limit` of its length resists without compliance.
+    A pair shorter than `limit` of its length resists without compliance; another that is shorter
+    than its length gives `buckling` times more than one that is longer.
     """
     environment = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square
     for colour in range(colours.shape[0] - 1):
         solve_colour(
-            pairs, lengths, colours[colour], colours[colour + 1], softness, limit,
+            pairs, lengths, colours[colour], colours[colour + 1], softness, limit, buckling,
             inverse_masses[environment], positions[environment],
         )  # fmt: skip
