@@ -19,13 +19,8 @@ import numpy as np
 from clothtrack.errors import ClothTrackError
 from clothtrack.planning.actions import ActionSpace, Workspace
 from clothtrack.planning.dry_run import DryRunRobot
-from clothtrack.planning.flattening import (
-    EpisodeScene,
-    FlattenConfig,
-    Flattening,
-    dynamics_of,
-    flat_area,
-)
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area
 from clothtrack.planning.franka import FrankaConfig, FrankaRobot, FrankyArm
 from clothtrack.planning.perception import PerceptionConfig, perception_of
 from clothtrack.planning.planner import PlannerConfig

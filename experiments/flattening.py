@@ -34,7 +34,8 @@ from clothtrack.geometry.devices import quiet_warp
 from clothtrack.origin import commit
 from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig, SimulatorConfig
 from clothtrack.planning.episode_store import EpisodeStore
-from clothtrack.planning.flattening import FlattenConfig, improvement
+from clothtrack.planning.flatten_config import FlattenConfig, counted_settings
+from clothtrack.planning.flattening import improvement
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.simulated_episodes import (
@@ -93,13 +94,8 @@ class Task:
     @property
     def digest(self) -> str:
         """Ten hexadecimal digits that change with every setting and with what is in the weights."""
-        settings = asdict(self.method.config), asdict(self.robot)
-        content = hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode())
-        for name in (
-            self.method.config.perception.weights, self.method.config.dynamics_weights
-        ):  # fmt: skip
-            if name:
-                content.update(Path(name).read_bytes())
+        asked = counted_settings(self.method.config, self.episode.kind), asdict(self.robot)
+        content = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode())
         return content.hexdigest()[:10]
 
     @property

@@ -34,7 +34,7 @@ from clothtrack.origin import commit
 from clothtrack.planning.actions import PickPlace, SeenCloth
 from clothtrack.planning.coarse_cloth import Coarsener
 from clothtrack.planning.dynamics import PlannedCloth, PlanningDynamics
-from clothtrack.planning.flattening import FlattenConfig, dynamics_of
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
 from clothtrack.planning.planner import Hypothesis, Planner, PlannerConfig
 from clothtrack.planning.reward import coverage
 

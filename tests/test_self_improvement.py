@@ -10,7 +10,7 @@ from clothtrack import self_improvement
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.pipeline import RunConfig
 from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
-from clothtrack.planning.flattening import FlattenConfig
+from clothtrack.planning.flatten_config import FlattenConfig
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.simulated_robot import SimulatedRobotConfig
@@ -109,6 +109,12 @@ def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
     assert [name for name, _ in asked] == ["w0", "w1", "w2"]
     assert len({starts for _, starts in asked}) == 1
     assert [row["mean"] for row in curve] == pytest.approx([0.1, 0.2, 0.3])
+    # More rounds of the same go on; rounds of something else would be mixed with them.
+    improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(rounds=0))
+    with pytest.raises(InvalidConfigError, match=r"another settings\.old_share"):
+        improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(old_share=0.5))
+    with pytest.raises(InvalidConfigError, match=r"weights_sha256\.network"):
+        improve_rounds(tmp_path / "w1", tmp_path / "out", "towel", ImprovementConfig())
 
 
 @pytest.mark.parametrize(

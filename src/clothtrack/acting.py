@@ -17,7 +17,7 @@ from clothtrack.terminal import complain, end_progress, progress, say
 
 if TYPE_CHECKING:
     from clothtrack.planning.episode_store import EpisodeStore
-    from clothtrack.planning.flattening import FlattenConfig
+    from clothtrack.planning.flatten_config import FlattenConfig
     from clothtrack.planning.simulated_episodes import SimulatedEpisode
     from clothtrack.reconstruction.training import TrainingOutcome
 
@@ -279,7 +279,7 @@ def _config(
     actions: int,
     settings: Settings,
 ) -> "FlattenConfig":
-    from clothtrack.planning.flattening import FlattenConfig
+    from clothtrack.planning.flatten_config import FlattenConfig
     from clothtrack.planning.perception import PerceptionConfig
     from clothtrack.tracking.settings import with_settings
 
@@ -316,7 +316,8 @@ def _dry_run(
 ) -> int:
     """Plan one action for the last picture of a recording."""
     from clothtrack.planning.dry_run import DryRunRobot, pictures_of
-    from clothtrack.planning.flattening import EpisodeScene, Flattening, dynamics_of, flat_area
+    from clothtrack.planning.flatten_config import dynamics_of
+    from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area
     from clothtrack.planning.perception import perception_of
     from clothtrack.planning.robot import MotionLimits
     from clothtrack.planning.seen import seen_area

@@ -4,7 +4,6 @@ Only the recording is asked, never a truth. PyTorch is imported when the network
 before.
 """
 
-import hashlib
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from clothtrack.reconstruction.availability import INSTALL, missing_modules, shi
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.storing import content_hash
 from clothtrack.tracking.first_mesh import FITTED_KINDS, FirstMeshConfig, flat_fit
 
 logger = logging.getLogger(__name__)
@@ -194,7 +194,7 @@ def _from_network(
     origin = {
         "source": "network",
         "weights": weights.name,
-        "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "weights_sha256": content_hash(weights),
         "refined": found.refinement is not None and found.refinement.chosen > 0,
     }
     mesh = laid_flat(rest, positions, table, config.resting_height_m)

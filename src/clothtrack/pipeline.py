@@ -14,13 +14,14 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.errors import ClothTrackError, InvalidConfigError, StorageError
 from clothtrack.first_cloth import first_cloth
 from clothtrack.origin import made_with
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
+from clothtrack.storing import content_hash
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.first_mesh import FirstMeshConfig
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -256,8 +257,8 @@ def counted_settings(config: RunConfig) -> dict[str, Any]:
             del group[name]
     first = settings["first_mesh"]
     if weights := first.get("weights"):
-        with suppress(OSError):
-            first["weights"] = hashlib.sha256(Path(weights).read_bytes()).hexdigest()
+        with suppress(StorageError):
+            first["weights"] = content_hash(Path(weights))
     return settings
 
 

@@ -7,26 +7,29 @@
         labels/                pseudo-labels
     OUT/round_0/tuned/         the network fine-tuned on all labels so far; the next round's
     OUT/improvement.json       the curve
+    OUT/asked.json             what all of it depends on
 
 No truth is learned from: the score of a round is taken down and decides nothing.
 """
 
-import hashlib
 import json
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clothtrack.artefacts import load_tracked
+from clothtrack.claims import claim
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.learning import pseudo_labels_of
 from clothtrack.pipeline import RunConfig, track_recordings
-from clothtrack.planning.flattening import FlattenConfig, dynamics_of, improvement
+from clothtrack.pipeline import counted_settings as tracking_settings
+from clothtrack.planning.flatten_config import FlattenConfig, counted_settings, dynamics_of
+from clothtrack.planning.flattening import improvement
 from clothtrack.planning.simulated_episodes import (
     SimulatedEpisode,
     flatten_simulated,
@@ -36,7 +39,7 @@ from clothtrack.planning.simulated_robot import SimulatedRobotConfig
 from clothtrack.recordings.reversal import reversed_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
-from clothtrack.storing import write_file
+from clothtrack.storing import content_hash, write_file
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.two_stages import LearningConfig
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 CURVE = "improvement.json"
+ASKED = "asked.json"
 Progress = Callable[[str, int, int], None]
 
 
@@ -107,6 +111,8 @@ def improve_rounds(
 ) -> list[dict[str, Any]]:
     """Flatten and learn in turns; what is finished is kept, so that a broken run goes on.
 
+    A folder goes on with the settings that it was begun with; more rounds can be asked for.
+
     Args:
         weights: of the network to begin with.
         out: folder of the rounds.
@@ -122,9 +128,11 @@ def improve_rounds(
 
     Raises:
         InvalidResultError: the weights or the old states cannot be read; nothing is written.
+        InvalidConfigError: the folder was begun with other settings; nothing is written.
         ClothTrackError: a stage fails.
     """
     _require_inputs(weights, kind, config, old=old, device=device)
+    _take_up(out / ASKED, weights, kind, config, old=old, seed=seed)
     curve: list[dict[str, Any]] = []
     labels: list[Path] = []
     for number in range(config.rounds + 1):
@@ -136,7 +144,7 @@ def improve_rounds(
             {
                 "round": number,
                 "weights": weights.name,
-                "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+                "weights_sha256": content_hash(weights),
                 "episodes": len(gained),
                 "mean": float(np.mean(gained)),
                 "deviation": float(np.std(gained, ddof=1)) if len(gained) > 1 else 0.0,
@@ -175,6 +183,31 @@ def _require_inputs(
             raise InvalidConfigError(
                 f"{old}: its states are of a {states.kind!r}, not of a {kind!r}; name others"
             )
+
+
+def _take_up(
+    path: Path,
+    weights: Path,
+    kind: str,
+    config: ImprovementConfig,
+    *,
+    old: Path | None,
+    seed: int,
+) -> None:
+    """Note what the rounds depend on, or refuse to mix them with rounds of something else."""
+    perceived = replace(config.flatten.perception, weights=str(weights))
+    settings = {
+        **asdict(config),
+        "flatten": counted_settings(replace(config.flatten, perception=perceived), kind),
+        "track": tracking_settings(config.track),
+    }
+    # Each round depends on those before it alone.
+    del settings["rounds"]
+    asked = {
+        "garment": kind, "seed": seed, "settings": settings,
+        "old": None if old is None else old.name,
+    }  # fmt: skip
+    claim(path, asked)
 
 
 def _flattened(

@@ -1,5 +1,6 @@
 """Files and folders that appear whole under their final name, or not at all."""
 
+import hashlib
 import os
 import shutil
 import tempfile
@@ -21,6 +22,16 @@ def storage(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise StorageError.of(error, path) from error
+
+
+def content_hash(path: Path) -> str:
+    """SHA-256 of a file in hexadecimal digits.
+
+    Raises:
+        StorageError: it cannot be read.
+    """
+    with storage(path), Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager

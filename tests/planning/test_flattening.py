@@ -14,14 +14,8 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.planning.actions import Workspace
 from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
-from clothtrack.planning.flattening import (
-    EpisodeScene,
-    FlattenConfig,
-    Flattening,
-    dynamics_of,
-    flat_area,
-    improvement,
-)
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area, improvement
 from clothtrack.planning.perception import Estimate, PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.robot import Execution, Reachability, RgbdFrame
@@ -149,10 +143,27 @@ def test_a_killed_episode_goes_on_where_it_was(tmp_path):
 
 def test_another_episode_is_not_gone_on_with(tmp_path):
     paper(tmp_path, replace(CONFIG, actions=1))
-    with pytest.raises(InvalidConfigError, match="another config"):
+    with pytest.raises(InvalidConfigError, match=r"another config\.actions \(1, now 3\)"):
         paper(tmp_path, replace(CONFIG, actions=3))
     with pytest.raises(InvalidConfigError, match="another seed"):
         paper(tmp_path, replace(CONFIG, actions=1), seed=5)
+
+
+def test_weights_count_by_what_is_in_them(tmp_path):
+    one, same, other = (tmp_path / name for name in ("one", "same", "other"))
+    for path, content in ((one, b"1"), (same, b"1"), (other, b"2")):
+        path.write_bytes(content)
+    paper(tmp_path, of_weights(one))
+    _, kept = paper(tmp_path, of_weights(same))
+    assert kept.document["made_with"]["weights"] == {"network": "one"}
+    assert kept.document["made_with"]["packages"]["numpy"]
+    assert str(tmp_path) not in (tmp_path / "episode" / "episode.json").read_text()
+    with pytest.raises(InvalidConfigError, match=r"another weights_sha256\.network"):
+        paper(tmp_path, of_weights(other))
+
+
+def of_weights(path):
+    return replace(CONFIG, actions=1, perception=PerceptionConfig(weights=str(path)))
 
 
 def test_nothing_promising_ends_the_episode(tmp_path):

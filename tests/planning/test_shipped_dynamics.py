@@ -8,7 +8,7 @@ import torch
 
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, PlannedCloth
-from clothtrack.planning.flattening import FlattenConfig, dynamics_of
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
 from clothtrack.planning.mesh_dynamics import MeshDynamics
 from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig
 from clothtrack.planning.mesh_training import whole_roll_outs

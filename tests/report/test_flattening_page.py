@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
-from clothtrack.planning.flattening import FlattenConfig, Step
+from clothtrack.planning.flatten_config import FlattenConfig
+from clothtrack.planning.flattening import Step
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.simulated_episodes import SimulatedEpisode, flatten_simulated

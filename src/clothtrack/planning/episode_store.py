@@ -1,6 +1,6 @@
 """One flattening episode on disk, step by step, so that a killed one goes on.
 
-    EPISODE/episode.json       what was asked for, and each finished step
+    EPISODE/episode.json       what was asked for, what with, and each finished step
     EPISODE/steps/00           the cloth before any action, as a recording of one frame
     EPISODE/steps/01 ...       each action as a recording of its own
     EPISODE/estimates/00.npz   what was believed after each step
@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.claims import as_plain, require_same
+from clothtrack.errors import InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.origin import made_with
 from clothtrack.planning.perception import Estimate
 from clothtrack.planning.robot import Execution, RgbdFrame
 from clothtrack.recordings.pictures import read_color, read_depth
@@ -30,6 +32,7 @@ from clothtrack.storing import storage, whole_file, write_file
 DOCUMENT = "episode.json"
 PICKER = "gripper"
 DEPTH_UNIT_M = 0.0005
+PACKAGES = ("numpy", "scipy", "warp-lang", "mujoco-core", "torch")
 
 
 class EpisodeStore:
@@ -40,12 +43,15 @@ class EpisodeStore:
         document: `episode.json` as it is now.
     """
 
-    def __init__(self, folder: Path, asked: Mapping[str, Any]) -> None:
+    def __init__(
+        self, folder: Path, asked: Mapping[str, Any], *, weights: Mapping[str, Path] | None = None
+    ) -> None:
         """Begin an episode, or take up the one that lies there.
 
         Args:
             folder: of the episode.
             asked: everything that it depends on; an episode with another one is refused.
+            weights: files that are read; their names are noted with commit and versions.
 
         Raises:
             InvalidConfigError: the folder holds an episode with other settings.
@@ -53,26 +59,26 @@ class EpisodeStore:
             StorageError: the disk refuses.
         """
         self.folder = Path(folder)
-        plain = json.loads(json.dumps(asked, default=str))
         path = self.folder / DOCUMENT
         if not path.exists():
-            self.document: dict[str, Any] = {"asked": plain, "status": "running", "steps": []}
+            names = {name: one.name for name, one in (weights or {}).items()}
+            self.document: dict[str, Any] = {
+                "asked": as_plain(asked),
+                "made_with": {**made_with(PACKAGES), "weights": names},
+                "status": "running",
+                "steps": [],
+            }
             self.write()
             return
         try:
-            self.document = json.loads(path.read_text(encoding="utf-8"))
-            found = self.document["asked"]
-            self.document = {name: self.document[name] for name in ("asked", "status", "steps")}
+            found = json.loads(path.read_text(encoding="utf-8"))
+            parts = ("asked", "made_with", "status", "steps")
+            self.document = {name: found[name] for name in parts}
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InvalidResultError(
                 f"{path}: not an episode ({error}); remove its folder and begin again"
             ) from error
-        for name in sorted(set(plain) | set(found)):
-            if plain.get(name) != found.get(name):
-                raise InvalidConfigError(
-                    f"{path}: this episode was begun with another {name}; choose another --output "
-                    "or remove it"
-                )
+        require_same(path, self.document["asked"], asked)
 
     @property
     def steps(self) -> list[dict[str, Any]]:

@@ -7,92 +7,30 @@ taken down for the score, and decides nothing.
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.actions import PickPlace, farthest_corner, off_cloth, sample_actions
-from clothtrack.planning.dynamics import (
-    SHIPPED_WEIGHTS,
-    PlanningDynamics,
-    SimulatorConfig,
-    SimulatorDynamics,
-    several_materials,
-)
+from clothtrack.planning.dynamics import PlanningDynamics
 from clothtrack.planning.episode_store import EpisodeStore, write_step
-from clothtrack.planning.perception import (
-    Estimate,
-    Look,
-    Perception,
-    PerceptionConfig,
-    label_of,
-)
-from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
+from clothtrack.planning.flatten_config import FlattenConfig, counted_settings, weights_used
+from clothtrack.planning.perception import Estimate, Look, Perception, label_of
+from clothtrack.planning.planner import Decision, Hypothesis, Planner
 from clothtrack.planning.robot import Execution, PickPlaceRobot
 from clothtrack.planning.seen import seen_area, seen_cloth
-from clothtrack.reconstruction.availability import INSTALL, missing_modules
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
 
 logger = logging.getLogger(__name__)
 
-Policy = Literal["planned", "random", "outwards", "heuristic"]
 _OF_EPISODES = 0xEF15
 """Keeps the draws of this module apart from those of others with the same seed."""
-
-
-@dataclass(frozen=True)
-class FlattenConfig:
-    """One way to flatten.
-
-    Attributes:
-        policy: "planned"; or, without any mesh, "random" actions, "outwards": of as many as the
-            planner tries the one that is placed farthest off the cloth, or the "heuristic" that
-            pulls the farthest corner outwards.
-        perception: where the cloth is.
-        dynamics: "simulator", or "mesh": the learned ones.
-        dynamics_weights: file with the weights of the learned dynamics; "": those that come along.
-        materials: materials of the simulator that a gain is the mean over; 1: the usual one.
-        simulator: the solver as dynamics.
-        planner: how an action is chosen.
-        actions: most actions of an episode (paper: 10).
-        enough: an episode ends when the cloth covers this share of the flat garment's area.
-        patience: looks in a row at which nothing promises a gain, after which an episode ends.
-    """
-
-    policy: Policy = "planned"
-    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
-    dynamics: Literal["simulator", "mesh"] = "simulator"
-    dynamics_weights: str = ""
-    materials: int = 1
-    simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
-    planner: PlannerConfig = field(default_factory=PlannerConfig)
-    actions: int = 10
-    enough: float = 0.95
-    patience: int = 2
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be done.
-
-        Raises:
-            InvalidConfigError: with the field and the value.
-        """
-        if self.policy not in get_args(Policy):
-            raise InvalidConfigError(
-                f"policy is {self.policy!r}; choose one of {', '.join(get_args(Policy))}"
-            )
-        if self.dynamics not in ("simulator", "mesh"):
-            raise InvalidConfigError(f"dynamics is {self.dynamics!r}; choose simulator or mesh")
-        for name in ("actions", "materials", "patience"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give at least 1")
-        if not 0.0 < self.enough <= 1.0:
-            raise InvalidConfigError(f"enough is {self.enough}; it is a share, above 0 up to 1")
 
 
 @runtime_checkable
@@ -153,29 +91,6 @@ def flat_area(cloth: ClothDescription) -> float | None:
     return projected_area(mesh.vertices, mesh.faces)
 
 
-def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningDynamics]:
-    """The dynamics that a configuration names; PyTorch is imported for the learned ones only.
-
-    Raises:
-        InvalidConfigError: the learned ones are asked for, and [learn] is not installed.
-        InvalidResultError: the weights are missing, damaged or of something else.
-    """
-    if config.dynamics == "mesh":
-        missing = missing_modules()
-        if missing:
-            raise InvalidConfigError(
-                f"dynamics is mesh, which needs {', '.join(missing)}; install with: {INSTALL}, or "
-                "plan in the simulator"
-            )
-        from clothtrack.planning.mesh_dynamics import load_mesh_dynamics
-
-        weights = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
-        return [load_mesh_dynamics(weights, device=device)]
-    materials = several_materials(config.simulator.parameters, config.materials, _OF_EPISODES)
-    asked = [replace(config.simulator, parameters=one) for one in materials]
-    return [SimulatorDynamics(one, device=device) for one in asked]
-
-
 class Flattening:
     """One episode with one robot."""
 
@@ -230,10 +145,12 @@ class Flattening:
         label = {"perception": "none", "control": False}
         if self._perception is not None:
             label = dict(label_of(self._config.perception))
+        cloth = self._scene.cloth
         store = EpisodeStore(
             folder,
-            {"config": asdict(self._config), "seed": self._seed, "label": label,
-             "cloth": {"kind": self._scene.cloth.kind, "size_m": self._scene.cloth.size_m}},
+            {**counted_settings(self._config, cloth.kind), "seed": self._seed, "label": label,
+             "cloth": {"kind": cloth.kind, "size_m": cloth.size_m}},
+            weights=weights_used(self._config, cloth.kind),
         )  # fmt: skip
         if store.finished:
             return store

@@ -7,7 +7,6 @@ A crumpled garment is rolled out on a fine mesh, all candidates at once; what is
 material points of the coarse mesh, so that the learned dynamics know what its folds cannot show.
 """
 
-import json
 import logging
 import math
 import zipfile
@@ -16,11 +15,11 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Int
 
+from clothtrack.claims import claim
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.actions import ActionSpace, SeenCloth, pick_weights, sample_actions
@@ -31,7 +30,7 @@ from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
-from clothtrack.storing import storage, whole_file, write_file
+from clothtrack.storing import whole_file
 from clothtrack.workers import finished_in_workers, require_workers
 from clothtrack.world.crumpling import Crumpler
 from clothtrack.world.states import StatesConfig, draw_garment, draw_parameters
@@ -166,8 +165,7 @@ def generate_roll_outs(
         raise InvalidConfigError(f"the number of roll-outs is {count}; give at least 1")
     config = config or RollOutConfig()
     shards = math.ceil(count / (config.starts * config.actions))
-    asked = json.loads(json.dumps({"kind": kind, "seed": seed, "config": asdict(config)}))
-    _claim(out, asked)
+    claim(out / LIST_FILE, {"kind": kind, "seed": seed, "config": asdict(config)})
     paths = [out / "shards" / f"{number:04d}.npz" for number in range(shards)]
     missing = [number for number, path in enumerate(paths) if not path.exists()]
     work = partial(_make_and_write, out=out, kind=kind, seed=seed, config=config)
@@ -324,19 +322,3 @@ def _make_and_write(
     shard = make_roll_outs(kind, number, seed, config)
     write_roll_outs(shard, out / "shards" / f"{number:04d}.npz")
     return number
-
-
-def _claim(out: Path, asked: dict[str, Any]) -> None:
-    """Note what the folder is for, or refuse one that is for something else."""
-    file = out / LIST_FILE
-    with storage(file):
-        out.mkdir(parents=True, exist_ok=True)
-        if not file.exists():
-            write_file(file, json.dumps(asked, indent=1).encode())
-            return
-        found = json.loads(file.read_text(encoding="utf-8"))
-    for name, value in asked.items():
-        if found.get(name) != value:
-            raise InvalidConfigError(
-                f"{file}: its roll-outs were made with another {name}; choose another folder"
-            )

@@ -18,13 +18,8 @@ import numpy as np
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.dynamics import PlanningDynamics
 from clothtrack.planning.episode_store import EpisodeStore
-from clothtrack.planning.flattening import (
-    EpisodeScene,
-    FlattenConfig,
-    Flattening,
-    Watch,
-    dynamics_of,
-)
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+from clothtrack.planning.flattening import EpisodeScene, Flattening, Watch
 from clothtrack.planning.perception import Perception, perception_of
 from clothtrack.planning.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 from clothtrack.recordings.store import read_recording

@@ -32,7 +32,7 @@ from clothtrack.errors import (
     InvalidResultError,
     SimulationDivergedError,
 )
-from clothtrack.storing import storage, whole_file
+from clothtrack.storing import content_hash, storage, whole_file
 from clothtrack.workers import end_workers, require_workers, start_worker
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
@@ -157,18 +157,13 @@ def checksum(path: Path) -> str:
     their names relative to the folder (as bytes).
     """
     if path.is_file():
-        return _sha256(path)
+        return content_hash(path)
     files = sorted(
         (one.relative_to(path).as_posix() for one in path.rglob("*") if one.is_file()),
         key=str.encode,
     )
-    lines = "".join(f"{_sha256(path / name)}  {name}\n" for name in files)
+    lines = "".join(f"{content_hash(path / name)}  {name}\n" for name in files)
     return hashlib.sha256(lines.encode()).hexdigest()
-
-
-def _sha256(path: Path) -> str:
-    with storage(path), path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _film(trajectory: BenchTrajectory, out: Path) -> Entry:

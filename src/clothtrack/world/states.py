@@ -5,7 +5,6 @@ what they are made of. Shard k depends on the seed and on k alone. A finished sh
 interrupted run goes on where it stopped.
 """
 
-import json
 import logging
 import math
 import shutil
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from clothtrack.claims import as_plain, require_same
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
@@ -368,7 +368,7 @@ def _document(out: Path, kind: GarmentKind, seed: int, config: StatesConfig) -> 
     Raises:
         InvalidConfigError: when the folder holds states of another kind, seed or settings.
     """
-    asked = {"kind": kind, "seed": seed, "config": json.loads(json.dumps(asdict(config)))}
+    asked = as_plain({"kind": kind, "seed": seed, "config": asdict(config)})
     found = read_list(out)
     if found is None:
         if (out / SHARD_FOLDER).exists() and any((out / SHARD_FOLDER).glob("[0-9]*.zarr")):
@@ -377,11 +377,5 @@ def _document(out: Path, kind: GarmentKind, seed: int, config: StatesConfig) -> 
                 "another folder"
             )
         return {**asked, "provenance": made_with(PACKAGES), "shards": {}}
-    for name, value in asked.items():
-        if found.get(name) != value:
-            told = "" if name == "config" else f" ({found.get(name)!r}, now {value!r})"
-            raise InvalidConfigError(
-                f"{out / LIST_FILE}: its states were made with another {name}{told}; choose "
-                "another folder, or remove this one"
-            )
+    require_same(out / LIST_FILE, {name: found.get(name) for name in asked}, asked)
     return {"shards": {}, **found}

@@ -1,0 +1,117 @@
+"""How to flatten, as values, and what an episode is known by."""
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.planning.dynamics import (
+    SHIPPED_WEIGHTS,
+    PlanningDynamics,
+    SimulatorConfig,
+    SimulatorDynamics,
+    several_materials,
+)
+from clothtrack.planning.perception import PerceptionConfig
+from clothtrack.planning.planner import PlannerConfig
+from clothtrack.reconstruction.availability import INSTALL, missing_modules, shipped_weights
+from clothtrack.storing import content_hash
+
+Policy = Literal["planned", "random", "outwards", "heuristic"]
+_OF_MATERIALS = 0xEF15
+"""Keeps the draws of this module apart from those of others with the same seed."""
+
+
+@dataclass(frozen=True)
+class FlattenConfig:
+    """One way to flatten.
+
+    Attributes:
+        policy: "planned"; or, without any mesh, "random" actions, "outwards": of as many as the
+            planner tries the one that is placed farthest off the cloth, or the "heuristic" that
+            pulls the farthest corner outwards.
+        perception: where the cloth is.
+        dynamics: "simulator", or "mesh": the learned ones.
+        dynamics_weights: file with the weights of the learned dynamics; "": those that come along.
+        materials: materials of the simulator that a gain is the mean over; 1: the usual one.
+        simulator: the solver as dynamics.
+        planner: how an action is chosen.
+        actions: most actions of an episode (paper: 10).
+        enough: an episode ends when the cloth covers this share of the flat garment's area.
+        patience: looks in a row at which nothing promises a gain, after which an episode ends.
+    """
+
+    policy: Policy = "planned"
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    dynamics: Literal["simulator", "mesh"] = "simulator"
+    dynamics_weights: str = ""
+    materials: int = 1
+    simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    actions: int = 10
+    enough: float = 0.95
+    patience: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be done.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        if self.policy not in get_args(Policy):
+            raise InvalidConfigError(
+                f"policy is {self.policy!r}; choose one of {', '.join(get_args(Policy))}"
+            )
+        if self.dynamics not in ("simulator", "mesh"):
+            raise InvalidConfigError(f"dynamics is {self.dynamics!r}; choose simulator or mesh")
+        for name in ("actions", "materials", "patience"):
+            if getattr(self, name) < 1:
+                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give at least 1")
+        if not 0.0 < self.enough <= 1.0:
+            raise InvalidConfigError(f"enough is {self.enough}; it is a share, above 0 up to 1")
+
+
+def weights_used(config: FlattenConfig, kind: str) -> dict[str, Path]:
+    """The files of weights that flattening a garment reads, of "network" and "dynamics"."""
+    used: dict[str, Path | None] = {}
+    if config.policy == "planned" and config.perception.name != "truth":
+        named = config.perception.weights
+        used["network"] = Path(named) if named else shipped_weights(kind)
+    if config.policy == "planned" and config.dynamics == "mesh":
+        used["dynamics"] = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
+    return {name: path for name, path in used.items() if path is not None}
+
+
+def counted_settings(config: FlattenConfig, kind: str) -> dict[str, Any]:
+    """What an episode is known by: weights count by what is in their files, not by their names.
+
+    Raises:
+        StorageError: a file of weights cannot be read.
+    """
+    settings = asdict(config)
+    del settings["perception"]["weights"], settings["dynamics_weights"]
+    hashes = {name: content_hash(path) for name, path in weights_used(config, kind).items()}
+    return {"config": settings, "weights_sha256": hashes}
+
+
+def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningDynamics]:
+    """The dynamics that a configuration names; PyTorch is imported for the learned ones only.
+
+    Raises:
+        InvalidConfigError: the learned ones are asked for, and [learn] is not installed.
+        InvalidResultError: the weights are missing, damaged or of something else.
+    """
+    if config.dynamics == "mesh":
+        missing = missing_modules()
+        if missing:
+            raise InvalidConfigError(
+                f"dynamics is mesh, which needs {', '.join(missing)}; install with: {INSTALL}, or "
+                "plan in the simulator"
+            )
+        from clothtrack.planning.mesh_dynamics import load_mesh_dynamics
+
+        weights = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
+        return [load_mesh_dynamics(weights, device=device)]
+    materials = several_materials(config.simulator.parameters, config.materials, _OF_MATERIALS)
+    asked = [replace(config.simulator, parameters=one) for one in materials]
+    return [SimulatorDynamics(one, device=device) for one in asked]
