@@ -41,6 +41,8 @@ class SimulatedRobotConfig:
             when None.
         film: take pictures all through an action; without them only after it.
         layers: layers of cloth that the gripper takes, the uppermost first.
+        contact_s: time constant of a contact between layers [s] (`FlexWorld`), half the usual one: a
+            shirt that passed through itself in its fall is knotted, and nobody can flatten it.
         drops: how often the cloth is lifted at a random vertex and let go before an episode, at
             most; it stops as soon as the cloth is crumpled.
         crumpled: share of the flat area under which the cloth counts as crumpled.
@@ -54,6 +56,7 @@ class SimulatedRobotConfig:
     episode: EpisodeConfig | None = None
     film: bool = True
     layers: int = 1
+    contact_s: float = 0.01
     drops: int = 5
     crumpled: float = 0.65
     drop_speed: float = 0.6
@@ -98,7 +101,7 @@ class SimulatedRobot:
         if fabric is None:
             raise InvalidConfigError("episode.fabric is None; give one")
         laid = laid_down(self._flat, random_pose(of_world), fabric.contact_radius_m)
-        self._world = FlexWorld(laid, fabric)
+        self._world = FlexWorld(laid, fabric, contact_s=self.config.contact_s)
         camera = top_down_camera(episode.sensor, of_sensor)
         appearance = Appearance.sample(of_sensor)
         tool = episode.tool or Tool.sample(of_sensor)
@@ -198,6 +201,7 @@ class SimulatedRobot:
                 unfinished,
                 state=self._world.save(),
                 pictures=np.array(self._pictures),
+                contact_s=np.array(self.config.contact_s),
                 positions=self._world.positions,
                 faces=self._flat.faces,
             )
@@ -207,15 +211,21 @@ class SimulatedRobot:
 
         Raises:
             InvalidResultError: the file is missing or damaged.
-            InvalidConfigError: it is of another cloth.
+            InvalidConfigError: it is of another cloth, or of a world with other contacts.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
                 state, pictures = file["state"], int(file["pictures"])
+                contact_s = float(file["contact_s"])
         except (OSError, ValueError, KeyError, EOFError) as error:
             raise InvalidResultError(
                 f"{path}: not a saved world ({error}); remove the episode and begin again"
             ) from error
+        if contact_s != self.config.contact_s:
+            raise InvalidConfigError(
+                f"{path}: saved with a contact_s of {contact_s}, not {self.config.contact_s}; "
+                "choose another folder, or remove this one"
+            )
         self._world.restore(state)
         self._pictures = pictures
 
