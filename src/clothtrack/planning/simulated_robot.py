@@ -41,8 +41,8 @@ class SimulatedRobotConfig:
             when None.
         film: take pictures all through an action; without them only after it.
         layers: layers of cloth that the gripper takes, the uppermost first.
-        contact_s: time constant of a contact between layers [s] (`FlexWorld`), half the usual one: a
-            shirt that passed through itself in its fall is knotted, and nobody can flatten it.
+        contact_s: time constant of a contact between layers [s], half the usual one (`FlexWorld`):
+            a shirt that passed through itself in its fall is knotted, and nobody can flatten it.
         drops: how often the cloth is lifted at a random vertex and let go before an episode, at
             most; it stops as soon as the cloth is crumpled.
         crumpled: share of the flat area under which the cloth counts as crumpled.
