@@ -23,6 +23,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import tables
 from bench_measures import Row
 from bench_runs import read_rows, write_rows
@@ -31,6 +32,7 @@ from figures import say
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.quality import crossings
 from clothtrack.origin import commit
 from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig, SimulatorConfig
 from clothtrack.planning.episode_store import EpisodeStore
@@ -230,6 +232,7 @@ def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
                 "missed": float(step["grasped"] is False) if acted else None,
                 "expected_m2": step["gain_m2"] if acted else None,
                 "gain_m2": step["true_m2"] - steps[done - 1]["true_m2"] if acted else None,
+                "world_crossings": world_crossings(task, done) if acted else None,
                 "perception_cpu_s": step["perception_cpu_s"] if acted else None,
                 "decision_cpu_s": step["decision_cpu_s"] if acted else None,
                 "status": store.document["status"],
@@ -239,6 +242,13 @@ def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
             }
         )
     return rows
+
+
+def world_crossings(task: Task, step: int) -> int:
+    """Edges of the true cloth that pass through it after a step: is the physics sound?"""
+    path = task.folder / "worlds" / task.episode.label / f"{step:02d}.npz"
+    with np.load(path, allow_pickle=False) as file:
+        return crossings(file["positions"], file["faces"])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -20,6 +20,7 @@ FLATTENING_COLUMNS: Mapping[str, tuple[Column, ...]] = {
         Column("grasps missed %", "missed", 100, 0),
         Column("expected gain, cm2", "expected_m2", 1e4, 1),
         Column("true gain, cm2", "gain_m2", 1e4, 1),
+        Column("crossings in the world", "world_crossings", digits=1),
         Column("perception CPU s", "perception_cpu_s", digits=1),
         DECISION,
     ),
