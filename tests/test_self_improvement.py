@@ -51,7 +51,7 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
         flatten=FlattenConfig(
             perception=PerceptionConfig(refined=False, vertex_count=200),
             simulator=SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1)),
-            planner=PlannerConfig(candidates=6),
+            planner=PlannerConfig(candidates=20),
             actions=1,
         ),
         robot=SimulatedRobotConfig(episode=SMALL_WORLD),
