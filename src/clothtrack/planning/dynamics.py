@@ -173,7 +173,7 @@ def _planning_solver() -> SolverConfig:
     A bend pair that resists at half its rest length would spring every fold of such long edges
     open: with 0.55 a folded corner moved by 8 cm on its own, with 0.1 by 3 cm. Edges that resist a
     push as they do a pull would unfold what is crumpled between their ends: with `buckling` the
-    cloth ends 25 instead of 33 mm from where it should (docs/flattening.md). Contacts are searched
+    cloth ends 24 instead of 30 mm from where it should (docs/flattening.md). Contacts are searched
     for every 25 ms, which takes 0.6 of the time of 10 ms and ranks actions as well.
     """
     return SolverConfig(

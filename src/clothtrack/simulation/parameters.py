@@ -64,7 +64,8 @@ class SolverConfig:
             still on its own side is kept there whatever it takes.
         bend_limit: share of the rest length under which a bend pair resists without compliance.
         buckling: how many times more an edge gives to a push than to a pull. Cloth buckles between
-            the vertices of a coarse mesh, whose edges would be struts; 1: they are.
+            the vertices of a coarse mesh, whose edges would be struts; 1: they are. It multiplies
+            the stretch compliance: an edge that does not stretch is a strut whatever this says.
     """
 
     contact: Literal["vertex-triangle", "particle", "none"] = "vertex-triangle"
