@@ -13,8 +13,12 @@ from scipy.spatial import cKDTree
 
 from clothtrack.geometry.mesh import ClothMesh
 
+Picks = Literal["outline", "middle", "folded", "pulled"]
+
 SHARE_OF_EXTREMES = 0.8
-SHARE_INWARD = 0.75
+SHARE_STRAIGHT = 0.75
+"""Share of places within 45 degrees of the way inwards, or outwards for what is pulled."""
+
 RAMP = 0.2
 """Share of a path's time that speeding up takes, and slowing down."""
 
@@ -47,7 +51,8 @@ class ActionConfig:
         frame_rate: pictures per second [1/s].
         picks: where grasps are: mostly at the "outline" of the cloth, in its "middle" as it lies,
             or on "folded" cloth (once there is any), all its layers taken and carried inwards, so
-            that folds come over folds.
+            that folds come over folds; "pulled" cloth is taken at the outline and carried
+            outwards, as by somebody who flattens it.
         clear_held: the release height is that of the lowest layer held, not of the tip, so that
             a stack is laid down and not pressed into the table.
     """
@@ -61,7 +66,7 @@ class ActionConfig:
     release_height_m: float = 0.004
     free_speed: float = 1.25
     frame_rate: float = 20.0
-    picks: Literal["outline", "middle", "folded"] = "outline"
+    picks: Picks = "outline"
     clear_held: bool = False
 
 
@@ -143,7 +148,7 @@ def _chosen(
     points: Float[np.ndarray, "vertices 3"],
     middle: Float[np.ndarray, " 2"],
     folded: Bool[np.ndarray, " vertices"],
-    picks: str,
+    picks: Picks,
     rng: np.random.Generator,
 ) -> int:
     """The vertex above which the gripper comes down."""
@@ -151,7 +156,7 @@ def _chosen(
         off = np.linalg.norm(points[:, :2] - middle, axis=1)
         near = np.flatnonzero(off < max(MIDDLE_M, float(off.min())))
         return int(rng.choice(near if len(near) else [np.argmin(off)]))
-    if picks == "outline" and rng.random() >= SHARE_OF_EXTREMES:
+    if picks in ("outline", "pulled") and rng.random() >= SHARE_OF_EXTREMES:
         return int(rng.integers(len(points)))
     angle = rng.uniform(0.0, 2.0 * np.pi)
     outward = (points[:, :2] - middle) @ np.array([np.cos(angle), np.sin(angle)])
@@ -169,10 +174,11 @@ def _place(
 ) -> Float[np.ndarray, " 3"]:
     """A random place within reach [m], at the height of the pick."""
     to_middle = np.arctan2(middle[1] - pick[1], middle[0] - pick[0])
-    inward = 1.0 if config.picks == "folded" else SHARE_INWARD
+    ahead = to_middle + np.pi if config.picks == "pulled" else to_middle
+    straight = 1.0 if config.picks == "folded" else SHARE_STRAIGHT
     for _ in range(100):
-        spread = np.pi / 4.0 if rng.random() < inward else np.pi
-        heading = to_middle + rng.uniform(-spread, spread)
+        spread = np.pi / 4.0 if rng.random() < straight else np.pi
+        heading = ahead + rng.uniform(-spread, spread)
         way = rng.uniform(*config.distance_m)
         place = pick + way * np.array([np.cos(heading), np.sin(heading), 0.0])
         if np.linalg.norm(place[:2]) < config.reach_m:

@@ -18,12 +18,15 @@ from clothtrack.recordings.recording import Table
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
-from clothtrack.world.actions import ActionConfig, PlannedAction, carrying_path, plan_action
+from clothtrack.world.actions import ActionConfig, Picks, PlannedAction, carrying_path, plan_action
 
 Recipe = Literal["flat", "drop", "lift", "pick_and_place"]
 
 STEP_S = 0.025
 """Length of a step of the solver while the cloth is moved [s]."""
+
+PULL_REACH = 0.7
+"""No pull leads farther from where the garment lay flat than this, over its longer side."""
 
 WINDOW_STEPS = 4
 """Steps of the solver over which the way of a vertex is measured while waiting for rest."""
@@ -44,8 +47,9 @@ class CrumplingConfig:
         hang_s: how long it hangs [s].
         drift_m: how far aside it is let go [m].
         two_pickers: share of pick-and-places with a second gripper that moves alike.
-        folded, middle: shares of pick-and-places that take folded cloth with all its layers, and
-            cloth near the middle; the others take mostly the outline.
+        folded, middle, pulled: shares of pick-and-places that take folded cloth with all its
+            layers, cloth near the middle, and the outline to carry it outwards, as one who flattens
+            a crumpled cloth; the others take mostly the outline, and carry it inwards.
         action: pick-and-places; `reach_m` and the release height follow the garment.
         rest_speed: a cloth is at rest when no vertex covers more way than this in a tenth of a
             second [m/s].
@@ -68,6 +72,7 @@ class CrumplingConfig:
     two_pickers: float = 0.3
     folded: float = 0.15
     middle: float = 0.15
+    pulled: float = 0.35
     action: ActionConfig = field(default_factory=lambda: ActionConfig(speed=0.6, clear_held=True))
     rest_speed: float = 0.1
     rest_limit_s: float = 0.8
@@ -110,6 +115,7 @@ class Crumpler:
         self._solver = ClothSolver(mesh, replace(solver, table=table), device=device)
         self._fresh = self._solver.save()
         size = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
+        self._pull_reach_m = PULL_REACH * size
         layers = 2 if np.ptp(mesh.vertices[:, 2]) == 0.0 else 4
         self._action = replace(
             config.action,
@@ -186,12 +192,13 @@ class Crumpler:
         self._carry(held, carrying_path(first, self._action, STEP_S) - first.pick)
 
     def _plan(self, cloth: ClothMesh, rng: np.random.Generator) -> PlannedAction:
-        folded, middle = self.config.folded, self.config.middle
-        place = rng.random()
-        picks: Literal["outline", "middle", "folded"] = "outline"
-        if place < folded + middle:
-            picks = "folded" if place < folded else "middle"
-        return plan_action(cloth, replace(self._action, picks=picks), rng)
+        config = self.config
+        bounds = np.cumsum([config.folded, config.middle, config.pulled])
+        kinds: tuple[Picks, ...] = ("folded", "middle", "pulled", "outline")
+        picks = kinds[int(np.searchsorted(bounds, rng.random(), "right"))]
+        # What is pulled lies at the outline already, and must be able to leave it.
+        reach_m = self._pull_reach_m if picks == "pulled" else self._action.reach_m
+        return plan_action(cloth, replace(self._action, picks=picks, reach_m=reach_m), rng)
 
     # Motion
 

@@ -135,6 +135,10 @@ class StatesConfig:
             raise InvalidConfigError(
                 "crumpling.states must be at least 1, and one of crumpling.shares above 0"
             )
+        kinds = {name: getattr(self.crumpling, name) for name in ("folded", "middle", "pulled")}
+        if min(kinds.values()) < 0.0 or sum(kinds.values()) > 1.0:
+            told = ", ".join(f"crumpling.{name} {share:g}" for name, share in kinds.items())
+            raise InvalidConfigError(f"{told}: none may be below 0, nor their sum above 1")
 
     @property
     def shard_states(self) -> int:
