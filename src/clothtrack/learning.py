@@ -103,12 +103,13 @@ def pretrain(
     *,
     output: Path,
     network: Literal["small", "reference"] = "small",
+    start: Path | None = None,
     settings: Settings = (),
     device: Device = "cpu",
     seed: Seed = 0,
     json: AsJson = False,
 ) -> int:
-    """Train the network from nothing on simulated states (`simulate --states`).
+    """Train the network on simulated states (`simulate --states`), from nothing or further.
 
     The same command goes on where an interrupted one stopped, to the same bits. For several GPUs:
     torchrun --nproc-per-node N --module clothtrack.cli pretrain ... --device cuda
@@ -117,6 +118,7 @@ def pretrain(
         states: folders of states, all of one kind of garment.
         output: folder for progress, scalars and model.safetensors.
         network: its sizes: small for two processor cores, reference as published.
+        start: model.safetensors of the same garment and sizes to begin with.
         settings: changes, such as canonicalisation.epochs=20 or completion.batch_size=8.
         device: where to compute.
         seed: of weights, order, cameras and noise.
@@ -136,7 +138,15 @@ def pretrain(
     sets = [open_states(folder) for folder in states]
     with joined(device) as processes:
         shown = progress if processes.writes else None
-        outcome = learn(sets, preset(network), config, output, processes=processes, progress=shown)
+        outcome = learn(
+            sets,
+            preset(network),
+            config,
+            output,
+            start=start,
+            processes=processes,
+            progress=shown,
+        )
     return _told(outcome, json=json) if processes.writes else 0
 
 

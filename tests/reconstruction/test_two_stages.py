@@ -3,7 +3,7 @@
 import hashlib
 import json
 import resource
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from clothtrack.reconstruction.configuration import PRESETS, TINY_NETWORK
 from clothtrack.reconstruction.examples import LabelledPicture
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.pseudo_labels import LabelledRecording, write_labels
+from clothtrack.reconstruction.training_config import STAGES
 from clothtrack.reconstruction.two_stages import LearningConfig, network_of
 from clothtrack.simulation.garments import garment
 from clothtrack.world.state_store import StateShard, write_states
@@ -86,11 +87,43 @@ def test_pretrained_weights_are_finetuned(towels, capsys):
     assert "3 pseudo-labels of 3 tracked recordings" in (tuned / "model_card.md").read_text()
 
 
+def start_of(path, kind):
+    model = MeshReconstructor(TINY_NETWORK, kind)
+    save_weights(path, model.state_dict(), TINY_NETWORK, kind=kind)
+    return load_weights(path)
+
+
+def test_pretraining_goes_on_from_weights(towels):
+    start, run = towels / "start.safetensors", towels / "run"
+    before = start_of(start, "towel")
+    # At such a rate nothing moves: what comes out is what went in, and not a fresh network.
+    rates = ("low_rate", "high_rate")
+    still = [f"{stage}.{rate}=1e-12" for stage in STAGES for rate in rates]
+    words = ["pretrain", str(towels / "states"), "--output", str(run), "--start", str(start)]
+    assert cli.main([*words, *settings(*still)]) == 0
+    after = load_weights(run / "model.safetensors")
+    for name, value in before.tensors.items():
+        if value.is_floating_point() and "running_" not in name:
+            torch.testing.assert_close(after.tensors[name], value, atol=1e-6, rtol=0.0)
+    assert "beginning with a trained network" in (run / "model_card.md").read_text()
+
+
+def test_pretraining_does_not_go_on_from_another_garment_or_network(towels, capsys, monkeypatch):
+    start = towels / "start.safetensors"
+    words = ["pretrain", str(towels / "states"), "--output", str(towels / "run"), *settings()]
+    start_of(start, "tshirt")
+    assert cli.main([*words, "--start", str(start)]) == 1
+    assert "is for 'tshirt', the states are of 'towel'" in capsys.readouterr().err
+    start_of(start, "towel")
+    monkeypatch.setitem(PRESETS, "small", replace(TINY_NETWORK, bins=TINY_NETWORK.bins * 2))
+    assert cli.main([*words, "--start", str(start)]) == 1
+    assert "has other sizes" in capsys.readouterr().err
+    assert not (towels / "run").exists()
+
+
 def test_weights_for_another_garment_are_refused(towels, capsys):
     path = towels / "shirt.safetensors"
-    save_weights(
-        path, MeshReconstructor(TINY_NETWORK, "tshirt").state_dict(), TINY_NETWORK, kind="tshirt"
-    )
+    start_of(path, "tshirt")
     labels_of(towels / "labels")
     words = ["finetune", str(path), str(towels / "labels"), "--output", str(towels / "out")]
     assert cli.main(words) == 1
@@ -99,9 +132,7 @@ def test_weights_for_another_garment_are_refused(towels, capsys):
 
 def test_old_states_that_are_asked_for_must_be_given(towels, capsys):
     path = towels / "towel.safetensors"
-    save_weights(
-        path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
-    )
+    start_of(path, "towel")
     labels_of(towels / "labels")
     words = ["finetune", str(path), str(towels / "labels"), "--output", str(towels / "out")]
     assert cli.main([*words, "--set", "completion.old_share=0.5"]) == 1
@@ -147,9 +178,7 @@ def test_nothing_to_work_on_is_wrong_usage(verb, tmp_path, capsys):
 def test_a_file_that_claims_a_huge_network_takes_no_memory(tmp_path):
     """What the file says is compared with what it holds before anything of that size is made."""
     path = tmp_path / "weights.safetensors"
-    save_weights(
-        path, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
-    )
+    start_of(path, "towel")
     found = load_weights(path)
     assert network_of(found) == TINY_NETWORK
     huge = {**asdict(TINY_NETWORK), "widths": [2048] * 8, "volume_widths": [2048] * 4}

@@ -67,8 +67,17 @@ def _data(data: Mapping[str, Any], kind: str) -> str:
     return (
         f"{data['states']} simulated states (`clothtrack simulate --states`), each drawn anew in "
         f"every epoch: turned, mirrored, filmed by another camera with noise. Garments vary in "
-        f"size, around {size} cm."
+        f"size, around {size} cm.{_begun(data)}"
     )
+
+
+def _begun(data: Mapping[str, Any]) -> str:
+    """What a pretraining began with, if not with nothing."""
+    if "start" not in data:
+        return ""
+    earlier = data["start"]["trained"].get(STAGES[0], {}).get("data", {}).get("states")
+    of = f" of {earlier} other simulated states" if earlier else ""
+    return f" Training went on, beginning with a trained network{of}."
 
 
 def _measures(weights: Weights) -> str:

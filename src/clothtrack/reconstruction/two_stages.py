@@ -87,22 +87,25 @@ def pretrain(
     config: LearningConfig,
     folder: Path,
     *,
+    start: Path | None = None,
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
-    """Train both stages from nothing on simulated states.
+    """Train both stages on simulated states, from nothing or further.
 
     Args:
         states: folders of one kind of garment.
         network: sizes of the networks.
         config: how.
         folder: gets a folder per stage and `model.safetensors`.
+        start: weights of both stages to begin with, of the same garment and sizes.
         processes: who trains together.
         progress: called after every step.
 
     Raises:
         InvalidConfigError: the states are too few or of several kinds.
-        InvalidResultError: states or progress are damaged or belong to another training.
+        InvalidResultError: states or progress are damaged or belong to another training, or the
+            weights to begin with are of another garment or network.
         StorageError: when the disk refuses.
     """
     seed = config.canonicalisation.seed
@@ -113,8 +116,17 @@ def pretrain(
         "examples": asdict(config.examples),
         "filming": _plain(asdict(config.filming)),
     }
+    weights = None if start is None else load_weights(start)
+    if weights is not None:
+        _require_kind(weights, examples.kind, "states")
+        if network_of(weights) != network:
+            raise InvalidResultError(
+                f"{start}: its network has other sizes than the one that is to be trained; give "
+                "weights of the same preset"
+            )
+        data["start"] = _beginning(weights)
     learning = _Learning(network, config, folder, processes=processes, progress=progress)
-    return learning.both(_Material(examples, examples.groups, data))
+    return learning.both(_Material(examples, examples.groups, data, weights))
 
 
 def finetune(
@@ -147,11 +159,7 @@ def finetune(
     network = network_of(weights)
     seed = config.canonicalisation.seed
     examples = PseudoLabelExamples(labels, network, config.examples, seed=seed)
-    if examples.kind != weights.kind:
-        raise InvalidResultError(
-            f"{start} is for {weights.kind!r}, the labels are of {examples.kind!r}; give weights "
-            "of the same garment"
-        )
+    _require_kind(weights, examples.kind, "labels")
     others = None
     if old:
         others = StateExamples(old, network, config.examples, filming=config.filming, seed=seed)
@@ -160,7 +168,7 @@ def finetune(
     elif config.canonicalisation.old_share or config.completion.old_share:
         raise InvalidConfigError("old_share is above 0, but no old states are given; name them")
     data = {
-        "start": {"kind": weights.kind, "trained": _plain(dict(weights.provenance))},
+        "start": _beginning(weights),
         "recordings": sorted(set(examples.groups)),
         "labels": len(examples),
         "old_states": 0 if others is None else len(others),
@@ -168,6 +176,19 @@ def finetune(
     }
     learning = _Learning(network, config, folder, processes=processes, progress=progress)
     return learning.both(_Material(examples, examples.groups, data, weights, others))
+
+
+def _require_kind(weights: Weights, kind: str, material: str) -> None:
+    if kind != weights.kind:
+        raise InvalidResultError(
+            f"{weights.path} is for {weights.kind!r}, the {material} are of {kind!r}; give weights "
+            "of the same garment"
+        )
+
+
+def _beginning(weights: Weights) -> Mapping[str, Any]:
+    """What is stored of the weights that a training begins with."""
+    return {"kind": weights.kind, "trained": _plain(dict(weights.provenance))}
 
 
 def network_of(weights: Weights) -> NetworkConfig:
