@@ -36,7 +36,7 @@ from clothtrack.geometry.quality import crossings
 from clothtrack.origin import commit
 from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig, SimulatorConfig
 from clothtrack.planning.episode_store import EpisodeStore
-from clothtrack.planning.flatten_config import FlattenConfig, counted_settings
+from clothtrack.planning.flatten_config import FlattenConfig, episode_identity
 from clothtrack.planning.flattening import improvement
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
@@ -96,7 +96,7 @@ class Task:
     @property
     def digest(self) -> str:
         """Ten hexadecimal digits that change with every setting and with what is in the weights."""
-        asked = counted_settings(self.method.config, self.episode.kind), asdict(self.robot)
+        asked = episode_identity(self.method.config, self.episode.kind), asdict(self.robot)
         content = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode())
         return content.hexdigest()[:10]
 

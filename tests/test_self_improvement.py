@@ -25,6 +25,7 @@ from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.first_mesh import FirstMeshConfig
 from clothtrack.tracking.settings import with_settings
 from clothtrack.world.episodes import SMALL_WORLD
+from clothtrack.world.state_store import LIST_FILE
 
 LEARNING = with_settings(
     LearningConfig.preset("finetune"),
@@ -115,6 +116,11 @@ def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
         improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(old_share=0.5))
     with pytest.raises(InvalidConfigError, match=r"weights_sha256\.network"):
         improve_rounds(tmp_path / "w1", tmp_path / "out", "towel", ImprovementConfig())
+    states = tmp_path / "states" / LIST_FILE
+    states.parent.mkdir()
+    states.write_text("{}")
+    with pytest.raises(InvalidConfigError, match="another old"):
+        improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(), old=states.parent)
 
 
 @pytest.mark.parametrize(

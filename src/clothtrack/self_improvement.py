@@ -26,9 +26,8 @@ from clothtrack.claims import claim
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.learning import pseudo_labels_of
-from clothtrack.pipeline import RunConfig, track_recordings
-from clothtrack.pipeline import counted_settings as tracking_settings
-from clothtrack.planning.flatten_config import FlattenConfig, counted_settings, dynamics_of
+from clothtrack.pipeline import RunConfig, counted_settings, track_recordings
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
 from clothtrack.planning.flattening import improvement
 from clothtrack.planning.simulated_episodes import (
     SimulatedEpisode,
@@ -40,6 +39,7 @@ from clothtrack.recordings.reversal import reversed_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.storing import content_hash, write_file
+from clothtrack.world.state_store import LIST_FILE
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.two_stages import LearningConfig
@@ -198,14 +198,14 @@ def _take_up(
     perceived = replace(config.flatten.perception, weights=str(weights))
     settings = {
         **asdict(config),
-        "flatten": counted_settings(replace(config.flatten, perception=perceived), kind),
-        "track": tracking_settings(config.track),
+        "flatten": episode_identity(replace(config.flatten, perception=perceived), kind),
+        "track": counted_settings(config.track),
     }
     # Each round depends on those before it alone.
     del settings["rounds"]
     asked = {
         "garment": kind, "seed": seed, "settings": settings,
-        "old": None if old is None else old.name,
+        "old": None if old is None else content_hash(old / LIST_FILE),
     }  # fmt: skip
     claim(path, asked)
 

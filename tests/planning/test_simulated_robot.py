@@ -29,6 +29,11 @@ def test_a_saved_world_is_restored_with_its_own_contacts_only(tmp_path):
     softer = SimulatedRobotConfig(episode=SMALL_WORLD, film=False, contact_s=0.02)
     with pytest.raises(InvalidConfigError, match=r"contact_s of 0\.01, not 0\.02"):
         SimulatedRobot("towel", 3, softer).restore(tmp_path / "world.npz")
+    with np.load(tmp_path / "world.npz") as file:
+        undated = {name: file[name] for name in file if name != "contact_s"}
+    np.savez(tmp_path / "old.npz", **undated)
+    with pytest.raises(InvalidConfigError, match=r"contact_s of 0\.02, not 0\.01"):
+        again.restore(tmp_path / "old.npz")
     too_hard = SimulatedRobotConfig(episode=SMALL_WORLD, film=False, contact_s=0.009)
     with pytest.raises(InvalidConfigError, match="two time steps"):
         SimulatedRobot("towel", 3, too_hard)

@@ -114,6 +114,17 @@ def test_picks_of_a_fold_take_all_its_layers_inwards(seed: int) -> None:
     assert way @ inward > 0.7 * np.linalg.norm(way) * np.linalg.norm(inward)
 
 
+def test_what_is_pulled_is_taken_at_the_outline_and_carried_outwards() -> None:
+    cloth = towel(0.2, 0.2, 0.01)
+    config = replace(CONFIG, picks="pulled", reach_m=0.4)
+    plans = [plan_action(cloth, config, np.random.default_rng(seed)) for seed in range(60)]
+    picks, places = (np.array([getattr(plan, name)[:2] for plan in plans])
+                     for name in ("pick", "place"))  # fmt: skip
+    assert 0.6 < (np.abs(picks).max(axis=1) > 0.08).mean() < 1.0
+    farther = np.linalg.norm(places, axis=1) > np.linalg.norm(picks, axis=1)
+    assert 0.7 < farther.mean() < 1.0
+
+
 def test_a_stack_may_be_laid_down_by_its_lowest_layer() -> None:
     cloth = folded_over(towel(0.3, 0.3, 0.015))
     tip, stack = (

@@ -15,6 +15,7 @@ import pytest
 
 from clothtrack import cli
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
+from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
@@ -46,8 +47,8 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
 
 
 def only(recipe: str, **changes: object) -> CrumplingConfig:
-    return CrumplingConfig(states=1, shares={"flat": 0.0, "drop": 0.0, "lift": 0.0,
-                           "pick_and_place": 0.0, recipe: 1.0}, **changes)  # fmt: skip
+    shares = {"flat": 0.0, "drop": 0.0, "lift": 0.0, "pick_and_place": 0.0, recipe: 1.0}
+    return CrumplingConfig(**{"states": 1, "shares": shares, **changes})
 
 
 def one_state(kind: str, crumpling: CrumplingConfig, seed: int = 0) -> tuple[Crumpler, np.ndarray]:
@@ -158,6 +159,33 @@ def test_a_smoothed_cloth_is_flat_and_a_dropped_one_is_not() -> None:
     _, dropped = one_state("towel", only("drop"))
     assert dropped[:, 2].max() > 0.02
     assert np.ptp(dropped[:, :2], axis=0).prod() < 0.9 * size.prod()
+
+
+def test_pulling_opens_a_heap() -> None:
+    mesh = garment("towel", vertex_count=300, pattern="random")
+    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
+    covered = {}
+    for pulled in (0.0, 1.0):
+        config = replace(
+            only("drop", states=4, folded=0.0, middle=0.0, pulled=pulled), two_pickers=0.0
+        )
+        crumpler = Crumpler(mesh, config, SolverConfig(edge_contact=False, damping=4.0))
+        areas = [
+            [projected_area(state.positions, mesh.faces)
+             for state in crumpler.episode(softness, np.random.default_rng(seed))]
+            for seed in range(4)
+        ]  # fmt: skip
+        covered[pulled] = np.array(areas)
+    np.testing.assert_array_equal(covered[0.0][:, 0], covered[1.0][:, 0])
+    assert covered[1.0][:, -1].mean() > 1.1 * covered[1.0][:, 0].mean()
+    assert covered[1.0][:, -1].mean() > 1.1 * covered[0.0][:, -1].mean()
+
+
+def test_shares_of_pick_and_places_that_cannot_be_are_refused() -> None:
+    for shares in ({"pulled": 0.8}, {"middle": -0.1}):
+        (name,) = shares
+        with pytest.raises(InvalidConfigError, match=f"crumpling.{name}"):
+            StatesConfig(crumpling=CrumplingConfig(**shares))
 
 
 def test_a_garment_may_lie_with_either_side_up() -> None:

@@ -82,7 +82,7 @@ def weights_used(config: FlattenConfig, kind: str) -> dict[str, Path]:
     return {name: path for name, path in used.items() if path is not None}
 
 
-def counted_settings(config: FlattenConfig, kind: str) -> dict[str, Any]:
+def episode_identity(config: FlattenConfig, kind: str) -> dict[str, Any]:
     """What an episode is known by: weights count by what is in their files, not by their names.
 
     Raises:

@@ -18,7 +18,7 @@ from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.actions import PickPlace, farthest_corner, off_cloth, sample_actions
 from clothtrack.planning.dynamics import PlanningDynamics
 from clothtrack.planning.episode_store import EpisodeStore, write_step
-from clothtrack.planning.flatten_config import FlattenConfig, counted_settings, weights_used
+from clothtrack.planning.flatten_config import FlattenConfig, episode_identity, weights_used
 from clothtrack.planning.perception import Estimate, Look, Perception, label_of
 from clothtrack.planning.planner import Decision, Hypothesis, Planner
 from clothtrack.planning.robot import Execution, PickPlaceRobot
@@ -148,7 +148,7 @@ class Flattening:
         cloth = self._scene.cloth
         store = EpisodeStore(
             folder,
-            {**counted_settings(self._config, cloth.kind), "seed": self._seed, "label": label,
+            {**episode_identity(self._config, cloth.kind), "seed": self._seed, "label": label,
              "cloth": {"kind": cloth.kind, "size_m": cloth.size_m}},
             weights=weights_used(self._config, cloth.kind),
         )  # fmt: skip

@@ -22,7 +22,7 @@ from clothtrack.world.actions import PlannedAction, carrying_path, free_path
 from clothtrack.world.appearance import Appearance
 from clothtrack.world.bench import vary
 from clothtrack.world.episodes import EpisodeConfig
-from clothtrack.world.flex import TIME_STEP_S, FlexWorld
+from clothtrack.world.flex import TIME_STEP_S, USUAL_CONTACT_S, FlexWorld
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, top_down_camera
 from clothtrack.world.template import laid_down, random_pose
@@ -216,7 +216,8 @@ class SimulatedRobot:
         try:
             with np.load(path, allow_pickle=False) as file:
                 state, pictures = file["state"], int(file["pictures"])
-                contact_s = float(file["contact_s"])
+                # Worlds that do not say it were saved before there was a choice.
+                contact_s = float(file["contact_s"]) if "contact_s" in file else USUAL_CONTACT_S
         except (OSError, ValueError, KeyError, EOFError) as error:
             raise InvalidResultError(
                 f"{path}: not a saved world ({error}); remove the episode and begin again"
