@@ -1,8 +1,11 @@
 """The flattening experiment: which methods, what its table says, and its figure."""
 
+import shutil
+
 import cv2
 import flattening
 import flattening_figure
+import network_on_heaps
 import numpy as np
 import planning_dynamics
 import planning_perception
@@ -193,3 +196,19 @@ def test_every_picture_of_a_network_s_episode_is_believed_in_five_ways(tmp_path,
     assert behind["error_symmetric_mm"] == pytest.approx(ends[0], abs=0.01)
     # Nothing was filmed: no belief was carried through an action.
     assert by[last, planning_perception.ALL_ACTIONS]["anew"] == 1.0
+    # The same network makes the same mesh of the same picture again.
+    weights = out / "tiny.safetensors"
+    twin = shutil.copy(weights, tmp_path / "twin.safetensors")
+    words = ["--out", str(out), "--kind", "towel", "--weights", str(weights), str(twin)]
+    assert network_on_heaps.main([*words, "--every", "1"]) == 0
+    assert "| +0.0 ± nan | 0 of 1 |" in capsys.readouterr().out
+    again = read_rows(out / "network_on_heaps.jsonl")
+    own = {row["action"]: row["error_symmetric_mm"] for row in again if row["policy"] == "planned"}
+    assert own
+    for action, error in own.items():
+        believed = by[action, planning_perception.NETWORK]["error_symmetric_mm"]
+        assert error == pytest.approx(believed, abs=0.1)
+    # Two episodes, one start: its picture counts once for each network.
+    assert [row["action"] for row in again].count(0) == 2
+    assert network_on_heaps.main(["--out", str(tmp_path), "--weights", str(weights)]) == 1
+    assert "no finished episode" in capsys.readouterr().err
