@@ -14,18 +14,19 @@ OUT is that of `flattening.py`. Means are over starts, each the mean of its pict
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from bench_measures import Row
+from bench_measures import Row, finite
 from bench_runs import write_rows
 from figures import say
+from learning_columns import SYMMETRIC, SYMMETRIC_HIDDEN, SYMMETRIC_VISIBLE
 from learning_measures import Case
 from planning_perception import measured
-from table_column import table
+from table_column import Column, table
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
@@ -42,7 +43,7 @@ NAME = "network_on_heaps"
 COVERAGES = (0.0, 0.55, 0.7, 0.85, np.inf)
 """Bounds of the bands of true coverage in which errors are told."""
 
-ERROR = "error_symmetric_mm"
+CHAMFER = Column("Chamfer PC, 1e-4 m2", "chamfer_pc_m2", 1e4, 2)
 
 
 @dataclass(frozen=True)
@@ -94,11 +95,8 @@ def run(task: Task) -> list[Row]:
     quiet_warp()
     network = NetworkPerception(task.kind, PerceptionConfig(weights=str(task.weights)))
     asked = json.loads((task.episode / "episode.json").read_text(encoding="utf-8"))["asked"]
-    store, runs, name = (
-        EpisodeStore(task.episode, asked),
-        task.episode.parents[1],
-        task.episode.name,
-    )
+    store, name = EpisodeStore(task.episode, asked), task.episode.name
+    runs = task.episode.parents[1]
     recording = read_recording(runs / "recordings" / name)
     truth = Truth.load(runs / "truth" / f"{name}.npz")
     rows: list[Row] = []
@@ -106,7 +104,7 @@ def run(task: Task) -> list[Row]:
         named = {
             "experiment": NAME, "variant": str(task.weights), "recording": name,
             "kind": task.kind, "split": "", "policy": asked["config"]["policy"], "action": step,
-            "coverage": store.steps[step]["true_m2"] / store.steps[0]["flat_m2"],
+            "stage": "after", "coverage": store.steps[step]["true_m2"] / store.steps[0]["flat_m2"],
             "provenance": {
                 "clothtrack": __version__, "commit": commit(),
                 "weights_sha256": content_hash(task.weights),
@@ -118,34 +116,25 @@ def run(task: Task) -> list[Row]:
             rows.append({**named, "error": str(error)})
             continue
         case = Case(recording, truth, int(truth.frames[step]), task.kind)
-        rows.append({**named, **measured(estimate, case)})
+        # Nothing may be hidden, or nothing seen: what is not measured is left out of the means.
+        found = measured(estimate, case)
+        rows.append({**named, **{key: finite(value) for key, value in found.items()}})
     return rows
-
-
-def by_start(rows: Sequence[Row], key: str) -> Mapping[str, float]:
-    """Mean over the pictures of each start; what cannot be measured (nothing hidden) left out."""
-    names = sorted({str(row["recording"]) for row in rows})
-    means = {
-        name: np.mean([row[key] for row in rows
-                       if row["recording"] == name and np.isfinite(row[key])])
-        for name in names
-    }  # fmt: skip
-    return {name: float(mean) for name, mean in means.items() if np.isfinite(mean)}
 
 
 def markdown(rows: Sequence[Row]) -> str:
     """One line per network; the difference is to the first, over starts."""
     head = ["network", "pictures", "error up to symmetry, mm", "median picture", "visible",
-            "hidden", "Chamfer PC, 1e-4 m2", "minus the first", "lower in"]  # fmt: skip
+            "hidden", CHAMFER.title, "minus the first", "lower in"]  # fmt: skip
     bands = list(pairwise(COVERAGES))
     head += [f"coverage {100 * low:.0f} to {100 * min(high, 1.0):.0f} %" for low, high in bands]
     networks = list(dict.fromkeys(str(row["variant"]) for row in rows))
     good = {one: [row for row in rows if row["variant"] == one and "error" not in row]
             for one in networks}  # fmt: skip
-    first = by_start(good[networks[0]], ERROR)
+    first = SYMMETRIC.values(good[networks[0]])
     lines = []
     for network, own in good.items():
-        means = by_start(own, ERROR)
+        means = SYMMETRIC.values(own)
         values = np.array(list(means.values()))
         gaps = np.array([means[name] - first[name] for name in means if name in first])
         spread = gaps.std(ddof=1) / np.sqrt(len(gaps)) if len(gaps) > 1 else np.nan
@@ -155,13 +144,13 @@ def markdown(rows: Sequence[Row]) -> str:
         deviation = f" ± {values.std(ddof=1):.1f}" if len(values) > 1 else ""
         line = [
             network, str(len(own)), f"{values.mean():.1f}{deviation}",
-            f"{np.median([row[ERROR] for row in own]):.1f}",
-            *(f"{np.mean(list(by_start(own, key).values())):.1f}"
-              for key in ("error_symmetric_visible_mm", "error_symmetric_hidden_mm")),
-            f"{1e4 * np.mean(list(by_start(own, 'chamfer_pc_m2').values())):.2f}", *pair,
+            f"{np.median([row[SYMMETRIC.key] for row in own]):.1f}",
+            *(cell for column in (SYMMETRIC_VISIBLE, SYMMETRIC_HIDDEN, CHAMFER)
+              for cell in column.cells(own)),
+            *pair,
         ]  # fmt: skip
         for low, high in bands:
-            inside = [row[ERROR] for row in own if low <= row["coverage"] < high]
+            inside = [row[SYMMETRIC.key] for row in own if low <= row["coverage"] < high]
             line.append(f"{np.mean(inside):.1f} ({len(inside)})" if inside else "-")
         lines.append(line)
     failed = [row for row in rows if "error" in row]
