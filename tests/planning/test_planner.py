@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.camera import Camera
 from clothtrack.planning.actions import ActionSpace, SeenCloth
 from clothtrack.planning.dynamics import PlannedCloth, SimulatorDynamics
 from clothtrack.planning.planner import Hypothesis, Planner, PlannerConfig
@@ -52,6 +53,21 @@ def test_the_best_candidate_wins_and_its_gain_is_its_own():
     assert decision.gain_m2 == decision.gains_m2.max()
     scale = 1.0 + np.exp(-40.0 * min(gaps) ** 2)
     assert decision.gain_m2 == pytest.approx(0.04 * (scale**2 - 1.0), rel=1e-3)
+
+
+def test_cloth_that_would_leave_the_picture_is_worth_nothing():
+    """Every action makes the cloth a tenth wider, and carries a quarter of it out of sight."""
+    above = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]])
+    camera = Camera("top", 300, 300, 1000.0, 1000.0, 149.5, 149.5, above)
+    narrow = SeenCloth(LYING.copy(), camera)
+    away = GrowTowards([0.0, 0.0])
+    away.predict = lambda cloth, actions: np.stack(
+        [cloth.positions * [1.0 + 0.1 * (one is not None), 1.0, 1.0]
+         + [0.1 * (one is not None), 0.0, 0.0] for one in actions]
+    )  # fmt: skip
+    for config, acts in ((plain(), False), (plain(within_picture=False), True)):
+        decision = Planner([away], config).decide([BELIEF], narrow, np.random.default_rng(0))
+        assert (decision.action is not None) == acts
 
 
 def test_refinement_comes_nearer_and_never_loses_what_it_has():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.reward import coverage, raster_coverage
 from clothtrack.simulation.garments import towel
@@ -43,3 +44,15 @@ def test_the_raster_is_a_brute_force_count():
     for a, b in zip(first, last, strict=True):
         grid[a[0] : b[0] + 1, a[1] : b[1] + 1] = True
     assert raster_coverage(points) == pytest.approx(grid.sum() * side.prod())
+
+
+def test_only_cloth_in_the_picture_counts_and_no_triangle_on_its_border():
+    """The camera sees x from -0.1 to 0.0455: of the towel's edges at every centimetre, to 0.04."""
+    above = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]])
+    camera = Camera("top", 291, 400, 2000.0, 2000.0, 199.5, 199.5, above)
+    cloth = np.stack([FLAT.vertices, FLAT.vertices + [1.0, 0.0, 0.0]])
+    seen = coverage(cloth, FLAT.faces, camera=camera)
+    assert seen == pytest.approx([0.014, 0.0], rel=1e-6)
+    rastered = coverage(cloth, FLAT.faces, "raster", camera)
+    left = FLAT.vertices[FLAT.vertices[:, 0] < 0.0455]
+    assert rastered.tolist() == [raster_coverage(left), 0.0]

@@ -44,6 +44,7 @@ class PlannerConfig:
         place_spread_m: the same of the place [m].
         lift_spread_m: the same of the lift [m].
         reward: "exact" coverage, or the literature's "raster".
+        within_picture: cloth that the camera would not see does not count as covering.
         caution: standard deviations over hypotheses and materials that are taken off the mean gain.
         strip_m: a place farther off the cloth is preferred, as if a strip of cloth this wide came
             along to it [m]; 0: what the dynamics promise counts alone. They promise too much for
@@ -64,6 +65,7 @@ class PlannerConfig:
     place_spread_m: float = 0.03
     lift_spread_m: float = 0.02
     reward: CoverageMeasure = "exact"
+    within_picture: bool = True
     caution: float = 0.0
     strip_m: float = 0.06
     finalists: int = 10
@@ -180,11 +182,11 @@ class Planner:
         tried = sample_actions(seen, config.candidates, config.space, rng, weights=weights)
         every = cloths, self._dynamics
         judges = (cloths[:1], self._dynamics[:1]) if config.finalists else every
-        worth = self._gains(tried, *judges) + self._strips(tried, seen)
+        worth = self._gains(tried, seen, *judges) + self._strips(tried, seen)
         for round_ in range(config.refinements):
             fresh = self._around_the_best(tried, worth, seen, round_, rng)
             tried = tried + fresh
-            further = self._gains(fresh, *judges) + self._strips(fresh, seen)
+            further = self._gains(fresh, seen, *judges) + self._strips(fresh, seen)
             worth = np.concatenate([worth, further])
         if judges is not every and len(cloths) * len(self._dynamics) > 1 and tried:
             worth = self._after_a_final(cloths, tried, worth, seen)
@@ -223,7 +225,7 @@ class Planner:
         """
         best = np.argsort(-worth, kind="stable")[: self.config.finalists]
         finalists = [tried[k] for k in best]
-        told = self._gains(finalists, cloths, self._dynamics) + self._strips(finalists, seen)
+        told = self._gains(finalists, seen, cloths, self._dynamics) + self._strips(finalists, seen)
         return _judged_anew(worth, best, told)
 
     def _looking_ahead(
@@ -250,24 +252,26 @@ class Planner:
             next_ones = sample_actions(
                 shown, config.second_candidates, config.space, rng, weights=weights
             )
-            further = self._gains(next_ones, [after], self._dynamics[:1])
+            further = self._gains(next_ones, shown, [after], self._dynamics[:1])
             told[number] += max(0.0, float(further.max(initial=0.0)))
         return _judged_anew(worth, best, told)
 
     def _gains(
         self,
         actions: Sequence[PickPlace],
+        seen: SeenCloth,
         cloths: Sequence[PlannedCloth],
         judges: Sequence[PlanningDynamics],
     ) -> Float[np.ndarray, " actions"]:
         """Coverage that each action adds to doing nothing [m^2], over hypotheses and dynamics."""
         if not actions:
             return np.zeros(0)
+        camera = seen.camera if self.config.within_picture else None
         rows = []
         for cloth in cloths:
             for dynamics in judges:
                 ends = dynamics.predict(cloth, [None, *actions])
-                areas = coverage(ends, cloth.flat.faces, self.config.reward)
+                areas = coverage(ends, cloth.flat.faces, self.config.reward, camera)
                 still = areas[0] if np.isfinite(areas[0]) else areas[np.isfinite(areas)].min(
                     initial=0.0
                 )  # fmt: skip

@@ -1,11 +1,17 @@
-"""What an action is good for: how much of the table the cloth covers, seen from above."""
+"""What an action is good for: how much of the table the cloth covers, seen from above.
+
+Cloth that the camera does not see counts for nothing: what has left the picture can be neither
+perceived nor picked any more.
+"""
 
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.coverage import projected_area
+from clothtrack.planning.actions import in_picture
 
 CoverageMeasure = Literal["exact", "raster"]
 
@@ -17,22 +23,28 @@ def coverage(
     positions: Float[np.ndarray, "candidates vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
     measure: CoverageMeasure = "exact",
+    camera: Camera | None = None,
 ) -> Float[np.ndarray, " candidates"]:
-    """Area [m^2] that each predicted cloth covers; minus infinity where it burst.
+    """Area [m^2] that each predicted cloth covers in the picture; minus infinity where it burst.
 
     Args:
         positions: vertices of each candidate [m], z up.
         faces: their triangles.
         measure: "exact", the area of the union of all triangles; or "raster", the literature's
             count of cells around vertices, to compare with.
+        camera: triangles that are not wholly in its picture do not count; None: all do.
     """
     areas = np.full(len(positions), -np.inf)
     for index, vertices in enumerate(np.asarray(positions, dtype=np.float64)):
         if not np.isfinite(vertices).all():
             continue
-        areas[index] = (
-            projected_area(vertices, faces) if measure == "exact" else raster_coverage(vertices)
-        )
+        shown = in_picture(vertices, camera, 0.0)
+        if not shown.any():
+            areas[index] = 0.0
+        elif measure == "exact":
+            areas[index] = projected_area(vertices, faces[shown[faces].all(axis=1)])
+        else:
+            areas[index] = raster_coverage(vertices[shown])
     return areas
 
 
