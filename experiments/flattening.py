@@ -34,6 +34,7 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.quality import crossings
 from clothtrack.origin import commit
+from clothtrack.planning.actions import in_picture
 from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig, SimulatorConfig
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig, episode_identity
@@ -47,6 +48,7 @@ from clothtrack.planning.simulated_episodes import (
 )
 from clothtrack.planning.simulated_robot import SimulatedRobotConfig
 from clothtrack.reconstruction.availability import missing_modules
+from clothtrack.recordings.store import read_recording
 from clothtrack.report.flattening_page import write_film_strip
 from clothtrack.tracking.settings import with_settings
 from clothtrack.workers import finished_in_workers
@@ -214,6 +216,7 @@ def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
         "seed": task.episode.seed,
         "config_hash": task.digest,
     }
+    worlds = [true_world(task, store, number) for number in range(len(steps))]
     rows: list[Row] = []
     for number in range(1, task.method.config.actions + 1):
         done = min(number, len(steps) - 1)
@@ -232,7 +235,8 @@ def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
                 "missed": float(step["grasped"] is False) if acted else None,
                 "expected_m2": step["gain_m2"] if acted else None,
                 "gain_m2": step["true_m2"] - steps[done - 1]["true_m2"] if acted else None,
-                "world_crossings": world_crossings(task, done) if acted else None,
+                "world_crossings": worlds[done][0] if acted else None,
+                "out_of_picture": worlds[done][1],
                 "perception_cpu_s": step["perception_cpu_s"] if acted else None,
                 "decision_cpu_s": step["decision_cpu_s"] if acted else None,
                 "status": store.document["status"],
@@ -244,11 +248,13 @@ def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
     return rows
 
 
-def world_crossings(task: Task, step: int) -> int:
-    """Edges of the true cloth that pass through it after a step: is the physics sound?"""
+def true_world(task: Task, store: EpisodeStore, step: int) -> tuple[int, float]:
+    """Of the true cloth after a step: edges that pass through it, and the share out of sight."""
     path = task.folder / "worlds" / task.episode.label / f"{step:02d}.npz"
     with np.load(path, allow_pickle=False) as file:
-        return crossings(file["positions"], file["faces"])
+        positions, faces = file["positions"], file["faces"]
+    camera = read_recording(store.recording_path(step)).cameras[0]
+    return crossings(positions, faces), 1.0 - float(in_picture(positions, camera, 0.0).mean())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -18,6 +18,7 @@ FLATTENING_COLUMNS: Mapping[str, tuple[Column, ...]] = {
         Column("at the end %", "share", 100, 0, last=True),
         Column("actions used", "used", digits=1, last=True),
         Column("grasps missed %", "missed", 100, 0),
+        Column("out of the picture at the end %", "out_of_picture", 100, 1, last=True),
         Column("expected gain, cm2", "expected_m2", 1e4, 1),
         Column("true gain, cm2", "gain_m2", 1e4, 1),
         Column("crossings in the world", "world_crossings", digits=1),

@@ -155,6 +155,7 @@ def test_every_action_that_was_done_is_predicted_by_all_dynamics(tmp_path, capsy
     assert "Rank correlation" in capsys.readouterr().out
     (start,) = [row for row in read_rows(out / "flattening.jsonl") if row["action"] == 1]
     assert start["world_crossings"] >= 0
+    assert start["out_of_picture"] == 0.0
     rows = read_rows(out / "planning_dynamics.jsonl")
     moved = [row for row in rows if "end_error_mm" in row]
     assert len(moved) == 2 * len(planning_dynamics.contenders(weights, "cpu"))
