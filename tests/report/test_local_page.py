@@ -2,6 +2,8 @@
 
 import http.client
 import json
+import socket
+import struct
 from urllib.parse import urlsplit
 
 import pytest
@@ -53,6 +55,9 @@ def test_it_answers_on_this_machine_only(address):
         ("GET", "/../../etc/passwd", None, {}, 404),
         ("GET", "/", None, {"Host": "evil.example:80"}, 403),
         ("POST", "/say", '{"word": "x"}', {"Host": "evil.example:80"}, 403),
+        ("GET", "/", None, {"Origin": "http://evil.example"}, 403),
+        ("POST", "/say", '{"word": "x"}', {"Origin": "http://evil.example"}, 403),
+        ("POST", "/say", '{"word": "x"}', {"Origin": "null"}, 403),
         ("POST", "/say", '{"word": "x"}', {"Content-Type": "text/plain"}, 415),
         ("POST", "/say", "word=x", {}, 400),
         ("POST", "/say", "[1]", {}, 400),
@@ -68,6 +73,25 @@ def test_what_is_wrong_is_answered_with_a_reason(address, method, path, body, *,
     assert got == status
     assert json.loads(answer)["error"]
     assert request(address, "GET", "/")[0] == 200
+
+
+def test_a_page_may_say_that_it_comes_from_here(address):
+    for name in ("127.0.0.1", "localhost"):
+        own = f"{name}:{urlsplit(address).port}"
+        headers = {"Host": own, "Origin": f"http://{own}"}
+        status, _ = request(address, "POST", "/say", json.dumps({"word": "x"}), **headers)
+        assert status == 200
+
+
+def test_a_browser_that_resets_its_connection_leaves_no_traceback(address, capfd):
+    url = urlsplit(address)
+    for _ in range(5):
+        with socket.create_connection((url.hostname, url.port), timeout=10) as raw:
+            raw.sendall(b"POST /say HTTP/1.1\r\nContent-Length: 50\r\n\r\n{")
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    for _ in range(20):
+        assert request(address, "GET", "/")[0] == 200
+    assert capfd.readouterr().err == ""
 
 
 def test_a_port_that_is_taken_or_cannot_be_is_refused(address):

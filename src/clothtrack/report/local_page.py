@@ -1,13 +1,15 @@
 """A small web server for pages that ask: on 127.0.0.1 only, and only for its own pages.
 
-Another page that is open in the same browser cannot reach it: requests must name this host (no
-DNS rebinding), and what changes something must be sent as JSON (no foreign form).
+Another page that is open in the same browser cannot reach it: requests must name this server (no
+DNS rebinding) and, where they say which site they come from, come from it; what changes something
+must be sent as JSON (no foreign form).
 """
 
 import json
 import logging
+import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -47,6 +49,26 @@ Ask = Callable[[str, Mapping[str, str]], Answer | None]
 Tell = Callable[[str, Mapping[str, Any]], Answer | None]
 
 
+def refusal(hosts: Sequence[str], origins: Sequence[str], port: int) -> str | None:
+    """Why a request is not answered; None when no other web site sent it.
+
+    Args:
+        hosts: the Host headers of the request.
+        origins: its Origin headers: browsers name the site there that asks.
+        port: of the server.
+    """
+    # Browsers leave out the port that is usual for HTTP.
+    ends = (":80", "") if port == 80 else (f":{port}",)
+    own = {f"{name}{end}" for name in (HOST, "localhost") for end in ends}
+    if (
+        len(hosts) == 1
+        and own.issuperset(hosts)
+        and {f"http://{o}" for o in own}.issuperset(origins)
+    ):
+        return None
+    return f"this page is for this machine only; open http://{HOST}:{port}/"
+
+
 @contextmanager
 def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
     """Serve while the block runs; gives the address.
@@ -65,10 +87,9 @@ def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
         )
     handler = type("Handler", (_Handler,), {"ask": staticmethod(ask), "tell": staticmethod(tell)})
     try:
-        server = ThreadingHTTPServer((HOST, port or 0), handler)
+        server = _Server((HOST, port or 0), handler)
     except OSError as error:
         raise InvalidConfigError(f"port {port}: {error.strerror}; choose another one") from error
-    server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
     thread.start()
     try:
@@ -77,6 +98,20 @@ def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
         server.shutdown()
         thread.join()
         server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    """Takes it as usual that a browser drops its connection."""
+
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Tell the log of a connection that was reset; everything else is a fault."""
+        error = sys.exception()
+        if isinstance(error, ConnectionError):
+            logger.debug("%s: %s", client_address, error)
+        else:
+            super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -117,9 +152,10 @@ class _Handler(BaseHTTPRequestHandler):
         logger.debug(format, *args)
 
     def _answer(self, find: Callable[[], Answer | None]) -> None:
-        host = self.headers.get("Host", "").rpartition(":")[0]
-        if host not in (HOST, "localhost"):
-            self._send(Answer.of({"error": "this page is for this machine only"}, 403))
+        hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
+        refused = refusal(hosts, origins, self.connection.getsockname()[1])
+        if refused:
+            self._send(Answer.of({"error": refused}, 403))
             return
         try:
             answer = find()

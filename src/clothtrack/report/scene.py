@@ -1,24 +1,30 @@
 """What a live page shows in three dimensions: cloth, observed points, pickers, table.
 
-The server listens on the loop-back interface only.
+The server listens on the loop-back interface only, and answers its own pages only: another web
+site that is open in the same browser can neither read the scene nor press a button.
 """
 
 import logging
 import socket
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import rich
 import viser
+import websockets.asyncio.server as sockets
 from jaxtyping import Float, Int
+from websockets.http11 import Request, Response
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import PickerPath, Table
 from clothtrack.report.coloring import Coloring
 from clothtrack.report.evidence import thinned
+from clothtrack.report.local_page import refusal
 from clothtrack.report.palette import (
     HIDDEN,
     INSIDE,
@@ -175,16 +181,56 @@ def face_paint(
 
 @contextmanager
 def local_server(port: int | None = None) -> Iterator[viser.ViserServer]:
-    """A quiet viser server on the loop-back interface, stopped at the end; any free port."""
+    """A quiet viser server on the loop-back interface, stopped at the end; any free port.
+
+    Raises:
+        InvalidConfigError: the viser that is installed cannot be kept from answering other sites.
+    """
     port = port or _free_port()
-    with _silent_console():
+    with _silent_console(), _own_pages_only() as guarded:
         server = viser.ViserServer(host=LOOP_BACK, port=port, verbose=False)
-    log.info("viser listens on http://%s:%d", LOOP_BACK, server.get_port())
     try:
+        if not guarded:
+            raise InvalidConfigError(
+                f"viser {viser.__version__} would let any web site drive the live page; install "
+                "viser 1.1.1, or write a page with --html"
+            )
+        log.info("viser listens on http://%s:%d", LOOP_BACK, server.get_port())
         yield server
     finally:
         with _silent_console():
             server.stop()
+
+
+_one_start = threading.Lock()
+
+
+@contextmanager
+def _own_pages_only() -> Iterator[list[int]]:
+    """Refuse foreign requests to the server that viser starts meanwhile; gives the ports guarded.
+
+    viser has no setting for it, so its way to websockets is wrapped while it starts.
+    """
+    guarded: list[int] = []
+
+    def serve(handler: Any, host: str, port: int, *, process_request: Any, **options: Any) -> Any:
+        def answer(connection: sockets.ServerConnection, request: Request) -> Response | None:
+            hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+            refused = refusal(hosts, origins, port)
+            if refused:
+                return connection.respond(403, refused)
+            return process_request(connection, request)
+
+        guarded.append(port)
+        return plain(handler, host, port, process_request=answer, **options)
+
+    with _one_start:
+        plain = sockets.serve
+        sockets.serve = serve
+        try:
+            yield guarded
+        finally:
+            sockets.serve = plain
 
 
 def _free_port() -> int:
