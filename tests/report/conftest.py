@@ -109,6 +109,20 @@ def tracked() -> TrackedTrajectory:
     )
 
 
+@pytest.fixture(scope="session")
+def one_frame(tracked: TrackedTrajectory) -> TrackedTrajectory:
+    """The end of the first action and nothing else."""
+    return replace(
+        tracked,
+        frames=tracked.frames[2:3],
+        time_s=tracked.time_s[2:3],
+        positions=tracked.positions[2:3],
+        visible=tracked.visible[2:3],
+        steps=StepRecords(**{name: each[2:3] for name, each in vars(tracked.steps).items()}),
+        actions=(replace(tracked.actions[0], first_frame=2),),
+    )
+
+
 def _write_views(
     folder: Path, camera: Camera, step: int, vertices: np.ndarray, faces: np.ndarray
 ) -> dict[str, dict[str, Path]]:

@@ -97,6 +97,16 @@ def test_steps_stay_inside_and_labels_are_found(page, tracked):
     assert tracked.frames[page._frame.value] == 2
 
 
+def test_the_slider_of_one_frame_leads_nowhere(one_frame, clouds_only):
+    page = LivePage(one_frame, clouds_only)
+    with local_server() as server:
+        page.build(server, LabelReview.blank(one_frame), None)
+        page._frame.value = 1
+        page.label_by(1)
+        assert "<b>frame 2</b>" in page._told.content
+    gc.collect()
+
+
 def test_every_decision_is_on_the_disk_at_once(page, tracked, tmp_path):
     path = tmp_path / "fold.review.json"
     page.decide("rejected")

@@ -84,6 +84,17 @@ def test_the_time_bar_moves_the_mesh_at_once(opened):
         assert min(taken_ms) < 100
 
 
+def test_a_trajectory_of_one_frame_is_drawn_and_judged(opened, one_frame):
+    with opened("two_cameras", one_frame) as page:
+        page.wait_for("document.body.dataset.ready === 'yes'", limit_s=20)
+        page.wait_for("document.querySelector('canvas').dataset.step === '0'")
+        assert cloth_pixels(scene_picture(page)) > 2000
+        assert page.ask("document.querySelector('#time')") is None
+        page.press("a", "KeyA")
+        assert page.ask("document.querySelector('.verdict').textContent") == "accepted"
+        assert page.complaints() == []
+
+
 def test_layers_come_apart_and_let_look_through(opened):
     with opened("two_cameras") as page:
         page.wait_for("document.body.dataset.ready === 'yes'")

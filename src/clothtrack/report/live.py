@@ -152,7 +152,7 @@ class LivePage:
     def show(self) -> None:
         """Bring the scene to what the controls say; the last call wins."""
         with self._lock, self._server.atomic():
-            step = min(int(self._frame.value), len(self.tracked.frames) - 1)
+            step = self._step()
             vertices = self.tracked.positions[step].astype(np.float64)
             if self._gap.value > 0:
                 ranks = self._layers.ranks(vertices)
@@ -187,7 +187,7 @@ class LivePage:
 
     def label_by(self, way: int) -> None:
         """Go to the next label, or the one before."""
-        frame = int(self.tracked.frames[int(self._frame.value)])
+        frame = int(self.tracked.frames[self._step()])
         ends = [one.frame for one in self._review.labels]
         wanted = [end for end in ends if (end > frame if way > 0 else end < frame)]
         if wanted:
@@ -209,9 +209,13 @@ class LivePage:
         if self._legend.content != told:
             self._legend.content = told
 
+    def _step(self) -> int:
+        # A slider needs two ends: that of one frame has a second place, which shows the same.
+        return min(int(self._frame.value), len(self.tracked.frames) - 1)
+
     def _action(self) -> int | None:
         """Number of the action whose label the shown frame leads to."""
-        frame = self.tracked.frames[int(self._frame.value)]
+        frame = self.tracked.frames[self._step()]
         begun = [k for k, one in enumerate(self.tracked.actions) if one.first_frame <= frame]
         return begun[-1] if begun else (0 if self.tracked.actions else None)
 

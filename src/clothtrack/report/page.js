@@ -5,7 +5,8 @@
   const nearest = (list, value) =>
     list.reduce((best, item, at) => Math.abs(item - value) < Math.abs(list[best] - value) ? at : best, 0);
   const stage = find(".stage"), all = JSON.parse(stage.dataset.frames), times = JSON.parse(stage.dataset.times);
-  const video = find("video"), bar = find("#time"), told = find("#told");
+  // A page of one frame has no time bar: nothing to play, nothing to tell.
+  const video = find("video"), bar = find("#time"), told = find("#told"), player = find("#play");
   const shown = video ? JSON.parse(video.dataset.frames) : [], rate = video ? Number(video.dataset.rate) : 1;
   const charts = [...document.querySelectorAll("figure.chart[data-chart]")].map((figure) => ({
     svg: figure.querySelector("svg"),
@@ -58,9 +59,11 @@
   const play = () => (video.paused ? video.play() : video.pause());
   if (video) {
     for (const name of ["timeupdate", "play"]) video.addEventListener(name, follow);
-    find("#play").addEventListener("click", play);
+  }
+  if (video && player) {
+    player.addEventListener("click", play);
     for (const name of ["play", "pause"]) {
-      video.addEventListener(name, () => { find("#play").textContent = video.paused ? "Play" : "Pause"; });
+      video.addEventListener(name, () => { player.textContent = video.paused ? "Play" : "Pause"; });
     }
   }
   if (bar) bar.addEventListener("input", () => show(Number(bar.value)));
