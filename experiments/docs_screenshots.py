@@ -104,8 +104,7 @@ def shoot_live(live: LivePage, image: Callable[[str], Path]) -> None:
         live.build(server, LabelReview.blank(live.tracked), review)
         with opened(f"http://127.0.0.1:{server.get_port()}") as page:
             page.wait_for("window.clothtrackKeys === true", limit_s=300)
-            for key, code in (("ArrowDown", "ArrowDown"), ("a", "KeyA"),
-                              ("ArrowDown", "ArrowDown"), ("r", "KeyR")):  # fmt: skip
+            for key, code in (("a", "KeyA"), ("r", "KeyR")):
                 page.press(key, code)
                 time.sleep(3)
             page.ask("document.querySelectorAll('.mantine-Notification-root')"

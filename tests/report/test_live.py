@@ -7,7 +7,9 @@ import logging
 import re
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -86,7 +88,7 @@ def page(tracked, clouds_only, tmp_path):
 def test_steps_stay_inside_and_labels_are_found(page, tracked):
     page.step_by(-1)
     assert page._frame.value == 0
-    page.label_by(1)
+    page.label_by(-1)
     assert tracked.frames[page._frame.value] == 2
     page.label_by(1)
     assert tracked.frames[page._frame.value] == 5
@@ -95,6 +97,63 @@ def test_steps_stay_inside_and_labels_are_found(page, tracked):
     assert tracked.frames[page._frame.value] == 5
     page.label_by(-1)
     assert tracked.frames[page._frame.value] == 2
+
+
+PRESS = {
+    "a": lambda page: page.decide("accepted"),
+    "r": lambda page: page.decide("rejected"),
+    "o": lambda page: page.decide("open"),
+    "u": lambda page: page.undo(),
+    "down": lambda page: page.label_by(1),
+    "up": lambda page: page.label_by(-1),
+    "right": lambda page: page.step_by(1),
+}
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ("a down r", ("accepted", "rejected", 2, 5)),
+        ("a r", ("accepted", "rejected", 2, 5)),
+        ("a", ("accepted", "open", 2, 5)),
+        ("down r", ("open", "rejected", 2, 5)),
+        ("down up r a", ("rejected", "accepted", 2, 5)),
+        ("right right right r", ("open", "rejected", 2, 5)),
+        ("a u", ("open", "open", 1, 2)),
+        ("a r u", ("accepted", "open", 2, 5)),
+        ("a up r u", ("accepted", "open", 1, 2)),
+        ("a up o", ("open", "open", 2, 5)),
+        ("a r u u u", ("open", "open", 1, 2)),
+        ("u", ("open", "open", 1, 0)),
+    ],
+)
+def test_a_key_decides_the_highlighted_label_only(page, tracked, tmp_path, keys, expected):
+    for key in keys.split():
+        PRESS[key](page)
+    written = read_review(tmp_path / "fold.review.json", tracked).labels
+    highlighted = re.search(r'class="current"><th>Label (\d)<', page._verdicts.content).group(1)
+    frame = tracked.frames[page._frame.value]
+    assert (*(one.verdict for one in written), int(highlighted), frame) == expected
+
+
+def test_two_actions_that_meet_in_a_frame_keep_their_own_labels(tracked, clouds_only, tmp_path):
+    first, second = tracked.actions
+    meeting = replace(tracked, actions=(first, replace(second, first_frame=2)))
+    page = LivePage(meeting, clouds_only)
+    with local_server() as server:
+        page.build(server, LabelReview.blank(meeting), tmp_path / "fold.review.json")
+        page.decide("accepted")
+        page.label_by(-1)
+        page.decide("rejected")
+        assert page._review.rejected == {0}
+    gc.collect()
+
+
+def test_keys_in_quick_succession_decide_one_label_each(page):
+    """viser runs what keys do on threads of its own."""
+    with ThreadPoolExecutor() as threads:
+        list(threads.map(page.decide, ("accepted", "accepted")))
+    assert [one.verdict for one in page._review.labels] == ["accepted", "accepted"]
 
 
 def test_the_slider_of_one_frame_leads_nowhere(one_frame, clouds_only):
@@ -111,8 +170,6 @@ def test_every_decision_is_on_the_disk_at_once(page, tracked, tmp_path):
     path = tmp_path / "fold.review.json"
     page.decide("rejected")
     assert read_review(path, tracked).rejected == {0}
-    page.label_by(1)
-    page.label_by(1)
     page.decide("accepted")
     verdicts = [one.verdict for one in read_review(path, tracked).labels]
     assert verdicts == ["rejected", "accepted"]
@@ -141,6 +198,9 @@ def test_layers_apart_move_only_what_lies_on_another(page, tracked):
 
 VERDICTS = "[...document.querySelectorAll('.ct .verdict')].map((one) => one.textContent)"
 FRAME = "(document.body.innerText.match(/frame (\\d+), [\\d.]+ s/) ?? [])[1]"
+CLICK_UNDO = (
+    "void [...document.querySelectorAll('button')].find((one) => one.innerText === 'Undo').click()"
+)
 EYE = {
     "type": "ViewerCameraMessage",
     "wxyz": (1.0, 0.0, 0.0, 0.0),
@@ -172,15 +232,20 @@ def test_keys_move_the_mesh_and_write_the_review(tracked, two_cameras, tmp_path)
             (client,) = server.get_clients().values()
             eye = np.array(client.camera.position)
             for key, code, then in (
-                ("ArrowDown", "ArrowDown", f"{FRAME} === '2'"),
-                ("a", "KeyA", f"{VERDICTS}[0] === 'accepted'"),
+                ("a", "KeyA", f"{VERDICTS}[0] === 'accepted' && {FRAME} === '5'"),
                 ("ArrowDown", "ArrowDown", f"{FRAME} === '5'"),
                 ("r", "KeyR", f"{VERDICTS}[1] === 'rejected'"),
+                ("u", "KeyU", f"{VERDICTS}[1] === 'open'"),
+                ("a", "KeyA", f"{VERDICTS}[1] === 'accepted'"),
                 ("ArrowLeft", "ArrowLeft", f"{FRAME} === '4'"),
                 ("ArrowUp", "ArrowUp", f"{FRAME} === '2'"),
             ):
                 page.press(key, code)
                 page.wait_for(then)
+            page.ask(CLICK_UNDO)
+            page.wait_for(f"{VERDICTS}[1] === 'open' && {FRAME} === '5'")
+            page.press("r", "KeyR")
+            page.wait_for(f"{VERDICTS}[1] === 'rejected'")
             until(lambda: apart(page.picture(SCENE), first) > 0.5)
             np.testing.assert_allclose(client.camera.position, eye)  # viser's own use of the keys
             outside = [url for url in page.requests() if not url.startswith(address)]

@@ -28,6 +28,10 @@ pytestmark = [
 SMALL = ReportConfig(overlay=OverlayConfig(height=120))
 
 
+VERDICTS = "[...document.querySelectorAll('.verdict')].map((one) => one.textContent)"
+HIGHLIGHTED = "document.querySelector('#review .current .jump').textContent"
+
+
 def cloth_pixels(picture):
     """Blue or ochre pixels."""
     return int((np.abs(picture[..., 0] - picture[..., 2]) > 50).sum())
@@ -129,20 +133,57 @@ def test_the_cloth_takes_the_colours_that_are_chosen(opened, tracked):
         assert "stand-in world" in page.ask("document.querySelector('.controls .note').textContent")
 
 
+@pytest.mark.parametrize(
+    ("keys", "verdicts", "label", "frame"),
+    [
+        (["a", "ArrowDown", "r"], ["accepted", "rejected"], 2, 5),
+        (["a", "r"], ["accepted", "rejected"], 2, 5),
+        (["ArrowDown", "ArrowUp", "r", "a"], ["rejected", "accepted"], 2, 5),
+        (["ArrowRight", "ArrowRight", "ArrowRight", "r"], ["open", "rejected"], 2, 5),
+        (["a", "u"], ["open", "open"], 1, 2),
+        (["a", "ArrowUp", "r", "u"], ["accepted", "open"], 1, 2),
+        (["a", "r", "u", "u", "u"], ["open", "open"], 1, 2),
+    ],
+)
+def test_a_key_decides_the_highlighted_label_only(opened, keys, verdicts, label, frame):
+    with opened("two_cameras") as page:
+        page.wait_for("document.body.dataset.ready === 'yes'")
+        for key in keys:
+            page.press(key, key if len(key) > 1 else f"Key{key.upper()}")
+        assert page.ask(VERDICTS) == verdicts
+        assert page.ask(HIGHLIGHTED) == f"Label {label}"
+        assert page.ask("document.querySelector('#told').textContent").startswith(f"frame {frame},")
+        assert page.complaints() == []
+
+
+def test_buttons_decide_their_own_label_and_undo_it(opened):
+    with opened("two_cameras") as page:
+        page.wait_for("document.body.dataset.ready === 'yes'")
+        assert page.ask("document.querySelector('#undo').disabled")
+        page.ask("void document.querySelectorAll('[data-decide=rejected]')[1].click()")
+        page.ask("void document.querySelectorAll('[data-decide=accepted]')[0].click()")
+        assert page.ask(VERDICTS) == ["accepted", "rejected"]
+        assert page.ask(HIGHLIGHTED) == "Label 2"
+        page.ask("void document.querySelector('#undo').click()")
+        assert page.ask(VERDICTS) == ["open", "rejected"]
+        assert page.ask(HIGHLIGHTED) == "Label 1"
+        page.ask("void document.querySelector('#undo').click()")
+        assert page.ask(VERDICTS) == ["open", "open"]
+        assert page.ask("document.querySelector('#undo').disabled")
+
+
 def test_a_review_by_keys_becomes_a_file_that_label_honours(opened, tracked, tmp_path):
     with opened("two_cameras") as page:
         page.wait_for("document.body.dataset.ready === 'yes'")
         page.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
         for key, code in (
-            ("ArrowDown", "ArrowDown"),
             ("a", "KeyA"),
             ("ArrowDown", "ArrowDown"),
             ("r", "KeyR"),
             ("ArrowLeft", "ArrowLeft"),
         ):
             page.press(key, code)
-        told = "[...document.querySelectorAll('.verdict')].map((one) => one.textContent)"
-        assert page.ask(told) == ["accepted", "rejected"]
+        assert page.ask(VERDICTS) == ["accepted", "rejected"]
         assert page.ask("document.querySelector('#told').textContent").startswith("frame 4")
         page.ask("void document.querySelector('#save').click()")
         path = tmp_path / f"{tracked.name}.review.json"

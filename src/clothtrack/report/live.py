@@ -47,8 +47,8 @@ def view_live(
     """Serve a page on 127.0.0.1 to look at every frame, until `stop` is set or Ctrl-C is pressed.
 
     The keys left and right go from frame to frame, up and down from label to label; A accepts, R
-    rejects the label of the action that is shown, O leaves it open. Every decision is written to
-    `review_file` at once.
+    rejects the highlighted label, O leaves it open, and the next label is shown; U takes the last
+    decision back. Every decision is written to `review_file` at once.
 
     Args:
         tracked: what the tracker left.
@@ -112,7 +112,9 @@ class LivePage:
         self._eye = scene_view(tracked, recording, width=800, height=600)
         self._axis = layers_axis(recording, self._eye)
         self._layers = Layers(tracked.mesh, self._axis)
-        self._lock = threading.Lock()
+        self._lock, self._deciding = threading.Lock(), threading.Lock()
+        self._chosen: tuple[int, int] | None = None
+        self._past: list[tuple[int, Verdict]] = []
 
     def build(
         self, server: viser.ViserServer, review: LabelReview, review_file: Path | None
@@ -164,21 +166,22 @@ class LivePage:
             self._tell_review()
 
     def decide(self, verdict: Verdict) -> None:
-        """Write down what was decided about the label of the action that is shown."""
-        action = self._action()
-        if self._file is None or action is None:
-            return
-        with self._lock:
-            decided = self._review.decided(action, verdict)
-            try:
-                decided.save(self._file)
-            except StorageError as error:
-                log.warning("not saved: %s", error)
-                self._saved.content = f"**Not saved:** {error}"
+        """Write down what was decided about the highlighted label, and go to the next one."""
+        with self._deciding:
+            action = self._action()
+            if action is None:
                 return
-            self._review = decided
-            self._saved.content = f"Saved in {self._file.name}"
-            self._tell_review()
+            former = self._review.labels[action].verdict
+            if self._saved_with(action, verdict):
+                self._past.append((action, former))
+                self._go_to(action + 1)
+
+    def undo(self) -> None:
+        """Take the last decision back, and go to its label."""
+        with self._deciding:
+            if self._past and self._saved_with(*self._past[-1]):
+                action, _ = self._past.pop()
+                self._go_to(action)
 
     def step_by(self, way: int) -> None:
         """Go that many frames on."""
@@ -186,13 +189,37 @@ class LivePage:
         self._frame.value = min(last, max(0, int(self._frame.value) + way))
 
     def label_by(self, way: int) -> None:
-        """Go to the next label, or the one before."""
-        frame = int(self.tracked.frames[self._step()])
-        ends = [one.frame for one in self._review.labels]
-        wanted = [end for end in ends if (end > frame if way > 0 else end < frame)]
-        if wanted:
-            goal = wanted[0] if way > 0 else wanted[-1]
-            self._frame.value = int(np.abs(self.tracked.frames - goal).argmin())
+        """Go that many labels on from the highlighted one."""
+        with self._deciding:
+            action = self._action()
+            if action is not None:
+                self._go_to(action + way)
+
+    def _go_to(self, action: int) -> None:
+        """Highlight the label of an action, the first or last at most, and show its frame."""
+        action = min(len(self._review.labels) - 1, max(0, action))
+        goal = self._review.labels[action].frame
+        step = int(np.abs(self.tracked.frames - goal).argmin())
+        self._chosen = step, action
+        if step == self._step():
+            self.show()
+        else:
+            self._frame.value = step
+
+    def _saved_with(self, action: int, verdict: Verdict) -> bool:
+        if self._file is None:
+            return False
+        with self._lock:
+            decided = self._review.decided(action, verdict)
+            try:
+                decided.save(self._file)
+            except StorageError as error:
+                log.warning("not saved: %s", error)
+                self._saved.content = f"**Not saved:** {error}"
+                return False
+            self._review = decided
+            self._saved.content = f"Saved in {self._file.name}"
+            return True
 
     def _paint(self, step: int, vertices: np.ndarray) -> None:
         mode, opacity = self._mode.value, float(self._opacity.value)
@@ -214,8 +241,14 @@ class LivePage:
         return min(int(self._frame.value), len(self.tracked.frames) - 1)
 
     def _action(self) -> int | None:
-        """Number of the action whose label the shown frame leads to."""
-        frame = self.tracked.frames[self._step()]
+        """Number of the action whose label is highlighted: the shown frame leads to it.
+
+        Where two actions meet, one frame belongs to both: a label that was chosen stays chosen.
+        """
+        step, chosen = self._step(), self._chosen
+        if chosen is not None and chosen[0] == step:
+            return chosen[1]
+        frame = self.tracked.frames[step]
         begun = [k for k, one in enumerate(self.tracked.actions) if one.first_frame <= frame]
         return begun[-1] if begun else (0 if self.tracked.actions else None)
 
@@ -236,6 +269,7 @@ class LivePage:
         }  # fmt: skip
         buttons = gui.add_button_group("Label", tuple(verdicts))
         buttons.on_click(lambda _: self.decide(verdicts[buttons.value]))
+        gui.add_button("Undo").on_click(lambda _: self.undo())
         self._saved = gui.add_markdown(f"Decisions go to {self._file.name}")
 
     def _tell_review(self) -> None:
@@ -252,6 +286,7 @@ class LivePage:
             ("Accept the label", "A", lambda _: self.decide("accepted")),
             ("Reject the label", "R", lambda _: self.decide("rejected")),
             ("Leave the label open", "O", lambda _: self.decide("open")),
+            ("Undo the last decision", "U", lambda _: self.undo()),
         ):
             gui.add_command(label, hotkey=key).on_trigger(call)
         gui.add_html(KEY_HOOK)

@@ -43,7 +43,7 @@ _TAKE_KEYS = """
 if (!window.clothtrackKeys) {
   window.clothtrackKeys = true;
   window.addEventListener('keydown', (event) => {
-    const keys = ['a', 'r', 'o', 'ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'];
+    const keys = ['a', 'r', 'o', 'u', 'ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'];
     if (!event.isTrusted || event.ctrlKey || event.metaKey || event.altKey) return;
     if (!keys.includes(event.key) || event.target.closest?.('input, textarea, select')) return;
     event.stopImmediatePropagation();

@@ -32,14 +32,14 @@
     }
   }
 
-  function show(wanted, { seek = true } = {}) {
+  function show(wanted, { seek = true, label } = {}) {
     step = Math.min(all.length - 1, Math.max(0, wanted));
     const frame = all[step];
     if (bar) bar.value = step;
     if (told) told.textContent = `frame ${frame}, ${times[step].toFixed(2)} s`;
     point(frame);
     if (scene) scene.set({ step: nearest(scene.frames, frame) });
-    labels.at(frame);
+    labels.at(frame, label);
     if (video && seek) {
       video.pause();
       const wanted = (nearest(shown, frame) + 0.5) / rate;
@@ -78,17 +78,17 @@
     chart.svg.addEventListener("pointerdown", (event) => { chart.svg.setPointerCapture(event.pointerId); seek(event); });
     chart.svg.addEventListener("pointermove", (event) => { if (event.buttons & 1) seek(event); });
   }
-  const jump = (frame) => { if (frame !== undefined) show(nearest(all, frame)); };
-  labels.onJump(jump);
+  labels.onJump((frame, label) => show(nearest(all, frame), { label }));
 
   const keys = {
     ArrowLeft: () => show(step - 1),
     ArrowRight: () => show(step + 1),
-    ArrowUp: () => jump(labels.next(all[step], -1)),
-    ArrowDown: () => jump(labels.next(all[step], 1)),
+    ArrowUp: () => labels.step(-1),
+    ArrowDown: () => labels.step(1),
     a: () => labels.decide("accepted"),
     r: () => labels.decide("rejected"),
     o: () => labels.decide("open"),
+    u: () => labels.undo(),
   };
   document.addEventListener("keydown", (event) => {
     const busy = event.target.closest?.("select, textarea, input:not([type=range])");
@@ -127,10 +127,10 @@
 
   // Decisions about labels; this page cannot write files beside the trajectory, so it offers one.
   function reviewed(section) {
-    if (!section) return { at: () => {}, decide: () => {}, next: () => undefined, onJump: () => {} };
+    if (!section) return { at: () => {}, decide: () => {}, undo: () => {}, step: () => {}, onJump: () => {} };
     const review = JSON.parse(section.dataset.review), rows = [...section.querySelectorAll("[data-action]")];
-    const firsts = rows.map((row) => Number(row.dataset.first));
-    let current = 0, go = () => {};
+    const firsts = rows.map((row) => Number(row.dataset.first)), undo = section.querySelector("#undo"), past = [];
+    let current = 0, chosen = null, go = () => {};
     const paint = () => {
       rows.forEach((row, k) => {
         row.dataset.verdict = review.labels[k].verdict;
@@ -139,13 +139,26 @@
       });
       const left = review.labels.filter((label) => label.verdict === "open").length;
       section.querySelector(".left").textContent = left ? `${left} still open` : "all decided";
+      undo.disabled = past.length === 0;
+    };
+    const choose = (wanted) => {
+      const which = Math.min(rows.length - 1, Math.max(0, wanted));
+      go(review.labels[which].frame, which);
     };
     const decide = (verdict, which = current) => {
+      past.push({ which, verdict: review.labels[which].verdict });
       review.labels[which].verdict = verdict;
-      paint();
+      choose(which + 1);
     };
+    const takeBack = () => {
+      if (!past.length) return;
+      const { which, verdict } = past.pop();
+      review.labels[which].verdict = verdict;
+      choose(which);
+    };
+    undo.addEventListener("click", takeBack);
     rows.forEach((row, k) => {
-      row.querySelector(".jump").addEventListener("click", () => go(review.labels[k].frame));
+      row.querySelector(".jump").addEventListener("click", () => choose(k));
       for (const button of row.querySelectorAll("[data-decide]")) {
         button.addEventListener("click", () => decide(button.dataset.decide, k));
       }
@@ -159,14 +172,14 @@
     paint();
     return {
       decide,
-      at: (frame) => {
-        current = Math.max(0, firsts.findLastIndex((first) => frame >= first));
+      undo: takeBack,
+      // Where two actions meet, one frame belongs to both: a label that was chosen stays chosen.
+      at: (frame, label) => {
+        if (label !== undefined) chosen = { frame, label };
+        current = chosen?.frame === frame ? chosen.label : Math.max(0, firsts.findLastIndex((first) => frame >= first));
         paint();
       },
-      next: (frame, way) => {
-        const ends = review.labels.map((label) => label.frame);
-        return way > 0 ? ends.find((end) => end > frame) : ends.findLast((end) => end < frame);
-      },
+      step: (way) => choose(current + way),
       onJump: (call) => { go = call; },
     };
   }

@@ -21,7 +21,8 @@ LARGEST_GAP_M = 0.12
 
 KEYS = (
     "Keys: <kbd>←</kbd> <kbd>→</kbd> frame by frame, <kbd>↑</kbd> <kbd>↓</kbd> label by label, "
-    "<kbd>a</kbd> accept, <kbd>r</kbd> reject, <kbd>o</kbd> leave open."
+    "<kbd>a</kbd> accept, <kbd>r</kbd> reject, <kbd>o</kbd> leave open the highlighted label and "
+    "go to the next one, <kbd>u</kbd> undo the last decision."
 )
 
 
@@ -119,7 +120,8 @@ def review_card(
         "<header><b>Labels</b> the mesh at the end of each action; "
         '<span class="left"></span></header>'
         f"<table><tbody>{''.join(rows)}</tbody></table>"
-        f'<p class="note">{KEYS}</p><p class="note"><button type="button" id="save">Save the '
+        f'<p class="note"><button type="button" id="undo">Undo</button> {KEYS}</p>'
+        '<p class="note"><button type="button" id="save">Save the '
         f"review</button> as {name}; put it beside {escape(tracked.name)}.zarr, and "
         "<code>clothtrack label</code> leaves out what is rejected.</p></section>"
     )
