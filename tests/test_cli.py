@@ -105,7 +105,7 @@ def raising(error):
         (InvalidRecordingError("recording.json: no frames"), 1, "recording.json: no frames"),
         (OSError(errno.ENOSPC, "No space left on device", "out/a.zarr"), 1, "out/a.zarr: the disk"),
         (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: no permission"),
-        (KeyboardInterrupt(), 1, "interrupted"),
+        (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
 def test_what_can_go_wrong_is_said_in_one_line(monkeypatch, capsys, error, code, told):

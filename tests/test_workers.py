@@ -1,13 +1,18 @@
+import os
 import signal
+import subprocess
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
 import pytest
 
-from clothtrack import cli
-from clothtrack.errors import InvalidConfigError
+from clothtrack import cli, pipeline
+from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.pipeline import Outcome, RunConfig, track_recordings
 from clothtrack.workers import end_workers, finished_in_workers, require_workers
 
 LONG_S = 120.0
@@ -89,3 +94,69 @@ def test_the_results_of_workers_come_as_they_are_finished(tmp_path):
     items = [tmp_path / str(number) for number in range(5)]
     assert list(finished_in_workers(Path.touch, items, 2)) == [None] * 5
     assert all(item.exists() for item in items)
+
+
+def touch_or_die(told: Path) -> Path:
+    if told.name == "deadly":
+        while not (told.parent / "second").exists():
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGKILL)
+    told.touch()
+    return told
+
+
+def test_a_worker_that_dies_is_told_after_what_the_others_finished(tmp_path):
+    items = [tmp_path / name for name in ("first", "deadly", "second")]
+    results = finished_in_workers(touch_or_die, items, 2)
+    assert next(results) == items[0]
+    with pytest.raises(ClothTrackError, match=r"worker process was killed.*fewer workers"):
+        list(results)
+    assert not active_children()
+
+
+def test_recordings_that_a_dead_worker_leaves_are_told_one_by_one(tmp_path, monkeypatch):
+    folders = [tmp_path / name for name in ("first", "second", "third")]
+
+    def dying(work, items, processes):
+        yield Outcome(items[1], tmp_path / "out" / "second.zarr")
+        raise ClothTrackError("a worker process was killed")
+
+    monkeypatch.setattr(pipeline, "finished_in_workers", dying)
+    outcomes = track_recordings(folders, tmp_path / "out", RunConfig(), workers=2)
+    assert [outcome.recording for outcome in outcomes] == folders
+    assert not outcomes[1].error
+    for folder, outcome in ((folders[0], outcomes[0]), (folders[2], outcomes[2])):
+        assert outcome.result is None
+        assert outcome.error == f"{folder}: a worker process was killed"
+
+
+SLOW = """
+import time
+from pathlib import Path
+from clothtrack.reconstruction.batches import loader
+class Slow:
+    def __len__(self):
+        return 2
+    def __getitem__(self, draw):
+        Path(f"begun_{draw[0]}").touch()
+        time.sleep(120.0)
+if __name__ == "__main__":
+    next(iter(loader(Slow(), [[(0, 0)], [(1, 0)]], list, workers=2)))
+"""
+
+
+def test_no_maker_of_examples_outlives_a_training_that_is_killed(tmp_path):
+    (tmp_path / "slow.py").write_text(SLOW)
+    with subprocess.Popen(
+        [sys.executable, "slow.py"], cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True
+    ) as process:
+        try:
+            while len(list(tmp_path.glob("begun_*"))) < 2:
+                assert process.poll() is None, process.communicate()
+                time.sleep(0.05)
+            process.kill()
+            # The pipe ends when the last process that holds it does.
+            process.communicate(timeout=15)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)

@@ -13,7 +13,7 @@ from tyro.conf import Positional
 from clothtrack.errors import InvalidConfigError
 from clothtrack.learning import require_learning
 from clothtrack.options import AsJson, Device, Seed, Settings
-from clothtrack.terminal import complain, end_progress, progress, say
+from clothtrack.terminal import TERMINATED, complain, end_progress, progress, say
 
 if TYPE_CHECKING:
     from clothtrack.planning.episode_store import EpisodeStore
@@ -214,7 +214,7 @@ def _told(outcome: "TrainingOutcome", *, json: bool) -> int:
             f"error {outcome.best_score:.2f} mm after {outcome.best_step}")  # fmt: skip
     if outcome.status == "interrupted":
         complain("interrupted; the same command goes on from there")
-        return 1
+        return TERMINATED
     return 0
 
 

@@ -13,7 +13,7 @@ from clothtrack.artefacts import load_tracked, recording_of
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.options import AsJson, Device, Seed, Settings
 from clothtrack.reconstruction.availability import EXTRA, INSTALL, missing_modules
-from clothtrack.terminal import complain, end_progress, progress, say
+from clothtrack.terminal import TERMINATED, complain, end_progress, progress, say
 
 if TYPE_CHECKING:
     from clothtrack.evaluation.label_quality import LabelQuality
@@ -384,5 +384,5 @@ def _told(outcome: "LearningOutcome", *, json: bool) -> int:
             say(str(outcome.model))
     if outcome.model is None:
         complain("interrupted; the same command goes on from there")
-        return 1
+        return TERMINATED
     return 0

@@ -5,12 +5,9 @@ import json
 import logging
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
-from multiprocessing import get_context
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,7 @@ from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.first_mesh import FirstMeshConfig
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
-from clothtrack.workers import end_workers, require_workers, start_worker
+from clothtrack.workers import finished_in_workers, require_workers
 
 logger = logging.getLogger(__name__)
 
@@ -177,32 +174,18 @@ def _track_in_parallel(
     progress: Progress | None,
 ) -> list[Outcome]:
     outcomes: dict[Path, Outcome] = {}
-    with ProcessPoolExecutor(workers, get_context("spawn"), start_worker) as pool:
-        jobs = {
-            pool.submit(_track_folder, folder, output, config, device, None): folder
-            for folder in folders
-        }
-        try:
-            for done, job in enumerate(as_completed(jobs), 1):
-                folder = jobs[job]
-                try:
-                    outcomes[folder] = job.result()
-                except BrokenProcessPool:
-                    outcomes[folder] = Outcome(folder, None, error=f"{folder}: {_DIED}")
+    work = partial(_track_folder, output=output, config=config, device=device)
+    try:
+        with closing(finished_in_workers(work, folders, workers)) as results:
+            for done, outcome in enumerate(results, 1):
+                outcomes[outcome.recording] = outcome
                 if progress is not None:
-                    progress(folder.name, done, len(jobs))
-        except KeyboardInterrupt:
-            # Leaving the block waits for the workers: let them not begin anything, nor go on.
-            pool.shutdown(wait=False, cancel_futures=True)
-            end_workers()
-            raise
+                    progress(outcome.recording.name, done, len(folders))
+    except ClothTrackError as error:
+        # A worker was killed, and nobody knows over which recording.
+        for folder in folders:
+            outcomes.setdefault(folder, Outcome(folder, None, error=f"{folder}: {error}"))
     return [outcomes[folder] for folder in folders]
-
-
-_DIED = (
-    "a worker process was killed while it was tracked (out of memory?); use fewer --workers and "
-    "run again: finished ones are kept"
-)
 
 
 def result_path(recording: Path, output: Path) -> Path:
@@ -211,7 +194,11 @@ def result_path(recording: Path, output: Path) -> Path:
 
 
 def _track_folder(
-    folder: Path, output: Path, config: RunConfig, device: str, progress: Progress | None
+    folder: Path,
+    output: Path,
+    config: RunConfig,
+    device: str,
+    progress: Progress | None = None,
 ) -> Outcome:
     path = result_path(folder, output)
     try:

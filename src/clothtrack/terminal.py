@@ -5,10 +5,20 @@ it is shown on a terminal and nowhere else.
 """
 
 import os
+import signal
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 from clothtrack.errors import ClothTrackError, StorageError
+
+INTERRUPTED = 128 + signal.SIGINT
+TERMINATED = 128 + signal.SIGTERM
+"""The exit codes of a verb that Ctrl-C or SIGTERM has ended, as shells number them."""
+
+_SAME_REQUEST_S = 1.0
 
 
 def say(text: str) -> None:
@@ -37,7 +47,15 @@ def end_progress() -> None:
 
 
 def exit_code(run: Callable[[], int]) -> int:
-    """Run a verb; its exit code, or 1 and one clear line when something a person can mend fails."""
+    """Run a verb; its exit code, or one clear line and another code.
+
+    That code is 1 when something a person can mend fails, 130 after Ctrl-C and 143 after SIGTERM.
+    """
+    with _sigterm_as_ctrl_c() as terminations:
+        return _exit_code(run, terminations)
+
+
+def _exit_code(run: Callable[[], int], terminations: list[float]) -> int:
     try:
         return run()
     except ClothTrackError as error:
@@ -53,4 +71,28 @@ def exit_code(run: Callable[[], int]) -> int:
             "interrupted; what was finished is whole, nothing half-written keeps its name. "
             "The same command goes on from there"
         )
+        return TERMINATED if terminations else INTERRUPTED
     return 1
+
+
+@contextmanager
+def _sigterm_as_ctrl_c() -> Iterator[list[float]]:
+    """While the block runs, SIGTERM clears away as Ctrl-C does; gives the times [s] it came at."""
+    times: list[float] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        times.append(time.monotonic())
+        # `timeout` tells a process, then its group: one request comes twice.
+        if len(times) == 1 or times[-1] - times[-2] > _SAME_REQUEST_S:
+            signal.default_int_handler(number, frame)
+
+    try:
+        before = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:
+        # Not the main thread: whoever started us takes care of signals.
+        yield times
+        return
+    try:
+        yield times
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,4 +1,4 @@
-"""Ctrl-C and a full disk: what was finished is whole, nothing half-written keeps its name."""
+"""Ctrl-C, SIGTERM and a full disk: what was finished is whole, nothing else keeps its name."""
 
 import os
 import shutil
@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager, suppress
 
 import pytest
 
@@ -32,6 +33,22 @@ def many(towels, tmp_path):
     return folders
 
 
+@contextmanager
+def started(tmp_path, *words):
+    """The command line in a session of its own; nothing of it is left after the block."""
+    program = tmp_path / "program.py"
+    program.write_text(MAIN)
+    with subprocess.Popen(
+        [sys.executable, str(program), *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            yield process
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+
 def wait_for(path, process):
     end = time.monotonic() + 240
     while not path.exists():
@@ -42,20 +59,14 @@ def wait_for(path, process):
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_in_the_middle(many, tmp_path, workers):
-    program = tmp_path / "program.py"
-    program.write_text(MAIN)
     out = tmp_path / "out"
-    words = ["track", *many, "--output", out, *FAST, "--workers", workers]
-    with subprocess.Popen(
-        [sys.executable, str(program), *map(str, words)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    ) as process:  # fmt: skip
-        first = out / "towel_a.zarr"
+    first = out / "towel_a.zarr"
+    with started(tmp_path, "track", *many, "--output", out, *FAST, "--workers", workers) as process:
         wait_for(first, process)
         # A terminal sends it to the whole group, workers included.
         os.killpg(process.pid, signal.SIGINT)
         told, complained = process.communicate(timeout=60)
-    assert process.returncode == 1, complained
+    assert process.returncode == 130, complained
     assert told == ""
     lines = complained.splitlines()
     assert len(lines) == 1, complained
@@ -67,6 +78,58 @@ def test_ctrl_c_in_the_middle(many, tmp_path, workers):
     assert len(finished) < len(many)
     for path in finished:
         assert len(TrackedTrajectory.load(path).actions) == 1
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -signal.SIGKILL)]
+)
+def test_no_worker_outlives_a_run_that_is_ended(many, tmp_path, number, code):
+    out = tmp_path / "out"
+    with started(tmp_path, "track", *many, "--output", out, *FAST, "--workers", 2) as process:
+        wait_for(out / "towel_a.zarr", process)
+        # Schedulers and containers tell one process, and the workers are not that one.
+        process.send_signal(number)
+        # The pipes end when the last process that holds them does.
+        told, complained = process.communicate(timeout=20)
+    assert process.returncode == code, complained
+    assert told == ""
+    if number == signal.SIGTERM:
+        assert complained.count("\n") == 1, complained
+        assert "interrupted" in complained
+        assert not list(out.glob(".*"))
+    for path in out.glob("*.zarr"):
+        assert len(TrackedTrajectory.load(path).actions) == 1
+
+
+def test_sigterm_ends_a_run_without_workers(many, tmp_path):
+    out = tmp_path / "out"
+    with started(tmp_path, "track", *many, "--output", out, *FAST) as process:
+        wait_for(out / "towel_a.zarr", process)
+        # As `timeout` does: once to the process, once to its group.
+        process.send_signal(signal.SIGTERM)
+        os.killpg(process.pid, signal.SIGTERM)
+        _, complained = process.communicate(timeout=20)
+    assert process.returncode == 143, complained
+    assert complained.count("\n") == 1, complained
+    assert not list(out.glob(".*"))
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_filming_in_workers_ends_without_a_trace(tmp_path, number, code):
+    out = tmp_path / "out"
+    words = ("simulate", out, "--trajectories", 4, "--workers", 2)
+    with started(tmp_path, *words) as process:
+        end = time.monotonic() + 120
+        while len(list(out.glob("recordings/.*.partial"))) < 2:
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        os.killpg(process.pid, number)
+        told, complained = process.communicate(timeout=30)
+    assert process.returncode == code, complained
+    assert told == ""
+    assert complained.count("\n") == 1, complained
+    assert list((out / "recordings").iterdir()) == []
 
 
 def test_the_same_command_goes_on_from_there(many, tmp_path, capsys):

@@ -242,7 +242,7 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
             _, told = run.communicate(timeout=60)
         finally:
             run.terminate()
-    assert run.returncode == 1
+    assert run.returncode == 130
     assert "interrupted" in told
     assert "Traceback" not in told
     assert list((out / "recordings").iterdir()) == []

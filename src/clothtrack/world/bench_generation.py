@@ -7,33 +7,23 @@ it lists is whole, and what it does not list was never finished.
 import hashlib
 import json
 import logging
-import os
 import platform
 import shutil
-import signal
-import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from clothtrack import __version__
-from clothtrack.errors import (
-    ClothTrackError,
-    InvalidConfigError,
-    InvalidResultError,
-    SimulationDivergedError,
-)
+from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.storing import content_hash, storage, whole_file
-from clothtrack.workers import end_workers, require_workers, start_worker
+from clothtrack.workers import finished_in_workers, require_workers
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
 
@@ -75,6 +65,7 @@ def generate_bench(
         InvalidConfigError: there are no workers, or `out` holds a benchmark that was made with
             other settings.
         SimulationDivergedError: the physics of a trajectory diverges with all its spare seeds.
+        ClothTrackError: a worker was killed.
         StorageError: the disk refuses.
     """
     require_workers(processes)
@@ -92,12 +83,13 @@ def generate_bench(
             missing.append(one)
             listed.pop(one.name, None)
             _remove(out, one.name)
-    for entry in _filmed(missing, out, processes):
-        listed[entry["name"]] = entry
-        _write_list(out, listed)
-        done += 1
-        if progress is not None:
-            progress(entry["name"], done, len(wanted))
+    with closing(_filmed(missing, out, processes)) as entries:
+        for entry in entries:
+            listed[entry["name"]] = entry
+            _write_list(out, listed)
+            done += 1
+            if progress is not None:
+                progress(entry["name"], done, len(wanted))
     return [listed[one.name] for one in wanted]
 
 
@@ -218,48 +210,20 @@ def _measured(truth: Path) -> dict[str, int | float]:
         }
 
 
-def _filmed(missing: Sequence[BenchTrajectory], out: Path, processes: int) -> Iterable[Entry]:
+def _filmed(
+    missing: Sequence[BenchTrajectory], out: Path, processes: int
+) -> Generator[Entry, None, None]:
     """Film trajectories; their entries in the order in which they are finished."""
-    if processes == 1 or len(missing) <= 1:
-        yield from (_film(one, out) for one in missing)
-        return
-    with ProcessPoolExecutor(processes, get_context("spawn"), _start_worker) as pool:
-        jobs = [pool.submit(_film_in_worker, one, out) for one in missing]
-        try:
-            for job in as_completed(jobs):
-                yield job.result()
-        except BrokenProcessPool as error:
-            raise ClothTrackError(
-                "a worker process was killed while it filmed (out of memory?); use fewer workers "
-                "and run again: finished trajectories are kept"
-            ) from error
-        finally:
-            # After an interrupt or an error: let the workers not begin anything, nor go on.
-            unfinished = [one for one, job in zip(missing, jobs, strict=True) if not job.done()]
-            pool.shutdown(wait=False, cancel_futures=True)
-            if unfinished:
-                end_workers()
-            for one in unfinished:
-                _remove(out, one.name)
-
-
-def _film_in_worker(trajectory: BenchTrajectory, out: Path) -> Entry:
+    unfinished = {one.name for one in missing}
     try:
-        return _film(trajectory, out)
-    except SystemExit:
-        # What was half-written is gone by now. A pool hands any exception of a task back to its
-        # parent and goes on with the next one; this worker was told to end.
-        os._exit(1)
-
-
-def _start_worker() -> None:
-    """Told to end, a worker removes what is half-written."""
-    start_worker()
-    signal.signal(signal.SIGTERM, _leave)
-
-
-def _leave(_signal: int, _frame: FrameType | None) -> None:
-    sys.exit(1)
+        with closing(finished_in_workers(partial(_film, out=out), missing, processes)) as entries:
+            for entry in entries:
+                unfinished.discard(entry["name"])
+                yield entry
+    finally:
+        # A worker that was killed clears nothing away.
+        for name in unfinished:
+            _remove(out, name)
 
 
 def _paths(out: Path, name: str) -> tuple[Path, Path]:

@@ -8,10 +8,9 @@ measured by hand would be.
 
 import json
 import logging
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import mujoco
@@ -20,13 +19,12 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
 from clothtrack.storing import whole_file
-from clothtrack.workers import require_workers
+from clothtrack.workers import finished_in_workers, require_workers
 from clothtrack.world.actions import ActionConfig, carrying_path, free_path, plan_action
 from clothtrack.world.appearance import Appearance
 from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
@@ -117,6 +115,7 @@ def simulate(
 
     Raises:
         InvalidConfigError: there are no workers, or no trajectories are asked for.
+        ClothTrackError: when a worker was killed.
         StorageError: when the disk refuses.
     """
     require_workers(processes)
@@ -125,12 +124,10 @@ def simulate(
     config = config or EpisodeConfig()
     film = partial(_simulate_or_skip, kind, out=Path(out), config=config)
     seeds = range(seed, seed + trajectories)
-    if processes == 1:
-        folders = [film(each) for each in seeds]
-    else:
-        with ProcessPoolExecutor(processes, get_context("spawn"), quiet_warp) as pool:
-            folders = list(pool.map(film, seeds))
-    return [folder for folder in folders if folder is not None]
+    with closing(finished_in_workers(film, seeds, processes)) as results:
+        made = set(results)
+    folders = (_folder(Path(out), kind, each) for each in seeds)
+    return [folder for folder in folders if folder in made]
 
 
 def simulate_trajectory(
@@ -311,7 +308,7 @@ class _Film:
 def _simulate_or_skip(
     kind: GarmentKind, seed: int, *, out: Path, config: EpisodeConfig
 ) -> Path | None:
-    folder = out / "recordings" / f"{kind}_{seed:04d}"
+    folder = _folder(out, kind, seed)
     if folder.exists():
         return folder
     try:
@@ -319,6 +316,10 @@ def _simulate_or_skip(
     except SimulationDivergedError as error:
         logger.warning("%s left out: %s", folder.name, error)
         return None
+
+
+def _folder(out: Path, kind: GarmentKind, seed: int) -> Path:
+    return out / "recordings" / f"{kind}_{seed:04d}"
 
 
 def _provenance(seed: int, config: EpisodeConfig) -> dict[str, object]:
