@@ -7,6 +7,7 @@ import pytest
 
 from clothtrack import cli
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import RecordingWriter, read_recording
 
 
@@ -49,3 +50,15 @@ def test_hand_eye_wants_a_board(table_film, tmp_path, capsys):
     assert "--charuco" in capsys.readouterr().err
     assert cli.main([*words, "--charuco", "7", "5", "0.03", "0.02"]) == 1
     assert "poses.csv" in capsys.readouterr().err
+
+
+def test_a_click_beside_the_cloth_is_told_in_one_line(tmp_path, capsys):
+    sheet = tmp_path / "masks.png"
+    words = ["segment", str(shipped_recording()), "--click", "3", "3", "--sheet", str(sheet)]
+    assert cli.main(words) == 1
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.count("\n") == 1
+    assert "click (3, 3)" in shown.err
+    assert "click on the cloth" in shown.err
+    assert not sheet.exists()

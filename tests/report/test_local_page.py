@@ -15,6 +15,8 @@ from clothtrack.report.local_page import Answer, serving
 def ask(path, query):
     if path == "/fail":
         raise InvalidConfigError("no such cloth; click again")
+    if path == "/break":
+        raise ZeroDivisionError("a defect of ours")
     if path == "/odd":
         return Answer.of({"value": int(query["value"])})
     return Answer(b"hello", "text/plain") if path == "/" else None
@@ -66,6 +68,7 @@ def test_it_answers_on_this_machine_only(address):
         ("GET", "/odd?value=cloth", None, {}, 400),
         ("GET", "/odd", None, {}, 400),
         ("GET", "/fail", None, {}, 422),
+        ("GET", "/break", None, {}, 500),
     ],
 )
 def test_what_is_wrong_is_answered_with_a_reason(address, method, path, body, *, headers, status):
@@ -92,6 +95,13 @@ def test_a_browser_that_resets_its_connection_leaves_no_traceback(address, capfd
     for _ in range(20):
         assert request(address, "GET", "/")[0] == 200
     assert capfd.readouterr().err == ""
+
+
+def test_a_defect_is_answered_and_logged(address, caplog):
+    _, answer = request(address, "GET", "/break")
+    assert "a defect of ours" in json.loads(answer)["error"]
+    assert "/break" in caplog.text
+    assert "Traceback" in caplog.text
 
 
 def test_a_port_that_is_taken_or_cannot_be_is_refused(address):

@@ -1,7 +1,10 @@
 """The segmentation page as a person meets it: one click in a browser, and the masks are there."""
 
 import importlib.util
+import json
 import threading
+import urllib.error
+import urllib.request
 from pathlib import Path
 
 import cv2
@@ -11,6 +14,7 @@ import pytest
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.segmentation_setup import SegmentationSetup
+from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import RecordingWriter, read_recording
 from clothtrack.report.mask_pictures import masked_picture, spread, write_mask_sheet
 from clothtrack.report.segmentation_page import segment_live
@@ -77,6 +81,31 @@ def test_stopping_without_keeping_leaves_the_recording_alone(recording):
     )
     assert kept is None
     assert (recording.folder / "recording.json").read_bytes() == before
+
+
+def test_a_click_beside_the_cloth_is_answered_with_what_to_do():
+    film = read_recording(shipped_recording())
+    setup = SegmentationSetup(film, film.cameras[0])
+    answers = []
+
+    def click(address):
+        request = urllib.request.Request(
+            address + "choose",
+            b'{"frame": 0, "click": [3, 3]}',
+            {"Content-Type": "application/json"},
+        )
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(request, timeout=20)
+        answers.append((refused.value.code, json.loads(refused.value.read())["error"]))
+        stop.set()
+
+    stop = threading.Event()
+    assert segment_live(setup, stop=stop, opened=click) is None
+    [(status, told)] = answers
+    assert status == 422
+    assert "click (3, 3)" in told
+    assert "click on the cloth" in told
+    assert not setup.chosen
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """Which pixels are cloth: one click or box, and masks of every frame from it."""
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -61,7 +61,8 @@ class SegmentationSetup:
         """Learn the cloth from a click (column, row) on it in a frame.
 
         Raises:
-            InvalidConfigError: there is no such frame or pixel, or the patch looks like the rest.
+            InvalidConfigError: there is no such frame or pixel, the patch looks like the rest, or
+                nothing that looks like it is cloth.
         """
         learned = ColorSegmenter.from_click(self.picture(frame), *point)
         self._learn(learned, frame, {"click": [*point]})
@@ -70,7 +71,8 @@ class SegmentationSetup:
         """Learn the cloth from a box (left, top, right, bottom) around it in a frame.
 
         Raises:
-            InvalidConfigError: there is no such frame or box, or its inside looks like the rest.
+            InvalidConfigError: there is no such frame or box, its inside looks like the rest, or
+                nothing that looks like it is cloth.
         """
         learned = ColorSegmenter.from_box(self.picture(frame), box)
         self._learn(learned, frame, {"box": [*box]})
@@ -112,9 +114,18 @@ class SegmentationSetup:
                 provenance={"masks_from": {"camera": self.camera.name, **self._choice}},
             )
 
-    def _learn(self, segmenter: ColorSegmenter, index: int, choice: Mapping[str, object]) -> None:
+    def _learn(
+        self, segmenter: ColorSegmenter, index: int, choice: Mapping[str, Sequence[int]]
+    ) -> None:
         color = self.picture(index)
         cloth = self._found_by(segmenter, self._frame(index))
+        if not (cloth & (votes_of(color, segmenter.members) == CORE)).any():
+            how, where = next(iter(choice.items()))
+            raise InvalidConfigError(
+                f"{self.recording.folder}: frame {index}: nothing that looks like the {how} "
+                f"({', '.join(map(str, where))}) is cloth; click on the cloth, or give a box "
+                "around it"
+            )
         # One picture shows the cloth in one light; folds to come turn it to and from the lamp.
         shaded = replace(segmenter, members=with_shades(segmenter.members, color, cloth))
         with self._lock:

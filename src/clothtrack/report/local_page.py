@@ -163,6 +163,11 @@ class _Handler(BaseHTTPRequestHandler):
             answer = Answer.of({"error": str(error)}, 422)
         except (KeyError, TypeError, ValueError) as error:
             answer = Answer.of({"error": f"not understood: {error!r}"}, 400)
+        except Exception as error:
+            # The page must hear of a defect too: a broken connection says nothing.
+            logger.exception("no answer to %s", self.path)
+            told = f"{type(error).__name__}: {error}; the terminal says more"
+            answer = Answer.of({"error": told}, 500)
         self._send(answer or Answer.of({"error": "no such page"}, 404))
 
     def _send(self, answer: Answer) -> None:
