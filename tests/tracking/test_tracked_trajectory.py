@@ -1,5 +1,9 @@
 """A tracked trajectory comes back as it was saved, or not at all."""
 
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -102,3 +106,155 @@ def test_unfinished_foreign_and_future_groups_are_refused(
     zarr.open_group(tmp_path / "fold.zarr", mode="r+").attrs["version"] = 99
     with pytest.raises(InvalidResultError, match="version 99"):
         TrackedTrajectory.load(tmp_path / "fold.zarr")
+
+
+@pytest.fixture
+def path(tracked: TrackedTrajectory, tmp_path: Path) -> Path:
+    target = tmp_path / "fold.zarr"
+    tracked.save(target)
+    return target
+
+
+def attributes_of(path: Path, change: Callable[[dict], object]) -> None:
+    """Change the attributes of a group on disk."""
+    document = json.loads((path / "zarr.json").read_text())
+    change(document["attributes"])
+    (path / "zarr.json").write_text(json.dumps(document))
+
+
+def refused(path: Path) -> str:
+    """The one line with which a damaged result is refused."""
+    with pytest.raises(InvalidResultError) as told:
+        TrackedTrajectory.load(path)
+    line = str(told.value)
+    assert line.startswith(f"{path}")
+    assert "track the recording again" in line
+    assert "\n" not in line
+    return line
+
+
+@pytest.mark.parametrize(
+    ("gone", "named"),
+    [
+        ("positions/c/3/0/0", "array positions"),
+        ("actions/0/positions_after_final_alignment/c", "array actions/0/positions_after"),
+        ("canonical", "canonical"),
+        ("steps", "steps"),
+        ("actions/0/zarr.json", "actions/0"),
+        ("time_s/zarr.json", "time_s"),
+    ],
+)
+def test_what_is_gone_is_named(path: Path, gone: str, named: str) -> None:
+    """Zarr reads a chunk that is missing as zeros."""
+    target = path / gone
+    shutil.rmtree(target) if target.is_dir() else target.unlink()
+    assert named in refused(path)
+
+
+def test_values_that_were_altered_are_named(path: Path) -> None:
+    zarr.open_group(path, mode="r+")["positions"][3, 0, 0] = 0.123
+    assert "array positions is damaged" in refused(path)
+
+
+def test_broken_compression_is_named(path: Path) -> None:
+    chunk = path / "positions" / "c" / "3" / "0" / "0"
+    chunk.write_bytes(b"no compressed values")
+    assert "array positions cannot be read" in refused(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda found: found.pop("name"),
+        lambda found: found.pop("sha256"),
+        lambda found: found.update(name="other"),
+        lambda found: found.update(action_count=0),
+        lambda found: found.update(action_count="one"),
+        lambda found: found["provenance"].update(device="cuda:0"),
+    ],
+)
+def test_attributes_that_were_altered_are_told(path: Path, change: Callable) -> None:
+    attributes_of(path, change)
+    assert "attributes" in refused(path)
+
+
+def test_an_action_without_its_attributes_is_told(path: Path) -> None:
+    attributes_of(path / "actions" / "0", lambda found: found.update(first_frame="zero"))
+    assert "attributes" in refused(path)
+
+
+def test_a_result_without_checksums_is_to_be_tracked_again(path: Path) -> None:
+    def older(found: dict) -> None:
+        found["version"] = 1
+        del found["sha256"]
+
+    attributes_of(path, older)
+    assert "version 1" in refused(path)
+
+
+@pytest.mark.parametrize(("first", "last"), [(-1, 4), (0, 5), (3, 2)])
+def test_frames_that_an_action_cannot_have_are_told(
+    tracked: TrackedTrajectory, tmp_path: Path, first: int, last: int
+) -> None:
+    action = replace(tracked.actions[0], first_frame=first, last_frame=last)
+    replace(tracked, actions=(action,)).save(tmp_path / "fold.zarr")
+    assert f"frames {first} to {last}" in refused(tmp_path / "fold.zarr")
+
+
+def test_positions_that_are_no_numbers_are_told(tracked: TrackedTrajectory, tmp_path: Path) -> None:
+    positions = tracked.positions.copy()
+    positions[2, 1, 0] = np.nan
+    replace(tracked, positions=positions).save(tmp_path / "fold.zarr")
+    assert "array positions is not finite" in refused(tmp_path / "fold.zarr")
+
+
+def plain(value: object) -> Iterator[tuple[str, object]]:
+    """Everything that is in a value, as pairs that can be compared."""
+    if is_dataclass(value):
+        for one in fields(value):
+            yield from ((f"{one.name}.{k}", v) for k, v in plain(getattr(value, one.name)))
+    elif isinstance(value, np.ndarray):
+        yield "", (value.dtype.str, value.shape, value.tobytes())
+    elif isinstance(value, Mapping):
+        yield from plain(sorted(value.items()))
+    elif isinstance(value, list | tuple):
+        for number, one in enumerate(value):
+            yield from ((f"{number}.{k}", v) for k, v in plain(one))
+    else:
+        yield "", value
+
+
+def damage(file: Path, rng: np.random.Generator) -> None:
+    """Delete a file, cut it off, or change some of its bytes or bits."""
+    data = bytearray(file.read_bytes())
+    kind = rng.integers(8)
+    if kind == 0:
+        file.unlink()
+        return
+    if kind == 1:
+        del data[rng.integers(len(data)) :]
+    for place in rng.integers(max(len(data), 1), size=rng.integers(1, 4)):
+        if place < len(data):
+            data[place] = rng.integers(256) if kind < 5 else data[place] ^ (1 << rng.integers(8))
+    file.write_bytes(data)
+
+
+# Zarr warns of what it does not know; the tests make errors of warnings.
+@pytest.mark.filterwarnings("ignore")
+def test_a_damaged_result_is_refused_or_reads_as_before(path: Path) -> None:
+    whole = dict(plain(TrackedTrajectory.load(path)))
+    files = sorted(one for one in path.rglob("*") if one.is_file())
+    rng = np.random.default_rng(0)
+    lines = []
+    for case in range(120):
+        file = files[rng.integers(len(files))]
+        before = file.read_bytes()
+        damage(file, rng)
+        try:
+            assert dict(plain(TrackedTrajectory.load(path))) == whole, (case, file)
+        except InvalidResultError as error:
+            lines.append(str(error))
+        finally:
+            file.write_bytes(before)
+    assert len(lines) > 60
+    assert all(line.startswith(f"{path}") and "\n" not in line for line in lines)

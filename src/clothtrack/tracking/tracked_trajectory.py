@@ -1,10 +1,10 @@
 """What the tracker leaves behind: the full mesh at every observation, and how it came about.
 
 One Zarr v3 group per trajectory. It is written under a temporary name and renamed, so that a
-group under its final name is whole; a finished group is the mark by which a run resumes.
+group under its final name is whole; a finished group is the mark by which a run resumes. What was
+damaged since is not read: every array and all attributes have a SHA-256.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,12 +14,13 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int
 
-from clothtrack.errors import InvalidResultError
+from clothtrack.errors import InvalidMeshError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.sealed_zarr import DAMAGE, put_array, seal, sealed_attributes, take_array
 from clothtrack.storing import whole_folder
 
 FORMAT = "clothtrack-tracked-trajectory"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,7 @@ class TrackedTrajectory:
         """Read a group that `save` has written.
 
         Raises:
-            InvalidResultError: when it is missing, unfinished, or from another version.
+            InvalidResultError: when it is missing, unfinished, damaged, or from another version.
         """
         if not (path / "zarr.json").is_file():
             raise InvalidResultError(
@@ -162,22 +163,20 @@ class TrackedTrajectory:
                 "make one with: clothtrack track RECORDING --output FOLDER"
             )
         try:
-            return _read(zarr.open_group(path, mode="r"), path)
-        except (KeyError, ValueError, TypeError, json.JSONDecodeError) as error:
+            return _read(zarr.open_group(path, mode="r", zarr_format=3))
+        except (InvalidResultError, InvalidMeshError, *DAMAGE) as error:
+            # What Zarr and its codecs say may have several lines.
+            told = " ".join(str(error).split())
             raise InvalidResultError(
-                f"{path}: cannot be read as a tracked trajectory ({error}); track it again"
+                f"{path}: not a whole tracked trajectory ({told}); remove it and track the "
+                "recording again"
             ) from error
 
 
 def _put(group: zarr.Group, name: str, values: np.ndarray, *, unit: str = "") -> None:
     values = np.asarray(values)
-    chunks = (1, *values.shape[1:]) if values.ndim == 3 else values.shape
-    array = group.create_array(
-        name, shape=values.shape, dtype=values.dtype, chunks=tuple(max(1, n) for n in chunks)
-    )
-    array[...] = values
-    if unit:
-        array.attrs["unit"] = unit
+    chunks = (1, *values.shape[1:]) if values.ndim == 3 else None
+    put_array(group, name, values, unit=unit, chunks=chunks)
 
 
 def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
@@ -215,8 +214,8 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
                 },
             }
         )
-    # Attributes last: a group without them was not finished.
-    group.attrs.update(
+    seal(
+        group,
         {
             "format": FORMAT,
             "version": FORMAT_VERSION,
@@ -224,57 +223,91 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
             "action_count": len(tracked.actions),
             "config": dict(tracked.config),
             "provenance": dict(tracked.provenance),
-        }
+        },
     )
 
 
-def _read(group: zarr.Group, path: Path) -> TrackedTrajectory:
-    if group.attrs.get("format") != FORMAT:
+def _read(group: zarr.Group) -> TrackedTrajectory:
+    found = group.attrs.get("format"), group.attrs.get("version")
+    if found[0] != FORMAT:
         raise InvalidResultError(
-            f"{path}: format is {group.attrs.get('format')!r}, expected {FORMAT!r}; "
-            "the group was not finished or is something else"
+            f"its format is {found[0]!r}, expected {FORMAT!r}: it was not finished or is something "
+            "else"
         )
-    if group.attrs["version"] != FORMAT_VERSION:
+    if found[1] != FORMAT_VERSION:
         raise InvalidResultError(
-            f"{path}: version {group.attrs['version']} (this clothtrack reads {FORMAT_VERSION}); "
-            "upgrade clothtrack or track the recording again"
+            f"it is of version {found[1]!r}, this clothtrack reads {FORMAT_VERSION}: another one "
+            "wrote it"
         )
-    canonical = group["canonical"][...] if "canonical" in group else None
+    attributes = sealed_attributes(group)
+    canonical = take_array(group, "canonical") if "canonical" in attributes["contents"] else None
+    mesh = ClothMesh(take_array(group, "rest_positions"), take_array(group, "faces"), canonical)
+    frames = take_array(group, "frames")
+    count = len(frames)
     return TrackedTrajectory(
-        name=group.attrs["name"],
-        mesh=ClothMesh(group["rest_positions"][...], group["faces"][...], canonical),
-        frames=group["frames"][...],
-        time_s=group["time_s"][...],
-        positions=group["positions"][...],
-        visible=group["visible"][...],
+        name=attributes["name"],
+        mesh=mesh,
+        frames=frames,
+        time_s=_take(group, "time_s", count),
+        positions=_take_positions(group, "positions", count, mesh.vertex_count),
+        visible=_take(group, "visible", count, mesh.vertex_count),
         actions=tuple(
-            _read_action(group[f"actions/{number}"])
-            for number in range(group.attrs["action_count"])
+            _read_action(group, number, mesh, frames)
+            for number in range(attributes["action_count"])
         ),
-        steps=StepRecords(**{n: group[f"steps/{n}"][...] for n in StepRecords.__annotations__}),
-        config=group.attrs["config"],
-        provenance=group.attrs["provenance"],
+        steps=StepRecords(
+            **{name: _take(group, f"steps/{name}", count) for name in StepRecords.__annotations__}
+        ),
+        config=attributes["config"],
+        provenance=attributes["provenance"],
     )
 
 
-def _read_action(part: zarr.Group) -> TrackedAction:
-    calibration: Any = part.attrs["calibration"]
+def _read_action(
+    group: zarr.Group, number: int, mesh: ClothMesh, frames: Int[np.ndarray, " frames"]
+) -> TrackedAction:
+    place = f"actions/{number}"
+    attributes: dict[str, Any] = group[place].attrs.asdict()
+    calibration = attributes["calibration"]
+    first, last = attributes["first_frame"], attributes["last_frame"]
+    if not (type(first) is type(last) is int and frames[0] <= first <= last <= frames[-1]):
+        raise InvalidResultError(
+            f"action {number} lasts from frames {first} to {last}; it must be in {frames[0]} to "
+            f"{frames[-1]}"
+        )
+    before, after = (
+        _take_positions(group, f"{place}/positions_{when}_final_alignment", mesh.vertex_count)
+        for when in ("before", "after")
+    )
     return TrackedAction(
-        first_frame=part.attrs["first_frame"],
-        last_frame=part.attrs["last_frame"],
-        positions_before_final_alignment=part["positions_before_final_alignment"][...],
-        positions_after_final_alignment=part["positions_after_final_alignment"][...],
-        final_alignment_losses=part["final_alignment_losses"][...],
-        parameters=part.attrs["parameters"],
+        first_frame=first,
+        last_frame=last,
+        positions_before_final_alignment=before,
+        positions_after_final_alignment=after,
+        final_alignment_losses=_take(group, f"{place}/final_alignment_losses", 2),
+        parameters=attributes["parameters"],
         calibration=Calibration(
             calibration["method"],
             tuple(calibration["names"]),
-            part["calibration_candidates"][...],
-            part["calibration_scores"][...],
+            take_array(group, f"{place}/calibration_candidates"),
+            take_array(group, f"{place}/calibration_scores"),
             calibration["best"],
             calibration["roll_outs"],
-            # Results of versions that knew no other judge do not name it.
-            calibration.get("judge", "open_loop"),
+            calibration["judge"],
         ),
-        held_vertices={k: tuple(v) for k, v in dict(part.attrs["held_vertices"]).items()},
+        held_vertices={k: tuple(v) for k, v in attributes["held_vertices"].items()},
     )
+
+
+def _take(group: zarr.Group, name: str, *shape: int) -> np.ndarray:
+    values = take_array(group, name)
+    if values.shape != shape:
+        raise InvalidResultError(f"array {name} has shape {values.shape}, it must have {shape}")
+    return values
+
+
+def _take_positions(group: zarr.Group, name: str, *counts: int) -> np.ndarray:
+    positions = _take(group, name, *counts, 3)
+    if not np.isfinite(positions).all():
+        raise InvalidResultError(f"array {name} is not finite")
+    return positions

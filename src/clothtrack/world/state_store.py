@@ -8,7 +8,6 @@ A shard is written under a temporary name and renamed, so that one under its fin
 Every array carries the SHA-256 of its values: Zarr reads a chunk that is missing as zeros.
 """
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from jaxtyping import Float, Float32, Int
 
 from clothtrack.errors import InvalidMeshError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.sealed_zarr import DAMAGE, put_array, take_array
 from clothtrack.storing import whole_file, whole_folder
 
 FORMAT = "clothtrack-states"
@@ -146,7 +146,7 @@ def read_shard(path: Path) -> StateShard:
         return _read(group)
     except InvalidResultError as error:
         raise InvalidResultError(f"{path}: {error}") from error
-    except (InvalidMeshError, OSError, KeyError, ValueError, TypeError) as error:
+    except (InvalidMeshError, *DAMAGE) as error:
         raise InvalidResultError(
             f"{path}: not a whole shard of states ({error}); remove it and run the command that "
             "made it again"
@@ -239,13 +239,13 @@ def shard_path(folder: Path, number: int) -> Path:
 
 
 def _write(group: zarr.Group, shard: StateShard) -> None:
-    _put(group, "rest_positions", shard.mesh.vertices, unit="m")
-    _put(group, "canonical", np.asarray(shard.mesh.canonical), unit="m")
-    _put(group, "faces", shard.mesh.faces)
-    _put(group, "positions", shard.positions, unit="m")
-    _put(group, "episodes", shard.episodes)
+    put_array(group, "rest_positions", shard.mesh.vertices, unit="m")
+    put_array(group, "canonical", np.asarray(shard.mesh.canonical), unit="m")
+    put_array(group, "faces", shard.mesh.faces)
+    put_array(group, "positions", shard.positions, unit="m")
+    put_array(group, "episodes", shard.episodes)
     for name, values in shard.measures.items():
-        _put(group, f"measures/{name}", values, unit=MEASURES.get(name, ""))
+        put_array(group, f"measures/{name}", values, unit=MEASURES.get(name, ""))
     # Attributes last: a group without them was not finished.
     group.attrs.update(
         {
@@ -259,35 +259,13 @@ def _write(group: zarr.Group, shard: StateShard) -> None:
     )
 
 
-def _put(group: zarr.Group, name: str, values: np.ndarray, *, unit: str = "") -> None:
-    values = np.ascontiguousarray(values)
-    chunks = tuple(max(1, size) for size in values.shape)
-    array = group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=chunks)
-    array[...] = values
-    array.attrs.update({"sha256": _digest(values), "unit": unit})
-
-
 def _take(group: zarr.Group, name: str) -> np.ndarray:
-    """An array whose values are the ones that were written."""
     try:
-        array = group[name]
-        values = np.asarray(array[...])
-        promised = array.attrs["sha256"]
-    except KeyError as error:
-        raise InvalidResultError(f"array {name} is missing ({error})") from error
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        raise InvalidResultError(f"array {name} cannot be read ({error})") from error
-    if _digest(values) != promised:
+        return take_array(group, name)
+    except InvalidResultError as error:
         raise InvalidResultError(
-            f"array {name} is damaged (its SHA-256 differs from the one it was written with); "
-            "remove the shard and run the command that made it again"
-        )
-    return values
-
-
-def _digest(values: np.ndarray) -> str:
-    described = f"{values.dtype.str} {values.shape}".encode()
-    return hashlib.sha256(described + np.ascontiguousarray(values).tobytes()).hexdigest()
+            f"{error}; remove the shard and run the command that made it again"
+        ) from error
 
 
 def _check_version(group: zarr.Group) -> None:

@@ -1,0 +1,124 @@
+"""Zarr groups that tell when they are damaged: a SHA-256 of every array, and of all attributes.
+
+Zarr itself reads a chunk that is missing as zeros, and values that were altered as they are.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import zarr
+
+from clothtrack.errors import InvalidResultError
+
+DIGEST = "sha256"
+CONTENTS = "contents"
+
+DAMAGE = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What Zarr and its codecs raise when a file is damaged."""
+
+
+def put_array(
+    group: zarr.Group,
+    name: str,
+    values: np.ndarray,
+    *,
+    unit: str = "",
+    chunks: tuple[int, ...] | None = None,
+) -> None:
+    """Write an array with the SHA-256 of its values.
+
+    Args:
+        group: that gets it.
+        name: in the group; may lead through groups below it.
+        values: what is written.
+        unit: of the values.
+        chunks: shape of what lies in one file; the whole array by default.
+    """
+    values = np.ascontiguousarray(values)
+    sizes = tuple(max(1, size) for size in chunks or values.shape)
+    array = group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=sizes)
+    array[...] = values
+    array.attrs.update({DIGEST: _digest_of(values), "unit": unit})
+
+
+def take_array(group: zarr.Group, name: str) -> np.ndarray:
+    """Read an array that `put_array` has written.
+
+    Raises:
+        InvalidResultError: with its name: it is missing, or its values are not those that were
+            written.
+    """
+    try:
+        array = group[name]
+        values = np.asarray(array[...])
+        promised = array.attrs[DIGEST]
+    except KeyError as error:
+        raise InvalidResultError(f"array {name} is missing ({error})") from error
+    except DAMAGE as error:
+        raise InvalidResultError(f"array {name} cannot be read ({error})") from error
+    if _digest_of(values) != promised:
+        raise InvalidResultError(
+            f"array {name} is damaged (its SHA-256 differs from the one it was written with)"
+        )
+    return values
+
+
+def seal(group: zarr.Group, attributes: Mapping[str, Any]) -> None:
+    """Finish a group: its attributes, what it contains, and a SHA-256 over all attributes.
+
+    Args:
+        group: all below it is written.
+        attributes: of the group itself.
+    """
+    contents = sorted(name for name, _ in group.members(max_depth=None))
+    group.attrs.update({**attributes, CONTENTS: contents})
+    # Last: a group without it was not finished.
+    group.attrs[DIGEST] = _digest_of_attributes(group, contents)
+
+
+def sealed_attributes(group: zarr.Group) -> dict[str, Any]:
+    """The attributes of a group that `seal` has finished; those of all below it are right as well.
+
+    Raises:
+        InvalidResultError: attributes or parts are missing or are not those that were written.
+    """
+    attributes = group.attrs.asdict()
+    contents, promised = attributes.get(CONTENTS), attributes.get(DIGEST)
+    if promised is None or not isinstance(contents, list):
+        raise InvalidResultError("its attributes have no SHA-256")
+    if _digest_of_attributes(group, contents) != promised:
+        raise InvalidResultError(
+            "its attributes are damaged (their SHA-256 differs from the one they were written with)"
+        )
+    return attributes
+
+
+def _digest_of(values: np.ndarray) -> str:
+    described = f"{values.dtype.str} {values.shape}".encode()
+    return hashlib.sha256(described + np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
+def _digest_of_attributes(group: zarr.Group, contents: Iterable[Any]) -> str:
+    own = {name: value for name, value in group.attrs.asdict().items() if name != DIGEST}
+    attributes = {"": own}
+    for name in contents:
+        try:
+            attributes[name] = group[name].attrs.asdict()
+        except DAMAGE as error:
+            raise InvalidResultError(f"{name} is missing or cannot be read ({error})") from error
+    # Through JSON once before names are sorted: it makes texts of names that are numbers.
+    plain = json.loads(json.dumps(attributes))
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
