@@ -1,5 +1,7 @@
 """What `view` and `export` are given decides what they show; one clear line where it cannot be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,6 +96,18 @@ def test_a_folder_has_an_index_that_names_what_is_broken(world, tmp_path, capsys
     assert '<a href="lift.html">' in text
     assert "torn.zarr is not a tracked trajectory" in text
     assert (tmp_path / "lift.html").exists()
+
+
+def test_a_name_in_a_result_leads_out_of_no_folder(world, tmp_path, capsys):
+    tracked = TrackedTrajectory.load(world / "tracked" / "lift.zarr")
+    replace(tracked, name="../../x").save(tmp_path / "lift.zarr")
+    recording = ["--recordings", str(world / "recordings" / "lift")]
+    for words in (["label", "--output", str(tmp_path / "a" / "b")], ["evaluate"]):
+        assert cli.main([words[0], str(tmp_path / "lift.zarr"), *words[1:], *recording]) == 1
+        told = capsys.readouterr().err
+        assert "its name is '../../x'" in told
+        assert told.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["lift.zarr"]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from clothtrack.errors import StorageError
-from clothtrack.storing import storage, whole_file, whole_folder, write_file
+from clothtrack.storing import name_problem, storage, whole_file, whole_folder, write_file
 
 
 def _break_off(opened, path):
@@ -92,3 +92,28 @@ def test_a_disk_that_fills_up_leaves_the_old_file_and_nothing_else(tmp_path, mon
         write_file(path, b"new")
     assert path.read_bytes() == b"old"
     assert [found.name for found in tmp_path.iterdir()] == ["picker.csv"]
+
+
+@pytest.mark.parametrize("name", ["towel_0001", "my shirt", "größer.2", "x" * 200, "..."])
+def test_a_plain_name_names_one_entry_of_a_folder(name):
+    assert name_problem(name) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("", "empty"),
+        (".", "a folder itself"),
+        ("..", "a folder itself"),
+        ("../x", "separator"),
+        ("/x", "separator"),
+        ("C:\\x", "separator"),
+        ("a\0", "control"),
+        ("a\x85b", "control"),
+        ("x" * 201, "201 characters"),
+        (7, "no text"),
+        (None, "no text"),
+    ],
+)
+def test_what_is_wrong_with_another_name_is_said(name, told):
+    assert told in name_problem(name)

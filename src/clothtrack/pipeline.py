@@ -18,7 +18,7 @@ from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
-from clothtrack.storing import content_hash
+from clothtrack.storing import content_hash, name_problem
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.first_mesh import FirstMeshConfig
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -147,7 +147,8 @@ def track_recordings(
         One outcome per recording, in the given order.
 
     Raises:
-        InvalidConfigError: there are no workers, or two recordings have one name.
+        InvalidConfigError: there are no workers, or two recordings have one name, or a name is
+            none for a file.
     """
     require_workers(workers)
     folders = [Path(folder) for folder in recordings]
@@ -158,6 +159,12 @@ def track_recordings(
             f"two recordings are called {min(twice)!r}, their results would overwrite each "
             "other; rename one folder"
         )
+    for name in names:
+        if problem := name_problem(name):
+            raise InvalidConfigError(
+                f"a recording is called {name!r}, and no result can be named after it ({problem}); "
+                "rename the folder"
+            )
     output.mkdir(parents=True, exist_ok=True)
     if workers == 1 or len(folders) == 1:
         return [_track_folder(folder, output, config, device, progress) for folder in folders]

@@ -5,6 +5,7 @@ import os
 import shutil
 import tempfile
 import time
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,27 @@ from clothtrack.errors import StorageError
 
 LATE_WRITERS_S = 2.0
 """Writers that have not heard of a failure may go on so long [s] in a folder that is removed."""
+
+LONGEST_NAME = 200
+"""Characters of a name; file systems take 255, and suffixes come on top."""
+
+
+def name_problem(name: object) -> str:
+    """Why a name that was read somewhere cannot name one entry of a folder; empty when it can.
+
+    To be asked before such a name becomes part of a path: `../x` leads out of the folder.
+    """
+    if not isinstance(name, str):
+        return "it is no text"
+    if not name or name in (".", ".."):
+        return "it is empty" if not name else "it names a folder itself"
+    if "/" in name or "\\" in name:
+        return "it has a separator of folders"
+    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
+        return "it has a control character"
+    if len(name) > LONGEST_NAME:
+        return f"it has {len(name)} characters, more than {LONGEST_NAME}"
+    return ""
 
 
 @contextmanager

@@ -212,3 +212,12 @@ def test_a_recording_without_cloth_at_its_start(tmp_path, towels, capsys):
             film.add_frame(0.1 * index, depth={camera.name: depth})
     assert cli.main(["track", str(tmp_path / "bare"), "--output", str(tmp_path / "out")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_recording_after_which_no_result_can_be_named(tmp_path, capsys):
+    (tmp_path / "a\nb").mkdir()
+    words = ["track", str(tmp_path / "a\nb"), "--output", str(tmp_path / "out")]
+    assert cli.main(words) == 1
+    told = capsys.readouterr().err
+    assert "control character" in told
+    assert told.count("\n") == 1

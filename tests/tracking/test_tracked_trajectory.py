@@ -201,6 +201,14 @@ def test_frames_that_an_action_cannot_have_are_told(
     assert f"frames {first} to {last}" in refused(tmp_path / "fold.zarr")
 
 
+@pytest.mark.parametrize("name", ["../../../x", "/tmp/x", "..", "", "a\\b", "a\nb", "x" * 201])
+def test_a_name_that_leads_out_of_a_folder_is_refused(
+    tracked: TrackedTrajectory, tmp_path: Path, name: str
+) -> None:
+    replace(tracked, name=name).save(tmp_path / "fold.zarr")
+    assert "its name is" in refused(tmp_path / "fold.zarr")
+
+
 def test_positions_that_are_no_numbers_are_told(tracked: TrackedTrajectory, tmp_path: Path) -> None:
     positions = tracked.positions.copy()
     positions[2, 1, 0] = np.nan

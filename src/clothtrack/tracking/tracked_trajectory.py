@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from clothtrack.errors import InvalidMeshError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.sealed_zarr import DAMAGE, put_array, seal, sealed_attributes, take_array
-from clothtrack.storing import whole_folder
+from clothtrack.storing import name_problem, whole_folder
 
 FORMAT = "clothtrack-tracked-trajectory"
 FORMAT_VERSION = 2
@@ -240,6 +240,8 @@ def _read(group: zarr.Group) -> TrackedTrajectory:
             "wrote it"
         )
     attributes = sealed_attributes(group)
+    if problem := name_problem(attributes["name"]):
+        raise InvalidResultError(f"its name is {attributes['name']!r:.80}: {problem}")
     canonical = take_array(group, "canonical") if "canonical" in attributes["contents"] else None
     mesh = ClothMesh(take_array(group, "rest_positions"), take_array(group, "faces"), canonical)
     frames = take_array(group, "frames")
