@@ -56,6 +56,53 @@ def test_a_finished_folder_replaces_the_one_before_when_it_is_to(tmp_path):
     assert [found.name for found in tmp_path.iterdir()] == ["states.zarr"]
 
 
+def test_the_folder_before_stays_when_the_new_one_cannot_take_its_place(tmp_path, monkeypatch):
+    path = tmp_path / "states.zarr"
+    with whole_folder(path) as temporary:
+        (temporary / "yesterday").touch()
+    rename = os.replace
+
+    def refused(source, target):
+        if (source / "today").exists():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "replace", refused)
+    with (
+        pytest.raises(StorageError, match="the disk is full"),
+        whole_folder(path, replace=True) as temporary,
+    ):
+        (temporary / "today").touch()
+    assert [found.name for found in path.iterdir()] == ["yesterday"]
+    assert [found.name for found in tmp_path.iterdir()] == ["states.zarr"]
+
+
+def test_no_folder_is_half_removed_under_its_name(tmp_path, monkeypatch):
+    path = tmp_path / "states.zarr"
+    removed = []
+    remove = shutil.rmtree
+
+    def watched(folder, **options):
+        removed.append(folder)
+        remove(folder, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", watched)
+    for words in ("yesterday", "today"):
+        with whole_folder(path, replace=True) as temporary:
+            (temporary / words).touch()
+    assert all(folder.name.startswith(".") for folder in removed)
+
+
+def test_a_file_gives_way_to_no_folder(tmp_path):
+    (tmp_path / "states.zarr").write_text("mine")
+    with (
+        pytest.raises(StorageError, match="a file is where a folder belongs"),
+        whole_folder(tmp_path / "states.zarr", replace=True),
+    ):
+        pass
+    assert (tmp_path / "states.zarr").read_text() == "mine"
+
+
 def test_what_late_writers_keep_alive_is_removed_too(tmp_path, monkeypatch):
     """A writer that has not heard of the failure makes the first removals fail."""
     remove, calls = shutil.rmtree, []

@@ -1,5 +1,6 @@
 """Files and folders that appear whole under their final name, or not at all."""
 
+import errno
 import hashlib
 import os
 import shutil
@@ -101,13 +102,15 @@ def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
 
     Args:
         path: the folder's final name.
-        replace: what is there gives way at the end, when all went well.
+        replace: the folder that is there gives way at the end, when all went well: it is renamed
+            before the new one takes its name, and removed after that.
 
     Raises:
         StorageError: when the disk refuses, or when `path` holds something and is not to give way.
     """
     path = Path(path)
     temporary: Path | None = None
+    old: Path | None = None
     with storage(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -119,11 +122,17 @@ def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
             temporary.chmod(0o755)
             yield temporary
             if replace and path.exists():
-                shutil.rmtree(path)
+                if path.is_symlink() or not path.is_dir():
+                    raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+                old = temporary.with_name(f"{temporary.name}.old")
+                os.replace(path, old)
             os.replace(temporary, path)
         finally:
-            if temporary is not None:
-                _remove(temporary)
+            if old is not None and old.exists() and not path.exists():
+                os.replace(old, path)
+            for folder in (temporary, old):
+                if folder is not None:
+                    _remove(folder)
 
 
 def _flush(path: Path) -> None:
