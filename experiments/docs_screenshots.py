@@ -123,7 +123,7 @@ def main() -> None:
     arguments = parser.parse_args()
     quiet_warp()
     tracked = load_tracked(arguments.tracked)
-    recording = recording_of(tracked, arguments.recordings)
+    recording = recording_of(tracked, arguments.recordings, arguments.tracked)
     truth = Truth.load(inside(arguments.truth, f"{tracked.name}.npz"))
 
     def image(name: str) -> Path:

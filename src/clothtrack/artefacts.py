@@ -1,5 +1,6 @@
 """What an earlier verb has left, found by name: tracked trajectories and their recordings."""
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,8 @@ from clothtrack.errors import InvalidResultError
 if TYPE_CHECKING:
     from clothtrack.recordings.recording import Recording
     from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+logger = logging.getLogger(__name__)
 
 
 def load_tracked(path: Path) -> "TrackedTrajectory":
@@ -23,17 +26,32 @@ def load_tracked(path: Path) -> "TrackedTrajectory":
     return TrackedTrajectory.load(path)
 
 
-def recording_of(tracked: "TrackedTrajectory", path: Path) -> "Recording":
+def recording_of(tracked: "TrackedTrajectory", path: Path, artefact: Path) -> "Recording":
     """The recording that was tracked: the folder itself, or the one of its name inside.
+
+    A warning tells when it is not what was tracked: corrected since, or another one of its name.
+
+    Args:
+        tracked: the tracked trajectory.
+        path: the recording, or the folder in which it lies by name.
+        artefact: where the tracked trajectory lies.
 
     Raises:
         InvalidRecordingError: it is not there or not readable.
     """
+    from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
     from clothtrack.recordings.store import read_recording
 
-    if (path / "recording.json").exists():
-        return read_recording(path)
-    return read_recording(inside(path, tracked.name))
+    folder = path if (path / "recording.json").exists() else inside(path, tracked.name)
+    recording = read_recording(folder)
+    if tracked.provenance.get(DIGEST_FIELD, found := recording_digest(recording)) != found:
+        logger.warning(
+            "%s is older than its recording %s (which was changed since, or is another one); "
+            "track it again",
+            artefact,
+            folder,
+        )
+    return recording
 
 
 def inside(path: Path, name: str) -> Path:

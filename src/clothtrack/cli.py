@@ -88,7 +88,7 @@ def demo(
     tracked, source = TrackedTrajectory.load(outcome.result), read_recording(folder)
     page = write_report(tracked, source, output / f"{tracked.name}.html")
     say(table([measure(tracked, source, device=device)]))
-    say(f"tracked  {outcome.result}" + ("   (finished before)" if outcome.skipped else ""))
+    say(f"tracked  {_told(outcome)}")
     say(f"report   {page}   (open it in a browser; it needs no network)")
     return 0
 
@@ -214,7 +214,8 @@ def track(
     Args:
         recordings: recording folders.
         output: folder that gets one NAME.zarr per recording; those that are there are skipped,
-            so that an interrupted run goes on when it is started again.
+            so that an interrupted run goes on when it is started again. One whose recording has
+            changed since is tracked again.
         mode: the tracker's default, the paper's method, or an ablation of it.
         weights: of the network that makes the first mesh of a recording without a template; the
             ones that come with clothtrack by default, and without any a flat garment is fitted.
@@ -240,7 +241,7 @@ def track(
         if one.result is None:
             complain(one.error)
         elif not json:
-            say(f"{one.result}" + ("   (finished before)" if one.skipped else ""))
+            say(_told(one))
     return 1 if any(one.result is None for one in outcomes) else 0
 
 
@@ -279,7 +280,7 @@ def evaluate(
     for path in tracked:
         result = load_tracked(path)
         known = None if truth is None else Truth.load(inside(truth, f"{result.name}.npz"))
-        recording = recording_of(result, recordings)
+        recording = recording_of(result, recordings, path)
         evaluations.append(measure(result, recording, known, device=device, seed=seed))
     if output is not None:
         save_json(evaluations, output)
@@ -341,6 +342,12 @@ def _track(
     return track_recordings(
         recordings, output, config, workers=workers, device=device, progress=progress
     )
+
+
+def _told(outcome: "Outcome") -> str:
+    """Where a result lies, and why it was tracked again or was not."""
+    again = "   (recording changed, tracked again)" if outcome.tracked_again else ""
+    return f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)
 
 
 if __name__ == "__main__":

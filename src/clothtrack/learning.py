@@ -62,7 +62,7 @@ def label(
     rows = []
     for path in tracked:
         result = load_tracked(path)
-        recording = recording_of(result, recordings)
+        recording = recording_of(result, recordings, path)
         rejected = read_review(review_path(path), result).rejected
         judged = judge_labels(result, recording, device=device)
         chosen = pseudo_labels_of(

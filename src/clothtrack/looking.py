@@ -90,7 +90,7 @@ def export(
     if format in ("sheet", "mp4", "rrd"):
         from clothtrack.report.for_papers import export_pictures
 
-        recording = recording_of(tracked, _needed(recordings))
+        recording = recording_of(tracked, _needed(recordings), artefact)
         known = _truth_of(tracked.name, truth)
         say(str(export_pictures(tracked, recording, output, format, rows=rows, truth=known)))
         return 0
@@ -156,7 +156,7 @@ def _view_trajectory(
     from clothtrack.evaluation.label_review import read_review, review_path
 
     tracked = load_tracked(artefact)
-    recording = recording_of(tracked, _needed(recordings))
+    recording = recording_of(tracked, _needed(recordings), artefact)
     known = _truth_of(tracked.name, truth)
     review = read_review(review_path(artefact), tracked)
     if html is not None:
@@ -228,7 +228,7 @@ def _entry(path: Path, recordings: Path, truth: Path | None, folder: Path) -> "I
         review = read_review(review_path(path), tracked)
         page = write_report(
             tracked,
-            recording_of(tracked, recordings),
+            recording_of(tracked, recordings, path),
             folder / f"{path.stem}.html",
             truth=_truth_of(tracked.name, truth),
             review=review,

@@ -4,7 +4,7 @@ import hashlib
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
@@ -14,6 +14,7 @@ from typing import Any
 from clothtrack.errors import ClothTrackError, InvalidConfigError, StorageError
 from clothtrack.first_cloth import first_cloth
 from clothtrack.origin import made_with
+from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
@@ -60,12 +61,14 @@ class Outcome:
         result: the tracked trajectory on disk, or None after an error.
         skipped: it had been finished before.
         error: what was wrong with it, in a line that names it.
+        tracked_again: it had been finished before, but the recording has changed since.
     """
 
     recording: Path
     result: Path | None
     skipped: bool = False
     error: str = ""
+    tracked_again: bool = False
 
 
 def observer(
@@ -108,6 +111,7 @@ def track_recording(
         progress: called after every frame.
     """
     clock = time.process_time()
+    stamp = provenance(recording, config, device)
     cloud = observer(recording, config.cloud_spacing_m, segmenter)
     first = first_cloth(
         recording, cloud(recording.frames[0]), config.first_mesh, segmenter=segmenter, device=device
@@ -116,8 +120,7 @@ def track_recording(
         recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
     )
     tracked = tracker.track(progress)
-    stamp = {
-        **provenance(recording, config, device),
+    stamp |= {
         "first_mesh": dict(first.origin),
         "cpu_s": round(time.process_time() - clock, 2),
     }
@@ -134,6 +137,8 @@ def track_recordings(
     progress: Progress | None = None,
 ) -> list[Outcome]:
     """Track many recordings; finished ones are skipped, a bad one does not stop the others.
+
+    A finished one whose recording has changed since is tracked again.
 
     Args:
         recordings: recording folders.
@@ -209,20 +214,22 @@ def _track_folder(
 ) -> Outcome:
     path = result_path(folder, output)
     try:
-        if path.exists():
-            _refuse_other_settings(path, config)
+        earlier = TrackedTrajectory.load(path).provenance if path.exists() else None
+        if earlier is not None:
+            _refuse_other_settings(path, earlier, config)
+        recording = read_recording(folder)
+        if earlier is not None and earlier.get(DIGEST_FIELD) == recording_digest(recording):
             logger.info("%s: finished before, skipped", path)
             return Outcome(folder, path, skipped=True)
-        tracked = track_recording(read_recording(folder), config, device=device, progress=progress)
-        tracked.save(path)
+        track_recording(recording, config, device=device, progress=progress).save(path)
     except ClothTrackError as error:
         named = str(error) if str(folder) in str(error) else f"{folder}: {error}"
         return Outcome(folder, None, error=named)
-    return Outcome(folder, path)
+    return Outcome(folder, path, tracked_again=earlier is not None)
 
 
-def _refuse_other_settings(path: Path, config: RunConfig) -> None:
-    found = TrackedTrajectory.load(path).provenance.get("config_hash")
+def _refuse_other_settings(path: Path, earlier: Mapping[str, Any], config: RunConfig) -> None:
+    found = earlier.get("config_hash")
     if found != config_hash(config):
         raise InvalidConfigError(
             f"{path} was tracked with other settings (hash {found}, now {config_hash(config)}); "
@@ -274,4 +281,5 @@ def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str
         "seed": config.seed,
         "config_hash": config_hash(config),
         "recording": dict(recording.provenance),
+        DIGEST_FIELD: recording_digest(recording),
     }

@@ -269,7 +269,7 @@ def _labelled(
             logger.warning("no label: %s", outcome.error)
             continue
         path = folder / "labels" / f"{outcome.recording.name}.labels.npz"
-        if not path.exists():
+        if outcome.tracked_again or not path.exists():
             tracked = load_tracked(outcome.result)
             recording = read_recording(outcome.recording)
             judged = judge_labels(tracked, recording, device=device)

@@ -1,0 +1,108 @@
+"""A recording that was corrected after it had been tracked is tracked again, or a warning tells."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from clothtrack import cli
+from clothtrack.pipeline import RunConfig, track_recordings
+from clothtrack.tracking.settings import with_settings
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+FAST = ("--set", "tracker.calibration.method=none")
+
+
+@pytest.fixture(scope="module")
+def once(towels, tmp_path_factory):
+    """A towel, tracked; the recording was not changed yet."""
+    folder = tmp_path_factory.mktemp("corrected")
+    shutil.copytree(towels / "recordings" / "towel_0001", folder / "recordings" / "towel")
+    words = ["track", str(folder / "recordings" / "towel"), "--output", str(folder / "tracked")]
+    assert cli.main([*words, *FAST]) == 0
+    return folder
+
+
+@pytest.fixture
+def tracked(once, tmp_path):
+    """A copy of it that a test may change; the recording lies elsewhere now, and is the same."""
+    shutil.copytree(once, tmp_path / "towel")
+    return tmp_path / "towel"
+
+
+def correct_the_path(folder):
+    """The tip went half as far again in x as its path said."""
+    head, *rows = (folder / "picker.csv").read_text().splitlines()
+    column = head.split(",").index("x_m")
+    moved = [row.split(",") for row in rows]
+    for row in moved:
+        row[column] = str(1.5 * float(row[column]))
+    (folder / "picker.csv").write_text("\n".join([head, *map(",".join, moved)]) + "\n")
+
+
+def test_a_corrected_recording_is_tracked_again(tracked, capsys):
+    recording, result = tracked / "recordings" / "towel", tracked / "tracked" / "towel.zarr"
+    words = ["track", str(recording), "--output", str(tracked / "tracked"), *FAST]
+    assert cli.main(words) == 0
+    assert capsys.readouterr().out == f"{result}   (finished before)\n"
+    before = TrackedTrajectory.load(result)
+
+    correct_the_path(recording)
+    assert cli.main([*words, "--set", "tracker.attachment_strength=0.5"]) == 1
+    assert "other settings" in capsys.readouterr().err
+    assert cli.main(words) == 0
+    assert capsys.readouterr().out == f"{result}   (recording changed, tracked again)\n"
+    after = TrackedTrajectory.load(result)
+    assert not np.array_equal(after.positions, before.positions)
+    assert after.provenance["recording_sha256"] != before.provenance["recording_sha256"]
+    assert [path.name for path in (tracked / "tracked").iterdir()] == ["towel.zarr"]
+
+    assert cli.main([*words, "--json"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)
+    assert told["skipped"]
+    assert not told["tracked_again"]
+
+
+def test_a_recording_that_became_unreadable_leaves_its_result(tracked, capsys):
+    recording, result = tracked / "recordings" / "towel", tracked / "tracked" / "towel.zarr"
+    (recording / "picker.csv").write_text("nothing\n")
+    words = ["track", str(recording), "--output", str(tracked / "tracked"), *FAST]
+    assert cli.main(words) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    TrackedTrajectory.load(result)
+
+
+def test_another_recording_of_the_same_name_is_tracked(towels, tracked):
+    recording = tracked / "recordings" / "towel"
+    shutil.rmtree(recording)
+    shutil.copytree(towels / "recordings" / "towel_0002", recording)
+    config = with_settings(RunConfig(), FAST[1:])
+    (outcome,) = track_recordings([recording], tracked / "tracked", config)
+    assert outcome.tracked_again
+    assert not outcome.skipped
+
+
+@pytest.mark.parametrize(
+    ("verb", "more"),
+    [
+        ("evaluate", []),
+        ("label", ["--output", "labels"]),
+        ("view", ["--html", "page.html"]),
+        ("export", ["--format", "sheet", "--output", "sheet.png"]),
+    ],
+)
+def test_a_result_that_is_older_than_its_recording_is_told(
+    tracked, monkeypatch, caplog, verb, more
+):
+    monkeypatch.chdir(tracked)
+    words = [verb, "tracked/towel.zarr", "--recordings", "recordings", *more]
+    assert cli.main(words) == 0
+    assert caplog.messages == []
+    document = json.loads((tracked / "recordings" / "towel" / "recording.json").read_text())
+    document["cloth"]["grasp_uncertainty_m"] = 0.01
+    (tracked / "recordings" / "towel" / "recording.json").write_text(json.dumps(document))
+    assert cli.main(words) == 0
+    (line,) = caplog.messages
+    assert "tracked/towel.zarr is older than its recording recordings/towel" in line
+    assert "\n" not in line
