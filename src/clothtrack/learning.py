@@ -2,7 +2,7 @@
 
 import json as json_module
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -16,10 +16,7 @@ from clothtrack.reconstruction.availability import EXTRA, INSTALL, missing_modul
 from clothtrack.terminal import TERMINATED, complain, end_progress, progress, say
 
 if TYPE_CHECKING:
-    from clothtrack.evaluation.label_quality import LabelQuality
-    from clothtrack.reconstruction.pseudo_labels import PseudoLabel
     from clothtrack.reconstruction.two_stages import LearningConfig, LearningOutcome
-    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 logger = logging.getLogger(__name__)
 
@@ -52,6 +49,7 @@ def label(
     require_learning()
     from clothtrack.evaluation.label_quality import judge_labels
     from clothtrack.evaluation.label_review import read_review, review_path
+    from clothtrack.evaluation.label_selection import pseudo_labels_of
     from clothtrack.reconstruction.pseudo_labels import label_recording, write_labels
 
     if not tracked:
@@ -325,41 +323,6 @@ def _refuse(options: Mapping[str, object], why: str) -> None:
     if options:
         names = " and ".join(f"--{name.removesuffix('_m').replace('_', '-')}" for name in options)
         raise InvalidConfigError(f"{names}: {why}; leave it out")
-
-
-def pseudo_labels_of(
-    tracked: "TrackedTrajectory",
-    judged: "Sequence[LabelQuality]",
-    rejected: Collection[int],
-    *,
-    weighted: bool,
-    flat_weight: float,
-) -> "list[PseudoLabel]":
-    """The first frame and the end of every action; not what is rejected or nobody can judge."""
-    from clothtrack.reconstruction.pseudo_labels import PseudoLabel
-
-    chosen = []
-    if flat_weight > 0.0:
-        chosen.append(PseudoLabel(int(tracked.frames[0]), tracked.positions[0], flat_weight))
-    for action, quality in zip(tracked.actions, judged, strict=True):
-        if quality.action in rejected:
-            continue
-        weight = quality.label_quality if weighted else 1.0
-        if not weight > 0.0:
-            logger.warning(
-                "%s: frame %d has no label: nothing was seen to judge it by",
-                tracked.name,
-                quality.frame,
-            )
-            continue
-        positions = action.positions_after_final_alignment
-        chosen.append(PseudoLabel(quality.frame, positions, float(weight)))
-    if not chosen:
-        raise InvalidResultError(
-            f"{tracked.name}: no label is left ({len(rejected)} of {len(judged)} rejected in "
-            "review); leave this trajectory out"
-        )
-    return chosen
 
 
 def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "LearningConfig":

@@ -25,7 +25,6 @@ from clothtrack.artefacts import load_tracked
 from clothtrack.claims import claim
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
-from clothtrack.learning import pseudo_labels_of
 from clothtrack.pipeline import RunConfig, counted_settings, track_recordings
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
 from clothtrack.planning.flattening import improvement
@@ -248,6 +247,7 @@ def _labelled(
     progress: Progress | None,
 ) -> list[Path]:
     """Track the episodes of a round and label them; what cannot be tracked has no label."""
+    from clothtrack.evaluation.label_selection import pseudo_labels_of
     from clothtrack.reconstruction.pseudo_labels import label_recording, write_labels
 
     recordings = sorted((folder / "flattening" / "recordings").glob("[!.]*"))

@@ -25,6 +25,12 @@ TowelPattern = Literal["alternating", "regular", "random"]
 DEFAULT_SIZES_M: dict[str, tuple[float, float]] = {"towel": (0.3, 0.3), "tshirt": (0.5, 0.45)}
 """Width and length [m] of each kind of garment when none is asked for."""
 
+TOWEL_SIDES_M = (0.22, 0.34)
+"""From where the sides of generated towels are drawn [m]."""
+
+TSHIRT_WIDTHS_M, TSHIRT_LENGTHS_M = (0.42, 0.54), (0.38, 0.48)
+"""From where the widths, from sleeve to sleeve, and lengths of generated T-shirts are drawn [m]."""
+
 SEAM_TAPER_M = 0.02
 """Distance [m] from a seam over which the two layers of a flat garment reach their full gap."""
 

@@ -12,7 +12,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
+from clothtrack.simulation.garments import (
+    DEFAULT_SIZES_M,
+    TOWEL_SIDES_M,
+    TSHIRT_LENGTHS_M,
+    TSHIRT_WIDTHS_M,
+    GarmentKind,
+)
 from clothtrack.world.actions import ActionConfig
 from clothtrack.world.episodes import EpisodeConfig
 from clothtrack.world.flex import Fabric
@@ -75,9 +81,9 @@ class Ranges:
         tool_size: thickness of the tool over that of the usual one.
     """
 
-    towel_side_m: tuple[float, float] = (0.22, 0.34)
-    tshirt_width_m: tuple[float, float] = (0.42, 0.54)
-    tshirt_length_m: tuple[float, float] = (0.38, 0.48)
+    towel_side_m: tuple[float, float] = TOWEL_SIDES_M
+    tshirt_width_m: tuple[float, float] = TSHIRT_WIDTHS_M
+    tshirt_length_m: tuple[float, float] = TSHIRT_LENGTHS_M
     young_pa: tuple[float, float] = (2.5e4, 6e4)
     poisson: tuple[float, float] = (0.1, 0.3)
     thickness_m: tuple[float, float] = (0.4e-3, 0.68e-3)

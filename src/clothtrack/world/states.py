@@ -25,11 +25,17 @@ from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.origin import made_with
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
+from clothtrack.simulation.garments import (
+    DEFAULT_SIZES_M,
+    TOWEL_SIDES_M,
+    TSHIRT_LENGTHS_M,
+    TSHIRT_WIDTHS_M,
+    GarmentKind,
+    garment,
+)
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.storing import storage, whole_file
 from clothtrack.workers import finished_in_workers, require_workers
-from clothtrack.world.bench import Ranges
 from clothtrack.world.crumpling import CrumpledState, Crumpler, CrumplingConfig
 from clothtrack.world.dataset_card import dataset_card
 from clothtrack.world.state_store import (
@@ -279,11 +285,8 @@ def draw_garment(kind: GarmentKind, config: StatesConfig, rng: np.random.Generat
         config: how many vertices.
         rng: of its size and triangulation.
     """
-    ranges = Ranges()
     sides = (
-        (ranges.towel_side_m, ranges.towel_side_m)
-        if kind == "towel"
-        else (ranges.tshirt_width_m, ranges.tshirt_length_m)
+        (TOWEL_SIDES_M, TOWEL_SIDES_M) if kind == "towel" else (TSHIRT_WIDTHS_M, TSHIRT_LENGTHS_M)
     )
     width, length = (float(rng.uniform(*side)) for side in sides)
     if kind == "towel":
