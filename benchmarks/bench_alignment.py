@@ -19,10 +19,10 @@ import torch
 from results import provenance, write_json
 from scipy.spatial import cKDTree
 
+from clothtrack.alignment.aligner import Aligner, AlignmentConfig
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import visible_vertices
-from clothtrack.tracking.alignment import Aligner, AlignmentConfig
 
 logger = logging.getLogger("bench_alignment")
 

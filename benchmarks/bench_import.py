@@ -36,15 +36,15 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.recordings.importing.importing import ImportConfig, import_recording
-from clothtrack.recordings.importing.source import Wanted
+from clothtrack.importing.import_recording import ImportConfig, import_recording
+from clothtrack.importing.source import Wanted
 from clothtrack.recordings.pictures import encode_png
 
 logger = logging.getLogger("bench_import")
 WIDTH, HEIGHT, FOCAL = 640, 480, 600.0
 DIFFERENT = 20  # pictures that are made; a film repeats them
 ROS2, ROS1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
-MAKERS = Path(__file__).parents[1] / "tests" / "recordings" / "importing" / "makers.py"
+MAKERS = Path(__file__).parents[1] / "tests" / "importing" / "makers.py"
 PEER_FRAMES = 100
 
 

@@ -16,16 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
+from clothtrack.capture.realsense_camera import open_realsense
 from clothtrack.errors import ClothTrackError
 from clothtrack.planning.actions import ActionSpace, Workspace
-from clothtrack.planning.dry_run import DryRunRobot
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
 from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area
-from clothtrack.planning.franka import FrankaConfig, FrankaRobot, FrankyArm
 from clothtrack.planning.perception import PerceptionConfig, perception_of
 from clothtrack.planning.planner import PlannerConfig
-from clothtrack.planning.robot import MotionLimits, RgbdFrame
-from clothtrack.recordings.realsense import open_realsense
+from clothtrack.planning.robots.dry_run import DryRunRobot
+from clothtrack.planning.robots.franka import FrankaConfig, FrankaRobot, FrankyArm
+from clothtrack.planning.robots.robot import MotionLimits, RgbdFrame
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.flattening_page import write_flattening_report

@@ -4,9 +4,10 @@
     python3 ros2_bridge.py --port 5555          # moves nothing
     python3 ros2_bridge.py --port 5555 --move   # may move
 
-clothtrack connects with `clothtrack.planning.bridge_robot.BridgeRobot(5555)`. One request is one
-line of JSON, one answer is one line; only this machine can connect. It needs rclpy and numpy, not
-clothtrack. `MoveArm` is where your MoveIt, or whatever moves your arm, comes in: a template that
+clothtrack connects with `clothtrack.planning.robots.bridge_robot.BridgeRobot(5555)`. One request is
+one line of JSON, one answer is one line; only this machine can connect. It needs rclpy and numpy,
+not clothtrack. `MoveArm` is where your MoveIt, or whatever moves your arm, comes in: a template
+that
 you fill in, not a driver.
 """
 

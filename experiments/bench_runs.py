@@ -24,11 +24,11 @@ from first_meshes import resampled, with_first_mesh_error
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.truth import Truth
-from clothtrack.first_cloth import first_cloth
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.pipeline import RunConfig, counted_settings, observer, provenance
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.initial_state import first_cloth
+from clothtrack.tracking.pipeline import RunConfig, counted_settings, observer, provenance
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
 

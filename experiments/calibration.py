@@ -21,8 +21,8 @@ from bench_measures import Row
 from bench_runs import Trajectory, Variant
 from experiment import Run, Setup, run_experiment
 
-from clothtrack.pipeline import RunConfig
 from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking.pipeline import RunConfig
 from clothtrack.world.flex import CONTACT_RADIUS_M
 
 FRICTION = {"table_friction": "table_friction", "particle_friction": "cloth_friction"}

@@ -22,13 +22,13 @@ import cv2
 import numpy as np
 from figures import say, write_png
 
-from clothtrack.artefacts import inside, load_tracked, recording_of
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.report.live import LivePage
 from clothtrack.report.page import write_report
 from clothtrack.report.scene import local_server
+from clothtrack.tracking.artefacts import inside, load_tracked, recording_of
 
 WIDTH_PX = 1000
 BROWSER = Path(__file__).parents[1] / "tests" / "report" / "chromium.py"

@@ -26,8 +26,8 @@ from figures import say
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.pipeline import RunConfig
 from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking.pipeline import RunConfig
 from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate
 
 SMOKE_AXES = {"table_friction": (0.3, 1.0, 3.0)}

@@ -31,9 +31,11 @@ from figures import say
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.files.provenance import commit
+from clothtrack.files.settings import with_settings
+from clothtrack.files.worker_pool import finished_in_workers
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.quality import crossings
-from clothtrack.origin import commit
 from clothtrack.planning.actions import in_picture
 from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig, SimulatorConfig
 from clothtrack.planning.episode_store import EpisodeStore
@@ -41,18 +43,16 @@ from clothtrack.planning.flatten_config import FlattenConfig, episode_identity
 from clothtrack.planning.flattening import improvement
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
-from clothtrack.planning.simulated_episodes import (
+from clothtrack.reconstruction.availability import missing_modules
+from clothtrack.recordings.store import read_recording
+from clothtrack.report.flattening_page import write_film_strip
+from clothtrack.world.episodes import SMALL_WORLD
+from clothtrack.world.simulated_episodes import (
     EpisodeParts,
     SimulatedEpisode,
     flatten_simulated,
 )
-from clothtrack.planning.simulated_robot import SimulatedRobotConfig
-from clothtrack.reconstruction.availability import missing_modules
-from clothtrack.recordings.store import read_recording
-from clothtrack.report.flattening_page import write_film_strip
-from clothtrack.tracking.settings import with_settings
-from clothtrack.workers import finished_in_workers
-from clothtrack.world.episodes import SMALL_WORLD
+from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
 NAME = "flattening"
 FIRST_SEED = 9000
@@ -317,8 +317,8 @@ def make_starts(tasks: Sequence[Task], workers: int) -> None:
 
 def make_start(task: Task) -> None:
     """One crumpled start."""
-    from clothtrack.planning.simulated_episodes import begin
-    from clothtrack.planning.simulated_robot import SimulatedRobot
+    from clothtrack.world.simulated_episodes import begin
+    from clothtrack.world.simulated_robot import SimulatedRobot
 
     robot = SimulatedRobot(task.episode.kind, task.episode.seed, task.robot)
     begin(robot, task.out / "starts" / f"{task.episode.label}.npz")
@@ -339,9 +339,9 @@ def tiny_network(path: Path) -> Path | None:
         return None
     import torch
 
-    from clothtrack.reconstruction.checkpoint import save_weights
-    from clothtrack.reconstruction.configuration import TINY_NETWORK
     from clothtrack.reconstruction.model import MeshReconstructor
+    from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
+    from clothtrack.reconstruction.training.checkpoint import save_weights
 
     torch.manual_seed(0)
     model = MeshReconstructor(TINY_NETWORK, "towel")

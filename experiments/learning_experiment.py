@@ -30,17 +30,17 @@ from figures import say
 from learning_runs import Reconstructor, Tuner, kind_of, reconstruction_rows
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.reconstruction.checkpoint import save_weights
-from clothtrack.reconstruction.configuration import TINY_NETWORK
+from clothtrack.reconstruction.data.crumpling import CrumplingConfig
+from clothtrack.reconstruction.data.state_store import StateSet, open_states
+from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
+from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.reconstruction.two_stages import LearningConfig
-from clothtrack.tracking.settings import with_settings
 from clothtrack.world.bench import vary
-from clothtrack.world.crumpling import CrumplingConfig
 from clothtrack.world.episodes import SMALL_WORLD, simulate
-from clothtrack.world.state_store import StateSet, open_states
-from clothtrack.world.states import StatesConfig, generate_states
 
 SMOKE_SETTINGS = (
     "canonicalisation.epochs=1", "completion.epochs=1", "canonicalisation.evaluate_epochs=1",
@@ -267,7 +267,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def refined(how: Reconstructor, name: str) -> Reconstructor:
     """The same with fine-tuning at test time."""
-    from clothtrack.tracking.refinement import RefinementConfig
+    from clothtrack.reconstruction.refinement import RefinementConfig
 
     return replace(how, name=name, refinement=RefinementConfig())
 

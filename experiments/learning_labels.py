@@ -12,14 +12,14 @@ from clothtrack.evaluation.label_evidence import label_evidence
 from clothtrack.evaluation.label_quality import SHIPPED, QualityModel
 from clothtrack.evaluation.truth import Truth, material_map, material_points
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.dataset import FilmingConfig, film
-from clothtrack.reconstruction.pseudo_labels import (
+from clothtrack.reconstruction.data.pseudo_labels import (
     LabelledRecording,
     PseudoLabel,
     label_recording,
 )
+from clothtrack.reconstruction.data.state_examples import FilmingConfig, film
+from clothtrack.reconstruction.data.state_store import StateSet, read_shard
 from clothtrack.recordings.store import read_recording
-from clothtrack.world.state_store import StateSet, read_shard
 
 
 def tracked_labels(task: Task, *, weighted: bool = False) -> LabelledRecording:

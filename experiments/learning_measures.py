@@ -16,8 +16,8 @@ from clothtrack.evaluation.truth import Truth, material_map, material_points
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser, visible_vertices
-from clothtrack.network_mesh import NetworkMesh
 from clothtrack.reconstruction.canonical_frame import conventional, symmetries
+from clothtrack.reconstruction.from_picture import NetworkMesh
 from clothtrack.reconstruction.template_fit import SeenPoints
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording

@@ -23,18 +23,18 @@ from learning_measures import LEARNING_ROW_FORMAT, Case, measure_reconstruction
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.truth import Truth
-from clothtrack.network_mesh import NetworkMesh, network_mesh
-from clothtrack.pipeline import RunConfig, provenance
-from clothtrack.reconstruction.checkpoint import load_weights
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, cloth_picture
+from clothtrack.reconstruction.data.state_store import StateSet, open_states
 from clothtrack.reconstruction.depth_input import DepthInput, load_model
+from clothtrack.reconstruction.from_picture import NetworkMesh, network_mesh
 from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.processes import Processes
-from clothtrack.reconstruction.pseudo_labels import LabelledRecording, cloth_picture
+from clothtrack.reconstruction.refinement import RefinementConfig
+from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.two_stages import MODEL, LearningConfig, finetune
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.refinement import RefinementConfig
-from clothtrack.world.state_store import StateSet, open_states
+from clothtrack.tracking.pipeline import RunConfig, provenance
 
 DIGITS = 12
 

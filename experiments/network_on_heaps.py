@@ -31,13 +31,13 @@ from table_column import Column, table
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.truth import Truth
+from clothtrack.files.atomic_write import content_hash
+from clothtrack.files.provenance import commit
+from clothtrack.files.worker_pool import finished_in_workers
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.origin import commit
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.perception import Look, NetworkPerception, PerceptionConfig
 from clothtrack.recordings.store import read_recording
-from clothtrack.storing import content_hash
-from clothtrack.workers import finished_in_workers
 
 NAME = "network_on_heaps"
 COVERAGES = (0.0, 0.55, 0.7, 0.85, np.inf)

@@ -21,7 +21,7 @@ from docs_screenshots import READY, TURN, WIDTH_PX, opened, save
 from figures import say, write_png
 from jaxtyping import UInt8
 
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording

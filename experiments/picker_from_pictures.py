@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
+from clothtrack.capture.picker_detection import find_picker, nearest_visible_vertex
+from clothtrack.capture.tip_finder import tip_colors
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.recordings.picker_detection import find_picker, nearest_visible_vertex
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.store import read_recording
-from clothtrack.recordings.tip_finder import tip_colors
-from clothtrack.world.actions import ActionConfig
+from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate_trajectory
-from clothtrack.world.sensor import SensorConfig
 
 FILMS = (
     ("towel", 100, "pink"),

@@ -28,10 +28,10 @@ from scipy.stats import spearmanr
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.files.provenance import commit
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.origin import commit
 from clothtrack.planning.actions import PickPlace, SeenCloth
 from clothtrack.planning.coarse_cloth import Coarsener
 from clothtrack.planning.dynamics import PlannedCloth, PlanningDynamics

@@ -35,16 +35,16 @@ from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.metrics import chamfer_pc
 from clothtrack.evaluation.truth import Truth
+from clothtrack.files.provenance import commit
+from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.visibility import visible_vertices
-from clothtrack.origin import commit
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.perception import Estimate, Look, PerceptionConfig, TrackerPerception
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.reversal import reversed_recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.settings import with_settings
 from clothtrack.tracking.tracker import Tracker
 
 NAME = "planning_perception"

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.pipeline import RunConfig, track_recordings
 from clothtrack.tracking.configuration import MODES, mode
-from clothtrack.tracking.first_mesh import FirstMeshConfig
+from clothtrack.tracking.flat_fit import FirstMeshConfig
+from clothtrack.tracking.pipeline import RunConfig, track_recordings
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 MODE_NAMES = tuple(MODES)

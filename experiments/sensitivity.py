@@ -23,8 +23,8 @@ from dataclasses import replace
 from collision import weighted
 from experiment import Run, Setup, run_experiment
 
-from clothtrack.pipeline import RunConfig
 from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking.pipeline import RunConfig
 
 RIGIDITY = (0.0, 1.0, 10.0, 100.0)
 EXPLOSION_M_S = (0.3, 1.0, 3.0, 10.0)

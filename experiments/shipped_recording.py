@@ -19,13 +19,13 @@ import numpy as np
 from figures import say
 from jaxtyping import Bool, Float, UInt8
 
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import default_segmenter
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.world.actions import ActionConfig
+from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack.world.episodes import EpisodeConfig, TemplateConfig, simulate_trajectory
-from clothtrack.world.sensor import SensorConfig
 
 NAME = "fold_the_tshirt"
 SEED = 4

@@ -17,7 +17,7 @@ from learning_labels import old_labels, tracked_labels, true_labels
 from learning_runs import Reconstructor
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.reconstruction.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 
 BEFORE = "before"
 CONTROL = "control: old cloth"

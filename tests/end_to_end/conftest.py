@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 
 TINY = (
     "size_m=[0.2, 0.2]",
@@ -38,7 +38,9 @@ def clothtrack():
     """Runs the command line in a process of its own."""
 
     def run(*words: object, before: str = "") -> subprocess.CompletedProcess[str]:
-        code = f"import sys\n{before}\nfrom clothtrack.cli import main\nsys.exit(main())"
+        code = (
+            f"import sys\n{before}\nfrom clothtrack.cli.command_line import main\nsys.exit(main())"
+        )
         return subprocess.run(
             [sys.executable, "-c", code, *map(str, words)],
             capture_output=True, text=True, check=False, timeout=300,

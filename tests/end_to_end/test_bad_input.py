@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 

@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from clothtrack import cli
-from clothtrack.pipeline import RunConfig, track_recordings
-from clothtrack.tracking.settings import with_settings
+from clothtrack.cli import command_line as cli
+from clothtrack.files.settings import with_settings
+from clothtrack.tracking.pipeline import RunConfig, track_recordings
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 FAST = ("--set", "tracker.calibration.method=none")

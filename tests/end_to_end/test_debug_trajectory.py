@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory

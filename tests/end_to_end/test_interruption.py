@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 FAST = ("--set", "tracker.calibration.method=none")
@@ -18,7 +18,7 @@ FAST = ("--set", "tracker.calibration.method=none")
 MAIN = (
     "import signal, sys\n"
     "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    "from clothtrack.cli import main\n"
+    "from clothtrack.cli.command_line import main\n"
     "if __name__ == '__main__':\n"
     "    sys.exit(main())\n"
 )

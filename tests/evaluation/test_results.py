@@ -18,11 +18,11 @@ from clothtrack.evaluation.results import (
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.pipeline import RunConfig
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 from clothtrack.simulation.garments import towel
 from clothtrack.tracking.configuration import MODES, mode
+from clothtrack.tracking.pipeline import RunConfig
 from clothtrack.tracking.tracked_trajectory import (
     Calibration,
     StepRecords,

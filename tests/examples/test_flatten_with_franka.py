@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clothtrack.capture.recorder import CapturedFrame
 from clothtrack.planning.perception import Estimate
-from clothtrack.recordings.capture import CapturedFrame
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import towel

@@ -10,8 +10,8 @@ import pytest
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.actions import PickPlace, Workspace
-from clothtrack.planning.bridge_robot import BridgeRobot, encoded
-from clothtrack.planning.robot import MotionLimits, RgbdFrame
+from clothtrack.planning.robots.bridge_robot import BridgeRobot, encoded
+from clothtrack.planning.robots.robot import MotionLimits, RgbdFrame
 
 PATH = Path(__file__).parents[2] / "examples" / "ros2_bridge.py"
 _spec = importlib.util.spec_from_file_location("ros2_bridge", PATH)

@@ -8,8 +8,8 @@ import pytest
 from bench_runs import Task, Trajectory, Variant
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.pipeline import RunConfig
 from clothtrack.tracking.configuration import mode
+from clothtrack.tracking.pipeline import RunConfig
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])

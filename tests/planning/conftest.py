@@ -6,9 +6,9 @@ import pytest
 
 from clothtrack.planning.coarse_cloth import CoarseConfig
 from clothtrack.planning.dynamics import MotionConfig
-from clothtrack.planning.roll_outs import RollOutConfig, generate_roll_outs
-from clothtrack.world.crumpling import CrumplingConfig
-from clothtrack.world.states import StatesConfig
+from clothtrack.planning.graph_dynamics.roll_outs import RollOutConfig, generate_roll_outs
+from clothtrack.reconstruction.data.crumpling import CrumplingConfig
+from clothtrack.reconstruction.data.states import StatesConfig
 
 SMALL_ROLL_OUTS = RollOutConfig(
     vertex_count=150,

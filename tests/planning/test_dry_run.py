@@ -10,8 +10,8 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.actions import PickPlace, Workspace
 from clothtrack.planning.arrows import draw_action, shown_depth
-from clothtrack.planning.dry_run import STOPPED, DryRunRobot
-from clothtrack.planning.robot import MotionLimits, PickPlaceRobot, RgbdFrame
+from clothtrack.planning.robots.dry_run import STOPPED, DryRunRobot
+from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
 
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 POSE[2, 3] = 0.8

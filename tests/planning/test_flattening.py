@@ -18,15 +18,15 @@ from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
 from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area, improvement
 from clothtrack.planning.perception import Estimate, PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
-from clothtrack.planning.robot import Execution, Reachability, RgbdFrame
+from clothtrack.planning.robots.robot import Execution, Reachability, RgbdFrame
 from clothtrack.planning.seen import seen_area, table_pixel_areas
-from clothtrack.planning.simulated_episodes import SimulatedEpisode, flatten_simulated
-from clothtrack.planning.simulated_robot import SimulatedRobotConfig
 from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import towel
 from clothtrack.world.episodes import SMALL_WORLD
+from clothtrack.world.simulated_episodes import SimulatedEpisode, flatten_simulated
+from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -11,16 +11,20 @@ import torch
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.dynamics import MotionConfig, PlannedCloth, PlanningDynamics
-from clothtrack.planning.mesh_dynamics import MeshDynamics, MeshDynamicsConfig, load_mesh_dynamics
-from clothtrack.planning.mesh_network import MeshNetwork, MeshNetworkConfig
-from clothtrack.planning.mesh_training import (
+from clothtrack.planning.graph_dynamics.mesh_dynamics import (
+    MeshDynamics,
+    MeshDynamicsConfig,
+    load_mesh_dynamics,
+)
+from clothtrack.planning.graph_dynamics.mesh_network import MeshNetwork, MeshNetworkConfig
+from clothtrack.planning.graph_dynamics.mesh_training import (
     DynamicsTrainingConfig,
     MeshDynamicsStage,
     WindowBatch,
     WindowExamples,
     train_mesh_dynamics,
 )
-from clothtrack.reconstruction.training_config import TrainingConfig
+from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.simulation.garments import towel
 
 TINY = DynamicsTrainingConfig(
@@ -131,7 +135,7 @@ def test_the_held_vertex_ends_at_the_place():
 def test_planning_does_not_import_torch():
     code = (
         "import sys, clothtrack.planning.actions, clothtrack.planning.dynamics, "
-        "clothtrack.planning.reward, clothtrack.planning.roll_outs; "
+        "clothtrack.planning.reward, clothtrack.planning.graph_dynamics.roll_outs; "
         "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

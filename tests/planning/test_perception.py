@@ -18,7 +18,7 @@ from clothtrack.planning.perception import (
     TrackerPerception,
     unseen_way_m,
 )
-from clothtrack.planning.robot import Execution, RgbdFrame
+from clothtrack.planning.robots.robot import Execution, RgbdFrame
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import towel

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clothtrack.planning.actions import PickPlace, Workspace
-from clothtrack.planning.robot import MotionLimits, way_points
+from clothtrack.planning.robots.robot import MotionLimits, way_points
 
 LIMITS = MotionLimits(Workspace((-0.2, 0.2), (-0.1, 0.1), (0.0, 0.3)), 0.05, clearance_m=0.01)
 

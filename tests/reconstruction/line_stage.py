@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import nn
 
-from clothtrack.reconstruction.processes import joined
-from clothtrack.reconstruction.training import Stage, train
-from clothtrack.reconstruction.training_config import TrainingConfig
+from clothtrack.reconstruction.training.processes import joined
+from clothtrack.reconstruction.training.training_config import TrainingConfig
+from clothtrack.reconstruction.training.training_loop import Stage, train
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from torch.nn import functional
 
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.canonical_frame import canonical_frame, symmetries
-from clothtrack.reconstruction.canonicalisation import (
+from clothtrack.reconstruction.data.view import cloth_pixels, view_camera
+from clothtrack.reconstruction.networks.canonicalisation import (
     Canonicaliser,
     bin_of,
     canonical_loss,
@@ -15,8 +16,7 @@ from clothtrack.reconstruction.canonicalisation import (
     relabelled,
     symmetry_losses,
 )
-from clothtrack.reconstruction.configuration import preset
-from clothtrack.reconstruction.view import cloth_pixels, view_camera
+from clothtrack.reconstruction.networks.network_config import preset
 from clothtrack.simulation.garments import garment
 
 SMALL = preset("small")

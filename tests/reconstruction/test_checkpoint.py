@@ -12,7 +12,7 @@ import torch
 from safetensors.torch import save_file
 
 from clothtrack.errors import InvalidResultError, StorageError
-from clothtrack.reconstruction.checkpoint import (
+from clothtrack.reconstruction.training.checkpoint import (
     load_progress,
     load_weights,
     save_progress,

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 import torch
 
-from clothtrack.reconstruction import completion
 from clothtrack.reconstruction.canonical_frame import canonical_frame
-from clothtrack.reconstruction.completion import (
+from clothtrack.reconstruction.networks import completion
+from clothtrack.reconstruction.networks.completion import (
     Completion,
     ObservedPoints,
     in_box,
     sample,
     scatter_max,
 )
-from clothtrack.reconstruction.configuration import NetworkConfig, preset
-from clothtrack.reconstruction.warp_field import RESIDUAL_M, WarpField
+from clothtrack.reconstruction.networks.network_config import NetworkConfig, preset
+from clothtrack.reconstruction.networks.warp_field import RESIDUAL_M, WarpField
 
 TINY = NetworkConfig(volume=8, volume_channels=8, volume_widths=(8, 16), decoder_hidden=16, grid=9)
 

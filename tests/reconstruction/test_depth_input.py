@@ -12,13 +12,13 @@ import torch
 import trimesh
 
 import clothtrack
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError, InvalidResultError
 from clothtrack.reconstruction.availability import SHIPPED
-from clothtrack.reconstruction.checkpoint import save_weights
-from clothtrack.reconstruction.configuration import TINY_NETWORK
 from clothtrack.reconstruction.depth_input import from_picture, load_model
 from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
+from clothtrack.reconstruction.training.checkpoint import save_weights
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import torch
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
-from clothtrack.reconstruction.configuration import preset
+from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.view import crop
+from clothtrack.reconstruction.networks.network_config import preset
 from clothtrack.simulation.garments import garment
 
 SMALL = preset("small")

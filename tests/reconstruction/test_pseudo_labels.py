@@ -7,15 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.configuration import NetworkConfig
-from clothtrack.reconstruction.examples import ExampleConfig, LabelledPicture
-from clothtrack.reconstruction.pseudo_labels import (
+from clothtrack.reconstruction.data.examples import ExampleConfig, LabelledPicture
+from clothtrack.reconstruction.data.pseudo_labels import (
     LabelledRecording,
     PseudoLabel,
     PseudoLabelExamples,
@@ -24,7 +23,8 @@ from clothtrack.reconstruction.pseudo_labels import (
     read_labels,
     write_labels,
 )
-from clothtrack.reconstruction.winding import WindingConfig
+from clothtrack.reconstruction.data.winding import WindingConfig
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.recordings.recording import ClothDescription
 from clothtrack.recordings.store import RecordingWriter, read_recording
 from clothtrack.simulation.garments import garment

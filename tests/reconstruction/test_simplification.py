@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.simplification import (
+from clothtrack.reconstruction.networks.simplification import (
     compact,
     largest_piece,
     without_pinches,

@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 import torch
 
-from clothtrack.reconstruction.batches import Subset
 from clothtrack.reconstruction.canonical_frame import canonical_frame
-from clothtrack.reconstruction.canonicalisation import Canonicaliser
-from clothtrack.reconstruction.configuration import NetworkConfig
-from clothtrack.reconstruction.dataset import FilmingConfig, StateExamples
-from clothtrack.reconstruction.examples import ExampleConfig, collate
+from clothtrack.reconstruction.data.examples import ExampleConfig, collate
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
+from clothtrack.reconstruction.data.state_examples import FilmingConfig, StateExamples
+from clothtrack.reconstruction.data.state_store import StateShard, write_states
+from clothtrack.reconstruction.data.winding import WindingConfig
+from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.stages import (
     canonicalisation_stage,
     completion_stage,
     nearest_labelling,
     observe_batch,
 )
-from clothtrack.reconstruction.training import train
-from clothtrack.reconstruction.training_config import TrainingConfig
-from clothtrack.reconstruction.winding import WindingConfig
+from clothtrack.reconstruction.training.batches import Subset
+from clothtrack.reconstruction.training.training_config import TrainingConfig
+from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.simulation.garments import garment
-from clothtrack.world.sensor import SensorConfig
-from clothtrack.world.state_store import StateShard, write_states
 
 TINY = NetworkConfig(
     image_size=64,

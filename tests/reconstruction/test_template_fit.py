@@ -6,6 +6,7 @@ import pytest
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.canonical_frame import canonical_frame
+from clothtrack.reconstruction.data.view import points_of
 from clothtrack.reconstruction.template_fit import (
     SeenPoints,
     TemplateFitConfig,
@@ -13,7 +14,6 @@ from clothtrack.reconstruction.template_fit import (
     smoothness_matrix,
     template_of,
 )
-from clothtrack.reconstruction.view import points_of
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import garment, towel
 

@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 import torch
 
-from clothtrack import cli, learning
+from clothtrack.cli import command_line as cli
+from clothtrack.cli import learn as learning
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.reconstruction.canonicalisation import Canonicaliser
-from clothtrack.reconstruction.checkpoint import load_weights, save_weights
-from clothtrack.reconstruction.configuration import PRESETS, TINY_NETWORK
-from clothtrack.reconstruction.examples import LabelledPicture
+from clothtrack.reconstruction.data.examples import LabelledPicture
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
+from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.pseudo_labels import LabelledRecording, write_labels
-from clothtrack.reconstruction.training_config import STAGES
+from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
+from clothtrack.reconstruction.networks.network_config import PRESETS, TINY_NETWORK
+from clothtrack.reconstruction.training.checkpoint import load_weights, save_weights
+from clothtrack.reconstruction.training.training_config import STAGES
 from clothtrack.reconstruction.two_stages import LearningConfig, network_of
 from clothtrack.simulation.garments import garment
-from clothtrack.world.state_store import StateShard, write_states
 
 FEW = [
     "canonicalisation.epochs=2",
@@ -49,7 +50,7 @@ def towels(tmp_path, monkeypatch):
 
 def labels_of(folder, count=3):
     mesh = garment("towel", vertex_count=150)
-    from clothtrack.reconstruction.dataset import FilmingConfig, film
+    from clothtrack.reconstruction.data.state_examples import FilmingConfig, film
 
     flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
     for number in range(count):

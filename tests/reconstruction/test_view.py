@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.configuration import preset
-from clothtrack.reconstruction.view import cloth_pixels, crop, points_of, view_camera
+from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of, view_camera
+from clothtrack.reconstruction.networks.network_config import preset
 from clothtrack.simulation.garments import towel
 
 CONFIG = preset("small")

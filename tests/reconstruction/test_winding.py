@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.reconstruction.winding import (
+from clothtrack.reconstruction.data.winding import (
     WindingConfig,
     winding_grid,
     winding_numbers,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack import cli
+from clothtrack.cli import command_line as cli
 from clothtrack.recordings.mesh_file import write_mesh
 from clothtrack.recordings.store import write_recording
 

@@ -11,8 +11,6 @@ from clothtrack.planning.flatten_config import FlattenConfig
 from clothtrack.planning.flattening import Step
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
-from clothtrack.planning.simulated_episodes import SimulatedEpisode, flatten_simulated
-from clothtrack.planning.simulated_robot import SimulatedRobotConfig
 from clothtrack.report.flattening_live import watched_live
 from clothtrack.report.flattening_page import (
     CONTROL,
@@ -20,6 +18,8 @@ from clothtrack.report.flattening_page import (
     write_flattening_report,
 )
 from clothtrack.world.episodes import SMALL_WORLD
+from clothtrack.world.simulated_episodes import SimulatedEpisode, flatten_simulated
+from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
 
 @pytest.fixture(scope="module")

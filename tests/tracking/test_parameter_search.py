@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.pipeline import RunConfig, track_recording
 from clothtrack.tracking import tracker as tracker_module
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.pipeline import RunConfig, track_recording
 
 AXES = {"held_layers": (1.0, 2.0), "table_friction": (0.05, 1.0)}
 

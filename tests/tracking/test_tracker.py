@@ -6,13 +6,13 @@ from functools import partial
 import numpy as np
 import pytest
 
+from clothtrack.alignment.aligner import Aligner
 from clothtrack.geometry.quality import crossing_edges
-from clothtrack.pipeline import RunConfig, track_recording
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.tracking import tracker as tracker_module
-from clothtrack.tracking.alignment import Aligner
 from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.pipeline import RunConfig, track_recording
 from clothtrack.tracking.tracker import Tracker
 
 

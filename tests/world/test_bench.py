@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.store import read_recording
 from clothtrack.world import bench_generation
 from clothtrack.world.bench import BenchTrajectory, Ranges, hardened, trajectories, vary
 from clothtrack.world.bench_generation import checksum, generate_bench, verify_bench
 from clothtrack.world.episodes import EpisodeConfig, TemplateConfig
-from clothtrack.world.sensor import SensorConfig
 
 SMALL = SensorConfig(width=80, height=60, focal=75.0)
 TINY = {
@@ -228,7 +228,7 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
     # What starts in a shell's background ignores the signal, and hands that on.
     file.write_text(
         "import signal\n"
-        "from clothtrack.cli import main\n"
+        "from clothtrack.cli.command_line import main\n"
         "if __name__ == '__main__':\n"
         "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"    raise SystemExit(main(['bench', {str(out)!r}, '--workers', '2']))\n"

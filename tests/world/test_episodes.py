@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.store import read_recording
-from clothtrack.world.actions import ActionConfig
+from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack.world.episodes import PICKER, SMALL_WORLD, TemplateConfig, simulate
-from clothtrack.world.sensor import SensorConfig
 
 TINY = replace(
     SMALL_WORLD,

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.simulation.garments import towel
 from clothtrack.world.appearance import CLOTH_COLORS, Appearance
 from clothtrack.world.scene import CLOTH, TABLE, TOOL, Scene
-from clothtrack.world.sensor import Sensor, SensorConfig, depth_noise, top_down_camera
+from clothtrack.world.sensor import Sensor, top_down_camera
 from clothtrack.world.tool import Tool
 
 SMALL = {"width": 160, "height": 120, "focal": 150.0}

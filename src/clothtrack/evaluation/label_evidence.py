@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from clothtrack.alignment.silhouette import silhouette_gap
 from clothtrack.errors import InvalidResultError
 from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
@@ -19,7 +20,6 @@ from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import observe, thin
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
-from clothtrack.tracking.silhouette import silhouette_gap
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 CLOUD_SPACING_M = 0.004

@@ -24,9 +24,9 @@ from clothtrack.evaluation.label_evidence import (
     label_evidence,
     labels_of,
 )
+from clothtrack.files.atomic_write import whole_file
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
-from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 FORMAT = "clothtrack-label-quality"

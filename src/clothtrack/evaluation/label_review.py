@@ -16,7 +16,7 @@ import numpy as np
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_evidence import labels_of
-from clothtrack.storing import whole_file
+from clothtrack.files.atomic_write import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 FORMAT = "clothtrack-label-review"

@@ -2,11 +2,14 @@
 
 import logging
 from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_quality import LabelQuality
-from clothtrack.reconstruction.pseudo_labels import PseudoLabel
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.data.pseudo_labels import PseudoLabel
 
 logger = logging.getLogger(__name__)
 
@@ -18,8 +21,10 @@ def pseudo_labels_of(
     *,
     weighted: bool,
     flat_weight: float,
-) -> list[PseudoLabel]:
+) -> "list[PseudoLabel]":
     """The first frame and the end of every action; not what is rejected or nobody can judge."""
+    from clothtrack.reconstruction.data.pseudo_labels import PseudoLabel
+
     chosen = []
     if flat_weight > 0.0:
         chosen.append(PseudoLabel(int(tracked.frames[0]), tracked.positions[0], flat_weight))

@@ -22,12 +22,12 @@ from clothtrack.evaluation.metrics import (
     vertex_error_mm,
 )
 from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.files.atomic_write import whole_file
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.simulation.parameters import SolverConfig
-from clothtrack.storing import whole_file
 from clothtrack.tracking.configuration import MODES
 from clothtrack.tracking.tracked_trajectory import TrackedAction, TrackedTrajectory
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.world.actions import ActionConfig, PlannedAction, carrying_path
+from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, carrying_path
 
 EDGE_REACH_M = 0.02
 """Radius of the neighbourhood [m] that tells an edge from the middle of a cloth."""

@@ -1,7 +1,7 @@
 """What a pick-and-place would do: the dynamics that a planner asks, and the simulator as one.
 
 The solver rolls out all candidates at once, one environment each. The learned dynamics
-(`planning/mesh_dynamics.py`) stand behind the same protocol.
+(`planning/graph_dynamics/mesh_dynamics.py`) stand behind the same protocol.
 """
 
 import math

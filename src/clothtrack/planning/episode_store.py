@@ -18,16 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from clothtrack.claims import as_plain, require_same
 from clothtrack.errors import InvalidResultError
+from clothtrack.files.atomic_write import storage, whole_file, write_file
+from clothtrack.files.provenance import made_with
+from clothtrack.files.run_manifest import as_plain, require_same
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.origin import made_with
 from clothtrack.planning.perception import Estimate
-from clothtrack.planning.robot import Execution, RgbdFrame
+from clothtrack.planning.robots.robot import Execution, RgbdFrame
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Recording, Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.storing import storage, whole_file, write_file
 
 DOCUMENT = "episode.json"
 PICKER = "gripper"

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.atomic_write import content_hash
 from clothtrack.planning.dynamics import (
     SHIPPED_WEIGHTS,
     PlanningDynamics,
@@ -15,7 +16,6 @@ from clothtrack.planning.dynamics import (
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.reconstruction.availability import INSTALL, missing_modules, shipped_weights
-from clothtrack.storing import content_hash
 
 Policy = Literal["planned", "random", "outwards", "heuristic"]
 _OF_MATERIALS = 0xEF15
@@ -108,7 +108,7 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningD
                 f"dynamics is mesh, which needs {', '.join(missing)}; install with: {INSTALL}, or "
                 "plan in the simulator"
             )
-        from clothtrack.planning.mesh_dynamics import load_mesh_dynamics
+        from clothtrack.planning.graph_dynamics.mesh_dynamics import load_mesh_dynamics
 
         weights = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
         return [load_mesh_dynamics(weights, device=device)]

@@ -21,7 +21,7 @@ from clothtrack.planning.episode_store import EpisodeStore, write_step
 from clothtrack.planning.flatten_config import FlattenConfig, episode_identity, weights_used
 from clothtrack.planning.perception import Estimate, Look, Perception, label_of
 from clothtrack.planning.planner import Decision, Hypothesis, Planner
-from clothtrack.planning.robot import Execution, PickPlaceRobot
+from clothtrack.planning.robots.robot import Execution, PickPlaceRobot
 from clothtrack.planning.seen import seen_area, seen_cloth
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.recordings.store import read_recording

@@ -15,12 +15,12 @@ from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.network_mesh import LOOSE_FIT_M, distance_from_cloud
+from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, distance_from_cloud
+from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.refinement import RefinementConfig
 from clothtrack.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -166,8 +166,8 @@ class NetworkPerception:
         Raises:
             InvalidRecordingError: there is no cloth in the picture, or no mesh comes of it.
         """
+        from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
         from clothtrack.reconstruction.depth_input import DepthInput
-        from clothtrack.reconstruction.pseudo_labels import cloth_picture
 
         recording = look.recording
         depth, mask, camera = cloth_picture(recording, look.frame)
@@ -193,7 +193,7 @@ class NetworkPerception:
         observation: Observation,
     ) -> Estimate | str:
         """The mesh of one view, on the table; or why there is none."""
-        from clothtrack.network_mesh import laid_flat, network_mesh
+        from clothtrack.reconstruction.from_picture import laid_flat, network_mesh
 
         config = self._config
         found = network_mesh(

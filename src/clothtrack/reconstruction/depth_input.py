@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
 from clothtrack.geometry.camera import Camera, about_vertical
 from clothtrack.reconstruction.availability import shipped_weights
-from clothtrack.reconstruction.checkpoint import load_weights
+from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
 from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.pseudo_labels import cloth_picture
+from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.two_stages import network_of
 from clothtrack.recordings.pictures import read_depth, read_mask
 from clothtrack.recordings.point_cloud import cloth_measured

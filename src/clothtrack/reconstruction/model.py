@@ -14,10 +14,18 @@ from clothtrack.geometry.camera import Camera, about_vertical
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import Alignment, align
 from clothtrack.reconstruction.canonical_frame import CanonicalFrame, canonical_frame, conventional
-from clothtrack.reconstruction.canonicalisation import Canonicaliser, coordinates
-from clothtrack.reconstruction.completion import Completion, ObservedPoints
-from clothtrack.reconstruction.configuration import NetworkConfig
-from clothtrack.reconstruction.surface import extract_surface, field_grid
+from clothtrack.reconstruction.data.view import (
+    ClothPixels,
+    CroppedView,
+    cloth_pixels,
+    crop,
+    points_of,
+)
+from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser, coordinates
+from clothtrack.reconstruction.networks.completion import Completion, ObservedPoints
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack.reconstruction.networks.surface import extract_surface, field_grid
+from clothtrack.reconstruction.networks.warp_field import WarpField
 from clothtrack.reconstruction.template_fit import (
     NO_CANONICAL,
     SeenPoints,
@@ -25,8 +33,6 @@ from clothtrack.reconstruction.template_fit import (
     fit_template,
     template_of,
 )
-from clothtrack.reconstruction.view import ClothPixels, CroppedView, cloth_pixels, crop, points_of
-from clothtrack.reconstruction.warp_field import WarpField
 from clothtrack.recordings.recording import Table
 
 Method = Literal["template", "implicit"]

@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clothtrack.reconstruction.checkpoint import Weights
-from clothtrack.reconstruction.training_config import STAGES
+from clothtrack.files.atomic_write import whole_file
+from clothtrack.reconstruction.training.checkpoint import Weights
+from clothtrack.reconstruction.training.training_config import STAGES
 from clothtrack.simulation.garments import DEFAULT_SIZES_M
-from clothtrack.storing import whole_file
 
 CARD = "model_card.md"
 PACKAGES = ("torch", "numpy", "libigl", "safetensors", "warp-lang")

@@ -19,16 +19,16 @@ from clothtrack.reconstruction.canonical_frame import (
     canonical_frame,
     symmetries,
 )
-from clothtrack.reconstruction.canonicalisation import (
+from clothtrack.reconstruction.data.examples import Batch
+from clothtrack.reconstruction.networks.canonicalisation import (
     Canonicaliser,
     canonical_loss,
     coordinates,
 )
-from clothtrack.reconstruction.completion import Completion, ObservedPoints
-from clothtrack.reconstruction.configuration import NetworkConfig
-from clothtrack.reconstruction.examples import Batch
-from clothtrack.reconstruction.training import Stage
-from clothtrack.reconstruction.warp_field import RESIDUAL_M, WarpField
+from clothtrack.reconstruction.networks.completion import Completion, ObservedPoints
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack.reconstruction.networks.warp_field import RESIDUAL_M, WarpField
+from clothtrack.reconstruction.training.training_loop import Stage
 
 CLOSE = 0.05
 """A canonical coordinate nearer to the truth than this [unit cube] counts as found."""

@@ -8,31 +8,35 @@ from typing import Any
 import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.origin import made_with
-from clothtrack.reconstruction.batches import Examples, Mixture, Subset, split_by_group
-from clothtrack.reconstruction.canonicalisation import Canonicaliser
-from clothtrack.reconstruction.checkpoint import (
-    Weights,
-    check_tensors,
-    load_weights,
-    save_weights,
-)
-from clothtrack.reconstruction.configuration import PRESETS, NetworkConfig
-from clothtrack.reconstruction.dataset import FilmingConfig, StateExamples
-from clothtrack.reconstruction.examples import ExampleConfig, collate
+from clothtrack.files.provenance import made_with
+from clothtrack.reconstruction.data.examples import ExampleConfig, collate
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, PseudoLabelExamples
+from clothtrack.reconstruction.data.state_examples import FilmingConfig, StateExamples
+from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.model_card import PACKAGES, write_model_card
-from clothtrack.reconstruction.processes import Processes
-from clothtrack.reconstruction.pseudo_labels import LabelledRecording, PseudoLabelExamples
+from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
+from clothtrack.reconstruction.networks.network_config import PRESETS, NetworkConfig
 from clothtrack.reconstruction.stages import (
     CanonicalisationStage,
     CompletionStage,
     canonicalisation_stage,
     completion_stage,
 )
-from clothtrack.reconstruction.training import Progress, TrainingOutcome, train
-from clothtrack.reconstruction.training_config import STAGES, TrainingConfig, training_preset
-from clothtrack.world.state_store import StateSet
+from clothtrack.reconstruction.training.batches import Examples, Mixture, Subset, split_by_group
+from clothtrack.reconstruction.training.checkpoint import (
+    Weights,
+    check_tensors,
+    load_weights,
+    save_weights,
+)
+from clothtrack.reconstruction.training.processes import Processes
+from clothtrack.reconstruction.training.training_config import (
+    STAGES,
+    TrainingConfig,
+    training_preset,
+)
+from clothtrack.reconstruction.training.training_loop import Progress, TrainingOutcome, train
 
 MODEL = "model.safetensors"
 

@@ -3,11 +3,11 @@
 import hashlib
 import json
 
+from clothtrack.files.atomic_write import content_hash, storage
 from clothtrack.recordings.document import DOCUMENT
 from clothtrack.recordings.frame_files import PICTURE_KINDS
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.validation import PICKER_FILE
-from clothtrack.storing import content_hash, storage
 
 DIGEST_FIELD = "recording_sha256"
 """Where the provenance of a result has the digest of its recording."""

@@ -6,9 +6,9 @@ import numpy as np
 import trimesh
 
 from clothtrack.errors import InvalidConfigError, InvalidMeshError
+from clothtrack.files.atomic_write import whole_file
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template import read_obj
-from clothtrack.storing import whole_file
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.errors import InvalidRecordingError, StorageError
+from clothtrack.files.atomic_write import storage
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.document import DOCUMENT, VERSION
 from clothtrack.recordings.frame_files import PictureKind, conventional_name
@@ -36,7 +37,6 @@ from clothtrack.recordings.recording import (
 )
 from clothtrack.recordings.template import canonical_text, obj_text
 from clothtrack.recordings.validation import PICKER_FILE, check_recording
-from clothtrack.storing import storage
 
 TEMPLATE_FILE = "template.obj"
 CANONICAL_FILE = "template_canonical.csv"

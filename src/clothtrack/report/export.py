@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.storing import whole_file, whole_folder
+from clothtrack.files.atomic_write import whole_file, whole_folder
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 ExportFormat = Literal["npz", "obj", "ply"]

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from clothtrack.files.atomic_write import whole_file
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.arrows import draw_action, shown_depth
 from clothtrack.planning.episode_store import EpisodeStore
@@ -25,7 +26,6 @@ from clothtrack.report.lettering import caption
 from clothtrack.report.sections import jpeg_uri, key_figures
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.viewpoint import three_quarter_view
-from clothtrack.storing import whole_file
 
 Picture = UInt8[np.ndarray, "height width 3"]
 

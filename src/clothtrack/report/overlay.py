@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from clothtrack.files.atomic_write import whole_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.evidence import (
@@ -34,7 +35,6 @@ from clothtrack.report.palette import (
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.video import frame_rate, write_video
 from clothtrack.report.viewpoint import view_of
-from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)

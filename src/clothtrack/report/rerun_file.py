@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.files.atomic_write import whole_file
 from clothtrack.recordings.pictures import read_color
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.coloring import Coloring
@@ -24,7 +25,6 @@ from clothtrack.report.palette import (
     rgb255,
     visibility_colors,
 )
-from clothtrack.storing import whole_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 INSTALL = "pip install 'clothtrack[rerun]'"

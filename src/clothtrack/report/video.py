@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.storing import whole_file
+from clothtrack.files.atomic_write import whole_file
 
 
 def write_video(

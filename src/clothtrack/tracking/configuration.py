@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from clothtrack.alignment.aligner import AlignmentConfig
 from clothtrack.errors import InvalidConfigError
 from clothtrack.simulation.dynamics import DynamicsConfig
 from clothtrack.simulation.parameters import SolverConfig
-from clothtrack.tracking.alignment import AlignmentConfig
 from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, check_parameter
 from clothtrack.tracking.line_search import LineSearchConfig
 from clothtrack.tracking.picking import PickingConfig

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.alignment.silhouette import silhouette_gap
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
@@ -16,7 +17,6 @@ from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, Score
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.open_loop import OpenLoopScore
 from clothtrack.tracking.picking import Grasp, find_grasps
-from clothtrack.tracking.silhouette import silhouette_gap
 from clothtrack.tracking.tracked_trajectory import Calibration, StepRecords
 
 logger = logging.getLogger(__name__)

@@ -15,9 +15,9 @@ import zarr
 from jaxtyping import Bool, Float, Int
 
 from clothtrack.errors import InvalidMeshError, InvalidResultError
+from clothtrack.files.atomic_write import name_problem, whole_folder
+from clothtrack.files.sealed_zarr import DAMAGE, put_array, seal, sealed_attributes, take_array
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.sealed_zarr import DAMAGE, put_array, seal, sealed_attributes, take_array
-from clothtrack.storing import name_problem, whole_folder
 
 FORMAT = "clothtrack-tracked-trajectory"
 FORMAT_VERSION = 2

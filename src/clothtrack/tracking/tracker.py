@@ -15,15 +15,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
+from clothtrack.alignment.aligner import Aligner, Alignment
+from clothtrack.alignment.silhouette import slide_to_outline
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossing_edges
 from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.reconstruction.refinement import SETTLE_IN_S
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion, RollOut
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState
-from clothtrack.tracking.alignment import Aligner, Alignment
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.line_search import LineSearchResult, search_line
 from clothtrack.tracking.open_loop import cloth_parameters, grasp_offset, within_reach
@@ -34,8 +36,6 @@ from clothtrack.tracking.parameter_search import (
     ParameterSearch,
 )
 from clothtrack.tracking.picking import held_motion, picker_speed
-from clothtrack.tracking.refinement import SETTLE_IN_S
-from clothtrack.tracking.silhouette import slide_to_outline
 from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedAction, TrackedTrajectory
 
 logger = logging.getLogger(__name__)

@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.simulation.garments import (
     DEFAULT_SIZES_M,
     TOWEL_SIDES_M,
@@ -19,10 +20,9 @@ from clothtrack.simulation.garments import (
     TSHIRT_WIDTHS_M,
     GarmentKind,
 )
-from clothtrack.world.actions import ActionConfig
+from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack.world.episodes import EpisodeConfig
 from clothtrack.world.flex import Fabric
-from clothtrack.world.sensor import SensorConfig
 from clothtrack.world.tool import RADII_M, Tool
 
 Split = Literal["dev", "test", "hard"]

@@ -22,8 +22,8 @@ import numpy as np
 
 from clothtrack import __version__
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.storing import content_hash, storage, whole_file
-from clothtrack.workers import finished_in_workers, require_workers
+from clothtrack.files.atomic_write import content_hash, storage, whole_file
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
 

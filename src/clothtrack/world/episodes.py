@@ -18,18 +18,19 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
+from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
-from clothtrack.storing import whole_file
-from clothtrack.workers import finished_in_workers, require_workers
-from clothtrack.world.actions import ActionConfig, carrying_path, free_path, plan_action
+from clothtrack.simulation.pick_and_place import ActionConfig, carrying_path, free_path, plan_action
 from clothtrack.world.appearance import Appearance
 from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
 from clothtrack.world.scene import Scene
-from clothtrack.world.sensor import Sensor, SensorConfig, misplaced, top_down_camera
+from clothtrack.world.sensor import Sensor, misplaced, top_down_camera
 from clothtrack.world.template import TemplateConfig, first_mesh, laid_down, random_pose
 from clothtrack.world.tool import Tool
 

@@ -1,73 +1,18 @@
-"""The stand-in depth camera: what it measures of a cloth, a table and a tool in the way.
-
-`depth_noise` is the measurement alone, from perfect depth; `Sensor` looks at a scene.
-"""
+"""The stand-in depth camera: what it measures of a cloth, a table and a tool in the way."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.geometry.camera import Camera
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.world.appearance import Appearance, Painter
 from clothtrack.world.scene import CLOTH, Scene
 
-REFERENCE_DEPTH_M = 0.75
 PATCH_PERIOD_FRAMES = 80.0
 """Patches without depth are elsewhere after a quarter of this many pictures."""
-
-
-@dataclass(frozen=True)
-class SensorConfig:
-    """A depth camera above a table, and how badly it measures.
-
-    The defaults are those of an active stereo camera of the RealSense D400 kind: noise grows with
-    the square of the depth, silhouettes are uncertain, grazing surfaces drop out.
-
-    Attributes:
-        width: image width [pixels].
-        height: image height [pixels].
-        focal: focal length [pixels] at this width.
-        camera_height_m: height above the table [m].
-        tilt_deg: standard deviation of the optical axis from the vertical [deg].
-        white_m: standard deviation of independent noise [m] at 0.75 m.
-        wave_m: standard deviation of slowly varying error [m], the same all through a recording.
-        step_m: quantisation of depth [m]; also the unit of the depth files.
-        dropout: share of pixels without a measurement on a surface seen from the front.
-        grazing_dropout: additional share on a surface seen edge-on.
-        edge_step_m: jump of depth [m] between neighbours that counts as a silhouette.
-        edge_dropout: share of silhouette pixels without a measurement.
-        edge_mixing: share of the other silhouette pixels that mix both depths.
-        patch_dropout: share of the picture without a measurement in connected patches that drift
-            from picture to picture, as where the pattern of an active camera is washed out.
-        patch_pixels: usual width of such a patch [pixels].
-    """
-
-    width: int = 640
-    height: int = 480
-    focal: float = 600.0
-    camera_height_m: float = 0.75
-    tilt_deg: float = 2.0
-    white_m: float = 0.001
-    wave_m: float = 0.0005
-    step_m: float = 0.0005
-    dropout: float = 0.02
-    grazing_dropout: float = 0.6
-    edge_step_m: float = 0.01
-    edge_dropout: float = 0.4
-    edge_mixing: float = 0.5
-    patch_dropout: float = 0.0
-    patch_pixels: float = 24.0
-
-    @classmethod
-    def perfect(cls, **changes: Any) -> "SensorConfig":
-        """A camera that measures exactly, but for what `changes` says."""
-        exact: dict[str, Any] = dict.fromkeys(
-            ("white_m", "wave_m", "dropout", "grazing_dropout", "edge_dropout", "edge_mixing"), 0.0
-        )
-        return cls(**{**exact, "step_m": 1e-6, **changes})
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,41 +64,6 @@ def misplaced(camera: Camera, error_m: float, rng: np.random.Generator) -> Camer
     pose = camera.world_from_camera.copy()
     pose[:3, 3] += error_m * direction / np.linalg.norm(direction)
     return replace(camera, world_from_camera=pose)
-
-
-def depth_noise(
-    depth: Float[np.ndarray, "height width"],
-    facing: Float[np.ndarray, "height width"],
-    wave: Float[np.ndarray, "height width"],
-    config: SensorConfig,
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "height width"]:
-    """What the camera measures [m] of a perfect depth picture; 0 = no measurement.
-
-    Args:
-        depth: true depth [m], positive everywhere.
-        facing: cosine between the surface's normal and the line of sight.
-        wave: the slowly varying error, in standard deviations.
-        config: how badly the camera measures.
-        rng: source of the noise.
-    """
-
-    def uniform() -> Float[np.ndarray, "height width"]:
-        return rng.random(depth.shape, dtype=np.float32)
-
-    kernel = np.ones((3, 3), np.uint8)
-    near, far = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
-    edge = far - near > config.edge_step_m
-    mixed = edge & (uniform() < config.edge_mixing)
-    measured = np.where(mixed, near + uniform() * (far - near), depth)
-    error = config.white_m * rng.standard_normal(depth.shape, dtype=np.float32)
-    error += config.wave_m * wave
-    measured = measured + (depth / REFERENCE_DEPTH_M) ** 2 * error
-    grazing = np.clip((0.4 - facing) / 0.4, 0.0, 1.0)
-    lost = uniform() < config.dropout + config.grazing_dropout * grazing
-    lost |= edge & (uniform() < config.edge_dropout)
-    quantised = np.round(measured / config.step_m) * config.step_m
-    return np.where(lost, 0.0, np.maximum(quantised, 0.0))
 
 
 class Sensor:

@@ -1,0 +1,1 @@
+"""Mesh to cloud: test-time optimisation, nearest points, outlines."""

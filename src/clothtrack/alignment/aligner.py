@@ -1,0 +1,197 @@
+"""Test-time optimisation: the small correction of every vertex that explains the cloud.
+
+This is the paper's TTO1 (before the pseudo-action, Eq. 1 and 2) and TTO2 (after the last frame):
+a displacement per vertex, starting at zero, that minimises the mean squared distance of the cloud
+to the visible vertices plus a rigidity that carries hidden vertices along. Two terms are ours:
+visible vertices look for the cloud as well, and edges keep the rest length of the first mesh.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from jaxtyping import Bool, Float
+
+from clothtrack.alignment import alignment_kernels as kernels
+from clothtrack.alignment.alignment_config import AlignmentConfig
+from clothtrack.alignment.alignment_solvers import Problem, load_kernels, solve_adam, solve_icp
+from clothtrack.alignment.nearest import Matcher
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Table
+
+__all__ = ["Aligner", "Alignment", "AlignmentConfig"]
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """What an alignment found.
+
+    Attributes:
+        corrections: displacement of every vertex [m], world frame.
+        losses: objective [m^2] at the start and after every iteration.
+        terms: the same per weighted term: "chamfer", "rigidity", "two_way", "length", "table".
+        iterations: iterations done (outer ones for the icp solver).
+        reason: why it ended: "iterations", or "no points", "no visible vertex" or "not finite",
+            in which cases the corrections are zero.
+    """
+
+    corrections: Float[np.ndarray, "vertices 3"]
+    losses: Float[np.ndarray, " evaluations"]
+    terms: Mapping[str, Float[np.ndarray, " evaluations"]]
+    iterations: int
+    reason: str
+
+
+class Aligner:
+    """Aligns one cloth to clouds; topology and rest lengths are prepared once.
+
+    Args:
+        mesh: the flat first mesh; its edges give the rigidity's pairs and the rest lengths.
+        config: objective and solver.
+        device: Warp device, "cpu" or "cuda:0".
+    """
+
+    def __init__(self, mesh: ClothMesh, config: AlignmentConfig, *, device: str = "cpu") -> None:
+        self._config, self._device = config, device
+        load_kernels(device)
+        self._vertices, self._edges = mesh.vertex_count, len(mesh.edges)
+        self._spacing_m = float(mesh.edge_lengths.mean())
+        ends = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
+        lengths = np.concatenate([mesh.edge_lengths, mesh.edge_lengths])
+        order = np.lexsort((ends[:, 1], ends[:, 0]))
+        first = np.searchsorted(ends[order, 0], np.arange(self._vertices + 1))
+        self._topology = kernels.Topology()
+        self._topology.first = self._array(first, wp.int32)
+        self._topology.neighbour = self._array(ends[order, 1], wp.int32)
+        self._topology.rest_length = self._array(lengths[order], wp.float32)
+
+    def align(
+        self,
+        positions: Float[np.ndarray, "vertices 3"],
+        observation_points: Float[np.ndarray, "points 3"],
+        visible: Bool[np.ndarray, " vertices"],
+        *,
+        trusted: Bool[np.ndarray, " vertices"] | None = None,
+        table: Table | None = None,
+        rest_height_m: float = 0.0,
+    ) -> Alignment:
+        """Correct the vertices towards the cloud.
+
+        Args:
+            positions: the mesh as predicted [m], world frame.
+            observation_points: the cloud [m], world frame.
+            visible: vertices that a cloud point can belong to.
+            trusted: visible vertices whose absence from the cloud means something: only they look
+                for a cloud point themselves. All visible ones when None.
+            table: the plane that the cloth cannot pass, or None.
+            rest_height_m: height of a vertex that lies on the table [m].
+
+        Returns:
+            The corrections and how the objective fell; zero corrections, with the reason, when
+            there is nothing to align or the numbers ran away.
+        """
+        if not len(observation_points) or not visible.any():
+            reason = "no visible vertex" if len(observation_points) else "no points"
+            return self._nothing(reason)
+        if not (np.isfinite(positions).all() and np.isfinite(observation_points).all()):
+            return self._nothing("not finite")
+        problem = self._problem(positions, observation_points, visible, trusted)
+        problem.weights = self._weights(problem, table, rest_height_m)
+        solve = solve_adam if self._config.solver == "adam" else solve_icp
+        corrections, sums = solve(problem, self._config)
+        if not np.isfinite(corrections).all():
+            return self._nothing("not finite")
+        terms = self._terms(sums, len(observation_points))
+        return Alignment(
+            corrections=corrections,
+            losses=np.sum(list(terms.values()), axis=0),
+            terms=terms,
+            iterations=len(sums) - 1,
+            reason="iterations",
+        )
+
+    def gradient(
+        self,
+        positions: Float[np.ndarray, "vertices 3"],
+        displacements: Float[np.ndarray, "vertices 3"],
+        observation_points: Float[np.ndarray, "points 3"],
+        visible: Bool[np.ndarray, " vertices"],
+        *,
+        trusted: Bool[np.ndarray, " vertices"] | None = None,
+        table: Table | None = None,
+        rest_height_m: float = 0.0,
+    ) -> tuple[float, Float[np.ndarray, "vertices 3"]]:
+        """The objective [m^2] and its gradient [m] at a displacement [m], matches held fixed.
+
+        The arguments are those of `align`; the matches are the ones at the displaced vertices.
+        """
+        problem = self._problem(positions, observation_points, visible, trusted)
+        problem.weights = self._weights(problem, table, rest_height_m)
+        displaced = self._array(displacements.astype(np.float32), wp.vec3)
+        moved = self._array(problem.initial.numpy() + displaced.numpy(), wp.vec3)
+        problem.matcher.rebuild(moved)
+        sums = problem.sums(1)
+        gradient = problem.measure(moved, displaced, sums)
+        terms = self._terms(sums.numpy(), problem.point_count)
+        return float(sum(term[0] for term in terms.values())), gradient.numpy()
+
+    def _array(self, values: np.ndarray, dtype: type) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device)
+
+    def _nothing(self, reason: str) -> Alignment:
+        return Alignment(
+            np.zeros((self._vertices, 3), np.float32), np.full(1, np.nan), {}, 0, reason
+        )
+
+    def _problem(
+        self,
+        positions: np.ndarray,
+        points: np.ndarray,
+        visible: np.ndarray,
+        trusted: np.ndarray | None,
+    ) -> Problem:
+        trusted = visible if trusted is None else trusted & visible
+        if self._config.two_way_weight == 0:
+            trusted = np.zeros_like(visible)
+        # Single precision keeps micrometres only near the origin.
+        centre = positions.mean(axis=0, dtype=np.float64)
+        config = self._config
+        initial = self._array((positions - centre).astype(np.float32), wp.vec3)
+        cloud = self._array((points - centre).astype(np.float32), wp.vec3)
+        matcher = Matcher(
+            cloud, initial, visible, trusted,
+            spacing_m=self._spacing_m, every=config.neighbours_every,
+            vertical_weight=config.vertical_weight, range_m=config.two_way_range_m,
+        )  # fmt: skip
+        matches = kernels.Matches()
+        matches.cloud, matches.partner = cloud, matcher.partner
+        matches.pulled_count, matches.pulled_sum = matcher.pulled_count, matcher.pulled_sum
+        return Problem(centre, initial, matcher, matches, self._topology, len(points))
+
+    def _weights(self, problem: Problem, table: Table | None, rest_height_m: float) -> object:
+        config = self._config
+        weights = kernels.Weights()
+        weights.data = config.chamfer_weight / problem.point_count
+        weights.vertical = config.vertical_weight
+        weights.rigidity = config.rigidity_weight / self._edges
+        weights.length = config.length_weight / self._edges
+        weights.two_way = config.two_way_weight
+        weights.lowest = -1e6
+        if table is not None:
+            weights.table = config.table_weight / self._vertices
+            weights.table_normal = wp.vec3(*np.asarray(table.normal, float).tolist())
+            weights.lowest = rest_height_m + float((table.point - problem.centre) @ table.normal)
+        return weights
+
+    def _terms(self, sums: np.ndarray, points: int) -> dict[str, np.ndarray]:
+        config = self._config
+        partners = np.maximum(sums[:, kernels.PARTNERS], 1)
+        squares = sums[:, : kernels.PARTNERS] / kernels.FIXED_POINT_SQUARE
+        return {
+            "chamfer": config.chamfer_weight / points * squares[:, kernels.DATA],
+            "rigidity": config.rigidity_weight / self._edges * squares[:, kernels.RIGIDITY],
+            "two_way": config.two_way_weight / partners * squares[:, kernels.TWO_WAY],
+            "length": config.length_weight / self._edges * squares[:, kernels.LENGTH],
+            "table": config.table_weight / self._vertices * squares[:, kernels.TABLE],
+        }

@@ -1,0 +1,187 @@
+"""Changing a recording that is there: whatever is interrupted, it stays whole.
+
+A file is written beside the one that it replaces and renamed; `recording.json` comes last, because
+it names the others. What it does not speak of stays as it was, remarks included.
+"""
+
+import copy
+import shutil
+import uuid
+from collections.abc import Callable, Mapping
+from json import dumps
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.files.atomic_write import storage, write_file
+from clothtrack.recordings.document import DOCUMENT, document_violations, load_document
+from clothtrack.recordings.frame_files import PICTURE_KINDS
+from clothtrack.recordings.picker_table import picker_text
+from clothtrack.recordings.pictures import encode_png
+from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath, Recording
+from clothtrack.recordings.validation import PICKER_FILE
+
+Change = Callable[[dict[str, Any]], None]
+
+
+def amend_document(folder: Path, change: Change) -> None:
+    """Change the content of `recording.json`; it is replaced as a whole or stays as it was.
+
+    Args:
+        folder: the recording.
+        change: changes the content in place.
+
+    Raises:
+        InvalidRecordingError: the content cannot be read, or would break the format's rules.
+        StorageError: the disk refuses.
+    """
+    document, violations = load_document(folder)
+    if document is None:
+        raise InvalidRecordingError(f"{folder}: {violations[0].message}")
+    changed = copy.deepcopy(document)
+    change(changed)
+    broken = document_violations(changed)
+    if broken:
+        raise InvalidRecordingError(f"{folder}: the change is refused: {broken[0].message}")
+    text = dumps(changed, indent=1, ensure_ascii=False, allow_nan=False)
+    write_file(folder / DOCUMENT, text.encode())
+
+
+def set_actions(
+    recording: Recording,
+    paths: Mapping[str, PickerPath],
+    actions: tuple[PickAndPlace, ...],
+    *,
+    provenance: Mapping[str, object],
+) -> None:
+    """Replace the pickers' paths and the actions of a recording.
+
+    Between the steps the recording has no actions, so that it never shows old ones with new paths.
+
+    Args:
+        recording: to be changed.
+        paths: per picker name; they replace all that were there.
+        actions: in order.
+        provenance: remarks to add.
+
+    Raises:
+        InvalidRecordingError: the recording would break the format's rules.
+        StorageError: the disk refuses.
+    """
+
+    def without_actions(document: dict[str, Any]) -> None:
+        document.pop("actions", None)
+        document.get("cloth", {}).pop("held_vertices", None)
+
+    def with_actions(document: dict[str, Any]) -> None:
+        document["actions"] = [
+            {
+                "first_frame": action.first_frame,
+                "last_frame": action.last_frame,
+                "pickers": list(action.pickers),
+            }
+            for action in actions
+        ]
+        document.setdefault("provenance", {}).update(provenance)
+
+    amend_document(recording.folder, without_actions)
+    write_file(recording.folder / PICKER_FILE, picker_text(paths).encode())
+    amend_document(recording.folder, with_actions)
+
+
+def set_masks(
+    recording: Recording,
+    camera: str,
+    mask_of: Callable[[Frame], Bool[np.ndarray, "height width"] | None],
+    *,
+    color: str | None = None,
+    provenance: Mapping[str, object],
+) -> int:
+    """Give a recording masks for one camera, in place of those that it may have.
+
+    Args:
+        recording: to be changed.
+        camera: whose pictures the masks belong to.
+        mask_of: mask of the cloth in a frame; None or an empty one where it has none.
+        color: the cloth's colour name to note, if any.
+        provenance: remarks to add.
+
+    Returns:
+        The number of masks written.
+
+    Raises:
+        InvalidRecordingError: the recording would break the format's rules.
+        StorageError: the disk refuses.
+    """
+    folder, name = recording.folder, _free_name(recording.folder)
+    unfinished = folder / f".{name}.{uuid.uuid4().hex[:8]}.partial"
+    single = len(recording.cameras) == 1
+    files: dict[int, str] = {}
+    with storage(folder / name):
+        try:
+            (unfinished if single else unfinished / camera).mkdir(parents=True)
+            for frame in recording.frames:
+                mask = mask_of(frame)
+                if mask is not None and mask.any():
+                    file = f"{frame.index:06d}.png" if single else f"{camera}/{frame.index:06d}.png"
+                    (unfinished / file).write_bytes(encode_png(mask.astype(np.uint8) * 255))
+                    files[frame.index] = f"{name}/{file}"
+            unfinished.rename(folder / name)
+        finally:
+            shutil.rmtree(unfinished, ignore_errors=True)
+
+    def name_masks(document: dict[str, Any]) -> None:
+        for frame, entry in zip(recording.frames, document["frames"], strict=True):
+            _name_files(entry, frame, folder, single=single)
+            masks = entry.pop("mask", {})
+            masks = {} if isinstance(masks, str) else {**masks}
+            masks.pop(camera, None)
+            if frame.index in files:
+                masks[camera] = files[frame.index]
+            if masks:
+                entry["mask"] = masks[camera] if single else masks
+        if color is not None:
+            document.setdefault("cloth", {})["color"] = color
+        document.setdefault("provenance", {}).update(provenance)
+
+    amend_document(folder, name_masks)
+    replaced = {frame.mask[camera].parent for frame in recording.frames if camera in frame.mask}
+    for old in replaced - {folder}:
+        _remove_pictures(old, [frame.mask.get(camera) for frame in recording.frames])
+    return len(files)
+
+
+def _name_files(entry: dict[str, Any], frame: Frame, folder: Path, *, single: bool) -> None:
+    """Write down which files a frame has, where it had only their conventional names."""
+    if entry.keys() & {*PICTURE_KINDS, "cloud"}:
+        return
+    for kind in PICTURE_KINDS:
+        files = {
+            camera: path.relative_to(folder).as_posix()
+            for camera, path in getattr(frame, kind).items()
+        }
+        if files:
+            entry[kind] = next(iter(files.values())) if single else files
+    if frame.cloud is not None:
+        entry["cloud"] = frame.cloud.relative_to(folder).as_posix()
+
+
+def _free_name(folder: Path) -> str:
+    """A name for a folder of masks that is not taken."""
+    names = (f"mask{number}" for number in range(2, 1_000_000))
+    return "mask" if not (folder / "mask").exists() else next(
+        name for name in names if not (folder / name).exists()
+    )  # fmt: skip
+
+
+def _remove_pictures(folder: Path, paths: list[Path | None]) -> None:
+    """Remove pictures that nothing names any more, and their folder when that empties it."""
+    with storage(folder):
+        for path in paths:
+            if path is not None and path.parent == folder:
+                path.unlink(missing_ok=True)
+        if not any(folder.iterdir()):
+            folder.rmdir()

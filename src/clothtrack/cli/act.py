@@ -1,0 +1,353 @@
+"""The verbs of the command line that act: flattening, its learned dynamics, and getting better."""
+
+import json as json_module
+import logging
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from clothtrack.cli.learn import require_learning
+from clothtrack.cli.options import AsJson, Device, Seed, Settings
+from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say
+from clothtrack.errors import InvalidConfigError
+
+if TYPE_CHECKING:
+    from clothtrack.planning.episode_store import EpisodeStore
+    from clothtrack.planning.flatten_config import FlattenConfig
+    from clothtrack.reconstruction.training.training_loop import TrainingOutcome
+    from clothtrack.world.simulated_episodes import SimulatedEpisode
+
+logger = logging.getLogger(__name__)
+
+PerceptionChoice = Literal["network", "tracker", "both", "truth"]
+PolicyChoice = Literal["planned", "random", "outwards", "heuristic"]
+
+
+def flatten(
+    output: Positional[Path],
+    *,
+    garment: Literal["towel", "tshirt"] = "towel",
+    robot: Literal["simulated", "dry-run"] = "simulated",
+    perception: PerceptionChoice = "network",
+    weights: Path | None = None,
+    policy: PolicyChoice = "planned",
+    dynamics: Literal["simulator", "mesh"] = "simulator",
+    dynamics_weights: Path | None = None,
+    recording: Path | None = None,
+    actions: int = 10,
+    episodes: int = 1,
+    live: bool = False,
+    port: int | None = None,
+    settings: Settings = (),
+    device: Device = "cpu",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> int:
+    """Flatten a crumpled garment: perceive, plan, act, and look again.
+
+    Args:
+        output: folder for episodes/, recordings/, truth/ and one report per episode; an
+            interrupted episode goes on with the same command.
+        garment: what lies on the table.
+        robot: one in the stand-in world, or none: plans are written down and nothing moves.
+        perception: the network's mesh of each picture, the tracker's carried on, both as
+            hypotheses; truth is a control (an upper bound, no result) and simulated only.
+        weights: of the reconstruction network; the ones that come with clothtrack by default.
+        policy: planned; or, without any mesh, random actions, the place farthest off the cloth of
+            a hundred, or the farthest corner outwards.
+        dynamics: what a plan is tried in: our simulator, or the learned mesh dynamics.
+        dynamics_weights: of the learned ones (`train-dynamics`); the ones that come with clothtrack
+            by default.
+        recording: for a dry run: its last picture is what is planned for.
+        actions: most actions of an episode.
+        episodes: how many, with the seeds SEED, SEED + 1 and so on.
+        live: show it in a browser while it happens, on this machine only.
+        port: of that page; any free one by default.
+        settings: changes, such as planner.candidates=300 or planner.refinements=2.
+        device: where to compute.
+        seed: of garment, start, noise and candidates.
+        json: machine-readable.
+    """
+    config = _config(
+        policy, perception, weights, dynamics, dynamics_weights, actions=actions, settings=settings
+    )
+    if robot == "dry-run":
+        if recording is None:
+            complain("a dry run plans for a picture; name its --recording")
+            return 2
+        return _dry_run(output, recording, config, device=device, seed=seed)
+    if recording is not None:
+        complain("--recording is for --robot dry-run; the simulated robot has its own camera")
+        return 2
+    from clothtrack.world.simulated_episodes import SimulatedEpisode
+
+    if episodes < 1:
+        raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
+    chosen = [SimulatedEpisode(garment, seed + number) for number in range(episodes)]
+    return _flatten_simulated(
+        output, chosen, config, device=device, live=live, port=port, json=json
+    )
+
+
+def _flatten_simulated(
+    output: Path,
+    episodes: Sequence["SimulatedEpisode"],
+    config: "FlattenConfig",
+    *,
+    device: str,
+    live: bool,
+    port: int | None,
+    json: bool,
+) -> int:
+    from clothtrack.planning.flattening import improvement
+    from clothtrack.report.flattening_page import write_flattening_report
+    from clothtrack.world.simulated_episodes import flatten_simulated, shared_parts
+
+    # Before the first start is made and the page is served: weights may be missing.
+    parts = shared_parts(episodes[0].kind, config, device=device)
+    told = []
+    with ExitStack() as until_done:
+        watch = None
+        if live:
+            from clothtrack.report.flattening_live import watched_live
+
+            logging.getLogger("clothtrack.report").setLevel(logging.INFO)
+            watch = until_done.enter_context(watched_live(port))
+        for episode in episodes:
+            store = flatten_simulated(
+                output, episode, config, parts=parts, device=device, watch=watch
+            )
+            page = write_flattening_report(store, output / f"{episode.label}.html")
+            gained = improvement(store.steps)
+            told.append({**_summary(store), "improvement": gained, "report": str(page)})
+            if not json:
+                control = "   CONTROL" if told[-1]["control"] else ""
+                say(f"{page}   improvement {gained[-1]:.2f} after {len(gained) - 1} actions; "
+                    f"{told[-1]['status']}{control}")  # fmt: skip
+    if json:
+        say(json_module.dumps(told, indent=2))
+    return 0
+
+
+def train_dynamics(
+    output: Positional[Path],
+    *,
+    garment: tuple[Literal["towel", "tshirt"], ...] = ("towel", "tshirt"),
+    roll_outs: int = 2000,
+    only_roll_outs: bool = False,
+    settings: Settings = (),
+    workers: int = 1,
+    device: Device = "cpu",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> int:
+    """Train the mesh dynamics of `flatten --dynamics mesh` on roll-outs of our simulator.
+
+    The same command goes on where an interrupted one stopped.
+
+    Args:
+        output: folder for roll_outs/GARMENT/ and model/best.safetensors, with its card.
+        garment: what is rolled out; one network learns from all of them.
+        roll_outs: at least so many of each garment, in whole shards; finished ones are kept.
+        only_roll_outs: make them, and train nothing.
+        settings: changes, such as loop.epochs=20 or network.width=64; those that begin with
+            roll_outs. are of the roll-outs.
+        workers: processes that make roll-outs.
+        device: where to train.
+        seed: of roll-outs, weights and order.
+        json: machine-readable.
+    """
+    from clothtrack.files.settings import with_settings
+    from clothtrack.planning.graph_dynamics.roll_outs import (
+        RollOutConfig,
+        frames_per_step,
+        generate_roll_outs,
+    )
+
+    mine = [one for one in settings if not one.startswith("roll_outs.")]
+    theirs = [one.removeprefix("roll_outs.") for one in settings if one.startswith("roll_outs.")]
+    if not garment:
+        raise InvalidConfigError("--garment names nothing; give towel, tshirt or both")
+    recipe = with_settings(RollOutConfig(), theirs)
+
+    def make() -> list[Path]:
+        # Named twice, its shards would be learned from and held out at once.
+        return [
+            shard
+            for kind in dict.fromkeys(garment)
+            for shard in generate_roll_outs(
+                output / "roll_outs" / kind, kind, roll_outs, seed=seed, config=recipe,
+                processes=workers, progress=progress,
+            )
+        ]  # fmt: skip
+
+    if only_roll_outs:
+        say(f"{output / 'roll_outs'}   ({len(make())} shards)")
+        return 0
+    # What cannot be trained is refused before anything is rolled out.
+    require_learning()
+    from clothtrack.planning.graph_dynamics.mesh_training import (
+        DynamicsTrainingConfig,
+        train_mesh_dynamics,
+    )
+    from clothtrack.reconstruction.training.processes import require_torch_device
+
+    require_torch_device(device)
+    config = DynamicsTrainingConfig()
+    config = with_settings(replace(config, loop=replace(config.loop, seed=seed)), mine)
+    frames_per_step(config.network.step_s, recipe.frame_s)
+    names = ", ".join(dict.fromkeys(garment))
+    outcome = train_mesh_dynamics(
+        make(), names, config, output / "model", device=device, progress=progress
+    )
+    end_progress()
+    return _told(outcome, json=json)
+
+
+def _told(outcome: "TrainingOutcome", *, json: bool) -> int:
+    """Say how a training ended, and give the exit status."""
+    if json:
+        say(json_module.dumps(asdict(outcome), indent=2, default=str))
+    else:
+        say(f"{outcome.weights}   {outcome.status} after {outcome.steps} steps; best held-out "
+            f"error {outcome.best_score:.2f} mm after {outcome.best_step}")  # fmt: skip
+    if outcome.status == "interrupted":
+        complain("interrupted; the same command goes on from there")
+        return TERMINATED
+    return 0
+
+
+def improve(
+    weights: Positional[Path],
+    *,
+    output: Path,
+    garment: Literal["towel", "tshirt"] = "towel",
+    rounds: int = 1,
+    episodes: int = 5,
+    old: Path | None = None,
+    settings: Settings = (),
+    device: Device = "cpu",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> int:
+    """Get better by doing: flatten, track what was done, label, fine-tune, and flatten again.
+
+    The same command goes on where an interrupted one stopped.
+
+    Args:
+        weights: of the reconstruction network to begin with.
+        output: folder with one folder per round, and improvement.json: the curve.
+        garment: what lies on the table.
+        rounds: of fine-tuning; the last one is followed by one more flattening.
+        episodes: per round; the same starts in every round.
+        old: folder of simulated states to mix in, against forgetting.
+        settings: changes to flatten., track. and finetune., such as flatten.actions=5; or
+            hindsight=False, which tracks episodes as they were filmed, not from their end.
+        device: where to compute.
+        seed: of the first episode.
+        json: machine-readable.
+    """
+    require_learning()
+    from clothtrack.files.settings import with_settings
+    from clothtrack.world.self_improvement import ImprovementConfig, improve_rounds
+
+    config = with_settings(ImprovementConfig(rounds=rounds, episodes=episodes), settings)
+    curve = improve_rounds(
+        weights, output, garment, config, old=old, device=device, seed=seed, progress=progress
+    )
+    end_progress()
+    if json:
+        say(json_module.dumps(curve, indent=2))
+        return 0
+    for number, row in enumerate(curve):
+        say(f"round {number}   improvement {row['mean']:.3f} +- {row['deviation']:.3f} over "
+            f"{row['episodes']} episodes   {row['weights']}")  # fmt: skip
+    return 0
+
+
+ACTING_VERBS = (flatten, train_dynamics, improve)
+
+
+def _config(
+    policy: PolicyChoice,
+    perception: PerceptionChoice,
+    weights: Path | None,
+    dynamics: Literal["simulator", "mesh"],
+    dynamics_weights: Path | None,
+    *,
+    actions: int,
+    settings: Settings,
+) -> "FlattenConfig":
+    from clothtrack.files.settings import with_settings
+    from clothtrack.planning.flatten_config import FlattenConfig
+    from clothtrack.planning.perception import PerceptionConfig
+
+    for path in (weights, dynamics_weights):
+        if path is not None and not path.is_file():
+            raise InvalidConfigError(f"{path}: there is no such weights file; check the name")
+    if policy == "planned" and perception != "truth":
+        require_learning()
+    if dynamics == "mesh":
+        require_learning()
+    config = FlattenConfig(
+        policy=policy,
+        perception=PerceptionConfig(name=perception, weights=str(weights or "")),
+        dynamics=dynamics,
+        dynamics_weights=str(dynamics_weights or ""),
+        actions=actions,
+    )
+    return with_settings(config, settings)
+
+
+def _summary(store: "EpisodeStore") -> dict[str, object]:
+    """What a program wants to know of an episode; controls say so."""
+    label = store.document["asked"]["label"]
+    return {
+        "episode": str(store.folder),
+        "status": store.document["status"],
+        "actions": len(store.steps) - 1,
+        **label,
+    }
+
+
+def _dry_run(
+    output: Path, recording: Path, config: "FlattenConfig", *, device: str, seed: int
+) -> int:
+    """Plan one action for the last picture of a recording."""
+    from clothtrack.planning.flatten_config import dynamics_of
+    from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area
+    from clothtrack.planning.perception import perception_of
+    from clothtrack.planning.robots.dry_run import DryRunRobot, pictures_of
+    from clothtrack.planning.robots.robot import MotionLimits
+    from clothtrack.planning.seen import seen_area
+    from clothtrack.recordings.store import read_recording
+
+    source = read_recording(recording)
+    if source.table is None:
+        raise InvalidConfigError(f"{recording}: it has no table; flattening needs one")
+    # Refuses a picture that cannot be read, or shows no cloth, before anything is written.
+    seen_area(source, source.frames[-1])
+    planned = config.policy == "planned"
+    robot = DryRunRobot(
+        pictures_of(source), output, limits=MotionLimits(workspace=config.planner.space.workspace)
+    )
+    kind = source.cloth.kind
+    flattening = Flattening(
+        robot,
+        EpisodeScene(replace(source.cloth, template=None), source.table, flat_area(source.cloth)),
+        replace(config, actions=1),
+        perception=perception_of(kind, config.perception, device=device) if planned else None,
+        dynamics=dynamics_of(config, device=device) if planned else (),
+        seed=seed,
+    )
+    store = flattening.run(output / "episode")
+    plans = sorted(output.glob("action_*.png"))
+    if not plans:
+        complain(f"no plan: {store.document['status']}")
+        return 1
+    say("\n".join(map(str, plans)))
+    return 0

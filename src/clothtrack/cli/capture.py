@@ -1,0 +1,308 @@
+"""The verbs of setting up a recording: where its camera is, what is cloth, what moved it."""
+
+import json as json_module
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from clothtrack.cli.options import AsJson
+from clothtrack.cli.terminal import complain, say
+
+if TYPE_CHECKING:
+    from clothtrack.capture.board import Board
+    from clothtrack.capture.camera_pose import CameraPlacement
+
+Charuco = Annotated[
+    tuple[int, int, float, float] | None,
+    arg(
+        metavar="SQUARES_X SQUARES_Y SQUARE_M MARKER_M",
+        help="the printed board: squares along both sides, side of a square and of a marker [m]",
+    ),
+]
+
+TipClick = Annotated[
+    tuple[int, int, int] | None,
+    arg(metavar="FRAME COLUMN ROW", help="a click on the tip, in place of a colour name"),
+]
+
+
+def calibrate_camera(
+    recording: Positional[Path],
+    *,
+    camera: str = "",
+    charuco: Charuco = None,
+    dictionary: str = "4X4_50",
+    thickness: float = 0.0,
+    output: Path | None = None,
+    force: bool = False,
+    json: AsJson = False,
+) -> int:
+    """Find the table and put the world on it: z up, the table at z = 0; written to the recording.
+
+    Args:
+        recording: folder with a recording.json.
+        camera: by which camera, when there are several; the others keep their place beside it.
+        charuco: a board on the table gives the world, instead of the table's depth.
+        dictionary: of the board's markers.
+        thickness: how high the print lies over the table [m].
+        output: write the result to this JSON file, and leave the recording as it is.
+        force: although a picker path, template or clouds stand in the present world already.
+        json: machine-readable.
+    """
+    from clothtrack.capture.camera_pose import camera_named, place_by_board, place_by_table
+    from clothtrack.recordings.store import read_recording
+
+    source = read_recording(recording)
+    chosen = camera_named(source, camera)
+    board = _board(charuco, dictionary)
+    if board is None:
+        placement = place_by_table(source, chosen)
+    else:
+        placement = place_by_board(source, chosen, board, thickness_m=thickness)
+    return _placed(recording, placement, output, force=force, json=json)
+
+
+def calibrate_hand_eye(
+    recording: Positional[Path],
+    poses: Positional[Path],
+    *,
+    charuco: Charuco = None,
+    camera: str = "",
+    dictionary: str = "4X4_50",
+    camera_on_hand: bool = False,
+    output: Path | None = None,
+    force: bool = False,
+    json: AsJson = False,
+) -> int:
+    """Find the camera in the robot's base, from pictures of a board that the robot holds.
+
+    Args:
+        recording: whose camera it is, for its intrinsics; gets the result.
+        poses: CSV file with picture,x_m,y_m,z_m,qx,qy,qz,qw: the gripper in the robot's base.
+        charuco: the board; required.
+        camera: which one, when the recording has several.
+        dictionary: of the board's markers.
+        camera_on_hand: the camera is on the gripper and the board lies still; needs --output.
+        output: write the result to this JSON file, and leave the recording as it is.
+        force: although a picker path, template or clouds stand in the present world already.
+        json: machine-readable.
+    """
+    from clothtrack.capture.camera_pose import camera_named, place_by_robot
+    from clothtrack.capture.hand_eye import read_robot_poses
+    from clothtrack.recordings.store import read_recording
+
+    board = _board(charuco, dictionary)
+    if board is None or (camera_on_hand and output is None):
+        complain(
+            "give --charuco, and with --camera-on-hand an --output: a recording's camera rests"
+        )
+        return 2
+    source = read_recording(recording)
+    placement, _ = place_by_robot(
+        source,
+        camera_named(source, camera),
+        board,
+        read_robot_poses(poses),
+        camera_on_hand=camera_on_hand,
+    )
+    return _placed(recording, placement, output, force=force, json=json)
+
+
+def find_picker(
+    recording: Positional[Path],
+    *,
+    tip_color: str = "",
+    tip_click: TipClick = None,
+    name: str = "tip",
+    camera: str = "",
+    force: bool = False,
+    json: AsJson = False,
+) -> int:
+    """Find the picker in the pictures: its path, and its pick-and-places; written to the recording.
+
+    Args:
+        recording: folder with a recording.json that has a table (see calibrate-camera).
+        tip_color: name of the colour of the tool's tip, such as pink.
+        tip_click: a click on the tip, in place of a colour name.
+        name: what to call the picker.
+        camera: which one to look through, when there are several.
+        force: replace the picker paths and actions that the recording has.
+        json: machine-readable.
+    """
+    from clothtrack.capture.camera_pose import camera_named
+    from clothtrack.capture.picker_detection import find_picker as find
+    from clothtrack.capture.picker_detection import keep_picker, require_unmeasured, tip_members
+    from clothtrack.recordings.store import read_recording
+
+    if bool(tip_color) == (tip_click is not None):
+        complain("say how the tip looks: --tip-color NAME, or --tip-click FRAME COLUMN ROW")
+        return 2
+    source = read_recording(recording)
+    chosen = camera_named(source, camera)
+    require_unmeasured(source, force=force)
+    found = find(source, chosen, tip_members(source, chosen, tip_color or tip_click), name=name)
+    vertex = keep_picker(source, found, name, tip_color or "clicked")
+    told = {
+        "picker": name,
+        "seen": int(found.seen.sum()),
+        "frames": len(found.seen),
+        "closed_by": found.by,
+        "first_pick_vertex": vertex,
+        "actions": [
+            {"first_frame": one.first_frame, "pick": pick, "release": release,
+             "last_frame": one.last_frame}
+            for one, pick, release in zip(found.actions, found.picks, found.releases, strict=True)
+        ],
+    }  # fmt: skip
+    if json:
+        say(json_module.dumps(told, indent=2))
+        return 0
+    say(f"the tip is seen in {told['seen']} of {told['frames']} frames; closed by {found.by}")
+    for number, one in enumerate(told["actions"], start=1):
+        say(
+            f"action {number}: frames {one['first_frame']} to {one['last_frame']}, picks in "
+            f"{one['pick']}, has let go in {one['release']}"
+        )
+    if vertex is not None:
+        say(f"the first pick takes vertex {vertex} of the template")
+    say(f"written to {recording / 'picker.csv'} and {recording / 'recording.json'}")
+    return 0
+
+
+def segment(
+    recording: Positional[Path],
+    *,
+    click: Annotated[tuple[int, int] | None, arg(metavar="COLUMN ROW")] = None,
+    box: Annotated[tuple[int, int, int, int] | None, arg(metavar="LEFT TOP RIGHT BOTTOM")] = None,
+    frame: int = 0,
+    camera: str = "",
+    keep: bool = False,
+    sheet: Path = Path("masks.png"),
+    port: int | None = None,
+) -> int:
+    """Show which pixels are cloth, by one click or box: on a page, or with --click or --box.
+
+    Args:
+        recording: folder with a recording.json and colour pictures.
+        click: on the cloth; without it and without a box a page opens on this machine.
+        box: around the cloth.
+        frame: in which both are given.
+        camera: whose pictures, when there are several.
+        keep: write the masks into the recording; on the page there is a button for it.
+        sheet: with a click or box, write a picture of masks from all over the recording here.
+        port: of the page's server, which listens on this machine only; any free one by default.
+    """
+    from clothtrack.capture.camera_pose import camera_named
+    from clothtrack.capture.segmentation_setup import SegmentationSetup
+    from clothtrack.recordings.store import read_recording
+
+    if click is not None and box is not None:
+        complain("give --click or --box, not both")
+        return 2
+    source = read_recording(recording)
+    setup = SegmentationSetup(source, camera_named(source, camera))
+    if click is None and box is None:
+        from clothtrack.capture.segmentation_page import segment_live
+
+        kept = segment_live(setup, port, opened=lambda address: say(f"choose the cloth: {address}"))
+        say("nothing was kept" if kept is None else f"{kept} masks are in {recording}")
+        return 0 if kept is not None else 1
+    from clothtrack.capture.mask_pictures import write_mask_sheet
+
+    if click is not None:
+        setup.choose_click(frame, click)
+    elif box is not None:
+        setup.choose_box(frame, box)
+    say(str(write_mask_sheet(setup, sheet)))
+    if keep:
+        say(f"{setup.keep()} masks are in {recording}")
+    return 0
+
+
+def record(
+    output: Positional[Path],
+    *,
+    seconds: float | None = None,
+    replay: Path | None = None,
+    width: int = 640,
+    height: int = 480,
+    rate: int = 30,
+    serial: str = "",
+    salvage: bool = False,
+    port: int | None = None,
+) -> int:
+    """Record from a RealSense camera, with a page that shows the picture and says what to do.
+
+    Args:
+        output: folder of the recording; must not exist.
+        seconds: record this long at once, without the page.
+        replay: a recording that stands in for the camera.
+        width: of the pictures [pixels].
+        height: of the pictures [pixels].
+        rate: pictures per second.
+        serial: number of the camera, when several are connected.
+        salvage: record nothing; make a recording of what a broken capture has left.
+        port: of the page's server, which listens on this machine only; any free one by default.
+    """
+    from clothtrack.capture.realsense_camera import open_realsense
+    from clothtrack.capture.recorder import ReplayedCamera, salvage_capture
+    from clothtrack.capture.recording_page import Session, record_live
+    from clothtrack.recordings.store import read_recording
+
+    if salvage:
+        saved = salvage_capture(output)
+        say(f"{output}   ({len(saved.frames)} frames)")
+        return 0
+    if replay is not None:
+        source = ReplayedCamera(read_recording(replay))
+    else:
+        source = open_realsense(width=width, height=height, rate=rate, serial=serial)
+    told = "a replayed recording" if replay is not None else "RealSense"
+    session = Session(source, output, {"recorded_with": f"clothtrack record, {told}"})
+    if seconds is not None:
+        session.start()
+        with suppress(KeyboardInterrupt):
+            session.watch(seconds)
+        made = session.finish()
+    else:
+        made = record_live(session, port, opened=lambda address: say(f"record at: {address}"))
+    if made is None:
+        complain("left before the start; nothing was recorded")
+        return 1
+    say(f"{output}   ({len(made.frames)} frames)")
+    return 0
+
+
+SETTING_UP_VERBS = (record, calibrate_camera, calibrate_hand_eye, segment, find_picker)
+
+
+def _board(charuco: tuple[int, int, float, float] | None, dictionary: str) -> "Board | None":
+    from clothtrack.capture.board import Board
+
+    return None if charuco is None else Board(*charuco, dictionary=dictionary)
+
+
+def _placed(
+    folder: Path, placement: "CameraPlacement", output: Path | None, *, force: bool, json: bool
+) -> int:
+    """Save a placement where it was wanted, and say what it is."""
+    from clothtrack.capture.camera_pose import place_camera, save_placement
+    from clothtrack.recordings.store import read_recording
+
+    if output is not None:
+        save_placement(output, placement)
+    else:
+        place_camera(read_recording(folder), placement, force=force)
+    if json:
+        say(json_module.dumps(placement.as_dict(), indent=2))
+        return 0
+    for name, value in placement.told.items():
+        if name == "per_picture":
+            for one in value:
+                say(f"  {one['mm']:7.2f} mm {one['deg']:7.3f} deg  {one['picture']}")
+        else:
+            say(f"{name:<22} {value}")
+    say(f"written to             {output or folder / 'recording.json'}")
+    return 0

@@ -1,0 +1,76 @@
+"""What a folder was begun for: a command goes on with its own work and refuses another's."""
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.files.atomic_write import storage, write_file
+
+LONGEST = 40
+"""Characters of a value that a message shows."""
+
+
+def as_plain(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as they are when they come back from JSON."""
+    return json.loads(json.dumps(asked, default=str))
+
+
+def claim(path: Path, asked: Mapping[str, Any]) -> None:
+    """Note in a file what its folder is for, or refuse a folder that is for something else.
+
+    Args:
+        path: of the JSON file.
+        asked: everything that the work in the folder depends on.
+
+    Raises:
+        InvalidConfigError: with the first setting that differs.
+        InvalidResultError: the file is damaged.
+        StorageError: the disk refuses.
+    """
+    if not path.exists():
+        write_file(path, json.dumps(as_plain(asked), indent=1).encode())
+        return
+    try:
+        with storage(path):
+            found = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InvalidResultError(
+            f"{path}: not what the folder was begun with ({error}); remove the folder and begin "
+            "again"
+        ) from error
+    require_same(path, found, asked)
+
+
+def require_same(path: Path, found: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Refuse to go on with what was begun with other settings.
+
+    Args:
+        path: file that they were found in.
+        found: what it was begun with.
+        asked: what is asked for now.
+
+    Raises:
+        InvalidConfigError: with the first setting that differs.
+    """
+    for name, was, now in _differing(found, as_plain(asked)):
+        raise InvalidConfigError(
+            f"{path}: begun with another {name} ({was}, now {now}); choose another folder, or "
+            "remove this one"
+        )
+
+
+def _differing(found: Any, asked: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
+    """Names of the values that differ, with both of them in a few words."""
+    if isinstance(found, Mapping) and isinstance(asked, Mapping):
+        for key in sorted(set(found) | set(asked)):
+            inner = f"{name}.{key}" if name else key
+            yield from _differing(found.get(key), asked.get(key), inner)
+    elif found != asked:
+        yield name, _in_short(found), _in_short(asked)
+
+
+def _in_short(value: Any) -> str:
+    told = json.dumps(value)
+    return told if len(told) <= LONGEST else f"{told[:LONGEST]}..."

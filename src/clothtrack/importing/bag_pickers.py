@@ -1,0 +1,148 @@
+"""The picker's path in a bag: from a pose topic or a TF frame, and a gripper topic."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.importing.bag_walk import Walk
+from clothtrack.importing.source import Wanted
+from clothtrack.importing.topics import listed
+from clothtrack.recordings.recording import PickerPath
+
+PICKER = "picker"
+_CLOCKS_DIFFER_NS = 10**9
+
+
+@dataclass(frozen=True)
+class BagPaths:
+    """Where the picker was.
+
+    Attributes:
+        paths: path per picker, in `frame`; times [s] count from `start_ns`.
+        start_ns: the first position's time [ns]; seconds since 1970 would lose digits.
+        frame: "world", "camera" or a frame that nothing ties to the camera.
+        streams: which topic or frame each thing came from.
+        notes: what to know, in words.
+    """
+
+    paths: Mapping[str, PickerPath] = field(default_factory=dict)
+    start_ns: int = 0
+    frame: str = ""
+    streams: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+def bag_paths(path: Path, found: Walk, wanted: Wanted, camera_frame: str) -> BagPaths:
+    """The picker's path that was asked for, or nothing.
+
+    Raises:
+        InvalidConfigError: the topic or frame is not there, or the gripper needs a limit.
+    """
+    if wanted.picker_topic is None and wanted.picker_frame is None:
+        if wanted.gripper_topic is not None:
+            raise InvalidConfigError(
+                "--gripper-topic tells when, but not where: add --picker-topic or --picker-frame"
+            )
+        return BagPaths()
+    target, frame = (
+        (wanted.world_frame, "world") if wanted.world_frame else (camera_frame, "camera")
+    )
+    streams = {}
+    if wanted.picker_topic is not None:
+        streams["picker"] = wanted.picker_topic
+        times, positions, frame = _from_topic(path, found, wanted.picker_topic, target, frame)
+    else:
+        assert wanted.picker_frame is not None
+        streams["picker"] = f"TF frame {wanted.picker_frame}"
+        tree = found.tree
+        if not target or not tree.connects(target, wanted.picker_frame):
+            raise InvalidConfigError(
+                f"{path}: no TF ties --picker-frame {wanted.picker_frame!r} to {target!r}; frames: "
+                f"{', '.join(tree.frames) or 'none'}; name the world with --world-frame"
+            )
+        times = tree.moments(target, wanted.picker_frame)
+        positions = tree.lookup(target, wanted.picker_frame, times)[:, :3, 3]
+    keep = np.concatenate([[True], np.diff(times) > 0]) if len(times) else np.zeros(0, bool)
+    times, positions = times[keep], positions[keep]
+    if len(times) < 2:
+        raise InvalidConfigError(
+            f"{path}: {streams['picker']} tells {len(times)} positions; a path has at least two"
+        )
+    closed = np.zeros(len(times), dtype=bool)
+    notes = []
+    if wanted.gripper_topic is not None:
+        streams["gripper"] = wanted.gripper_topic
+        closed, notes = _closed(path, found, wanted, times)
+    start_ns = int(times[0])
+    paths = {PICKER: PickerPath((times - start_ns) / 1e9, positions, closed)}
+    return BagPaths(paths, start_ns, frame, streams, notes)
+
+
+def _from_topic(
+    path: Path, found: Walk, topic: str, target: str, frame: str
+) -> tuple[Int64[np.ndarray, " times"], Float[np.ndarray, "times 3"], str]:
+    if not found.poses:
+        raise InvalidConfigError(
+            f"{path}: no position in topic {topic!r}; topics: {listed(found.topics)}; name one of "
+            "PoseStamped, PointStamped, TransformStamped or Odometry with --picker-topic"
+        )
+    poses = sorted(found.poses, key=lambda one: one[0])
+    times = np.array([one[0] for one in poses], dtype=np.int64)
+    positions = np.array([one[2] for one in poses])
+    origin = poses[0][1]
+    if not (target and origin and found.tree.connects(target, origin)):
+        # Nothing ties its frame to the camera's; whether it is the world is for the person to say.
+        return times, positions, "camera" if origin and origin == target else repr(origin)
+    poses_at = found.tree.lookup(target, origin, times)
+    moved = np.einsum("tij,tj->ti", poses_at[:, :3, :3], positions) + poses_at[:, :3, 3]
+    return times, moved, frame
+
+
+def _closed(
+    path: Path, found: Walk, wanted: Wanted, times: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    if not found.grips:
+        raise InvalidConfigError(
+            f"{path}: no message in --gripper-topic {wanted.gripper_topic!r}; topics: "
+            f"{listed(found.topics)}"
+        )
+    unstamped = not hasattr(found.grips[0][1], "header")
+    gap = found.clock_gap_ns if unstamped and abs(found.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
+    told = sorted((time - gap, _is_closed(path, one, wanted)) for time, one in found.grips)
+    when = np.array([time for time, _ in told])
+    what = np.array([closed for _, closed in told])
+    # Before the first message the gripper is taken to be as that message says.
+    last = np.clip(np.searchsorted(when, times, side="right") - 1, 0, None)
+    notes = []
+    if gap:
+        notes.append(
+            f"{wanted.gripper_topic} has no time stamps of its own; its times of writing were "
+            f"moved by {-gap / 1e9:.3f} s to the clock of the pictures"
+        )
+    return what[last], notes
+
+
+def _is_closed(path: Path, message: Any, wanted: Wanted) -> bool:
+    value = message
+    for name in ("position", "data"):
+        value = getattr(value, name, value)
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if wanted.gripper_closed_below is None:
+        raise InvalidConfigError(
+            f"{path}: --gripper-topic {wanted.gripper_topic!r} tells numbers, not closed or open; "
+            "say below which value the gripper is closed: --gripper-closed-below"
+        )
+    try:
+        opening = float(np.sum(np.asarray(value, dtype=np.float64)))
+    except (TypeError, ValueError) as error:
+        raise InvalidConfigError(
+            f"{path}: --gripper-topic {wanted.gripper_topic!r} tells no number; name a topic of "
+            "Bool, Float or JointState"
+        ) from error
+    return opening < wanted.gripper_closed_below

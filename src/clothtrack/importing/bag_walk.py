@@ -1,0 +1,180 @@
+"""One walk through a bag: the place of every picture, and what little else is worth keeping."""
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.importing import bag_container, mcap_container, sqlite_container
+from clothtrack.importing import realsense_bag as realsense
+from clothtrack.importing.containers import Container, Message, Place, Topic, TornError
+from clothtrack.importing.messages import decode, payload, stamp_ns
+from clothtrack.importing.source import Shot
+from clothtrack.importing.topics import CAMERA_INFO, COMPRESSED, IMAGE
+from clothtrack.importing.transforms import TransformTree
+
+_CONTAINERS = (
+    (bag_container.MAGIC, bag_container.BagContainer, "ROS 1 bag"),
+    (mcap_container.MAGIC, mcap_container.McapContainer, "MCAP"),
+    (sqlite_container.MAGIC, sqlite_container.SqliteContainer, "ROS 2 bag (SQLite)"),
+)
+_TF_KINDS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_CLOCK_SAMPLES = 200
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a file starts like one of the bags."""
+    return _container_of(path) is not None
+
+
+def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
+    """The containers of a bag in one or several files, and the format in words.
+
+    Raises:
+        InvalidRecordingError: one of them is no bag.
+    """
+    containers: list[Container] = []
+    words = ""
+    try:
+        for path in paths:
+            kind = _container_of(path)
+            if kind is None:
+                raise InvalidRecordingError(
+                    f"{path}: neither a ROS 1 bag, nor MCAP, nor SQLite; record or copy it again"
+                )
+            containers.append(kind[0](path))
+            words = kind[1]
+    except InvalidRecordingError:
+        for one in containers:
+            one.close()
+        raise
+    return containers, words
+
+
+def _container_of(path: Path) -> tuple[type, str] | None:
+    try:
+        with path.open("rb") as file:
+            start = file.read(16)
+    except OSError as error:
+        raise InvalidRecordingError(f"{path}: {error.strerror}; check the name") from error
+    for magic, kind, words in _CONTAINERS:
+        if start.startswith(magic):
+            return kind, words
+    return None
+
+
+@dataclass
+class Walk:
+    """What one walk found.
+
+    Attributes:
+        pose_topic: topic of the picker's pose, when asked for.
+        grip_topic: topic of the gripper, when asked for.
+        topics: every topic.
+        shots: pictures per topic name.
+        infos: first CameraInfo per topic name.
+        heard: first message of the SDK's options and poses per topic name.
+        tree: TF.
+        poses: (time [ns], frame, position [m]) of the topic asked for.
+        grips: (time [ns], message) of the gripper topic asked for; times as in headers.
+        gaps_ns: time of writing minus time in the header, of the first pictures.
+        lost: what could not be read, in words.
+    """
+
+    pose_topic: str | None = None
+    grip_topic: str | None = None
+    topics: list[Topic] = field(default_factory=list)
+    shots: dict[str, list[Shot]] = field(default_factory=dict)
+    infos: dict[str, Any] = field(default_factory=dict)
+    heard: dict[str, Any] = field(default_factory=dict)
+    tree: TransformTree = field(default_factory=TransformTree)
+    poses: list[tuple[int, str, tuple[float, float, float]]] = field(default_factory=list)
+    grips: list[tuple[int, Any]] = field(default_factory=list)
+    gaps_ns: list[int] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+
+    @property
+    def clock_gap_ns(self) -> int:
+        """Time of writing minus time in the header, median over the first pictures."""
+        return sorted(self.gaps_ns)[len(self.gaps_ns) // 2] if self.gaps_ns else 0
+
+
+def walk(
+    containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None
+) -> Walk:
+    """Walk through every part of a bag once."""
+    found = Walk(pose_topic, grip_topic)
+    torn: dict[str, int] = {}
+    for part, container in enumerate(containers):
+        for message in container.messages():
+            try:
+                _note(found, container, message, part)
+            except TornError:
+                torn[message.topic.name] = torn.get(message.topic.name, 0) + 1
+        known = {one.name for one in found.topics}
+        found.topics += [one for one in container.topics() if one.name not in known]
+        if container.damage:
+            whole = sum(map(len, found.shots.values()))
+            found.lost.append(f"{container.damage}; {whole} whole pictures before it were saved")
+    found.lost += [f"{count} damaged messages of {name} left out" for name, count in torn.items()]
+    return found
+
+
+def _note(found: Walk, container: Container, message: Message, part: int) -> None:
+    topic, log_ns, place = message.topic, message.log_ns, message.place._replace(part=part)
+    if topic.kind in (IMAGE, COMPRESSED):
+        time_ns = stamp_ns(container, topic, place, log_ns)
+        if len(found.gaps_ns) < _CLOCK_SAMPLES:
+            found.gaps_ns.append(log_ns - time_ns)
+        found.shots.setdefault(topic.name, []).append(Shot(time_ns, place))
+    elif topic.kind == CAMERA_INFO and topic.name not in found.infos:
+        found.infos[topic.name] = decode(topic, payload(container, place))
+    elif topic.kind in _TF_KINDS:
+        for one in decode(topic, payload(container, place)).transforms:
+            _grow(found.tree, one, log_ns, static="static" in topic.name)
+    elif realsense.WANTED.match(topic.name) and topic.name not in found.heard:
+        found.heard[topic.name] = decode(topic, payload(container, place))
+    if topic.name == found.pose_topic:
+        _pose(found, container, message, place)
+    if topic.name == found.grip_topic:
+        time_ns = stamp_ns(container, topic, place, log_ns)
+        found.grips.append((time_ns, decode(topic, payload(container, place))))
+
+
+def _grow(tree: TransformTree, one: Any, log_ns: int, *, static: bool) -> None:
+    stamp = one.header.stamp
+    time_ns = stamp.sec * 10**9 + stamp.nanosec or log_ns
+    t, q = one.transform.translation, one.transform.rotation
+    tree.add(
+        one.header.frame_id, one.child_frame_id, time_ns, (t.x, t.y, t.z), (q.x, q.y, q.z, q.w),
+        static=static,
+    )  # fmt: skip
+
+
+def _pose(found: Walk, container: Container, message: Message, place: Place) -> None:
+    topic = message.topic
+    content = decode(topic, payload(container, place))
+    time_ns = stamp_ns(container, topic, place, message.log_ns)
+    inner = content
+    for name in ("pose", "pose", "transform", "point", "position", "translation"):
+        inner = getattr(inner, name, inner)
+    position = tuple(float(getattr(inner, axis, float("nan"))) for axis in "xyz")
+    if not all(math.isfinite(value) for value in position):
+        raise TornError(f"{topic.name}: {topic.kind} holds no position")
+    header = getattr(content, "header", None)
+    frame = "" if header is None else str(header.frame_id).lstrip("/")
+    found.poses.append((time_ns, frame, (position[0], position[1], position[2])))
+
+
+def frame_of(container: Container, topic: Topic, place: Place) -> str:
+    """The frame in the header of a picture, "" when it has none."""
+    with suppress(TornError):
+        data = payload(container, place)[:512]
+        order = "little" if not topic.cdr or data[1:2] == b"\x01" else "big"
+        length = int.from_bytes(data[12:16], order)
+        if 0 < length <= 256:
+            return data[16 : 16 + length].split(b"\0")[0].decode("utf-8", "replace").lstrip("/")
+    return ""

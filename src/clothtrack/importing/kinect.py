@@ -1,0 +1,163 @@
+"""Azure Kinect and Orbbec Femto recordings (`.mkv`) as a source."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.importing.containers import TornError
+from clothtrack.importing.intrinsics_file import read_intrinsics
+from clothtrack.importing.kinect_calibration import kinect_lenses
+from clothtrack.importing.lens import MOST_PIXELS
+from clothtrack.importing.matroska import MAGIC, MatroskaReader, Track
+from clothtrack.importing.packed_pictures import packed_color
+from clothtrack.importing.source import Content, Footage, Rig, Shot, Wanted
+
+_CALIBRATION = "calibration.json"
+_RAW_COLOR = {"NV12": (1.5, cv2.COLOR_YUV2RGB_NV12), "YUY2": (2.0, cv2.COLOR_YUV2RGB_YUY2),
+              "BGRA": (4.0, cv2.COLOR_BGRA2RGB)}  # fmt: skip
+
+
+def is_kinect(path: Path) -> bool:
+    """Whether a file is Matroska."""
+    with path.open("rb") as file:
+        return file.read(4) == MAGIC
+
+
+class KinectSource:
+    """A Matroska file with the tracks COLOR and DEPTH and the calibration attached."""
+
+    def __init__(self, path: Path, wanted: Wanted) -> None:
+        """Walk through the file and read the calibration.
+
+        Raises:
+            InvalidRecordingError: it has no depth, no calibration, or a mode nobody knows.
+        """
+        self._path = path
+        self._file = MatroskaReader(path)
+        try:
+            self.footage = self._find(wanted)
+        except BaseException:
+            self.close()
+            raise
+
+    def depth(self, shot: Shot) -> Callable[[], Content]:
+        """A function that gives the counts of a depth picture."""
+        data = self._file.fetch(shot.place)
+        return partial(_depth, data, self._depth_track.width, self._depth_track.height)
+
+    def color(self, shot: Shot) -> Callable[[], Content]:
+        """A function that gives red, green and blue."""
+        data = self._file.fetch(shot.place)
+        assert self._color_track is not None
+        return partial(_color, data, self._color_track, _four_letters(self._color_track))
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def _find(self, wanted: Wanted) -> Footage:
+        shots: dict[int, list[Shot]] = {}
+        for block in self._file.blocks():
+            shots.setdefault(block.track, []).append(Shot(block.time_ns, block))
+        notes = []
+        if self._file.damage:
+            whole = sum(map(len, shots.values()))
+            notes.append(f"{self._file.damage}; {whole} whole pictures before it were saved")
+        depth_track = self._track("DEPTH")
+        if depth_track is None:
+            names = ", ".join(repr(one.name) for one in self._file.content.tracks) or "none"
+            lost = "".join(f" ({one})" for one in notes)
+            raise InvalidRecordingError(
+                f"{self._path}: no track DEPTH{lost}; tracks: {names}; record with k4arecorder or "
+                "OrbbecViewer, depth switched on"
+            )
+        self._depth_track = depth_track
+        self._color_track = None if wanted.without_color else self._track("COLOR")
+        rig = self._rig(wanted)
+        color = None if self._color_track is None else shots.get(self._color_track.number, [])
+        streams = {"depth": f"track {depth_track.name}"}
+        if self._color_track is not None:
+            streams["colour"] = f"track {self._color_track.name}"
+        if wanted.picker_topic or wanted.picker_frame or wanted.gripper_topic:
+            notes.append("a Kinect recording has no topics: the picker's path is not in it")
+        return Footage(
+            kind="Azure Kinect / Orbbec Femto recording (Matroska)",
+            rig=rig,
+            depth=shots.get(depth_track.number, []),
+            color=color,
+            streams=streams,
+            notes=notes,
+        )
+
+    def _track(self, name: str) -> Track | None:
+        content = self._file.content
+        uid = content.track_tags.get(f"K4A_{name}_TRACK")
+        for track in content.tracks:
+            if track.name.upper() == name or (uid is not None and track.uid == uid):
+                pixels = track.width * track.height
+                if not 0 < pixels <= MOST_PIXELS:
+                    raise InvalidRecordingError(
+                        f"{self._path}: track {track.name!r} of {track.width} x {track.height} "
+                        "pixels; the file is damaged, copy or record it again"
+                    )
+                return track
+        return None
+
+    def _rig(self, wanted: Wanted) -> Rig:
+        unit, origin = 1e-3, "the format: millimetres"
+        if wanted.depth_unit_m is not None:
+            unit, origin = wanted.depth_unit_m, "given by --depth-unit-m"
+        if wanted.intrinsics is not None:
+            given = read_intrinsics(wanted.intrinsics)
+            color = None if self._color_track is None else given.color
+            return Rig(given.depth, color, given.color_from_depth, unit, origin)
+        content = self._file.content
+        name = content.tags.get("K4A_CALIBRATION_FILE", _CALIBRATION)
+        text = content.attachments.get(name, content.attachments.get(_CALIBRATION))
+        if text is None:
+            raise InvalidRecordingError(
+                f"{self._path}: no attached calibration, so the lenses are not known (attached: "
+                f"{', '.join(content.attachments) or 'nothing'}); give --intrinsics FILE"
+            )
+        track = self._color_track
+        depth, color, pose = kinect_lenses(
+            self._path,
+            text,
+            (self._depth_track.width, self._depth_track.height),
+            None if track is None else (track.width, track.height),
+        )
+        return Rig(depth, color, pose, unit, origin)
+
+
+def _four_letters(track: Track) -> str:
+    """The kind of pictures: "MJPG", "NV12", ..."""
+    if track.codec == "V_MJPEG":
+        return "MJPG"
+    return track.private[16:20].decode("latin-1").upper()
+
+
+def _depth(data: bytes, width: int, height: int) -> np.ndarray:
+    if len(data) != 2 * width * height:
+        raise TornError(f"a depth picture of {len(data)} bytes for {width} x {height} pixels")
+    return np.frombuffer(data, ">u2").reshape(height, width).astype(np.uint16)
+
+
+def _color(data: bytes, track: Track, letters: str) -> Content:
+    if letters in ("MJPG", "JPEG"):
+        return packed_color(data)
+    if letters not in _RAW_COLOR:
+        raise TornError(f"colour of the kind {letters!r}; known are MJPG, {', '.join(_RAW_COLOR)}")
+    share, conversion = _RAW_COLOR[letters]
+    width, height = track.width, track.height
+    if len(data) != int(share * width * height):
+        raise TornError(f"a colour picture of {len(data)} bytes for {width} x {height} pixels")
+    pixels = np.frombuffer(data, np.uint8)
+    shape = (height * 3 // 2, width) if letters == "NV12" else (height, width, int(share))
+    try:
+        return cv2.cvtColor(pixels.reshape(shape), conversion)
+    except (cv2.error, ValueError) as error:
+        raise TornError("a colour picture that cannot be converted") from error

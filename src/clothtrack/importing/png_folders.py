@@ -1,0 +1,232 @@
+"""Folders of pictures as a source: as TUM, Open3D and BOP lay them out."""
+
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.importing.containers import MOST_BYTES, TornError
+from clothtrack.importing.images import png_depth
+from clothtrack.importing.intrinsics_file import Intrinsics, read_intrinsics, read_json
+from clothtrack.importing.lens import Lens
+from clothtrack.importing.packed_pictures import packed_color, packed_depth
+from clothtrack.importing.source import Content, Footage, Rig, Shot, Wanted
+
+_DEPTH_FOLDERS = ("depth",)
+_COLOR_FOLDERS = ("rgb", "color", "image", "images")
+_INTRINSICS = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera.json")
+_BOP = "scene_camera.json"
+_PICTURES = (".png", ".jpg", ".jpeg")
+_MOST_FILES = 1_000_000
+
+
+def is_picture_folder(path: Path) -> bool:
+    """Whether a folder holds a folder of depth pictures."""
+    return any((path / name).is_dir() for name in _DEPTH_FOLDERS)
+
+
+class FolderSource:
+    """A folder with depth pictures, perhaps colour pictures, and what says how to read them."""
+
+    def __init__(self, path: Path, wanted: Wanted) -> None:
+        """List the pictures and read lenses, unit and times.
+
+        Raises:
+            InvalidRecordingError: a lens, the unit of depth or the times are not known.
+        """
+        self._path = path
+        self._size_limit = MOST_BYTES
+        if (path / "depth.txt").is_file():
+            kind = "folder in TUM style"
+            depth, color, notes = self._tum()
+        else:
+            kind = "folder in BOP style" if (path / _BOP).is_file() else "folder in Open3D style"
+            depth, color, notes = self._numbered(wanted)
+        if wanted.without_color:
+            color = None
+        rig = self._rig(wanted, with_color=color is not None)
+        if wanted.picker_topic or wanted.picker_frame or wanted.gripper_topic:
+            notes.append("a folder has no topics: give the picker's path with --picker-csv")
+        streams = {"depth": f"{len(depth)} files"}
+        if color is not None:
+            streams["colour"] = f"{len(color)} files"
+        self.footage = Footage(kind, rig, depth, color, streams, notes)
+
+    def depth(self, shot: Shot) -> Callable[[], Content]:
+        """A function that gives the counts of a depth picture."""
+        return partial(packed_depth, self._bytes(shot))
+
+    def color(self, shot: Shot) -> Callable[[], Content]:
+        """A function that gives red, green and blue."""
+        return partial(packed_color, self._bytes(shot))
+
+    def close(self) -> None:
+        """Nothing is kept open."""
+
+    def _bytes(self, shot: Shot) -> bytes:
+        path: Path = shot.place
+        try:
+            if not path.is_file() or path.stat().st_size > self._size_limit:
+                raise TornError(f"{path.name} is missing or too large")
+            return path.read_bytes()
+        except OSError as error:
+            raise TornError(f"{path.name}: {error.strerror}") from error
+
+    def _tum(self) -> tuple[list[Shot], list[Shot] | None, list[str]]:
+        notes: list[str] = []
+        depth = self._listed(self._path / "depth.txt", notes)
+        color = None
+        if (self._path / "rgb.txt").is_file():
+            color = self._listed(self._path / "rgb.txt", notes)
+        return depth, color, notes
+
+    def _listed(self, path: Path, notes: list[str]) -> list[Shot]:
+        """The lines `seconds file` of a list; `#` starts a remark."""
+        shots, skipped = [], 0
+        root = self._path.resolve()
+        try:
+            with path.open(encoding="utf-8") as lines:
+                for line in islice(lines, _MOST_FILES):
+                    words = line.split(maxsplit=1)
+                    if not words or words[0].startswith("#"):
+                        continue
+                    file = self._path / words[-1].strip()
+                    time_ns = _nanoseconds(words[0])
+                    if len(words) < 2 or time_ns is None or not _lies_in(root, file):
+                        skipped += 1
+                        continue
+                    shots.append(Shot(time_ns, file))
+        except (OSError, ValueError) as error:
+            raise InvalidRecordingError(f"{path}: cannot be read ({error}); correct it") from error
+        if skipped:
+            notes.append(f"{path.name}: {skipped} lines are not `seconds file`, left out")
+        return shots
+
+    def _numbered(self, wanted: Wanted) -> tuple[list[Shot], list[Shot] | None, list[str]]:
+        depth_files = _pictures(self._path, _DEPTH_FOLDERS)
+        color_files = _pictures(self._path, _COLOR_FOLDERS)
+        fps = wanted.fps or self._fps()
+        if fps is None:
+            raise InvalidRecordingError(
+                f"{self._path}: nothing says when the pictures were taken; give --fps"
+            )
+        # The same name is the same moment; a picture that is missing leaves its moment empty.
+        stems = sorted({one.stem for one in depth_files} | {one.stem for one in color_files or ()},
+                       key=_natural)  # fmt: skip
+        times = {stem: round(1e9 * number / fps) for number, stem in enumerate(stems)}
+        depth = [Shot(times[one.stem], one) for one in depth_files]
+        color = None
+        if color_files is not None:
+            color = [Shot(times[one.stem], one) for one in color_files]
+        return depth, color, [f"no time stamps: pictures taken as {fps:g} per second"]
+
+    def _fps(self) -> float | None:
+        file = self._intrinsics_file()
+        return None if file is None else read_intrinsics(file).fps
+
+    def _intrinsics_file(self) -> Path | None:
+        return next(
+            (self._path / name for name in _INTRINSICS if (self._path / name).is_file()), None
+        )
+
+    def _rig(self, wanted: Wanted, *, with_color: bool) -> Rig:
+        unit, origin = wanted.depth_unit_m, "given by --depth-unit-m"
+        file = wanted.intrinsics or self._intrinsics_file()
+        if file is not None:
+            given = read_intrinsics(file)
+            if unit is None and given.depth_unit_m is not None:
+                unit, origin = given.depth_unit_m, f"depth_scale in {file.name}"
+        elif (self._path / _BOP).is_file():
+            given, scale_m = self._bop()
+            if unit is None:
+                unit, origin = scale_m, f"depth_scale in {_BOP}"
+        else:
+            raise InvalidRecordingError(
+                f"{self._path}: no lens (looked for {', '.join((*_INTRINSICS, _BOP))}); give "
+                "--intrinsics FILE"
+            )
+        if unit is None:
+            raise InvalidRecordingError(
+                f"{self._path}: nothing says how long a unit of depth is; give --depth-unit-m "
+                "(0.001 for millimetres, 0.0002 for the data sets of TUM)"
+            )
+        color = given.color if with_color else None
+        return Rig(given.depth, color, given.color_from_depth, unit, origin)
+
+    def _bop(self) -> tuple[Intrinsics, float]:
+        """Lens and unit [m] of `scene_camera.json`, the same for every picture."""
+        path = self._path / _BOP
+        content = read_json(path)
+        entries = list(content.values()) if isinstance(content, dict) else []
+        numbers = [_bop_entry(path, one) for one in entries]
+        if not numbers:
+            raise InvalidRecordingError(f"{path}: no picture is described; see docs/import.md")
+        if max(max(abs(a - b) for a, b in zip(one, numbers[0], strict=True)) for one in numbers) > (
+            1e-6
+        ):
+            raise InvalidRecordingError(
+                f"{path}: cam_K or depth_scale changes from picture to picture; a recording has "
+                "one fixed camera: split the scene"
+            )
+        fx, fy, cx, cy, scale = numbers[0]
+        width, height = self._first_size()
+        lens = Lens(width, height, fx, fy, cx, cy)
+        if not (fx > 0 and fy > 0 and 0 < scale < 1e6):
+            raise InvalidRecordingError(f"{path}: cam_K or depth_scale is not positive; correct it")
+        return Intrinsics(lens, lens, np.eye(4)), scale * 1e-3
+
+    def _first_size(self) -> tuple[int, int]:
+        for file in _pictures(self._path, _DEPTH_FOLDERS):
+            try:
+                height, width = png_depth(self._bytes(Shot(0, file))).shape
+            except TornError:
+                continue
+            return width, height
+        raise InvalidRecordingError(f"{self._path}: no 16-bit PNG of depth can be read")
+
+
+def _bop_entry(path: Path, entry: Any) -> tuple[float, float, float, float, float]:
+    try:
+        k, scale = [float(one) for one in entry["cam_K"]], float(entry["depth_scale"])
+        return k[0], k[4], k[2], k[5], scale
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise InvalidRecordingError(
+            f"{path}: an entry has no cam_K of nine numbers or no depth_scale; correct it"
+        ) from error
+
+
+def _pictures(path: Path, folders: Sequence[str]) -> Any:
+    """Pictures of the first of some folders that is there, in natural order; None without one."""
+    for name in folders:
+        if (path / name).is_dir():
+            files = [
+                one for one in islice((path / name).iterdir(), _MOST_FILES)
+                if one.suffix.lower() in _PICTURES and _lies_in(path.resolve(), one)
+            ]  # fmt: skip
+            return sorted(files, key=lambda one: _natural(one.stem))
+    return None
+
+
+def _lies_in(folder: Path, file: Path) -> bool:
+    try:
+        return file.resolve().is_relative_to(folder)
+    except (OSError, ValueError, RuntimeError):
+        return False
+
+
+def _nanoseconds(word: str) -> int | None:
+    """Seconds with their decimals, to the last digit."""
+    match = re.fullmatch(r"(\d{1,10})(?:\.(\d{0,12}))?", word)
+    if match is None:
+        return None
+    return int(match[1]) * 10**9 + int((match[2] or "").ljust(9, "0")[:9])
+
+
+def _natural(stem: str) -> list[tuple[int, str]]:
+    parts = re.split(r"(\d+)", stem)
+    return [(int(part[:18]), "") if part.isdigit() else (-1, part) for part in parts]

@@ -1,0 +1,134 @@
+"""Puts the report of an import together."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.importing.import_report import ImportReport
+from clothtrack.importing.pairing import Pairing
+from clothtrack.importing.registration import Registration
+from clothtrack.importing.source import Footage
+from clothtrack.recordings.recording import PickAndPlace, PickerPath
+
+
+def report_of(
+    source: Path,
+    folder: Path,
+    footage: Footage,
+    pairing: Pairing,
+    registration: Registration,
+    *,
+    camera: Camera,
+    times: Sequence[float],
+    damaged: Counter[str],
+    paths: Mapping[str, PickerPath],
+    actions: Sequence[PickAndPlace],
+    notes: Sequence[str],
+    posed: bool,
+    table: bool,
+    color_named: bool,
+) -> ImportReport:
+    """What was found, left out and is missing."""
+    duration = times[-1] - times[0]
+    return ImportReport(
+        recording=folder,
+        source=source,
+        kind=footage.kind,
+        frames=len(times),
+        duration_s=duration,
+        frames_per_s=(len(times) - 1) / duration if duration > 0 else 0.0,
+        camera=(
+            f"{camera.name}, {camera.width} x {camera.height}, fx {camera.fx:.1f}"
+            + ("" if posed else ", pose not known: its frame stands in for the world")
+        ),
+        streams=footage.streams,
+        depth_unit_m=footage.rig.depth_unit_m,
+        depth_unit_origin=footage.rig.unit_origin,
+        registration=_registration(footage, registration),
+        tolerance_s=pairing.tolerance_s,
+        worst_apart_s=pairing.worst_s,
+        dropped=_dropped(pairing, damaged),
+        notes=[*footage.notes, *notes],
+        pickers={name: len(path.time_s) for name, path in paths.items()},
+        actions=[(one.first_frame, one.last_frame) for one in actions],
+        missing=_missing(
+            folder, footage, pickers=bool(paths), actions=bool(actions), posed=posed,
+            table=table, color_named=color_named,
+        ),
+        next_command=(
+            f"clothtrack inspect {folder}"
+            if posed
+            else f"clothtrack calibrate-camera {folder}{_aside(paths)}"
+        ),
+    )  # fmt: skip
+
+
+def _aside(pickers: object) -> str:
+    """Where calibration goes when a path stands in the present world: not into the recording."""
+    return " --output camera.json" if pickers else ""
+
+
+def _registration(footage: Footage, registration: Registration) -> str:
+    rig = footage.rig
+    if registration.carried:
+        return "depth carried to the colour camera, nearest wins, uncovered pixels 0"
+    if not rig.depth.straight:
+        return "none needed; distortion taken out"
+    return "none needed" if rig.color is not None else "none needed: no colour"
+
+
+def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
+    dropped = []
+    if pairing.depth_alone:
+        advice = f" ({pairing.advice})" if pairing.advice else ""
+        dropped.append(
+            f"{pairing.depth_alone} depth pictures without colour near enough in time{advice}"
+        )
+    if pairing.color_alone:
+        dropped.append(f"{pairing.color_alone} colour pictures without depth near enough in time")
+    if pairing.doubles:
+        dropped.append(f"{pairing.doubles} depth pictures with the time stamp of another")
+    dropped += [f"{count} frames: {reason}" for reason, count in damaged.most_common(5)]
+    if len(damaged) > 5:
+        rest = sum(damaged.values()) - sum(count for _, count in damaged.most_common(5))
+        dropped.append(f"{rest} more frames that cannot be decoded")
+    return dropped
+
+
+def _missing(
+    folder: Path,
+    footage: Footage,
+    *,
+    pickers: bool,
+    actions: bool,
+    posed: bool,
+    table: bool,
+    color_named: bool,
+) -> list[str]:
+    missing = []
+    if not posed:
+        again = (
+            "; then import again with --world-from-camera camera.json, so that the path "
+            "stands in the same world"
+        )  # fmt: skip
+        missing.append(
+            "the table and the camera's pose (world_from_camera): clothtrack calibrate-camera "
+            f"{folder}{_aside(pickers)} finds both{again if pickers else ''}"
+        )
+    elif not table:
+        missing.append(f"the table: clothtrack calibrate-camera {folder} finds it")
+    if not pickers:
+        missing.append(
+            f"the picker's path: clothtrack find-picker {folder} --tip-color NAME finds it in the "
+            "pictures; or write picker.csv (docs/data_format.md), or import again with "
+            "--picker-csv, --picker-topic or --picker-frame"
+        )
+    elif not actions:
+        missing.append(
+            "actions: the path never closes; import again with --gripper-topic, a column `closed`, "
+            "or --actions FIRST-LAST"
+        )
+    if footage.color is not None and not color_named:
+        missing.append("the cloth's colour: --cloth-color NAME, or cloth.color in recording.json")
+    return missing

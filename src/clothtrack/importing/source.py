@@ -1,0 +1,141 @@
+"""What every source of recordings offers, whatever its format."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.importing.lens import Lens
+from clothtrack.importing.packed_pictures import PackedPicture
+from clothtrack.recordings.recording import PickerPath
+
+# Pixels, or the file that holds them.
+Content = np.ndarray | PackedPicture
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One picture: when it was taken on the source's clock [ns], and where the source has it."""
+
+    time_ns: int
+    place: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The two lenses of a depth camera and how they stand to each other.
+
+    Attributes:
+        depth: lens of the depth pictures.
+        color: lens of the colour pictures, or None without colour.
+        color_from_depth: rigid transform, depth camera to colour camera [m].
+        depth_unit_m: metres per unit of the depth pictures.
+        unit_origin: where the unit comes from, in words.
+    """
+
+    depth: Lens
+    color: Lens | None
+    color_from_depth: Float[np.ndarray, "4 4"]
+    depth_unit_m: float
+    unit_origin: str
+
+    @property
+    def registered(self) -> bool:
+        """Whether the same pixel of both pictures shows the same point already."""
+        if self.color is None:
+            return True
+        standing = np.abs(self.color_from_depth - np.eye(4)).max() < 1e-6
+        return bool(standing and self.depth.same_pixels(self.color))
+
+
+@dataclass(frozen=True, eq=False)
+class Footage:
+    """What a source holds.
+
+    Attributes:
+        kind: the format in words ("ROS 1 bag").
+        rig: lenses and unit of depth.
+        depth: every whole depth picture.
+        color: every whole colour picture; None without a colour stream.
+        streams: which topic, track or folder each thing came from.
+        notes: what was lost or left out, in words.
+        paths: where pickers were, in `path_frame`; times [s] count from `path_start_ns`.
+        path_frame: name of the frame of `paths`, in words.
+        path_start_ns: zero of their times on the clock of the pictures [ns].
+        world_from_camera: pose of the camera that the recording will have, when the source knows.
+    """
+
+    kind: str
+    rig: Rig
+    depth: Sequence[Shot]
+    color: Sequence[Shot] | None
+    streams: Mapping[str, str]
+    notes: Sequence[str] = ()
+    paths: Mapping[str, PickerPath] = field(default_factory=dict)
+    path_frame: str = ""
+    path_start_ns: int = 0
+    world_from_camera: Float[np.ndarray, "4 4"] | None = None
+
+
+@runtime_checkable
+class Source(Protocol):
+    """An opened source. `depth` and `color` take bytes now; what they return does the work."""
+
+    @property
+    def footage(self) -> Footage:
+        """What the source holds."""
+        ...
+
+    def depth(self, shot: Shot) -> Callable[[], Content]:
+        """A function that gives the counts of a depth picture; may be called in another thread.
+
+        Raises:
+            TornError: the bytes are not there (or, by the function, no picture).
+        """
+        ...
+
+    def color(self, shot: Shot) -> Callable[[], Content]:
+        """A function that gives red, green and blue; may be called in another thread.
+
+        Raises:
+            TornError: the bytes are not there (or, by the function, no picture).
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the files."""
+        ...
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a person says about a source; everything may be left to the source.
+
+    Attributes:
+        depth_topic: topic of depth.
+        color_topic: topic of colour.
+        without_color: leave colour out.
+        depth_unit_m: metres per unit of depth, where the source does not say [m].
+        intrinsics: JSON file with the lenses, where the source has none.
+        fps: pictures per second, for folders without time stamps [1/s].
+        picker_topic: topic of the gripper's pose.
+        picker_frame: TF frame of the gripper's tip.
+        gripper_topic: topic that tells whether the gripper is closed.
+        gripper_closed_below: the gripper is closed where its value (finger joints [m]) is below.
+        world_frame: TF frame that is the world.
+    """
+
+    depth_topic: str | None = None
+    color_topic: str | None = None
+    without_color: bool = False
+    depth_unit_m: float | None = None
+    intrinsics: Path | None = None
+    fps: float | None = None
+    picker_topic: str | None = None
+    picker_frame: str | None = None
+    gripper_topic: str | None = None
+    gripper_closed_below: float | None = None
+    world_frame: str | None = None

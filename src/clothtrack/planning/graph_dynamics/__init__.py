@@ -1,0 +1,1 @@
+"""The published method's learned dynamics: a graph network over the mesh."""

@@ -1,0 +1,166 @@
+"""Learned mesh dynamics behind the planner's protocol; needs the extra [learn].
+
+Importing this module imports PyTorch: nothing else in planning does.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.dynamics import HeldWays, MotionConfig, PlannedCloth
+from clothtrack.planning.graph_dynamics.mesh_network import (
+    MeshNetwork,
+    MeshNetworkConfig,
+    Ways,
+    roll_out,
+)
+from clothtrack.planning.graph_dynamics.mesh_prior import Springs
+from clothtrack.reconstruction.training.checkpoint import load_weights
+
+
+@dataclass(frozen=True)
+class MeshDynamicsConfig:
+    """How the learned dynamics are asked.
+
+    Attributes:
+        motion: of the tip; its time step is the model's.
+        resting_height_m: of a vertex on the table [m].
+        together: about how many candidates are rolled out at once on a processor, whose caches
+            few fit; a GPU takes them all.
+    """
+
+    motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.2))
+    resting_height_m: float = 0.0015
+    together: int = 10
+
+
+class MeshDynamics:
+    """The graph network as dynamics of a planner."""
+
+    def __init__(
+        self,
+        network: MeshNetwork,
+        config: MeshDynamicsConfig | None = None,
+        *,
+        device: str = "cpu",
+    ) -> None:
+        """Put the network where it computes.
+
+        Raises:
+            InvalidConfigError: the motion's time step is not the network's.
+        """
+        self.config = config or MeshDynamicsConfig()
+        if abs(self.config.motion.time_step_s - network.config.step_s) > 1e-9:
+            raise InvalidConfigError(
+                f"motion.time_step_s is {self.config.motion.time_step_s}, the network was trained "
+                f"for {network.config.step_s}; set them equal"
+            )
+        self._network = network.to(device).eval()
+        self._device = device
+        self._mesh: ClothMesh | None = None
+        self._springs: Springs | None = None
+
+    def predict(
+        self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
+    ) -> Float[np.ndarray, "actions vertices 3"]:
+        """The vertices [m] after each of the actions and a rest.
+
+        What nobody takes stays where it is. Left alone, this cloth would go on to unfold, and no
+        action would promise as much as none.
+        """
+        if not actions:
+            return np.zeros((0, cloth.flat.vertex_count, 3))
+        ends = np.repeat(self._placed(cloth)[None], len(actions), axis=0)
+        held = HeldWays.of(cloth, actions, self.config.motion)
+        taken = np.flatnonzero(held.vertices >= 0)
+        if len(taken):
+            moved = held.of_candidates(taken)
+            together = self.config.together if self._device == "cpu" else len(taken)
+            for group in moved.batches(together):
+                ends[taken[group]] = self._rolled(cloth, moved.of_candidates(group))
+        return ends
+
+    def _placed(self, cloth: PlannedCloth) -> np.ndarray:
+        """The vertices [m] with none under the table."""
+        placed = np.array(cloth.positions, dtype=np.float64)
+        lowest = cloth.table_height_m + self.config.resting_height_m
+        placed[:, 2] = np.maximum(placed[:, 2], lowest)
+        return placed
+
+    def _rolled(self, cloth: PlannedCloth, held: HeldWays) -> np.ndarray:
+        """Some of the candidates."""
+        config, device = self.config, self._device
+        lowest = cloth.table_height_m + config.resting_height_m
+        start = torch.tensor(self._placed(cloth), dtype=torch.float32, device=device)
+        ways = Ways(
+            torch.tensor(held.vertices, device=device),
+            torch.tensor(held.ways, dtype=torch.float32, device=device),
+            torch.tensor(held.steps, device=device),
+        )
+        rest = math.ceil(config.motion.rest_s / config.motion.time_step_s)
+        ends = roll_out(
+            self._network,
+            start.expand(len(ways.vertices), -1, -1).contiguous(),
+            self._mesh_edges(cloth.flat),
+            ways,
+            steps=ways.places.shape[1] + rest,
+            lowest_m=lowest,
+        )
+        return ends.cpu().numpy().astype(np.float64)
+
+    def _mesh_edges(self, flat: ClothMesh) -> Springs:
+        if self._springs is None or self._mesh is not flat:
+            self._mesh, self._springs = flat, springs_of(flat).to(self._device)
+        return self._springs
+
+
+def springs_of(flat: ClothMesh) -> Springs:
+    """The edges of a flat garment, for the network."""
+    edges, lengths = np.asarray(flat.edges), np.asarray(flat.edge_lengths, dtype=np.float64)
+    graph = coo_matrix((lengths, edges.T), shape=(flat.vertex_count, flat.vertex_count))
+    along = dijkstra(graph.tocsr(), directed=False)
+    return Springs.of(
+        torch.tensor(edges, dtype=torch.int64),
+        torch.tensor(lengths, dtype=torch.float32),
+        torch.tensor(along, dtype=torch.float32),
+    )
+
+
+def load_mesh_dynamics(
+    path: Path, config: MeshDynamicsConfig | None = None, *, device: str = "cpu"
+) -> MeshDynamics:
+    """Learned dynamics from a weights file; nothing in it is executed.
+
+    Args:
+        path: the weights.
+        config: how they are asked; in steps of the network's own by default.
+        device: where to compute.
+
+    Raises:
+        InvalidResultError: it is missing, damaged, or of another network.
+    """
+    weights = load_weights(path)
+    known = {one.name for one in fields(MeshNetworkConfig)}
+    if set(weights.network) != known:
+        raise InvalidResultError(
+            f"{path}: not weights of mesh dynamics; train some with clothtrack train-dynamics"
+        )
+    try:
+        network = MeshNetwork(MeshNetworkConfig(**weights.network))
+    except (InvalidConfigError, TypeError) as error:
+        raise InvalidResultError(f"{path}: its sizes are damaged ({error})") from error
+    weights.load_into(network)
+    if config is None:
+        motion = MotionConfig(time_step_s=network.config.step_s)
+        config = MeshDynamicsConfig(motion=motion)
+    return MeshDynamics(network, config, device=device)

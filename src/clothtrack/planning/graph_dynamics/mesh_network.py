@@ -1,0 +1,314 @@
+"""The graph network that predicts accelerations on a coarse mesh (VCD and MEDOR, our own code).
+
+Inputs and sizes are those of the reference (method notes, Sec. 6.1); rest lengths are those of the
+flat garment, not of the first frame. A batch is dense: every cloth has the same mesh, candidates
+differ in where it is.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.planning.graph_dynamics.mesh_prior import (
+    Springs,
+    above,
+    contacts,
+    dragged,
+    nearer_to_rest,
+    tethered,
+)
+
+
+@dataclass(frozen=True)
+class MeshNetworkConfig:
+    """Sizes and units of the graph network.
+
+    Attributes:
+        width: of all hidden layers and latents.
+        message_steps: rounds of message passing.
+        history: past velocities that a vertex knows; the reference's are 5 of 0.05 s.
+        step_s: time of one step of the model [s]; the reference's 0.05 makes a plan take four
+            times as long.
+        collision_radius_m: vertices this near that share no edge get a collision edge, found anew
+            in every step [m]; the reference has 0.036, VCD 0.045, with the same 0.025 spacing.
+        length_scale_m: lengths are divided by this [m].
+        velocity_scale: velocities are divided by this [m/s].
+        acceleration_scale: the output is multiplied by this [m/s^2].
+        kept_velocity: share of its velocity that a vertex keeps where nothing is learned.
+        gravity: at which it falls then [m/s^2]; cloth floats, so it is less than the earth's.
+        parts: of a step; the gripper goes on in each, and the cloth follows.
+        dragging: times per part that what is near moves along (`dragged`).
+        projections: times per part that edges are brought nearer to their rest lengths
+            (position-based dynamics, Jacobi). 0, with kept_velocity 1, gravity 0 and no dragging,
+            leaves all of it to the network, as the reference does; minutes of training do not
+            suffice then.
+        tethered: no vertex is farther from the held one than along the cloth (long range
+            attachments, Kim et al. 2012, DOI 10.2312/SCA/SCA12/305-310): messages and projections
+            carry a pull a few edges far per step, and the gripper draws the whole cloth along.
+        unfolding: how eagerly an edge that is too short grows, beside one that is too long: a
+            fold shortens the edges across it.
+    """
+
+    width: int = 128
+    message_steps: int = 10
+    history: int = 2
+    step_s: float = 0.2
+    collision_radius_m: float = 0.03
+    length_scale_m: float = 0.025
+    velocity_scale: float = 0.25
+    acceleration_scale: float = 2.0
+    kept_velocity: float = 0.5
+    gravity: float = 3.0
+    parts: int = 12
+    dragging: int = 2
+    projections: int = 5
+    tethered: bool = True
+    unfolding: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that no network has, or that would take all memory.
+
+        Raises:
+            InvalidConfigError: with the field, its value and the limits.
+        """
+        sizes = {"width": 1024, "message_steps": 64, "history": 64, "parts": 64}
+        for name, most in {**sizes, "dragging": 64, "projections": 64}.items():
+            least = 1 if name in sizes else 0
+            if not least <= getattr(self, name) <= most:
+                raise InvalidConfigError(
+                    f"{name} is {getattr(self, name)}; it must be from {least} to {most}"
+                )
+        for name in ("kept_velocity", "unfolding"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidConfigError(
+                    f"{name} is {getattr(self, name)}; it is a share, from 0 to 1"
+                )
+        for name, value in vars(self).items():
+            may_be_zero = name in ("kept_velocity", "unfolding", "gravity")
+            if isinstance(value, float) and not (value > 0.0 or (may_be_zero and value == 0.0)):
+                raise InvalidConfigError(f"{name} is {value}; it must be above 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """What each cloth of a batch is held by.
+
+    Attributes:
+        vertices: held vertex per cloth (B); -1: none.
+        places: where it is after each step (B, steps, 3) [m].
+        steps: steps until it is let go (B).
+    """
+
+    vertices: Tensor
+    places: Tensor
+    steps: Tensor
+
+
+def mlp(inputs: int, width: int, outputs: int, *, silent: bool = False) -> nn.Sequential:
+    """Two hidden layers, ReLU, no normalisation (reference); a silent one begins with zeros."""
+    last = nn.Linear(width, outputs)
+    if silent:
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+    return nn.Sequential(
+        nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), last
+    )
+
+
+class MessageStep(nn.Module):
+    """One round: edges hear their ends, vertices their edges, the whole its vertices."""
+
+    def __init__(self, width: int) -> None:
+        """Allocate; the first layer of the edges is split, so that ends are multiplied once."""
+        super().__init__()
+        self.of_edge = nn.Linear(width, width)
+        self.of_sender = nn.Linear(width, width, bias=False)
+        self.of_receiver = nn.Linear(width, width, bias=False)
+        self.of_whole = nn.Linear(width, width, bias=False)
+        # What is added begins with nothing: deep sums of many edges would drown the start.
+        self.edge = nn.Sequential(nn.ReLU(), *list(mlp(width, width, width, silent=True))[2:])
+        self.node = mlp(3 * width, width, width, silent=True)
+        self.whole = mlp(3 * width, width, width, silent=True)
+
+    def forward(
+        self, nodes: Tensor, edges: Tensor, whole: Tensor, links: tuple[Tensor, Tensor, Tensor]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """New latents of vertices (B * V), edges (E) and cloths (B)."""
+        sender, receiver, cloth_of_edge = links
+        cloths, width = whole.shape
+        hidden = (
+            self.of_edge(edges)
+            + self.of_sender(nodes)[sender]
+            + self.of_receiver(nodes)[receiver]
+            + self.of_whole(whole)[cloth_of_edge]
+        )
+        edges = edges + self.edge(hidden)
+        heard = torch.zeros_like(nodes).index_add(0, receiver, edges)
+        per_cloth = nodes.shape[0] // cloths
+        spread = whole.repeat_interleave(per_cloth, dim=0)
+        nodes = nodes + self.node(torch.cat([nodes, heard, spread], dim=1))
+        mean_nodes = nodes.reshape(cloths, per_cloth, width).mean(dim=1)
+        mean_heard = heard.reshape(cloths, per_cloth, width).mean(dim=1)
+        whole = whole + self.whole(torch.cat([whole, mean_nodes, mean_heard], dim=1))
+        return nodes, edges, whole
+
+
+class MeshNetwork(nn.Module):
+    """Accelerations of the vertices of many cloths with one mesh."""
+
+    def __init__(self, config: MeshNetworkConfig) -> None:
+        """Allocate the layers."""
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.encode_node = mlp(3 * config.history + 3, width, width)
+        self.encode_edge = mlp(7, width, width)
+        self.steps = nn.ModuleList(MessageStep(width) for _ in range(config.message_steps))
+        # Before it has learned anything, nothing accelerates.
+        self.decode = mlp(width, width, 3, silent=True)
+
+    def forward(
+        self,
+        positions: Tensor,
+        velocities: Tensor,
+        height: Tensor,
+        held: Tensor,
+        near: Tensor,
+        *,
+        springs: Springs,
+    ) -> Tensor:
+        """Accelerations (B, V, 3) [m/s^2].
+
+        Args:
+            positions: vertices (B, V, 3) [m].
+            velocities: past velocities (B, V, history, 3), the latest last [m/s].
+            height: of the vertices over the table (B, V) [m].
+            held: which vertices are held (B, V).
+            near: which vertices are near which (B, V, V); those that share no edge get a
+                collision edge.
+            springs: the mesh.
+        """
+        config = self.config
+        cloths, vertices, _ = positions.shape
+        free = torch.stack([~held, held], dim=-1).to(positions.dtype)
+        nodes = self.encode_node(
+            torch.cat(
+                [
+                    velocities.flatten(2) / config.velocity_scale,
+                    height[..., None] / config.length_scale_m,
+                    free,
+                ],
+                dim=-1,
+            ).reshape(cloths * vertices, -1)
+        )
+        sender, receiver, rest = self._edges(positions, near, springs)
+        flat = positions.reshape(-1, 3)
+        gap = flat[receiver] - flat[sender]
+        length = gap.norm(dim=1, keepdim=True)
+        is_mesh = (rest > 0.0).to(positions.dtype)[:, None]
+        strain = (length - rest[:, None]) * is_mesh
+        features = torch.cat(
+            [torch.cat([gap, length, strain], 1) / config.length_scale_m, 1.0 - is_mesh, is_mesh],
+            dim=1,
+        )
+        edges = self.encode_edge(features)
+        whole = positions.new_zeros(cloths, config.width)
+        links = sender, receiver, torch.div(receiver, vertices, rounding_mode="floor")
+        for step in self.steps:
+            nodes, edges, whole = step(nodes, edges, whole, links)
+        return config.acceleration_scale * self.decode(nodes).reshape(cloths, vertices, 3)
+
+    def _edges(
+        self, positions: Tensor, near: Tensor, springs: Springs
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Edges of mesh and collision of all cloths, as numbers into B * V; rest 0: collision."""
+        cloths, vertices, _ = positions.shape
+        shift = vertices * torch.arange(cloths, device=positions.device)[:, None]
+        cloth, first, second = (near & ~springs.joined).nonzero(as_tuple=True)
+        sender = torch.cat([(springs.sender + shift).flatten(), first + vertices * cloth])
+        receiver = torch.cat([(springs.receiver + shift).flatten(), second + vertices * cloth])
+        rest = torch.cat([springs.rest.repeat(cloths), positions.new_zeros(len(cloth))])
+        return sender, receiver, rest
+
+
+def advance(
+    network: MeshNetwork,
+    positions: Tensor,
+    velocities: Tensor,
+    held: Tensor,
+    springs: Springs,
+    *,
+    targets: Tensor,
+    lowest_m: float = 0.0,
+) -> tuple[Tensor, Tensor]:
+    """One step of the model: semi-implicit Euler, held vertices where they are told.
+
+    Args:
+        network: gives the accelerations.
+        positions: vertices (B, V, 3) [m].
+        velocities: past velocities (B, V, history, 3) [m/s].
+        held: which are held (B, V).
+        springs: the mesh.
+        targets: where held vertices are after the step (B, V, 3) [m].
+        lowest_m: no vertex goes under this height [m].
+
+    Returns:
+        Positions and past velocities after the step.
+    """
+    config, step_s = network.config, network.config.step_s
+    near = contacts(positions, config.collision_radius_m)
+    height = positions[..., 2] - lowest_m
+    # The network is told where held vertices are about to go, not only where they came from.
+    coming = torch.where(held[..., None], (targets - positions) / step_s, velocities[:, :, -1])
+    told = torch.cat([velocities[:, :, :-1], coming[:, :, None]], dim=2)
+    change = network(positions, told, height, held, near, springs=springs)
+    down = positions.new_tensor([0.0, 0.0, -config.gravity])
+    kept = config.kept_velocity * velocities[:, :, -1]
+    after = above(positions + step_s * (kept + step_s * (change + down)), lowest_m)
+    for part in range(1, config.parts + 1):
+        on_the_way = positions + (targets - positions) * (part / config.parts)
+        after = torch.where(held[..., None], on_the_way, after)
+        if config.tethered:
+            after = tethered(after, held, springs)
+        after = dragged(positions, after, near, held, times=config.dragging)
+        for _ in range(config.projections):
+            after = nearer_to_rest(after, held, springs, unfolding=config.unfolding)
+        after = above(after, lowest_m)
+    latest = (after - positions) / step_s
+    return after, torch.cat([velocities[:, :, 1:], latest[:, :, None]], dim=2)
+
+
+def roll_out(
+    network: MeshNetwork,
+    positions: Tensor,
+    springs: Springs,
+    ways: Ways,
+    *,
+    steps: int,
+    lowest_m: float = 0.0,
+) -> Tensor:
+    """The vertices after so many steps of the model, from rest (B, V, 3) [m]; no gradients.
+
+    Args:
+        network: gives the accelerations.
+        positions: vertices at the start (B, V, 3) [m].
+        springs: the mesh.
+        ways: what is held, and where it goes.
+        steps: of the model, the last ones with nothing held.
+        lowest_m: no vertex goes under this height [m].
+    """
+    every = torch.arange(len(positions), device=positions.device)
+    velocities = positions.new_zeros(*positions.shape[:2], network.config.history, 3)
+    with torch.no_grad():
+        for step in range(steps):
+            held = torch.zeros(positions.shape[:2], dtype=torch.bool, device=positions.device)
+            held[every, ways.vertices.clamp_min(0)] = (step < ways.steps) & (ways.vertices >= 0)
+            targets = positions.clone()
+            if step < ways.places.shape[1]:
+                targets[every, ways.vertices.clamp_min(0)] = ways.places[:, step]
+            positions, velocities = advance(
+                network, positions, velocities, held, springs, targets=targets, lowest_m=lowest_m
+            )
+    return positions

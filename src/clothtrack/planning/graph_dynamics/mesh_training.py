@@ -1,0 +1,337 @@
+"""Trains the mesh dynamics on roll-outs, by the one training loop of the package.
+
+Noise on the past teaches to correct one's own errors, and a loss over several own steps teaches
+not to make them add up; the reference has neither (method notes, Sec. 6.1).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.files.provenance import made_with
+from clothtrack.planning.graph_dynamics.mesh_card import write_dynamics_card
+from clothtrack.planning.graph_dynamics.mesh_dynamics import springs_of
+from clothtrack.planning.graph_dynamics.mesh_network import (
+    MeshNetwork,
+    MeshNetworkConfig,
+    Ways,
+    advance,
+    roll_out,
+)
+from clothtrack.planning.graph_dynamics.mesh_prior import Springs
+from clothtrack.planning.graph_dynamics.roll_outs import RollOutShard, read_roll_outs
+from clothtrack.reconstruction.model_card import PACKAGES
+from clothtrack.reconstruction.training.batches import Draw, Subset, split_by_group
+from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.reconstruction.training.processes import Processes
+from clothtrack.reconstruction.training.training_config import TrainingConfig
+from clothtrack.reconstruction.training.training_loop import Progress, Stage, TrainingOutcome, train
+
+RESTING_HEIGHT_M = 0.0015
+WHOLE_ERROR = "whole_error_mm"
+_TINY = 1e-12
+"""Of a distance that has no slope at 0."""
+
+
+@dataclass(frozen=True)
+class DynamicsTrainingConfig:
+    """What the mesh dynamics learn from, and how.
+
+    Attributes:
+        network: sizes of the graph network.
+        loop: epochs, rates, seed; a batch is of windows of one garment, see `windows`.
+        windows: windows of one garment that make an example; with a loop's batch size of 1 these
+            are the batch (reference: 16).
+        unrolled: own steps that the loss is over: 6 of 0.2 s are a whole roll-out, 1 is the
+            reference's one-step loss.
+        noise_m: standard deviation of the random walk on the past, at its end [m].
+        examples_per_shard: examples that an epoch draws from each shard.
+    """
+
+    network: MeshNetworkConfig = field(default_factory=MeshNetworkConfig)
+    loop: TrainingConfig = field(
+        default_factory=lambda: TrainingConfig(
+            epochs=100, batch_size=1, low_rate=1e-4, high_rate=1e-4, save_steps=200
+        )
+    )
+    windows: int = 16
+    unrolled: int = 6
+    noise_m: float = 0.003
+    examples_per_shard: int = 20
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be trained.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        for name in ("windows", "unrolled", "examples_per_shard"):
+            if getattr(self, name) < 1:
+                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give at least 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Short pieces of roll-outs of one garment.
+
+    Attributes:
+        past: noisy positions before and at the start (windows, history + 1, vertices, 3) [m].
+        future: true positions after it (windows, unrolled, vertices, 3) [m].
+        held: which vertex is held during each step of the future (windows, unrolled, vertices).
+        springs: the mesh.
+    """
+
+    past: Tensor
+    future: Tensor
+    held: Tensor
+    springs: Springs
+
+    def to(self, device: str) -> "Windows":
+        """The same on a device."""
+        return Windows(
+            self.past.to(device), self.future.to(device), self.held.to(device),
+            self.springs.to(device),
+        )  # fmt: skip
+
+
+class WindowExamples:
+    """Windows of roll-outs; shards are read when they are drawn from, the latest kept."""
+
+    def __init__(
+        self, shards: Sequence[Path], config: DynamicsTrainingConfig, *, noisy: bool = True
+    ) -> None:
+        """Remember where the shards are.
+
+        Raises:
+            InvalidConfigError: there are none.
+        """
+        if not shards:
+            raise InvalidConfigError("no shard of roll-outs is given; make some first")
+        self.shards, self.config, self.noisy = list(shards), config, noisy
+        self._kept: dict[int, tuple[RollOutShard, Springs]] = {}
+
+    @property
+    def groups(self) -> list[int]:
+        """The shard that each example is of."""
+        per = self.config.examples_per_shard
+        return [number for number in range(len(self.shards)) for _ in range(per)]
+
+    def __len__(self) -> int:
+        """How many there are in an epoch."""
+        return len(self.shards) * self.config.examples_per_shard
+
+    def __getitem__(self, draw: Draw) -> Windows:
+        """Windows of one garment, turned about the vertical at random."""
+        index, epoch = draw
+        config, history = self.config, self.config.network.history
+        shard, springs = self._shard(index // config.examples_per_shard)
+        rng = np.random.default_rng([config.loop.seed, epoch, index, int(self.noisy)])
+        rolls, frames = shard.positions.shape[:2]
+        roll = rng.integers(rolls, size=config.windows)
+        # Half of the windows begin while something is held: most moments of a roll-out are calm.
+        last = np.maximum(frames - 1 - config.unrolled, 0)
+        ends = np.where(rng.random(config.windows) < 0.5, shard.held_frames[roll], last + 1)
+        start = (rng.random(config.windows) * np.clip(ends, 1, last + 1)).astype(int)
+        # Before the first moment the cloth lay where it lay then.
+        times = np.clip(start[:, None] + np.arange(-history, 1 + config.unrolled), 0, frames - 1)
+        moments = shard.positions[roll[:, None], times].astype(np.float64)
+        moments = _turned(moments, rng)
+        past, future = moments[:, : history + 1], moments[:, history + 1 :]
+        if self.noisy:
+            walk = rng.standard_normal(past.shape) * config.noise_m / np.sqrt(history + 1)
+            past = past + walk.cumsum(axis=1)
+        held = np.zeros(future.shape[:3], dtype=bool)
+        at = start[:, None] + np.arange(config.unrolled)
+        windows, steps = np.nonzero(at < shard.held_frames[roll][:, None])
+        held[windows, steps, shard.held[roll][windows]] = True
+        as_tensor = torch.tensor
+        return Windows(
+            as_tensor(past, dtype=torch.float32), as_tensor(future, dtype=torch.float32),
+            as_tensor(held), springs,
+        )  # fmt: skip
+
+    def _shard(self, number: int) -> tuple[RollOutShard, Springs]:
+        if number not in self._kept:
+            if len(self._kept) >= 64:
+                self._kept.pop(next(iter(self._kept)))
+            shard = read_roll_outs(self.shards[number]).every(self.config.network.step_s)
+            self._kept[number] = shard, springs_of(shard.mesh)
+        return self._kept[number]
+
+
+def _turned(moments: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Each window turned about the vertical, or mirrored: dynamics know no direction."""
+    angle = rng.uniform(0.0, 2.0 * np.pi, len(moments))
+    mirror = np.where(rng.random(len(moments)) < 0.5, -1.0, 1.0)
+    turn = np.array(
+        [[np.cos(angle), -mirror * np.sin(angle)], [np.sin(angle), mirror * np.cos(angle)]]
+    ).transpose(2, 0, 1)
+    turned = moments.copy()
+    turned[..., :2] = np.einsum("wij,wtvj->wtvi", turn, moments[..., :2])
+    return turned
+
+
+@dataclass(frozen=True, eq=False)
+class WindowBatch:
+    """Several examples, of garments that may differ."""
+
+    parts: list[Windows]
+
+    def to(self, device: str) -> "WindowBatch":
+        """The same on a device."""
+        return WindowBatch([one.to(device) for one in self.parts])
+
+
+def window_batch(parts: Sequence[Windows]) -> WindowBatch:
+    """Examples as a batch."""
+    return WindowBatch(list(parts))
+
+
+class MeshDynamicsStage(Stage):
+    """The mesh dynamics as what the training loop trains."""
+
+    name = "mesh_dynamics"
+    score = "error_mm"
+
+    def __init__(self, config: DynamicsTrainingConfig, kind: str) -> None:
+        """Fresh weights from the seed."""
+        super().__init__()
+        torch.manual_seed(config.loop.seed)
+        self.kind = kind
+        self.network = config.network
+        self.trained = MeshNetwork(config.network)
+
+    def forward(self, batch: WindowBatch) -> Mapping[str, Tensor]:
+        """Loss: mean distance of the own positions from the true ones, in units of the scale.
+
+        Not its square: a cloth that slips where another hangs on is far off, and no rule says which
+        it will be.
+        """
+        losses = []
+        for windows in batch.parts:
+            error = self._unrolled(windows) - windows.future
+            scale = self.network.step_s * self.network.velocity_scale
+            losses.append((error / scale).square().sum(dim=-1).add(_TINY).sqrt().mean())
+        return {"loss": torch.stack(losses).mean()}
+
+    def measure(self, batch: WindowBatch) -> Mapping[str, Tensor]:
+        """Mean distance to the truth after the own steps, and if nothing moved [mm]."""
+        errors, still = [], []
+        for windows in batch.parts:
+            last = windows.future[:, -1]
+            gap = (self._unrolled(windows)[:, -1] - last).norm(dim=-1)
+            errors.append(1e3 * gap.mean())
+            still.append(1e3 * (windows.past[:, -1] - last).norm(dim=-1).mean())
+        return {"error_mm": torch.stack(errors), "still_mm": torch.stack(still)}
+
+    def _unrolled(self, windows: Windows) -> Tensor:
+        """The model's own positions after each step (windows, unrolled, vertices, 3)."""
+        step_s = self.network.step_s
+        positions = windows.past[:, -1]
+        velocities = (windows.past.diff(dim=1) / step_s).transpose(1, 2)
+        own = []
+        for step in range(windows.future.shape[1]):
+            positions, velocities = advance(
+                self.trained, positions, velocities, windows.held[:, step], windows.springs,
+                targets=windows.future[:, step], lowest_m=RESTING_HEIGHT_M,
+            )  # fmt: skip
+            own.append(positions)
+        return torch.stack(own, dim=1)
+
+
+def train_mesh_dynamics(
+    shards: Sequence[Path],
+    kind: str,
+    config: DynamicsTrainingConfig,
+    folder: Path,
+    *,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> TrainingOutcome:
+    """Train mesh dynamics on roll-outs, or go on where an earlier run stopped.
+
+    Args:
+        shards: of one kind of garment or several; one in ten is held out to select by.
+        kind: the garments, in words.
+        config: how.
+        folder: gets progress, scalars and best.safetensors.
+        device: where to compute.
+        progress: called after every step.
+
+    Returns:
+        How it ended; the best weights, with a card beside them (`mesh_card`).
+
+    Raises:
+        InvalidConfigError: there are fewer than two shards.
+        InvalidResultError: shards or progress are damaged or belong to another training.
+        StorageError: when the disk refuses.
+    """
+    examples = WindowExamples(shards, config)
+    calm = WindowExamples(shards, config, noisy=False)
+    chosen, held_out = split_by_group(examples.groups, config.loop.held_out_share, config.loop.seed)
+    data: dict[str, Any] = {
+        "shards": len(examples.shards),
+        "roll_outs": sum(len(read_roll_outs(path).positions) for path in shards),
+        "windows": config.windows,
+        "unrolled": config.unrolled,
+        "noise_m": config.noise_m,
+        "examples_per_shard": config.examples_per_shard,
+    }
+    outcome = train(
+        MeshDynamicsStage(config, kind).to(device),
+        Subset(examples, chosen),
+        Subset(calm, held_out),
+        config.loop,
+        folder,
+        collate=window_batch,
+        data=data,
+        progress=progress,
+    )
+    if outcome.weights is not None and outcome.status != "interrupted":
+        unseen = [shards[number] for number in sorted({examples.groups[k] for k in held_out})]
+        weights = load_weights(outcome.weights)
+        network = MeshNetwork(config.network).to(device)
+        weights.load_into(network)
+        made = {**made_with(PACKAGES), "device": Processes(device=device).machine}
+        untrained = MeshNetwork(config.network).to(device)
+        whole = {
+            **whole_roll_outs(network, unseen, device=device),
+            "whole_untrained_mm": whole_roll_outs(untrained, unseen, device=device)[WHOLE_ERROR],
+        }
+        write_dynamics_card(weights, whole, outcome.cpu_s, made)
+    return outcome
+
+
+def whole_roll_outs(
+    network: MeshNetwork, shards: Sequence[Path], *, device: str = "cpu"
+) -> Mapping[str, float]:
+    """Mean distance to the simulator at the end of whole roll-outs, by name [mm].
+
+    Raises:
+        InvalidResultError: a shard is damaged.
+    """
+    ends, still = [], []
+    for path in shards:
+        shard = read_roll_outs(path).every(network.config.step_s)
+        positions = torch.tensor(shard.positions, device=device)
+        taken = torch.tensor(shard.held, device=device)
+        every = torch.arange(len(positions), device=device)
+        places = positions[every, 1:, taken.clamp_min(0)]
+        ways = Ways(taken, places, torch.tensor(shard.held_frames, device=device))
+        last = positions[:, -1]
+        own = roll_out(
+            network, positions[:, 0], springs_of(shard.mesh).to(device), ways,
+            steps=places.shape[1], lowest_m=RESTING_HEIGHT_M,
+        )  # fmt: skip
+        ends.append((own - last).norm(dim=-1).mean(dim=1))
+        still.append((positions[:, 0] - last).norm(dim=-1).mean(dim=1))
+    return {
+        WHOLE_ERROR: 1e3 * float(torch.cat(ends).mean()),
+        "whole_still_mm": 1e3 * float(torch.cat(still).mean()),
+    }

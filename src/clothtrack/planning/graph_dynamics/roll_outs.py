@@ -1,0 +1,324 @@
+"""Roll-outs of our solver, kept on disk: what the learned mesh dynamics learn from.
+
+    OUT/roll_outs.json        what was asked for
+    OUT/shards/0000.npz       roll-outs of one garment, on its coarse mesh
+
+A crumpled garment is rolled out on a fine mesh, all candidates at once; what is kept are the
+material points of the coarse mesh, so that the learned dynamics know what its folds cannot show.
+"""
+
+import logging
+import math
+import zipfile
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Int
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
+from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.run_manifest import claim
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.planning.actions import ActionSpace, SeenCloth, pick_weights, sample_actions
+from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
+from clothtrack.planning.dynamics import HeldWays, MotionConfig, PlannedCloth
+from clothtrack.reconstruction.data.crumpling import Crumpler
+from clothtrack.reconstruction.data.states import StatesConfig, draw_garment, draw_parameters
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
+from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import Attachment
+
+logger = logging.getLogger(__name__)
+
+LIST_FILE = "roll_outs.json"
+_OF_ROLL_OUTS = 0x5017
+"""Keeps the draws of this module apart from those of others with the same seed."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class RollOutConfig:
+    """What roll-outs are made, and how.
+
+    Attributes:
+        vertex_count: about how many vertices the simulated garment has.
+        starts: crumpled states per garment, and so per shard.
+        actions: actions tried from each of them.
+        frame_s: time between two kept moments [s]; the reference's model steps 0.05.
+        coarse: the mesh of which the vertices are kept.
+        motion: how the tip moves.
+        space: which actions are tried.
+        states: how garments are made and crumpled.
+    """
+
+    vertex_count: int = 600
+    starts: int = 5
+    actions: int = 10
+    frame_s: float = 0.05
+    coarse: CoarseConfig = field(default_factory=CoarseConfig)
+    motion: MotionConfig = field(
+        default_factory=lambda: MotionConfig(time_step_s=0.025, rest_s=0.4)
+    )
+    space: ActionSpace = field(default_factory=lambda: ActionSpace(distance_m=(0.05, 0.25)))
+    states: StatesConfig = field(default_factory=StatesConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be made.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        for name in ("starts", "actions"):
+            if getattr(self, name) < 1:
+                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give at least 1")
+        ratio = self.frame_s / self.motion.time_step_s
+        if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9:
+            raise InvalidConfigError(
+                f"frame_s is {self.frame_s}; it must be a multiple of motion.time_step_s "
+                f"({self.motion.time_step_s})"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class RollOutShard:
+    """Roll-outs of one garment.
+
+    Attributes:
+        mesh: the coarse garment at rest [m].
+        positions: its vertices at every kept moment [m], the first before the motion.
+        held: vertex that is held; -1: none.
+        held_frames: moments up to which it is held, the first excluded.
+        frame_s: time between two moments [s].
+    """
+
+    mesh: ClothMesh
+    positions: Float32[np.ndarray, "roll_outs frames vertices 3"]
+    held: Int[np.ndarray, " roll_outs"]
+    held_frames: Int[np.ndarray, " roll_outs"]
+    frame_s: float
+
+    def every(self, step_s: float) -> "RollOutShard":
+        """The same with a moment kept every so often; held until the first one after letting go.
+
+        Raises:
+            InvalidConfigError: the time is no multiple of what there is.
+        """
+        stride = frames_per_step(step_s, self.frame_s)
+        return replace(
+            self,
+            positions=self.positions[:, ::stride],
+            held_frames=-(-self.held_frames // stride),
+            frame_s=step_s,
+        )
+
+
+def frames_per_step(step_s: float, frame_s: float) -> int:
+    """Kept moments of roll-outs from one step of a model to the next.
+
+    Raises:
+        InvalidConfigError: the step is no multiple of the time between two moments.
+    """
+    stride = round(step_s / frame_s)
+    if stride < 1 or abs(stride * frame_s - step_s) > 1e-9:
+        raise InvalidConfigError(
+            f"step_s is {step_s}, and the roll-outs have a moment every {frame_s} s; give a "
+            "multiple of that"
+        )
+    return stride
+
+
+def generate_roll_outs(
+    out: Path,
+    kind: GarmentKind,
+    count: int,
+    *,
+    seed: int = 0,
+    config: RollOutConfig | None = None,
+    processes: int = 1,
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Make at least so many roll-outs, in whole shards; finished ones are kept.
+
+    Args:
+        out: folder for `shards/` and the list.
+        kind: the garment.
+        count: how many roll-outs.
+        seed: of everything.
+        config: what is made, and how.
+        processes: worker processes.
+        progress: called after each shard.
+
+    Raises:
+        InvalidConfigError: there are no workers or roll-outs, or `out` holds others.
+        StorageError: the disk refuses.
+    """
+    require_workers(processes)
+    if count < 1:
+        raise InvalidConfigError(f"the number of roll-outs is {count}; give at least 1")
+    config = config or RollOutConfig()
+    shards = math.ceil(count / (config.starts * config.actions))
+    claim(out / LIST_FILE, {"kind": kind, "seed": seed, "config": asdict(config)})
+    paths = [out / "shards" / f"{number:04d}.npz" for number in range(shards)]
+    missing = [number for number, path in enumerate(paths) if not path.exists()]
+    work = partial(_make_and_write, out=out, kind=kind, seed=seed, config=config)
+    done = shards - len(missing)
+    with closing(finished_in_workers(work, missing, processes)) as results:
+        for number in results:
+            done += 1
+            if progress is not None:
+                progress(f"{kind} {number:04d}", done, shards)
+    return paths
+
+
+def make_roll_outs(
+    kind: GarmentKind, number: int, seed: int, config: RollOutConfig
+) -> RollOutShard:
+    """Shard `number`: it depends on the seed and on the number alone.
+
+    Raises:
+        SimulationDivergedError: when hardly any roll-out is sound.
+    """
+    rng = np.random.default_rng([_OF_ROLL_OUTS, seed, number, list(DEFAULT_SIZES_M).index(kind)])
+    states = replace(config.states, vertex_count=config.vertex_count)
+    fine = draw_garment(kind, states, rng)
+    coarsen = Coarsener(fine, kind, config.coarse)
+    table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    solver_config = SolverConfig(**{**vars(states.solver), "table": table})
+    crumpler = Crumpler(fine, states.crumpling, solver_config)
+    parts: list[tuple[np.ndarray, HeldWays]] = []
+    while len(parts) < config.starts:
+        parameters = draw_parameters(states.cloth, rng)
+        begun = len(parts)
+        for state in crumpler.episode(parameters, rng.spawn(1)[0]):
+            if state.exploded or len(parts) == config.starts:
+                break
+            solver = ClothSolver(
+                fine, solver_config, parameters=parameters, environments=config.actions
+            )
+            solver.step(0.01)
+            parts.append(_rolled(solver, coarsen, state.positions, config, rng))
+        if len(parts) == begun and rng.random() < 0.05:
+            raise SimulationDivergedError(
+                f"roll-outs of shard {number}: crumpled cloth explodes again and again; use a "
+                "shorter states.solver.substep_s"
+            )
+    return _joined(parts, coarsen.flat, config)
+
+
+def _rolled(
+    solver: ClothSolver,
+    coarsen: Coarsener,
+    start: Float32[np.ndarray, "vertices 3"],
+    config: RollOutConfig,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, HeldWays]:
+    """All actions from one crumpled state; coarse vertices at every kept moment."""
+    fine, coarse = solver.mesh, coarsen(start)
+    cloth = PlannedCloth(coarsen.flat, coarse)
+    flat_on_table = coarse * [1.0, 1.0, 0.0]
+    seen = SeenCloth(coarse, None)
+    weights = pick_weights(flat_on_table, [(coarsen.flat, flat_on_table)])
+    actions = sample_actions(seen, config.actions, config.space, rng, weights=weights)
+    held = HeldWays.of(cloth, [*actions, *[None] * (config.actions - len(actions))], config.motion)
+    every = np.arange(config.actions)
+    # The fine vertex nearest to the coarse one is what the gripper takes.
+    gaps = np.linalg.norm(start[None] - coarse[held.vertices][:, None], axis=2)
+    taken = np.argmin(gaps, axis=1)
+    offset = start[taken] - coarse[held.vertices]
+    solver.place(start)
+    solver.set_velocities(np.zeros_like(start))
+    targets = np.zeros((config.actions, fine.vertex_count, 3))
+    strength = np.zeros(targets.shape[:2])
+    stride = round(config.frame_s / config.motion.time_step_s)
+    # Every candidate is let go at a kept moment.
+    let_go = stride * np.ceil(held.steps / stride).astype(int)
+    total = int(let_go.max()) + stride * math.ceil(config.motion.rest_s / config.frame_s)
+    kept = [np.stack([coarsen(one) for one in solver.positions])]
+    for step in range(total):
+        strength[every, taken] = (step < let_go) & (held.vertices >= 0)
+        if held.ways.shape[1]:
+            targets[every, taken] = held.ways[:, min(step, held.ways.shape[1] - 1)] + offset
+        solver.step(config.motion.time_step_s, Attachment(targets, strength))
+        if (step + 1) % stride == 0:
+            kept.append(np.stack([coarsen(one) for one in solver.positions]))
+    frames = np.stack(kept, axis=1).astype(np.float32)
+    return frames, replace(held, steps=let_go // stride)
+
+
+def _joined(
+    parts: list[tuple[np.ndarray, HeldWays]], mesh: ClothMesh, config: RollOutConfig
+) -> RollOutShard:
+    """One shard; shorter roll-outs stay at rest to the end of the longest."""
+    longest = max(frames.shape[1] for frames, _ in parts)
+    padded = [
+        np.concatenate([frames, np.repeat(frames[:, -1:], longest - frames.shape[1], axis=1)], 1)
+        for frames, _ in parts
+    ]
+    positions = np.concatenate(padded)
+    held = np.concatenate([ways.vertices for _, ways in parts])
+    steps = np.concatenate([ways.steps for _, ways in parts])
+    sound = np.isfinite(positions).all(axis=(1, 2, 3))
+    if sound.sum() < 0.5 * len(sound):
+        raise SimulationDivergedError(
+            f"only {int(sound.sum())} of {len(sound)} roll-outs stayed finite; use a shorter "
+            "states.solver.substep_s"
+        )
+    return RollOutShard(
+        mesh, positions[sound], held[sound], np.where(held[sound] < 0, 0, steps[sound]),
+        config.frame_s,
+    )  # fmt: skip
+
+
+def write_roll_outs(shard: RollOutShard, path: Path) -> None:
+    """Write a shard, whole or not at all.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    with whole_file(path) as unfinished:
+        np.savez_compressed(
+            unfinished,
+            flat=shard.mesh.vertices,
+            faces=shard.mesh.faces,
+            positions=shard.positions,
+            held=shard.held,
+            held_frames=shard.held_frames,
+            frame_s=np.array(shard.frame_s),
+        )
+
+
+def read_roll_outs(path: Path) -> RollOutShard:
+    """Read a shard; nothing in it is executed.
+
+    Raises:
+        InvalidResultError: it is missing or damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return RollOutShard(
+                ClothMesh(file["flat"], file["faces"]),
+                file["positions"],
+                file["held"],
+                file["held_frames"],
+                float(file["frame_s"]),
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InvalidResultError(
+            f"{path}: not a shard of roll-outs ({error}); remove it and make it again"
+        ) from error
+
+
+def _make_and_write(
+    number: int, *, out: Path, kind: GarmentKind, seed: int, config: RollOutConfig
+) -> int:
+    shard = make_roll_outs(kind, number, seed, config)
+    write_roll_outs(shard, out / "shards" / f"{number:04d}.npz")
+    return number

@@ -1,0 +1,1 @@
+"""What carries actions out: a protocol, and the robots behind it."""

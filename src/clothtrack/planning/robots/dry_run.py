@@ -1,0 +1,112 @@
+"""A robot that moves nothing: it writes what it would do, as JSON and as arrows on the picture."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.files.atomic_write import write_file
+from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.arrows import draw_action, shown_depth
+from clothtrack.planning.robots.robot import (
+    Execution,
+    MotionLimits,
+    Reachability,
+    RgbdFrame,
+    way_points,
+)
+from clothtrack.recordings.pictures import encode_png, read_color, read_depth
+from clothtrack.recordings.recording import PickerPath, Recording
+
+STOPPED = "dry run: nothing moved"
+
+
+class DryRunRobot:
+    """Plans are written down, and the episode ends after the first.
+
+    Attributes:
+        folder: gets action_00.json and action_00.png, action_01.json and so on.
+        limits: what a robot would refuse.
+    """
+
+    def __init__(
+        self,
+        picture: Callable[[], RgbdFrame],
+        folder: Path,
+        *,
+        limits: MotionLimits | None = None,
+    ) -> None:
+        """Remember where pictures come from, and where plans go.
+
+        Args:
+            picture: a picture of the table as it is now.
+            folder: for the plans.
+            limits: of the robot that is meant.
+        """
+        self._take = picture
+        self.folder, self.limits = Path(folder), limits or MotionLimits()
+        self._latest: RgbdFrame | None = None
+
+    def observe(self) -> RgbdFrame:
+        """A picture."""
+        self._latest = self._take()
+        return self._latest
+
+    def check(self, action: PickPlace) -> Reachability:
+        """Whether the way of the tip is within the limits."""
+        reason = self.limits.refusal(way_points(action))
+        return Reachability(not reason, reason)
+
+    def execute(self, action: PickPlace) -> Execution:
+        """Write the action down; nothing moves.
+
+        Raises:
+            InvalidConfigError: the action is outside a limit.
+            StorageError: the disk refuses.
+        """
+        found = self.check(action)
+        if not found.reachable:
+            raise InvalidConfigError(f"refused: {found.reason}")
+        frame = self._latest or self.observe()
+        number = len(list(self.folder.glob("action_*.json")))
+        points = way_points(action)
+        told = {**action.as_dict(), "frame": "world", "unit": "m", "way_points": points.tolist()}
+        shown = shown_depth(frame.depth_m) if frame.color is None else frame.color
+        drawn = draw_action(shown, frame.camera, action)
+        self._write(f"action_{number:02d}.json", json.dumps(told, indent=1).encode())
+        self._write(f"action_{number:02d}.png", encode_png(drawn))
+        times = frame.time_s + 0.5 * np.arange(1, len(points) + 1)
+        closed = np.array([False, True, True, True, False, False])
+        # The next picture is of a later time: as a recording it is whole.
+        return Execution(PickerPath(times, points, closed), (frame,), None, STOPPED)
+
+    def home(self) -> None:
+        """There is no arm in the way."""
+
+    def _write(self, name: str, data: bytes) -> None:
+        write_file(self.folder / name, data)
+
+
+def pictures_of(recording: Recording) -> Callable[[], RgbdFrame]:
+    """The latest picture of a recording, again and again, each a second later.
+
+    Raises:
+        InvalidConfigError: when called, if it has no depth pictures.
+    """
+    frame, count = recording.frames[-1], 0
+
+    def take() -> RgbdFrame:
+        nonlocal count
+        camera = next((one for one in recording.cameras if one.name in frame.depth), None)
+        if camera is None:
+            raise InvalidConfigError(
+                f"{recording.folder}: its last frame has no depth picture to plan from"
+            )
+        depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
+        color = read_color(frame.color[camera.name]) if camera.name in frame.color else None
+        count += 1
+        return RgbdFrame(float(count - 1), camera, depth, color)
+
+    return take

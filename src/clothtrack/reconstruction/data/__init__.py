@@ -1,0 +1,1 @@
+"""What networks learn from: simulated states, and pseudo-labels of real recordings."""

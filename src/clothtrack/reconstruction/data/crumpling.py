@@ -1,0 +1,247 @@
+"""Crumples a garment on a table: lifts it, drops it, picks it up and places it elsewhere.
+
+Recipes of the published data generators (MEDOR's `collect_data_bimanual2.py`, SoftGym's random
+drop), with our own solver: an episode is a few states of one garment, each of which starts from the
+one before. A state is taken when the cloth has come to rest.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import edge_strain
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.pick_and_place import (
+    ActionConfig,
+    Picks,
+    PlannedAction,
+    carrying_path,
+    plan_action,
+)
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import Attachment
+
+Recipe = Literal["flat", "drop", "lift", "pick_and_place"]
+
+STEP_S = 0.025
+"""Length of a step of the solver while the cloth is moved [s]."""
+
+PULL_REACH = 0.7
+"""No pull leads farther from where the garment lay flat than this, over its longer side."""
+
+WINDOW_STEPS = 4
+"""Steps of the solver over which the way of a vertex is measured while waiting for rest."""
+
+
+@dataclass(frozen=True)
+class CrumplingConfig:
+    """How states of a garment come about. Pairs of numbers are bounds of an even draw.
+
+    Attributes:
+        states: states per episode.
+        shares: how often an episode begins with each recipe; what follows are pick-and-places.
+        turned_over: share of episodes that begin with the garment's other side up.
+        smoothing_m: how far a hand that laid the cloth flat may have pulled it last [m].
+        lift_m: how high a vertex is lifted when the cloth stays on the table in part [m].
+        hang_m: distance of the hanging cloth from the table before it is dropped [m].
+        lift_speed: speed at which a vertex is lifted [m/s].
+        hang_s: how long it hangs [s].
+        drift_m: how far aside it is let go [m].
+        two_pickers: share of pick-and-places with a second gripper that moves alike.
+        folded, middle, pulled: shares of pick-and-places that take folded cloth with all its
+            layers, cloth near the middle, and the outline to carry it outwards, as one who flattens
+            a crumpled cloth; the others take mostly the outline, and carry it inwards.
+        action: pick-and-places; `reach_m` and the release height follow the garment.
+        rest_speed: a cloth is at rest when no vertex covers more way than this in a tenth of a
+            second [m/s].
+        rest_limit_s: longest wait for that [s].
+        strain_limit: a state whose edges changed length by more than this share, in the mean, has
+            exploded, as has one of which a vertex lies under the table.
+    """
+
+    states: int = 5
+    shares: dict[str, float] = field(
+        default_factory=lambda: {"flat": 0.15, "drop": 0.55, "lift": 0.1, "pick_and_place": 0.2}
+    )
+    turned_over: float = 0.5
+    smoothing_m: float = 0.02
+    lift_m: tuple[float, float] = (0.08, 0.25)
+    hang_m: tuple[float, float] = (0.03, 0.25)
+    lift_speed: float = 1.2
+    hang_s: float = 0.1
+    drift_m: float = 0.1
+    two_pickers: float = 0.3
+    folded: float = 0.15
+    middle: float = 0.15
+    pulled: float = 0.35
+    action: ActionConfig = field(default_factory=lambda: ActionConfig(speed=0.6, clear_held=True))
+    rest_speed: float = 0.1
+    rest_limit_s: float = 0.8
+    strain_limit: float = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class CrumpledState:
+    """One state of an episode.
+
+    Attributes:
+        recipe: how it came about.
+        positions: the vertices [m] where the solver left them.
+        speed: way of the fastest vertex in the last tenth of a second, over that time [m/s].
+        exploded: it is no cloth any more; nothing can follow from it.
+    """
+
+    recipe: Recipe
+    positions: Float32[np.ndarray, "vertices 3"]
+    speed: float
+    exploded: bool
+
+
+class Crumpler:
+    """One garment on a table, and what is done to it.
+
+    Attributes:
+        mesh: the flat garment.
+        config: how states come about.
+    """
+
+    def __init__(
+        self, mesh: ClothMesh, config: CrumplingConfig, solver: SolverConfig, *, device: str = "cpu"
+    ) -> None:
+        """Prepare the solver; its table is put at z = 0."""
+        self.mesh = mesh
+        self.config = config
+        table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+        self._rest_height_m = solver.resting_height_m
+        self._solver = ClothSolver(mesh, replace(solver, table=table), device=device)
+        self._fresh = self._solver.save()
+        size = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
+        self._pull_reach_m = PULL_REACH * size
+        layers = 2 if np.ptp(mesh.vertices[:, 2]) == 0.0 else 4
+        self._action = replace(
+            config.action,
+            reach_m=min(config.action.reach_m, 0.65 * size),
+            release_height_m=0.002 + layers * solver.thickness_m,
+        )
+
+    def episode(
+        self, parameters: ClothParameters, rng: np.random.Generator
+    ) -> Iterator[CrumpledState]:
+        """The states of one episode; an exploded one is its last.
+
+        Args:
+            parameters: what the cloth is made of.
+            rng: source of everything random.
+        """
+        self._solver.set_parameters(parameters)
+        self._lay_down(turned_over=rng.random() < self.config.turned_over)
+        names = get_args(Recipe)
+        shares = np.array([self.config.shares[name] for name in names])
+        recipe: Recipe = names[int(rng.choice(len(names), p=shares / shares.sum()))]
+        for _ in range(self.config.states):
+            getattr(self, f"_{recipe}")(rng)
+            state = self._rest(recipe)
+            yield state
+            if state.exploded:
+                return
+            recipe = "pick_and_place"
+
+    def _lay_down(self, *, turned_over: bool) -> None:
+        """Lay the flat garment on the table, at rest."""
+        vertices = np.array(self.mesh.vertices)
+        if turned_over:
+            vertices = vertices * [-1.0, 1.0, -1.0]
+        vertices[:, 2] += self._rest_height_m - vertices[:, 2].min()
+        self._solver.restore(self._fresh)
+        self._solver.place(vertices)
+
+    # Recipes
+
+    def _flat(self, rng: np.random.Generator) -> None:
+        """Pull at one vertex a little, as a hand does that smooths the cloth."""
+        vertex = int(rng.integers(self.mesh.vertex_count))
+        way = _aside(rng.uniform(0.0, self.config.smoothing_m), rng)
+        self._carry(np.array([vertex]), way * np.linspace(0.0, 1.0, 5)[1:, None])
+
+    def _lift(self, rng: np.random.Generator) -> None:
+        """Lift one vertex so far that part of the cloth stays on the table, and let it go."""
+        vertex = int(rng.integers(self.mesh.vertex_count))
+        self._raise_and_release(vertex, rng.uniform(*self.config.lift_m), rng)
+
+    def _drop(self, rng: np.random.Generator) -> None:
+        """Lift one vertex until the cloth hangs clear of the table, and let it go."""
+        vertex = int(rng.integers(self.mesh.vertex_count))
+        flat = self.mesh.vertices
+        length = float(np.linalg.norm(flat - flat[vertex], axis=1).max())
+        self._raise_and_release(vertex, length + rng.uniform(*self.config.hang_m), rng)
+
+    def _raise_and_release(self, vertex: int, height_m: float, rng: np.random.Generator) -> None:
+        config = self.config
+        way = _aside(rng.uniform(0.0, config.drift_m), rng) + [0.0, 0.0, height_m]
+        steps = max(2, round(float(np.linalg.norm(way)) / config.lift_speed / STEP_S))
+        still = np.ones(round(config.hang_s / STEP_S))
+        share = np.concatenate([np.linspace(0.0, 1.0, steps + 1)[1:], still])
+        self._carry(np.array([vertex]), way * share[:, None])
+
+    def _pick_and_place(self, rng: np.random.Generator) -> None:
+        """Carry what one gripper, or two that move alike, took hold of."""
+        cloth = self.mesh.with_vertices(self._solver.positions[0].astype(np.float64))
+        first = self._plan(cloth, rng)
+        held = first.held
+        if rng.random() < self.config.two_pickers:
+            held = np.union1d(held, self._plan(cloth, rng).held)
+        self._carry(held, carrying_path(first, self._action, STEP_S) - first.pick)
+
+    def _plan(self, cloth: ClothMesh, rng: np.random.Generator) -> PlannedAction:
+        config = self.config
+        bounds = np.cumsum([config.folded, config.middle, config.pulled])
+        kinds: tuple[Picks, ...] = ("folded", "middle", "pulled", "outline")
+        picks = kinds[int(np.searchsorted(bounds, rng.random(), "right"))]
+        # What is pulled lies at the outline already, and must be able to leave it.
+        reach_m = self._pull_reach_m if picks == "pulled" else self._action.reach_m
+        return plan_action(cloth, replace(self._action, picks=picks, reach_m=reach_m), rng)
+
+    # Motion
+
+    def _carry(self, held: np.ndarray, ways: Float[np.ndarray, "steps 3"]) -> None:
+        """Move vertices along a way [m] from where they are, a step of the solver per point."""
+        start = self._solver.positions[:, held].astype(np.float64)
+        targets = np.zeros((1, self.mesh.vertex_count, 3))
+        strength = np.zeros((1, self.mesh.vertex_count))
+        strength[:, held] = 1.0
+        for way in ways:
+            targets[:, held] = start + way
+            self._solver.step(STEP_S, Attachment(targets, strength))
+
+    def _rest(self, recipe: Recipe) -> CrumpledState:
+        """Wait for the cloth to come to rest."""
+        solver, config = self._solver, self.config
+        before, speed, used = solver.positions[0], np.inf, 0.0
+        window_s = WINDOW_STEPS * STEP_S
+        while used < config.rest_limit_s - 1e-9:
+            for _ in range(WINDOW_STEPS):
+                solver.step(STEP_S)
+            used += window_s
+            after = solver.positions[0]
+            if not np.isfinite(after).all():
+                return CrumpledState(recipe, after, np.inf, exploded=True)
+            speed = float(np.linalg.norm(after - before, axis=1).max()) / window_s
+            before = after
+            if speed < config.rest_speed:
+                break
+        return CrumpledState(recipe, before, speed, exploded=self._exploded(before))
+
+    def _exploded(self, positions: Float32[np.ndarray, "vertices 3"]) -> bool:
+        under: Bool[np.ndarray, " vertices"] = positions[:, 2] < -0.5 * self._rest_height_m
+        return bool(under.any()) or edge_strain(self.mesh, positions) > self.config.strain_limit
+
+
+def _aside(distance_m: float, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:
+    """A horizontal way of this length in a random direction [m]."""
+    heading = rng.uniform(0.0, 2.0 * np.pi)
+    return distance_m * np.array([np.cos(heading), np.sin(heading), 0.0])

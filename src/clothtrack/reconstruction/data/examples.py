@@ -1,0 +1,333 @@
+"""What the networks are trained on: a picture, what its pixels show, and where all the cloth is.
+
+Simulated states and pseudo-labels become examples here, by the same way and with the same
+augmentation: the camera and the cloth are mirrored and turned together about the vertical, so that
+picture, canonical coordinates and points can never disagree.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, Int
+from torch import Tensor
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.camera import Camera, about_vertical
+from clothtrack.geometry.closest_point import closest_on_triangle
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.canonical_frame import canonical_frame, check_canonical, conventional
+from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of
+from clothtrack.reconstruction.data.winding import WindingConfig, WindingPool, winding_pool
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+
+
+@dataclass(frozen=True)
+class ExampleConfig:
+    """How an example is drawn from a labelled picture.
+
+    Attributes:
+        surface_queries: material points per example whose position is asked for, uniform over the
+            cloth's area.
+        volume_queries: points of the unit cube per example whose winding number is asked for.
+        cut_m: a pixel further than this from the mesh [m] has no canonical label.
+        turn: turn camera and cloth about the vertical by any angle.
+        mirror: mirror camera and cloth, one time out of two.
+        winding: where winding numbers are known.
+    """
+
+    surface_queries: int = 1024
+    volume_queries: int = 1024
+    cut_m: float = 0.02
+    turn: bool = True
+    mirror: bool = True
+    winding: WindingConfig = field(default_factory=WindingConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be drawn.
+
+        Raises:
+            InvalidConfigError: with the field, its value and the limit.
+        """
+        for name in ("surface_queries", "volume_queries"):
+            if not getattr(self, name) >= 1:
+                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        if self.volume_queries > self.winding.pool:
+            raise InvalidConfigError(
+                f"volume_queries is {self.volume_queries}, more than winding.pool "
+                f"({self.winding.pool}); lower it"
+            )
+        if not self.cut_m > 0.0:
+            raise InvalidConfigError(f"cut_m is {self.cut_m}; it must be positive")
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """What all states of one garment have in common; a towel's longer side is along x.
+
+    Attributes:
+        kind: "towel" or "tshirt".
+        faces: vertex indices per triangle.
+        unit: canonical coordinates of the vertices [unit cube].
+        face_shares: share of each face in the area of the flat cloth.
+        pool: winding numbers of the canonical pose.
+    """
+
+    kind: str
+    faces: Int[np.ndarray, "faces 3"]
+    unit: Float[np.ndarray, "vertices 3"]
+    face_shares: Float[np.ndarray, " faces"]
+    pool: WindingPool
+
+    @classmethod
+    def of(cls, mesh: ClothMesh, kind: str, config: WindingConfig, *, seed: int) -> "Garment":
+        """The garment of a flat mesh.
+
+        Args:
+            mesh: at rest, with canonical coordinates [m].
+            kind: "towel" or "tshirt".
+            config: where winding numbers are asked for.
+            seed: of these places.
+
+        Raises:
+            InvalidConfigError: the mesh has no canonical coordinates, the kind no cube, or the
+                cube no room for them.
+        """
+        if mesh.canonical is None:
+            raise InvalidConfigError(
+                "the mesh has no canonical coordinates, so that nothing says which point is "
+                "which; track with a template or first mesh that has them"
+            )
+        canonical = conventional(np.asarray(mesh.canonical, np.float64), kind)
+        check_canonical(canonical, kind)
+        unit = canonical_frame(kind).to_unit(canonical)
+        corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.linalg.norm(normals, axis=1)
+        pool = winding_pool(unit, mesh.faces, config, seed=seed)
+        return cls(kind, mesh.faces, unit, areas / areas.sum(), pool)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledPicture:
+    """A depth picture of a cloth of which every vertex is known.
+
+    Attributes:
+        depth_m: measured depth [m]; 0 where nothing was measured.
+        mask: where the cloth is thought to be.
+        camera: that took the picture.
+        faces: the face of the mesh that each pixel shows; -1 where none does.
+        positions: vertices in the world [m], z up.
+        weight: how much the label is worth, 0 to 1.
+    """
+
+    depth_m: Float[np.ndarray, "height width"]
+    mask: Bool[np.ndarray, "height width"]
+    camera: Camera
+    faces: Int[np.ndarray, "height width"]
+    positions: Float[np.ndarray, "vertices 3"]
+    weight: float = 1.0
+
+    def mirrored(self) -> "LabelledPicture":
+        """The same seen in a mirror: the world's x has the other sign."""
+        pose = self.camera.world_from_camera.copy()
+        # Two reflections, of the world and of the picture's columns, make a camera again.
+        pose[0, :] *= -1.0
+        pose[:3, 0] *= -1.0
+        camera = replace(
+            self.camera, cx=self.camera.width - 1 - self.camera.cx, world_from_camera=pose
+        )
+        return LabelledPicture(
+            self.depth_m[:, ::-1],
+            self.mask[:, ::-1],
+            camera,
+            self.faces[:, ::-1],
+            self.positions * (-1.0, 1.0, 1.0),
+            self.weight,
+        )
+
+    def turned(self, angle: float) -> "LabelledPicture":
+        """Camera and cloth turned about the vertical through the origin [rad]."""
+        positions = self.positions @ about_vertical(angle).T
+        return replace(self, camera=self.camera.turned(angle), positions=positions)
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """One picture of one cloth, as the networks take it.
+
+    Attributes:
+        depth: the network's picture [m]; 0 is background.
+        pixels: row and column, in the canonical picture, of each pixel of cloth.
+        points: where each of them was measured, in the world [m].
+        unit: its canonical coordinates [unit cube]; 0 where unknown.
+        labelled: whether they are known.
+        surface: canonical coordinates of material points [unit cube].
+        positions: where these points are, in the world [m].
+        volume: places in the unit cube.
+        winding: winding number of the canonical garment there.
+        weight: how much the label is worth, 0 to 1.
+    """
+
+    depth: Float32[np.ndarray, "height width"]
+    pixels: Int[np.ndarray, "pixels 2"]
+    points: Float32[np.ndarray, "pixels 3"]
+    unit: Float32[np.ndarray, "pixels 3"]
+    labelled: Bool[np.ndarray, " pixels"]
+    surface: Float32[np.ndarray, "surface 3"]
+    positions: Float32[np.ndarray, "surface 3"]
+    volume: Float32[np.ndarray, "volume 3"]
+    winding: Float32[np.ndarray, " volume"]
+    weight: float
+
+
+def draw_example(
+    picture: LabelledPicture,
+    garment: Garment,
+    network: NetworkConfig,
+    config: ExampleConfig,
+    rng: np.random.Generator,
+) -> Example:
+    """Augment a labelled picture, crop it for the network, and draw queries.
+
+    Args:
+        picture: depth picture and mesh.
+        garment: whose mesh it is.
+        network: what the picture is for.
+        config: augmentation and numbers.
+        rng: of everything random.
+
+    Raises:
+        InvalidRecordingError: there is no cloth in the picture.
+    """
+    mirror = config.mirror and rng.random() < 0.5
+    if mirror:
+        picture = picture.mirrored()
+    if config.turn:
+        picture = picture.turned(rng.uniform(-np.pi, np.pi))
+    view = crop(picture.depth_m, picture.mask, picture.camera, network)
+    chosen = cloth_pixels(view.depth, network)
+    points = points_of(view.depth, view.camera, chosen.sources)
+    unit, labelled = canonical_of_points(points, picture, garment, cut_m=config.cut_m)
+    face = rng.choice(len(garment.faces), config.surface_queries, p=garment.face_shares)
+    within = rng.dirichlet(np.ones(3), config.surface_queries)
+    surface = np.einsum("qc,qcx->qx", within, garment.unit[garment.faces[face]])
+    positions = np.einsum("qc,qcx->qx", within, picture.positions[garment.faces[face]])
+    asked = rng.integers(len(garment.pool.points), size=config.volume_queries)
+    volume = garment.pool.points[asked].copy()
+    if mirror:
+        # The mirror image of a garment is one of the same kind; its labels are mirrored with it.
+        for one in (unit, surface, volume):
+            one[:, 0] = 1.0 - one[:, 0]
+    unit[~labelled] = 0.0
+    return Example(
+        depth=view.depth,
+        pixels=chosen.pixels,
+        points=points.astype(np.float32),
+        unit=unit.astype(np.float32),
+        labelled=labelled,
+        surface=surface.astype(np.float32),
+        positions=positions.astype(np.float32),
+        volume=volume,
+        winding=garment.pool.values[asked],
+        weight=picture.weight,
+    )
+
+
+def canonical_of_points(
+    points: Float[np.ndarray, "points 3"],
+    picture: LabelledPicture,
+    garment: Garment,
+    *,
+    cut_m: float,
+) -> tuple[Float[np.ndarray, "points 3"], Bool[np.ndarray, " points"]]:
+    """Canonical coordinates [unit cube] of measured points, by projection to the mesh.
+
+    A point is projected to the face that the picture shows at the pixel where it was measured: of
+    the four pixels around it, the one whose depth is nearest to its own.
+
+    Args:
+        points: on the surface that the picture's pixels measured, in the world [m].
+        picture: what shows which face.
+        garment: whose canonical coordinates are asked for.
+        cut_m: points further from the mesh [m] get none.
+
+    Returns:
+        The coordinates, and where they are known.
+    """
+    pixels, depth = picture.camera.project(points)
+    height, width = picture.depth_m.shape
+    corner = np.floor(pixels).astype(np.int64)
+    steps = np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
+    columns, rows = np.moveaxis(corner[:, None] + steps, 2, 0)
+    columns, rows = columns.clip(0, width - 1), rows.clip(0, height - 1)
+    found = np.where(picture.mask, picture.depth_m, 0.0)[rows, columns]
+    gaps = np.where(found > 0, np.abs(found - depth[:, None]), np.inf)
+    nearest = gaps.argmin(axis=1)
+    face = np.take_along_axis(picture.faces[rows, columns], nearest[:, None], axis=1)[:, 0]
+    corners = garment.faces[face]
+    weights = closest_on_triangle(points, picture.positions[corners])
+    on_mesh = np.einsum("pc,pcx->px", weights, picture.positions[corners])
+    near = np.linalg.norm(on_mesh - points, axis=1) <= cut_m
+    unit = np.einsum("pc,pcx->px", weights, garment.unit[corners])
+    return unit, near & (face >= 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Examples one after the other.
+
+    Attributes:
+        depth: pictures [m].
+        pixels: picture, row and column of every pixel of cloth.
+        points: where each was measured, in the world [m].
+        unit: its canonical coordinates [unit cube]; 0 where unknown.
+        labelled: whether they are known.
+        surface: canonical coordinates of material points [unit cube].
+        positions: where these are, in the world [m].
+        volume: places in the unit cube.
+        winding: winding number there.
+        weights: of the labels, 0 to 1.
+    """
+
+    depth: Float[Tensor, "batch 1 height width"]
+    pixels: Int[Tensor, "pixels 3"]
+    points: Float[Tensor, "pixels 3"]
+    unit: Float[Tensor, "pixels 3"]
+    labelled: Bool[Tensor, " pixels"]
+    surface: Float[Tensor, "batch surface 3"]
+    positions: Float[Tensor, "batch surface 3"]
+    volume: Float[Tensor, "batch volume 3"]
+    winding: Float[Tensor, "batch volume"]
+    weights: Float[Tensor, " batch"]
+
+    def to(self, device: str) -> "Batch":
+        """The same on another device."""
+        parts = {one.name: getattr(self, one.name).to(device) for one in fields(self)}
+        return Batch(**parts)
+
+
+def collate(examples: Sequence[Example]) -> Batch:
+    """Examples as one batch; every picture keeps its own number of pixels."""
+
+    def stacked(name: str) -> Tensor:
+        return torch.from_numpy(np.stack([getattr(one, name) for one in examples]))
+
+    def joined(name: str) -> Tensor:
+        return torch.from_numpy(np.concatenate([getattr(one, name) for one in examples]))
+
+    numbers = [np.full((len(one.pixels), 1), index) for index, one in enumerate(examples)]
+    pixels = torch.from_numpy(np.concatenate(numbers))
+    return Batch(
+        depth=stacked("depth")[:, None],
+        pixels=torch.cat([pixels, joined("pixels")], dim=1),
+        points=joined("points"),
+        unit=joined("unit"),
+        labelled=joined("labelled"),
+        surface=stacked("surface"),
+        positions=stacked("positions"),
+        volume=stacked("volume"),
+        winding=stacked("winding"),
+        weights=torch.tensor([one.weight for one in examples], dtype=torch.float32),
+    )

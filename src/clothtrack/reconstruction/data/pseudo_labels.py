@@ -1,0 +1,344 @@
+"""Pseudo-labels: what the tracker found in a recording, as examples to learn from (Sec. III-C).
+
+Tracked vertices keep the canonical coordinates of the first mesh; each measured pixel is projected
+to the part of the tracked mesh that the camera sees, and has no label where the mesh is too far.
+"""
+
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from clothtrack.errors import (
+    InvalidMeshError,
+    InvalidRecordingError,
+    InvalidResultError,
+)
+from clothtrack.files.atomic_write import whole_file
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.data.examples import (
+    Example,
+    ExampleConfig,
+    Garment,
+    LabelledPicture,
+    draw_example,
+)
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack.reconstruction.training.batches import Draw
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.point_cloud import cloth_measured
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
+
+FORMAT = "clothtrack-pseudo-labels"
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class PseudoLabel:
+    """One frame of a recording, labelled by the tracker.
+
+    Attributes:
+        frame: of the recording.
+        positions: tracked vertices in the world [m].
+        weight: how much the label is worth, 0 to 1.
+    """
+
+    frame: int
+    positions: Float[np.ndarray, "vertices 3"]
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledRecording:
+    """The labelled pictures of one recording; the unit that is kept together in a split.
+
+    Attributes:
+        name: of the recording.
+        kind: "towel" or "tshirt".
+        mesh: the first mesh: flat, with canonical coordinates [m].
+        frames: which frames of the recording.
+        pictures: of these, in the same order.
+        provenance: where the labels come from.
+    """
+
+    name: str
+    kind: str
+    mesh: ClothMesh
+    frames: tuple[int, ...]
+    pictures: tuple[LabelledPicture, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def label_recording(
+    recording: Recording,
+    mesh: ClothMesh,
+    labels: Sequence[PseudoLabel],
+    *,
+    kind: str,
+    cut_m: float = 0.02,
+    segmenter: Segmenter | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> LabelledRecording:
+    """Pictures and projected labels of a tracked recording.
+
+    Args:
+        recording: what was tracked.
+        mesh: the first mesh, with canonical coordinates.
+        labels: tracked meshes and their worth.
+        kind: "towel" or "tshirt".
+        cut_m: pixels further than this [m] from the tracked mesh have no label.
+        segmenter: finds the cloth; the recording's own way by default.
+        provenance: stored with them.
+
+    Raises:
+        InvalidRecordingError: a frame has no depth picture.
+        InvalidResultError: a label is of a frame that the recording does not have.
+    """
+    pictures = []
+    for label in labels:
+        if not 0 <= label.frame < len(recording.frames):
+            raise InvalidResultError(
+                f"a label belongs to frame {label.frame}, but {recording.folder} has "
+                f"{len(recording.frames)} frames; give the recording that it was tracked from"
+            )
+        depth, mask, camera = cloth_picture(recording, recording.frames[label.frame], segmenter)
+        positions = np.asarray(label.positions, np.float64)
+        faces = projected_faces(depth, mask, camera, positions, mesh.faces, cut_m=cut_m)
+        pictures.append(LabelledPicture(depth, mask, camera, faces, positions, label.weight))
+    frames = tuple(label.frame for label in labels)
+    return LabelledRecording(
+        recording.name, kind, mesh, frames, tuple(pictures), dict(provenance or {})
+    )
+
+
+def cloth_picture(
+    recording: Recording, frame: Frame, segmenter: Segmenter | None = None
+) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"], Camera]:
+    """Depth [m], mask of the cloth and camera of a frame, by its first camera that has depth.
+
+    Args:
+        recording: the recording.
+        frame: one of its frames.
+        segmenter: finds the cloth; the recording's own way by default.
+
+    Raises:
+        InvalidRecordingError: no camera has a depth picture of it.
+    """
+    camera = next((one for one in recording.cameras if one.name in frame.depth), None)
+    if camera is None:
+        raise InvalidRecordingError(
+            f"{recording.folder}: frame {frame.index} has no depth picture; the network needs one"
+        )
+    depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
+    color = read_color(frame.color[camera.name]) if camera.name in frame.color else None
+    find = segmenter or default_segmenter(recording, frame, camera)
+    mask = main_components(find(color, depth, camera, recording.table))
+    return depth, cloth_measured(depth, mask, camera), camera
+
+
+def projected_faces(
+    depth: Float[np.ndarray, "height width"],
+    mask: Bool[np.ndarray, "height width"],
+    camera: Camera,
+    positions: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+    *,
+    cut_m: float,
+) -> Int[np.ndarray, "height width"]:
+    """The face that each measured pixel of cloth shows; -1 where none is near.
+
+    Only faces that the camera sees are asked: under a folded cloth the other layer is as near.
+
+    Args:
+        depth: measured depth [m].
+        mask: where the cloth was measured.
+        camera: that took it.
+        positions: vertices in the world [m].
+        faces: vertex indices per triangle.
+        cut_m: largest distance of pixel and face [m].
+    """
+    shown = np.full(depth.shape, -1, np.int32)
+    drawn = Rasteriser(faces, camera).render(positions).faces
+    seen = np.unique(drawn[drawn >= 0])
+    points = camera.back_project(depth, mask)
+    if len(seen) == 0 or len(points) == 0:
+        return shown
+    used, corners = np.unique(faces[seen], return_inverse=True)
+    corners = corners.reshape(-1, 3)
+    face, weights = closest_on_mesh(points, positions[used], corners)
+    nearest = np.einsum("pc,pcx->px", weights, positions[used][corners[face]])
+    near = np.linalg.norm(nearest - points, axis=1) <= cut_m
+    shown[mask & (depth > 0)] = np.where(near, seen[face], -1)
+    return shown
+
+
+class PseudoLabelExamples:
+    """Labelled recordings as examples.
+
+    Args:
+        recordings: all of one kind.
+        network: what the pictures are for.
+        config: augmentation and numbers of queries.
+        seed: of everything random.
+
+    Raises:
+        InvalidResultError: there is no label, or they are of several kinds.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[LabelledRecording],
+        network: NetworkConfig,
+        config: ExampleConfig | None = None,
+        *,
+        seed: int = 0,
+    ) -> None:
+        kinds = sorted({one.kind for one in recordings})
+        if len(kinds) != 1:
+            raise InvalidResultError(
+                f"labels of {', '.join(kinds) or 'no garment'} were given; a network is trained "
+                "for one kind: give labels of that kind"
+            )
+        self.kind = kinds[0]
+        self.network = network
+        self.config = config or ExampleConfig()
+        self.seed = seed
+        self.groups: list[str] = []
+        self._pictures: list[LabelledPicture] = []
+        self._garments: list[Garment] = []
+        for number, one in enumerate(recordings):
+            labels = Garment.of(one.mesh, one.kind, self.config.winding, seed=number)
+            self._pictures += one.pictures
+            self._garments += [labels] * len(one.pictures)
+            self.groups += [one.name] * len(one.pictures)
+
+    def __len__(self) -> int:
+        """Number of labelled pictures."""
+        return len(self._pictures)
+
+    def __getitem__(self, draw: Draw) -> Example:
+        """The picture, augmented for this epoch."""
+        index, epoch = draw
+        rng = np.random.default_rng([self.seed, epoch, index])
+        picture, labels = self._pictures[index], self._garments[index]
+        return draw_example(picture, labels, self.network, self.config, rng)
+
+
+def write_labels(labelled: LabelledRecording, path: Path) -> None:
+    """Write one compressed NumPy archive, whole or not at all.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    document = {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "name": labelled.name,
+        "kind": labelled.kind,
+        "frames": list(labelled.frames),
+        "weights": [one.weight for one in labelled.pictures],
+        "cameras": [_camera_document(one.camera) for one in labelled.pictures],
+        "provenance": dict(labelled.provenance),
+    }
+    arrays = {
+        "document": np.frombuffer(json.dumps(document, default=str).encode(), np.uint8),
+        "rest_positions": np.asarray(labelled.mesh.vertices, np.float32),
+        "faces": np.asarray(labelled.mesh.faces, np.int32),
+        "canonical": np.asarray(labelled.mesh.canonical, np.float32),
+    }
+    for number, picture in enumerate(labelled.pictures):
+        arrays[f"{number}/depth_m"] = np.where(picture.mask, picture.depth_m, 0).astype(np.float32)
+        arrays[f"{number}/faces"] = picture.faces.astype(np.int32)
+        arrays[f"{number}/positions"] = picture.positions.astype(np.float32)
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_labels(path: Path) -> LabelledRecording:
+    """Read what `write_labels` has written; nothing in it is executed.
+
+    Raises:
+        InvalidResultError: it is missing, truncated, of another version or something else.
+    """
+    if not path.is_file():
+        raise InvalidResultError(
+            f"{path}: there are no such labels; make them with: clothtrack label TRACKED..."
+        )
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            document = json.loads(archive["document"].tobytes())
+            found = document["format"], document["version"]
+            if found != (FORMAT, FORMAT_VERSION):
+                raise ValueError(f"format and version are {found}")
+            mesh = ClothMesh(archive["rest_positions"], archive["faces"], archive["canonical"])
+            pictures = []
+            for number, camera in enumerate(document["cameras"]):
+                depth = archive[f"{number}/depth_m"]
+                faces = archive[f"{number}/faces"]
+                positions = archive[f"{number}/positions"].astype(np.float64)
+                _check_picture(depth, faces, positions, mesh)
+                weight = float(document["weights"][number])
+                if not 0.0 <= weight <= 1.0:
+                    raise ValueError(f"the weight of label {number} is {weight}")
+                pictures.append(
+                    LabelledPicture(depth, depth > 0, _camera_of(camera), faces, positions, weight)
+                )
+        return LabelledRecording(
+            document["name"],
+            document["kind"],
+            mesh,
+            tuple(document["frames"]),
+            tuple(pictures),
+            document["provenance"],
+        )
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        TypeError,
+        IndexError,
+        RecursionError,
+        zipfile.BadZipFile,
+        zlib.error,
+        InvalidMeshError,
+        InvalidRecordingError,
+    ) as error:
+        raise InvalidResultError(
+            f"{path}: not whole pseudo-labels of version {FORMAT_VERSION} ({error}); make them "
+            "again with: clothtrack label TRACKED..."
+        ) from error
+
+
+def _check_picture(
+    depth: np.ndarray, faces: np.ndarray, positions: np.ndarray, mesh: ClothMesh
+) -> None:
+    if depth.shape != faces.shape or depth.ndim != 2:
+        raise ValueError(f"depth is {depth.shape}, its labels are {faces.shape}")
+    if positions.shape != (mesh.vertex_count, 3) or not np.isfinite(positions).all():
+        raise ValueError(f"positions are {positions.shape} or not finite")
+    if faces.dtype.kind != "i" or faces.max(initial=-1) >= len(mesh.faces):
+        raise ValueError(f"a pixel shows face {faces.max()} of {len(mesh.faces)}")
+    if not np.isfinite(depth).all():
+        raise ValueError("a depth is not finite")
+
+
+def _camera_document(camera: Camera) -> dict[str, Any]:
+    names = ("name", "width", "height", "fx", "fy", "cx", "cy")
+    pose = camera.world_from_camera.tolist()
+    return {**{name: getattr(camera, name) for name in names}, "world_from_camera": pose}
+
+
+def _camera_of(document: Mapping[str, Any]) -> Camera:
+    pose = np.array(document["world_from_camera"], np.float64)
+    return Camera(**{**document, "world_from_camera": pose})

@@ -1,0 +1,245 @@
+"""Simulated states as examples, drawn on the fly: a fresh camera, its noise, a fresh rotation."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.data.examples import (
+    Example,
+    ExampleConfig,
+    Garment,
+    LabelledPicture,
+    draw_example,
+)
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
+from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack.reconstruction.training.batches import Draw
+from clothtrack.recordings.point_cloud import flying_pixels
+
+_MARGIN_PIXELS = 6
+_ATTEMPTS = 4
+
+
+@dataclass(frozen=True)
+class FilmingConfig:
+    """The cameras that a simulated state is seen by.
+
+    Attributes:
+        height_m: lowest and highest camera [m] above the table.
+        focal: shortest and longest focal length [pixels].
+        offset_m: the camera stands up to this far [m] beside the middle of the cloth, along x and
+            along y.
+        tilt_deg: standard deviation of the optical axis from the vertical [deg].
+        sensor: how badly the camera measures, on average.
+        noise_range: the sensor's noise and drop-out are multiplied by a number between these.
+        mask_jitter: probability that the mask is a pixel too large, and that it is one too small.
+    """
+
+    height_m: tuple[float, float] = (0.55, 0.95)
+    focal: tuple[float, float] = (200.0, 400.0)
+    offset_m: float = 0.12
+    tilt_deg: float = 4.0
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    noise_range: tuple[float, float] = (0.0, 2.0)
+    mask_jitter: float = 0.15
+
+
+class StateExamples:
+    """Labelled states of simulated garments as examples.
+
+    An example is a function of index, epoch and seed. Shards are read when the set is made, and
+    again in each process that makes examples.
+
+    Args:
+        sets: folders of states, all of one kind of garment.
+        network: what the pictures are for.
+        config: augmentation and numbers of queries.
+        filming: the cameras.
+        seed: of everything random.
+
+    Raises:
+        InvalidConfigError: there is no state, or the sets are of several kinds.
+        InvalidResultError: a shard is damaged.
+    """
+
+    def __init__(
+        self,
+        sets: Sequence[StateSet],
+        network: NetworkConfig,
+        config: ExampleConfig | None = None,
+        *,
+        filming: FilmingConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        kinds = sorted({one.kind for one in sets})
+        if len(kinds) != 1:
+            raise InvalidConfigError(
+                f"states of {', '.join(kinds) or 'no garment'} were given; a network is trained "
+                "for one kind: give folders of states of that kind"
+            )
+        self.kind = kinds[0]
+        self.network = network
+        self.config = config or ExampleConfig()
+        self.filming = filming or FilmingConfig()
+        self.seed = seed
+        self._paths = [path for one in sets for path in one.shards]
+        self._shards: dict[int, StateShard] = {}
+        self._garments: dict[int, Garment] = {}
+        self._places: list[tuple[int, int]] = []
+        self.groups: list[tuple[int, int]] = []
+        for number in range(len(self._paths)):
+            episodes = self._shard(number).episodes.tolist()
+            self._places += [(number, state) for state in range(len(episodes))]
+            self.groups += [(number, episode) for episode in episodes]
+
+    def __len__(self) -> int:
+        """Number of states."""
+        return len(self._places)
+
+    def __getitem__(self, draw: Draw) -> Example:
+        """The state, filmed and augmented for this epoch."""
+        index, epoch = draw
+        number, state = self._places[index]
+        shard, garment = self._shard(number), self._garment(number)
+        rng = np.random.default_rng([self.seed, epoch, index])
+        positions = shard.positions[state].astype(np.float64)
+
+        def drawn() -> Example:
+            picture = film(positions, shard.mesh, self.filming, rng)
+            return draw_example(picture, garment, self.network, self.config, rng)
+
+        for _ in range(_ATTEMPTS - 1):
+            # So little cloth may be measured that the network could not be asked: film it again.
+            with suppress(InvalidRecordingError):
+                return drawn()
+        try:
+            return drawn()
+        except InvalidRecordingError as error:
+            where = f"{self._paths[number]}, state {state}"
+            raise InvalidRecordingError(f"{where}: {error}") from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the shards: a process reads its own."""
+        return {**self.__dict__, "_shards": {}, "_garments": {}}
+
+    def _shard(self, number: int) -> StateShard:
+        if number not in self._shards:
+            self._shards[number] = read_shard(self._paths[number])
+        return self._shards[number]
+
+    def _garment(self, number: int) -> Garment:
+        if number not in self._garments:
+            mesh = self._shard(number).mesh
+            self._garments[number] = Garment.of(mesh, self.kind, self.config.winding, seed=number)
+        return self._garments[number]
+
+
+def film(
+    positions: Float[np.ndarray, "vertices 3"],
+    mesh: ClothMesh,
+    config: FilmingConfig,
+    rng: np.random.Generator,
+) -> LabelledPicture:
+    """A picture of a cloth on the table z = 0, by a camera above it that measures badly.
+
+    Only the part of the camera's picture around the cloth is taken.
+
+    Args:
+        positions: vertices in the world [m].
+        mesh: the garment.
+        config: the cameras.
+        rng: of the camera and its noise.
+    """
+    camera = _camera_above(positions, config, rng)
+    drawn = Rasteriser(mesh.faces, camera).render(positions)
+    on_cloth = drawn.faces >= 0
+    depth, facing = _perfect_depth(drawn.depth, drawn.faces, positions, mesh, camera)
+    measured = depth_noise(depth, facing, _wave(depth.shape, rng), _sensor(config, rng), rng)
+    mask = _jittered(on_cloth, config.mask_jitter, rng)
+    mask &= (measured > 0) & ~flying_pixels(measured, camera.fx)
+    return LabelledPicture(measured, mask, camera, drawn.faces, positions)
+
+
+def _camera_above(
+    positions: Float[np.ndarray, "vertices 3"], config: FilmingConfig, rng: np.random.Generator
+) -> Camera:
+    """A camera that looks down on the cloth; its picture is cut to what lies around it."""
+    middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    pose = np.eye(4)
+    tilt, _ = cv2.Rodrigues(np.radians(config.tilt_deg) * np.append(rng.standard_normal(2), 0.0))
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ tilt
+    pose[:2, 3] = middle[:2] + rng.uniform(-config.offset_m, config.offset_m, 2)
+    pose[2, 3] = rng.uniform(*config.height_m)
+    focal = rng.uniform(*config.focal)
+    wide = Camera("top", 1, 1, focal, focal, 0.0, 0.0, pose)
+    pixels, _ = wide.project(positions)
+    # The principal point stays in the picture, as the camera asks.
+    low = np.floor(np.minimum(pixels.min(axis=0), 0.0)).astype(int) - _MARGIN_PIXELS
+    high = np.ceil(np.maximum(pixels.max(axis=0), 0.0)).astype(int) + _MARGIN_PIXELS
+    width, height = (high - low + 1).tolist()
+    return Camera("top", width, height, focal, focal, float(-low[0]), float(-low[1]), pose)
+
+
+def _perfect_depth(
+    depth: Float[np.ndarray, "height width"],
+    faces: np.ndarray,
+    positions: Float[np.ndarray, "vertices 3"],
+    mesh: ClothMesh,
+    camera: Camera,
+) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
+    """Depth [m] of cloth and table, and how squarely the line of sight meets them."""
+    across = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
+    down = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)[:, None]
+    rotation = camera.world_from_camera[:3, :3].astype(np.float32)
+    upwards = rotation[2, 0] * across + rotation[2, 1] * down + rotation[2, 2]
+    table = np.float32(-camera.position[2]) / np.minimum(upwards, np.float32(-1e-3))
+    facing = np.abs(upwards)
+    a, b, c = np.moveaxis(positions[mesh.faces].astype(np.float32), 1, 0)
+    normals = np.cross(b - a, c - a) @ rotation
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    rows, columns = np.nonzero(faces >= 0)
+    shown = normals[faces[rows, columns]].T
+    facing[rows, columns] = np.abs(shown[0] * across[columns] + shown[1] * down[rows, 0] + shown[2])
+    facing /= np.sqrt(across**2 + down**2 + 1.0)
+    return np.where(faces >= 0, depth, table), facing
+
+
+def _wave(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "height width"]:
+    """A smooth random field, about one standard deviation strong."""
+    coarse = rng.standard_normal((5, 6), dtype=np.float32)
+    return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
+
+
+def _sensor(config: FilmingConfig, rng: np.random.Generator) -> SensorConfig:
+    """The sensor on a better or a worse day."""
+    scale = rng.uniform(*config.noise_range)
+    mean = config.sensor
+    return replace(
+        mean,
+        white_m=scale * mean.white_m,
+        wave_m=scale * mean.wave_m,
+        dropout=min(1.0, scale * mean.dropout),
+        grazing_dropout=min(1.0, scale * mean.grazing_dropout),
+        edge_dropout=min(1.0, scale * mean.edge_dropout),
+    )
+
+
+def _jittered(
+    mask: Bool[np.ndarray, "height width"], probability: float, rng: np.random.Generator
+) -> Bool[np.ndarray, "height width"]:
+    """The mask as segmentation finds it: now and then a pixel too large or too small."""
+    drawn = rng.random()
+    if drawn >= 2.0 * probability:
+        return mask
+    change = cv2.dilate if drawn < probability else cv2.erode
+    return change(mask.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)

@@ -1,0 +1,388 @@
+"""Generates labelled states of towels and T-shirts: what a reconstruction network learns from.
+
+`OUT/shards/0000.zarr` holds all states of one garment; garments differ in width and length, and in
+what they are made of. Shard k depends on the seed and on k alone. A finished shard is kept, so an
+interrupted run goes on where it stopped.
+"""
+
+import logging
+import math
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
+from clothtrack.files.atomic_write import storage, whole_file
+from clothtrack.files.provenance import made_with
+from clothtrack.files.run_manifest import as_plain, require_same
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.geometry.coverage import projected_area
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import crossings, edge_strain
+from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler, CrumplingConfig
+from clothtrack.reconstruction.data.state_store import (
+    LIST_FILE,
+    SHARD_FOLDER,
+    StateSet,
+    StateShard,
+    open_states,
+    read_list,
+    read_shard,
+    shard_path,
+    write_list,
+    write_shard,
+)
+from clothtrack.reconstruction.data.states_card import dataset_card
+from clothtrack.simulation.garments import (
+    DEFAULT_SIZES_M,
+    TOWEL_SIDES_M,
+    TSHIRT_LENGTHS_M,
+    TSHIRT_WIDTHS_M,
+    GarmentKind,
+    garment,
+)
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+
+logger = logging.getLogger(__name__)
+
+CARD_FILE = "README.md"
+
+PACKAGES = ("numpy", "scipy", "warp-lang", "zarr")
+"""What states depend on."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with a shard's name, how many are done and how many there are."""
+
+_OF_STATES = 0x57A7E
+"""Keeps the draws of this module apart from those of others with the same seed."""
+
+
+@dataclass(frozen=True)
+class ClothRanges:
+    """What garments are made of: bounds of an even draw. Sizes are those of the benchmark.
+
+    Attributes:
+        thickness_m: distance that layers keep [m]; a little more than the benchmark's cloth, which
+            halves the crossings.
+        area_density: mass per area [kg/m^2].
+        bend_compliance: inverse stiffness between vertices that face each other across an edge
+            [m/N]; its logarithm is drawn evenly.
+        stretch_compliance: inverse stiffness of an edge [m/N]; its logarithm is drawn evenly. At 0
+            a sheet of 16 mm edges is too stiff to wrinkle: a dropped T-shirt may spring out flat.
+        table_friction: Coulomb coefficient between cloth and table.
+        particle_friction: Coulomb coefficient between cloth and cloth.
+    """
+
+    thickness_m: tuple[float, float] = (0.0035, 0.0042)
+    area_density: tuple[float, float] = (0.12, 0.3)
+    bend_compliance: tuple[float, float] = (3.0, 100.0)
+    stretch_compliance: tuple[float, float] = (1e-3, 8e-3)
+    table_friction: tuple[float, float] = (0.3, 0.9)
+    particle_friction: tuple[float, float] = (0.25, 0.75)
+
+
+def _fast_contact() -> SolverConfig:
+    """The solver for whole crumpled cloths: no contact between edges, frequent searches.
+
+    Contact between edges costs five times as much on crumpled cloth. Searching thrice as often, a
+    wider margin and a lower speed limit keep crossings to a few per 1,000 edges without it.
+    """
+    return SolverConfig(
+        edge_contact=False,
+        rebuild_s=0.0033,
+        contact_margin_m=0.004,
+        contact_depth_m=0.01,
+        speed_limit=2.0,
+        damping=4.0,
+    )
+
+
+@dataclass(frozen=True)
+class StatesConfig:
+    """What states are made, and how.
+
+    Attributes:
+        vertex_count: about how many vertices a garment has.
+        episodes: episodes per garment, and so per shard.
+        shift_m: a finished state lies this far from the origin at most, along x and along y [m].
+        crossings_limit: states in which more than this share of the edges passes through a
+            triangle are left out, and what would have followed from them.
+        crumpling: the episodes.
+        cloth: what garments are made of.
+        solver: how their motion is computed; thickness and density are those of `cloth`.
+    """
+
+    vertex_count: int = 1000
+    episodes: int = 10
+    shift_m: float = 0.03
+    crossings_limit: float = 0.03
+    crumpling: CrumplingConfig = field(default_factory=CrumplingConfig)
+    cloth: ClothRanges = field(default_factory=ClothRanges)
+    solver: SolverConfig = field(default_factory=_fast_contact)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be made.
+
+        Raises:
+            InvalidConfigError: with the field and the value.
+        """
+        for name in ("vertex_count", "episodes"):
+            if getattr(self, name) < 1:
+                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        if self.crumpling.states < 1 or sum(self.crumpling.shares.values()) <= 0.0:
+            raise InvalidConfigError(
+                "crumpling.states must be at least 1, and one of crumpling.shares above 0"
+            )
+        kinds = {name: getattr(self.crumpling, name) for name in ("folded", "middle", "pulled")}
+        if min(kinds.values()) < 0.0 or sum(kinds.values()) > 1.0:
+            told = ", ".join(f"crumpling.{name} {share:g}" for name, share in kinds.items())
+            raise InvalidConfigError(f"{told}: none may be below 0, nor their sum above 1")
+
+    @property
+    def shard_states(self) -> int:
+        """States in a shard."""
+        return self.episodes * self.crumpling.states
+
+
+def generate_states(
+    out: Path,
+    kind: GarmentKind,
+    states: int,
+    *,
+    seed: int = 0,
+    config: StatesConfig | None = None,
+    processes: int = 1,
+    progress: Progress | None = None,
+) -> StateSet:
+    """Make at least so many states: as many whole shards as that takes.
+
+    Args:
+        out: folder for `shards/`, `states.json` and the dataset card.
+        kind: the garment.
+        states: how many are wanted.
+        seed: of everything.
+        config: what is made, and how.
+        processes: worker processes.
+        progress: called after each shard, kept ones included.
+
+    Raises:
+        InvalidConfigError: there are no workers or states, or `out` holds states that were made
+            with another seed, kind or settings.
+        SimulationDivergedError: when hardly any state of a garment is sound.
+        StorageError: the disk refuses.
+    """
+    require_workers(processes)
+    if states < 1:
+        raise InvalidConfigError(f"the number of states is {states}; give at least 1")
+    out, config = Path(out), config or StatesConfig()
+    count = math.ceil(states / config.shard_states)
+    document = _document(out, kind, seed, config)
+    listed: dict[str, dict[str, Any]] = document["shards"]
+    missing = [number for number in range(count) if not _finished(out, number, listed)]
+    done = count - len(missing)
+    if progress is not None and done:
+        progress(f"{kind} kept", done, count)
+    write_list(out, document)
+    work = partial(_make_and_write, out=out, kind=kind, seed=seed, config=config)
+    try:
+        with closing(finished_in_workers(work, missing, processes)) as results:
+            for number, entry in results:
+                listed[shard_path(out, number).name] = entry
+                document["shards"] = dict(sorted(listed.items()))
+                write_list(out, document)
+                done += 1
+                if progress is not None:
+                    progress(f"{kind} {shard_path(out, number).name}", done, count)
+    finally:
+        # A worker that was killed, or stopped while another of its threads wrote, leaves parts.
+        for number in missing:
+            _clear(shard_path(out, number))
+    found = open_states(out)
+    with whole_file(out / CARD_FILE) as unfinished:
+        unfinished.write_text(dataset_card(found), encoding="utf-8")
+    return found
+
+
+def make_shard(kind: GarmentKind, number: int, seed: int, config: StatesConfig) -> StateShard:
+    """Shard `number`: the states of one garment.
+
+    An episode ends early when the cloth explodes or passes through itself too much; more
+    episodes are begun until the shard has all its states.
+
+    Raises:
+        SimulationDivergedError: when hardly any state is sound.
+    """
+    rng = np.random.default_rng([_OF_STATES, seed, number, list(DEFAULT_SIZES_M).index(kind)])
+    mesh = draw_garment(kind, config, rng)
+    thickness, density = (
+        float(rng.uniform(*bounds))
+        for bounds in (config.cloth.thickness_m, config.cloth.area_density)
+    )
+    solver = _with_cloth(config.solver, thickness, density)
+    crumpler = Crumpler(mesh, config.crumpling, solver)
+    flat_area = projected_area(mesh.vertices, mesh.faces)
+    taken: list[CrumpledState] = []
+    episodes: list[int] = []
+    measures: dict[str, list[float]] = {
+        "speed": [], "strain": [], "coverage": [], "crossings": []
+    }  # fmt: skip
+    for episode, state, crossed in _sound_states(crumpler, config, rng):
+        taken.append(state)
+        episodes.append(episode)
+        measures["speed"].append(state.speed)
+        measures["strain"].append(edge_strain(mesh, state.positions))
+        measures["coverage"].append(projected_area(state.positions, mesh.faces) / flat_area)
+        measures["crossings"].append(crossed)
+    return StateShard(
+        kind=kind,
+        mesh=mesh,
+        positions=np.stack([_near_origin(one.positions, config.shift_m, rng) for one in taken]),
+        episodes=np.array(episodes, dtype=np.int32),
+        recipes=tuple(one.recipe for one in taken),
+        seed=seed,
+        measures={name: np.array(values) for name, values in measures.items()},
+    )
+
+
+def _sound_states(
+    crumpler: Crumpler, config: StatesConfig, rng: np.random.Generator
+) -> Iterator[tuple[int, CrumpledState, int]]:
+    """As many states as a shard has, each with its episode and how many edges cross something."""
+    wanted, found = config.shard_states, 0
+    limit = config.crossings_limit * len(crumpler.mesh.edges)
+    for episode in range(4 * config.episodes):
+        for state in crumpler.episode(draw_parameters(config.cloth, rng), rng.spawn(1)[0]):
+            if state.exploded:
+                logger.info("episode %d: exploded", episode)
+                break
+            crossed = crossings(state.positions, crumpler.mesh.faces)
+            if crossed > limit:
+                logger.info("episode %d: %d edges cross the cloth", episode, crossed)
+                break
+            yield episode, state, crossed
+            found += 1
+            if found == wanted:
+                return
+    raise SimulationDivergedError(
+        f"only {found} of {wanted} states of a {len(crumpler.mesh.vertices)}-vertex garment were "
+        "sound; use a shorter solver.substep_s, a thicker cloth or a higher crossings_limit"
+    )
+
+
+def draw_garment(kind: GarmentKind, config: StatesConfig, rng: np.random.Generator) -> ClothMesh:
+    """A flat garment of a size that the benchmark's may have; a towel's width is its longer side.
+
+    Args:
+        kind: the garment.
+        config: how many vertices.
+        rng: of its size and triangulation.
+    """
+    sides = (
+        (TOWEL_SIDES_M, TOWEL_SIDES_M) if kind == "towel" else (TSHIRT_WIDTHS_M, TSHIRT_LENGTHS_M)
+    )
+    width, length = (float(rng.uniform(*side)) for side in sides)
+    if kind == "towel":
+        # Which side is the width means nothing; by convention the longer one, as to the networks.
+        width, length = max(width, length), min(width, length)
+    return garment(
+        kind,
+        vertex_count=config.vertex_count,
+        size_m=(width, length),
+        pattern="random",
+        seed=int(rng.integers(1 << 31)),
+    )
+
+
+def draw_parameters(ranges: ClothRanges, rng: np.random.Generator) -> ClothParameters:
+    """What one cloth is made of, drawn from the ranges."""
+    bend, stretch = (
+        float(np.exp(rng.uniform(*np.log(bounds))))
+        for bounds in (ranges.bend_compliance, ranges.stretch_compliance)
+    )
+    return ClothParameters(
+        stretch_compliance=stretch,
+        bend_compliance=bend,
+        table_friction=float(rng.uniform(*ranges.table_friction)),
+        particle_friction=float(rng.uniform(*ranges.particle_friction)),
+    )
+
+
+def _with_cloth(solver: SolverConfig, thickness_m: float, area_density: float) -> SolverConfig:
+    values = {**vars(solver), "thickness_m": thickness_m, "area_density": area_density}
+    return SolverConfig(**values)
+
+
+def _near_origin(
+    positions: Float32[np.ndarray, "vertices 3"], shift_m: float, rng: np.random.Generator
+) -> Float32[np.ndarray, "vertices 3"]:
+    """The same state, turned about the vertical at random and moved to the origin [m]."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    moved = positions.astype(np.float64)
+    moved[:, :2] = moved[:, :2] @ turn.T
+    middle = 0.5 * (moved[:, :2].min(axis=0) + moved[:, :2].max(axis=0))
+    moved[:, :2] += rng.uniform(-shift_m, shift_m, 2) - middle
+    return moved.astype(np.float32)
+
+
+def _make_and_write(
+    number: int, *, out: Path, kind: GarmentKind, seed: int, config: StatesConfig
+) -> tuple[int, dict[str, Any]]:
+    """Make one shard and write it; its number and its entry in the list."""
+    start = time.process_time()
+    path = shard_path(out, number)
+    _clear(path)
+    shard = make_shard(kind, number, seed, config)
+    write_shard(shard, path)
+    cpu_s = round(time.process_time() - start, 2)
+    return number, {"states": len(shard.positions), "cpu_s": cpu_s}
+
+
+def _finished(out: Path, number: int, listed: dict[str, dict[str, Any]]) -> bool:
+    """Whether a shard is whole; one that was finished but not listed yet is listed."""
+    path = shard_path(out, number)
+    if not path.exists():
+        listed.pop(path.name, None)
+        return False
+    try:
+        shard = read_shard(path)
+    except InvalidResultError as error:
+        logger.warning("made again: %s", error)
+        listed.pop(path.name, None)
+        return False
+    listed.setdefault(path.name, {"states": len(shard.positions), "cpu_s": None})
+    return True
+
+
+def _clear(path: Path) -> None:
+    """Remove what an earlier try left of a shard."""
+    with storage(path):
+        for left in path.parent.glob(f".{path.name}.*"):
+            shutil.rmtree(left)
+
+
+def _document(out: Path, kind: GarmentKind, seed: int, config: StatesConfig) -> dict[str, Any]:
+    """The list of a folder, as found or new.
+
+    Raises:
+        InvalidConfigError: when the folder holds states of another kind, seed or settings.
+    """
+    asked = as_plain({"kind": kind, "seed": seed, "config": asdict(config)})
+    found = read_list(out)
+    if found is None:
+        if (out / SHARD_FOLDER).exists() and any((out / SHARD_FOLDER).glob("[0-9]*.zarr")):
+            raise InvalidConfigError(
+                f"{out / SHARD_FOLDER} holds shards, but {out / LIST_FILE} is missing; choose "
+                "another folder"
+            )
+        return {**asked, "provenance": made_with(PACKAGES), "shards": {}}
+    require_same(out / LIST_FILE, {name: found.get(name) for name in asked}, asked)
+    return {"shards": {}, **found}

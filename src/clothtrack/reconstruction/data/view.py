@@ -1,0 +1,190 @@
+"""The network's picture: the cloth as a virtual camera straight above it would see it.
+
+The virtual camera always has the same lens and stands as high as the cloth is wide, so that the
+cloth fills the picture and the depth still says how large it is. Training and reconstruction take
+their pictures here, from one function each.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+
+JUMP_M = 0.02
+"""Neighbouring pixels further apart than this [m] are not joined: one hides what is between."""
+
+LEAST_PIXELS = 16
+"""A picture with fewer pixels of cloth [pixels] shows no cloth."""
+
+_OUTLIERS = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class CroppedView:
+    """The network's picture of a cloth.
+
+    Attributes:
+        depth: distance along the optical axis of the virtual camera [m]; 0 where no cloth is.
+        camera: the virtual camera; its pixels are those of `depth`.
+        mask: where cloth was measured.
+    """
+
+    depth: Float32[np.ndarray, "height width"]
+    camera: Camera
+    mask: Bool[np.ndarray, "height width"]
+
+
+@dataclass(frozen=True, eq=False)
+class ClothPixels:
+    """Pixels of the canonical picture that show cloth, and where each was measured.
+
+    Attributes:
+        pixels: row and column in the canonical picture.
+        sources: row and column, in the depth picture, of the measurement that stands for it.
+    """
+
+    pixels: Int[np.ndarray, "pixels 2"]
+    sources: Int[np.ndarray, "pixels 2"]
+
+
+def view_camera(points: Float[np.ndarray, "points 3"], config: NetworkConfig) -> Camera:
+    """The virtual camera above a cloth: looks straight down, image right along world x.
+
+    Args:
+        points: points of the cloth [m], world, z up.
+        config: lens, margin and size of the picture.
+    """
+    low, high = np.percentile(points, [_OUTLIERS, 100.0 - _OUTLIERS], axis=0)
+    middle = 0.5 * (low + high)
+    side = max(float((high - low)[:2].max()) * (1.0 + 2.0 * config.view_margin),
+               config.least_view_m)  # fmt: skip
+    half_angle = np.radians(config.field_of_view_deg) / 2.0
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    # The plane of the lowest points is the table, or nearly so, and fills the picture exactly.
+    pose[:3, 3] = middle[0], middle[1], low[2] + 0.5 * side / np.tan(half_angle)
+    size = config.image_size
+    focal = 0.5 * size / np.tan(half_angle)
+    centre = 0.5 * (size - 1)
+    return Camera("above", size, size, focal, focal, centre, centre, pose)
+
+
+def crop(
+    depth_m: Float[np.ndarray, "height width"],
+    mask: Bool[np.ndarray, "height width"] | None,
+    camera: Camera,
+    config: NetworkConfig,
+) -> CroppedView:
+    """The network's picture, from a depth picture of any camera.
+
+    Neighbouring pixels are joined to a surface, which the virtual camera then sees: no holes, and
+    what the real camera did not see stays empty.
+
+    Args:
+        depth_m: measured depth [m]; 0 where nothing was measured.
+        mask: where the cloth is; everywhere that has a depth when None.
+        camera: the camera that took it.
+        config: the network.
+
+    Raises:
+        InvalidRecordingError: when picture, mask and camera differ in size, the depth is not in
+            metres, or there is no cloth in it.
+    """
+    shown = _cloth_shown(depth_m, mask, camera)
+    points = camera.back_project(depth_m, shown)
+    above = view_camera(points, config)
+    faces = _joined(depth_m, shown)
+    if len(faces) == 0:
+        raise InvalidRecordingError(
+            f"camera {camera.name!r}: no three neighbouring pixels of cloth have a depth; "
+            "the depth picture is too sparse or its mask is wrong"
+        )
+    depth = Rasteriser(faces, above).render(points).depth
+    seen = np.isfinite(depth)
+    return CroppedView(np.where(seen, depth, 0.0).astype(np.float32), above, seen)
+
+
+def cloth_pixels(depth: Float[np.ndarray, "height width"], config: NetworkConfig) -> ClothPixels:
+    """The pixels of the canonical picture that show cloth, in the order of their rows.
+
+    An output pixel stands for a block of the depth picture; the measurement nearest to the camera
+    is taken, never a mean, which would lie between two layers.
+
+    Args:
+        depth: the network's picture [m]; 0 where no cloth is.
+        config: the network.
+    """
+    stride, size = config.output_stride, config.output_size
+    blocks = depth.reshape(size, stride, size, stride).transpose(0, 2, 1, 3)
+    blocks = np.where(blocks > 0, blocks, np.inf).reshape(size, size, -1)
+    rows, columns = np.nonzero(np.isfinite(blocks.min(axis=-1)))
+    row_in, column_in = np.divmod(blocks[rows, columns].argmin(axis=-1), stride)
+    pixels = np.stack([rows, columns], axis=1)
+    return ClothPixels(pixels, pixels * stride + np.stack([row_in, column_in], axis=1))
+
+
+def points_of(
+    depth: Float[np.ndarray, "height width"], camera: Camera, sources: Int[np.ndarray, "pixels 2"]
+) -> Float[np.ndarray, "pixels 3"]:
+    """World positions [m] of measured pixels (row, column) of the network's picture."""
+    rows, columns = sources.T
+    along = depth[rows, columns].astype(np.float64)
+    local = np.stack(
+        [
+            (columns - camera.cx) / camera.fx * along,
+            (rows - camera.cy) / camera.fy * along,
+            along,
+        ],
+        axis=1,
+    )
+    return local @ camera.world_from_camera[:3, :3].T + camera.position
+
+
+def _cloth_shown(
+    depth_m: Float[np.ndarray, "height width"],
+    mask: Bool[np.ndarray, "height width"] | None,
+    camera: Camera,
+) -> Bool[np.ndarray, "height width"]:
+    """Where cloth was measured, or the error that says why nothing can be."""
+    where = f"camera {camera.name!r}"
+    for name, picture in (("depth", depth_m), ("mask", mask)):
+        if picture is not None and picture.shape != (camera.height, camera.width):
+            raise InvalidRecordingError(
+                f"{where}: the {name} picture has {picture.shape[1]} x {picture.shape[0]} pixels, "
+                f"the camera {camera.width} x {camera.height}; give the camera of this picture"
+            )
+    shown = np.isfinite(depth_m) & (depth_m > 0)
+    if mask is not None:
+        shown &= mask
+    if int(shown.sum()) < LEAST_PIXELS:
+        raise InvalidRecordingError(
+            f"{where}: {int(shown.sum())} pixels of cloth have a depth, at least {LEAST_PIXELS} "
+            "are needed; check the mask, and that 0 means not measured"
+        )
+    typical = float(np.median(depth_m[shown]))
+    if not 0.05 < typical < 20.0:
+        raise InvalidRecordingError(
+            f"{where}: the cloth is {typical:.4g} m away (allowed 0.05 to 20 m); "
+            "is the depth in millimetres? Give the unit of a pixel in metres"
+        )
+    return shown
+
+
+def _joined(
+    depth_m: Float[np.ndarray, "height width"], shown: Bool[np.ndarray, "height width"]
+) -> Int[np.ndarray, "faces 3"]:
+    """Triangles between neighbouring pixels, over the shown pixels in the order of their rows."""
+    index = np.cumsum(shown.ravel()).reshape(shown.shape) - 1
+    a, b = (slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None))
+    c, d = (slice(1, None), slice(None, -1)), (slice(1, None), slice(1, None))
+    faces = []
+    for corners in ((a, c, b), (b, c, d)):
+        depths = np.stack([depth_m[one] for one in corners])
+        whole = np.logical_and.reduce([shown[one] for one in corners])
+        whole &= np.ptp(np.where(whole, depths, 0.0), axis=0) < JUMP_M
+        faces.append(np.stack([index[one][whole] for one in corners], axis=1))
+    return np.concatenate(faces)

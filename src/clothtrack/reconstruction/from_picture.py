@@ -1,0 +1,243 @@
+"""One depth picture to one mesh: the network's reconstruction and its test-time fine-tuning.
+
+`clothtrack reconstruct`, the tracker's first mesh and the experiments all come through here, so
+that what is shown, tracked and measured is the same thing.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.geometry.closest_point import closest_on_mesh, distance_to_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.alignment_frame import align
+from clothtrack.reconstruction.canonical_frame import conventional, symmetries
+from clothtrack.reconstruction.refinement import Refinement, RefinementConfig, Refiner
+from clothtrack.reconstruction.template_fit import TemplateFitConfig
+from clothtrack.recordings.point_cloud import Observation, thin
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.garments import garment
+
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.depth_input import DepthInput
+    from clothtrack.reconstruction.model import MeshReconstructor, Method, Reconstruction
+
+SPACING_M = 0.004
+"""Side of the cubes [m] in which a picture's points are averaged, as the tracker does."""
+
+LOOSE_FIT_M = 0.02
+"""A mesh that is farther from its picture than this [m] is wrong: layers lie closer together."""
+
+OTHER_SIZES = (0.75, 0.55, 0.4, 1.35)
+"""By what a garment that the network does not know so large, or so small, is multiplied."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkMesh:
+    """What became of one picture.
+
+    Attributes:
+        mesh: the garment in the world [m], canonical coordinates filled; None without one.
+        reconstruction: the network's part: the mesh before fine-tuning, canonical picture, status.
+        refinement: the fine-tuning; None when it was not asked for, or there was no mesh.
+        scale: what the world was multiplied by before the network saw it; 1 unless the mesh of
+            the picture as it is does not fit.
+    """
+
+    mesh: ClothMesh | None
+    reconstruction: "Reconstruction"
+    refinement: Refinement | None = None
+    scale: float = 1.0
+
+
+def network_mesh(
+    model: "MeshReconstructor",
+    picture: "DepthInput",
+    kind: str,
+    *,
+    method: "Method" = "template",
+    size_m: tuple[float, float] | None = None,
+    vertex_count: int = 1000,
+    turn_rad: float = 0.0,
+    refinement: RefinementConfig | None = None,
+    observation: Observation | None = None,
+    device: str = "cpu",
+) -> NetworkMesh:
+    """The full mesh behind a depth picture.
+
+    Args:
+        model: the networks of the category.
+        picture: depth, mask, camera and table; world z up.
+        kind: "towel" or "tshirt".
+        method: "template" or "implicit" (`reconstruction.model: MeshReconstructor.reconstruct`).
+        size_m: width and length of the garment when known [m]; else taken from the picture.
+        vertex_count: of a template, about.
+        turn_rad: the world is turned by it about the vertical before the network sees it, and back
+            again: another picture of the same cloth.
+        refinement: how to fine-tune the mesh; None leaves it as the network makes it.
+        observation: what it is fine-tuned against; the picture's own points when None.
+        device: of the fine-tuning; the networks compute where they are.
+
+    Raises:
+        InvalidConfigError: the networks are for another category.
+        InvalidRecordingError: there is no cloth in the picture.
+    """
+    template = None
+    if size_m is not None and method == "template":
+        template = garment(kind, vertex_count=vertex_count, size_m=size_m)
+
+    def seen_as(scale: float) -> "Reconstruction":
+        shown = picture.turned(turn_rad).scaled(scale)
+        (found,) = model.reconstruct(
+            [shown.depth_m],
+            shown.camera,
+            kind,
+            masks=[shown.mask],
+            method=method,
+            template=None if template is None else template.scaled(scale),
+            table=shown.table,
+            fit=TemplateFitConfig(vertex_count=vertex_count),
+        )
+        return found.scaled(1.0 / scale).turned(-turn_rad)
+
+    found, scale = _best_size(seen_as, picture)
+    if found.mesh is None or refinement is None:
+        return NetworkMesh(found.mesh, found, scale=scale)
+    named = found.mesh
+    if named.canonical is not None:
+        # Observed coordinates follow the convention of the networks, the garment's its own.
+        named = replace(named, canonical=conventional(named.canonical, kind))
+    refiner = Refiner(
+        named,
+        observation or observation_of(picture),
+        refinement,
+        rest=found.rest,
+        table=picture.table,
+        device=device,
+    )
+    refined = refiner.refine(found.seen)
+    return NetworkMesh(found.mesh.with_vertices(refined.positions), found, refined, scale)
+
+
+def _best_size(
+    seen_as: "Callable[[float], Reconstruction]", picture: "DepthInput"
+) -> "tuple[Reconstruction, float]":
+    """The picture as it is; or, where that fits badly, at the size that fits best.
+
+    The network knows garments of the sizes that it was trained on, and takes another for a crumpled
+    one of its own. Folds look much alike at all sizes.
+    """
+    found = seen_as(1.0)
+    if found.mesh is None or distance_from_picture(found.mesh, picture) <= LOOSE_FIT_M:
+        return found, 1.0
+    tried = [(found, 1.0), *((seen_as(scale), scale) for scale in OTHER_SIZES)]
+    apart = [
+        np.inf if one.mesh is None else distance_from_picture(one.mesh, picture) for one, _ in tried
+    ]
+    # Half as far, or else it is no other size but another bad guess.
+    best = int(np.argmin(apart))
+    return tried[best if apart[best] < 0.5 * apart[0] else 0]
+
+
+def observation_of(picture: "DepthInput") -> Observation:
+    """The cloud of one picture, as the tracker's alignment takes it."""
+    camera = picture.camera
+    shown = picture.mask & (picture.depth_m > 0)
+    return Observation(
+        points=thin(camera.back_project(picture.depth_m, shown), SPACING_M),
+        cameras=(camera,),
+        hidden={camera.name: picture.depth_m <= 0},
+        lowest_height_m=None,
+        tool_positions=np.zeros((0, 3)),
+        tool_clearance_m=0.0,
+    )
+
+
+def distance_from_picture(mesh: ClothMesh, picture: "DepthInput") -> float:
+    """Distance of the picture's points from the mesh, root of the mean square [m].
+
+    It says that a mesh is wrong, never that it is right: what is hidden does not count, and names
+    do not either.
+    """
+    return distance_from_cloud(mesh, observation_of(picture).points)
+
+
+def distance_from_cloud(mesh: ClothMesh, points: Float[np.ndarray, "points 3"]) -> float:
+    """Distance of points from the mesh, root of the mean square [m]."""
+    vertices = mesh.vertices.astype(np.float64)
+    return float(np.sqrt(np.square(distance_to_mesh(points, vertices, mesh.faces)).mean()))
+
+
+def figures_of(made: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> dict[str, Any]:
+    """What is told about a reconstruction, ready for JSON.
+
+    Args:
+        made: the reconstruction.
+        mesh: its mesh.
+        picture: what it was made from.
+    """
+    found, refined = made.reconstruction, made.refinement
+    chamfer_m2 = () if refined is None else refined.chamfer_m2
+    return {
+        "status": found.status,
+        "cloud_to_mesh_m": distance_from_picture(mesh, picture),
+        "scale": made.scale,
+        "vertices": mesh.vertex_count,
+        "confidence": float(found.confidence[found.confidence > 0].mean()),
+        # Not a number where nothing of the mesh was seen, which JSON cannot say.
+        "chamfer_m2": [None if np.isnan(one) else one for one in chamfer_m2],
+    }
+
+
+def front_up(
+    mesh: ClothMesh, positions: Float[np.ndarray, "vertices 3"], kind: str
+) -> Float[np.ndarray, "vertices 3"]:
+    """The same cloth with its points named so that its front faces up, where names are a guess.
+
+    Front and back of a garment without marks look alike, and the network names them as it pleases.
+    Before anything has happened the convention decides: of all look-alike namings, the one whose
+    front looks up most. Each vertex goes to where its look-alike partner is.
+
+    Args:
+        mesh: the garment, canonical coordinates filled.
+        positions: where its vertices are in the world [m], z up.
+        kind: "towel" or "tshirt".
+    """
+    canonical, faces = np.asarray(mesh.canonical, np.float64), mesh.faces
+    outward = np.sign(_upward_area(canonical, faces))
+    namings = []
+    for signs in symmetries(kind):
+        face, weights = closest_on_mesh(canonical * signs, canonical, faces)
+        named = np.einsum("ij,ijk->ik", weights, positions[faces[face]])
+        namings.append(positions if (signs > 0).all() else named)
+    # The first of those that look up as much: the network's own names where they do.
+    facing = np.array([outward @ _upward_area(named, faces) for named in namings])
+    return namings[int(np.argmax(facing > 0.99 * facing.max()))]
+
+
+def _upward_area(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Float[np.ndarray, " faces"]:
+    """Area of each triangle as seen from above [m^2], negative where it looks down."""
+    a, b, c = (vertices[faces[:, corner], :2] for corner in range(3))
+    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+
+
+def laid_flat(
+    rest: ClothMesh, positions: Float[np.ndarray, "vertices 3"], table: Table, height_m: float
+) -> ClothMesh:
+    """The flat garment on the table about where the cloth is: its rest shape in the world.
+
+    Args:
+        rest: the flat garment in its own frame [m].
+        positions: where its vertices are in the world [m].
+        table: horizontal.
+        height_m: of its lowest vertices above the table [m].
+    """
+    flat = rest.vertices.astype(np.float64)
+    placed = align(positions.astype(np.float64), flat, rest.vertex_areas).to_world(flat)
+    placed[:, 2] += table.point[2] + height_m - placed[:, 2].min()
+    return rest.with_vertices(placed)

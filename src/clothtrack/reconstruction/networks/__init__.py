@@ -1,0 +1,1 @@
+"""The published method's three networks: canonicalisation, winding-number field, warp field."""

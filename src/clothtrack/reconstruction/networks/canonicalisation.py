@@ -1,0 +1,239 @@
+"""Canonicalisation: for each pixel of cloth, which material point it shows.
+
+Each canonical axis is cut into bins and the network classifies (GarmentNets, arXiv 2104.05177,
+section 3.2): where several answers fit, a distribution keeps them apart and a mean would not.
+"""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+from torch.nn import functional
+
+from clothtrack.reconstruction.networks.hrnet import HRNet, ResidualBlock, convolution
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+
+RELIEF_M = 0.03
+"""Height over the cloth's mean [m] that the network is shown as 1."""
+
+
+class UNet(nn.Module):
+    """An encoder and decoder with skips; features at half the resolution of the picture.
+
+    Args:
+        inputs: channels of the picture.
+        widths: channels at each resolution, halved from one to the next.
+        outputs: channels of a feature.
+    """
+
+    def __init__(self, inputs: int, widths: tuple[int, ...], outputs: int) -> None:
+        super().__init__()
+        self.stem = nn.Sequential(convolution(inputs, widths[0], stride=2), nn.ReLU())
+        befores = (widths[0], *widths[:-1])
+        self.down = nn.ModuleList(
+            ResidualBlock(before, width) for before, width in zip(befores, widths, strict=True)
+        )
+        self.up = nn.ModuleList()
+        below = widths[-1]
+        for width in reversed(widths[:-1]):
+            above = max(width, outputs)
+            self.up.append(nn.Sequential(convolution(below + width, above), nn.ReLU()))
+            below = above
+        last_is_fit = below == outputs
+        self.last = (
+            nn.Identity()
+            if last_is_fit
+            else nn.Sequential(convolution(below, outputs, size=1), nn.ReLU())
+        )
+        self.channels = outputs
+
+    def forward(
+        self, picture: Float[Tensor, "batch inputs h w"]
+    ) -> Float[Tensor, "batch channels h2 w2"]:
+        """The features."""
+        x = self.stem(picture)
+        skips = []
+        for level, block in enumerate(self.down):
+            x = block(x if level == 0 else functional.max_pool2d(x, 2))
+            skips.append(x)
+        for block, skip in zip(self.up, reversed(skips[:-1]), strict=True):
+            x = functional.interpolate(x, size=skip.shape[-2:], mode="nearest")
+            x = block(torch.cat([x, skip], dim=1))
+        return self.last(x)
+
+
+class Canonicaliser(nn.Module):
+    """Depth picture to canonical coordinates, as a distribution over bins per axis.
+
+    Attributes:
+        config: sizes of the network.
+        channels: channels of a pixel's feature, which the completion is given too.
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        if config.encoder == "unet":
+            self.encoder = UNet(config.depth_channels, config.widths, config.decoder_width)
+        else:
+            self.encoder = HRNet(config.depth_channels, config.widths)
+        self.channels = self.encoder.channels
+        self.head = (
+            nn.Sequential(
+                nn.Conv2d(self.channels, config.head_width, 1),
+                nn.BatchNorm2d(config.head_width),
+                nn.ReLU(),
+            )
+            if config.head_width
+            else nn.Identity()
+        )
+        if config.head_width:
+            self.channels = config.head_width
+        self.bins = nn.Linear(self.channels, 3 * config.bins)
+
+    def forward(self, depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch channels h2 w2"]:
+        """Features of the picture, from depth [m] in which 0 is background."""
+        if self.config.depth_channels == 3:
+            depth = relief(depth)
+        return self.head(self.encoder(depth))
+
+    def logits(
+        self, features: Float[Tensor, "batch channels h2 w2"], pixels: Int[Tensor, "pixels 3"]
+    ) -> Float[Tensor, "pixels 3 bins"]:
+        """Logits of the bins of each axis, at these pixels only.
+
+        Most of a picture is table: what nobody asks for is not computed.
+
+        Args:
+            features: from `forward`.
+            pixels: picture, row and column in the canonical picture (`output_size` wide).
+        """
+        chosen = self.pixel_features(features, pixels)
+        return self.bins(chosen).reshape(len(pixels), 3, self.config.bins)
+
+    def pixel_features(
+        self, features: Float[Tensor, "batch channels h2 w2"], pixels: Int[Tensor, "pixels 3"]
+    ) -> Float[Tensor, "pixels channels"]:
+        """The feature of each pixel; bilinear where features are coarser than the output."""
+        picture, row, column = pixels.unbind(dim=1)
+        lines = features.permute(0, 2, 3, 1)
+        height, width = features.shape[-2:]
+        size = self.config.output_size
+        if (height, width) == (size, size):
+            return lines[picture, row, column]
+        above, below, down = _neighbours(row, height / size, height)
+        left, right, across = _neighbours(column, width / size, width)
+        down, across = down.to(lines.dtype)[:, None], across.to(lines.dtype)[:, None]
+        top = torch.lerp(lines[picture, above, left], lines[picture, above, right], across)
+        bottom = torch.lerp(lines[picture, below, left], lines[picture, below, right], across)
+        return torch.lerp(top, bottom, down)
+
+
+def relief(depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch 3 h w"]:
+    """Silhouette, height over the cloth's mean (in `RELIEF_M`), and that mean depth [m].
+
+    Wrinkles of millimetres on a distance of a metre are lost on a young network; the mean depth,
+    which says how large the cloth is, is kept.
+    """
+    cloth = (depth > 0).to(depth.dtype)
+    count = cloth.sum(dim=(1, 2, 3), keepdim=True).clamp(min=1.0)
+    mean = depth.sum(dim=(1, 2, 3), keepdim=True) / count
+    return torch.cat([cloth, cloth * (mean - depth) / RELIEF_M, cloth * mean], dim=1)
+
+
+def coordinates(
+    logits: Float[Tensor, "pixels 3 bins"], window: int = 2
+) -> tuple[Float[Tensor, "pixels 3"], Float[Tensor, "pixels 3"]]:
+    """Canonical coordinates in the unit cube, and how sure the network is of them.
+
+    The coordinate is the mean of the bins around the best one, weighted by their probability: free
+    of the half-bin error of the best bin alone, and blind to a rival answer elsewhere.
+
+    Args:
+        logits: of the bins of each axis.
+        window: bins on either side of the best one.
+
+    Returns:
+        The coordinates, bin k standing for (k + 0.5) / bins, and the probability in the window.
+    """
+    count = logits.shape[-1]
+    probability = logits.float().softmax(dim=-1)
+    offsets = torch.arange(-window, window + 1, device=logits.device)
+    near = probability.argmax(dim=-1, keepdim=True) + offsets
+    inside = (near >= 0) & (near < count)
+    near = near.clamp(0, count - 1)
+    share = probability.gather(-1, near) * inside
+    confidence = share.sum(dim=-1)
+    return (share * (near + 0.5)).sum(dim=-1) / (count * confidence), confidence
+
+
+def bin_of(unit: Float[Tensor, "*points 3"], bins: int) -> Int[Tensor, "*points 3"]:
+    """The bin in which a coordinate of the unit cube lies."""
+    return (unit * bins).floor().long().clamp(0, bins - 1)
+
+
+def relabelled(
+    unit: Float[Tensor, "points 3"], signs: Float[Tensor, " 3"]
+) -> Float[Tensor, "points 3"]:
+    """Coordinates in the unit cube after a symmetry of the garment."""
+    return 0.5 + (unit - 0.5) * signs
+
+
+def symmetry_losses(
+    logits: Float[Tensor, "pixels 3 bins"],
+    targets: Float[Tensor, "pixels 3"],
+    image_of_pixel: Int[Tensor, " pixels"],
+    symmetries: Float[Tensor, "symmetries 3"],
+    images: int,
+) -> Float[Tensor, "images symmetries"]:
+    """Cross entropy of each picture against each way to label the same cloth [nat].
+
+    Mean over axes and over the picture's pixels; 0 for a picture without pixels.
+
+    Args:
+        logits: of the bins of each axis.
+        targets: true coordinates in the unit cube.
+        image_of_pixel: which picture a pixel belongs to.
+        symmetries: signs about the centre (`canonical_frame.symmetries`).
+        images: number of pictures.
+    """
+    log_probability = logits.float().log_softmax(dim=-1)
+    sums = log_probability.new_zeros(images, len(symmetries))
+    for index, signs in enumerate(symmetries):
+        right = bin_of(relabelled(targets, signs), logits.shape[-1])
+        of_pixel = -log_probability.gather(-1, right[..., None])[..., 0].mean(dim=-1)
+        sums[:, index] = sums[:, index].index_add(0, image_of_pixel, of_pixel)
+    pixels = torch.bincount(image_of_pixel, minlength=images).clamp(min=1)
+    return sums / pixels[:, None]
+
+
+def canonical_loss(
+    logits: Float[Tensor, "pixels 3 bins"],
+    targets: Float[Tensor, "pixels 3"],
+    image_of_pixel: Int[Tensor, " pixels"],
+    symmetries: Float[Tensor, "symmetries 3"],
+    weights: Float[Tensor, " images"],
+) -> Float[Tensor, ""]:
+    """Cross entropy, for each picture against the labelling that suits the network best [nat].
+
+    Which of the look-alike labellings is true cannot be seen, so any of them is right; but one for
+    the whole picture, or the map would tear.
+
+    Args:
+        logits: of the bins of each axis.
+        targets: true coordinates in the unit cube.
+        image_of_pixel: which picture a pixel belongs to.
+        symmetries: signs about the centre (`canonical_frame.symmetries`).
+        weights: of each picture; 0 leaves it out.
+    """
+    losses = symmetry_losses(logits, targets, image_of_pixel, symmetries, len(weights))
+    shown = torch.bincount(image_of_pixel, minlength=len(weights)) > 0
+    weights = weights * shown
+    return (losses.amin(dim=1) * weights).sum() / weights.sum().clamp(min=1e-12)
+
+
+def _neighbours(place: Tensor, scale: float, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """The two coarse pixels around a fine one, and how far along from the first to the second."""
+    at = ((place + 0.5) * scale - 0.5).clamp(0.0, size - 1.0)
+    low = at.floor()
+    high = (low + 1).clamp(max=size - 1)
+    return low.long(), high.long(), at - low

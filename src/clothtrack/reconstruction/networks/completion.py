@@ -1,0 +1,211 @@
+"""Completion: from what is seen of a garment to all of it, in the canonical cube.
+
+The features of the seen pixels are gathered in a volume over the canonical cube, a 3-D U-Net fills
+in the rest, and small networks read the volume at any place (GarmentNets, arXiv 2104.05177, 3.3).
+
+Axes of a volume are x, y, z in that order, everywhere. The published code reads its volume with the
+axes reversed; here a cell that is filled at (x, y, z) is read at (x, y, z), by test.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+from torch.nn import functional
+
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+
+QUERIES_AT_ONCE = 1 << 17
+"""A grid is decoded in pieces of this many nodes, to bound the memory."""
+
+_GROUPS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPoints:
+    """The seen points of a batch of pictures, one after the other.
+
+    Attributes:
+        features: of each point's pixel.
+        unit: canonical coordinates in the unit cube.
+        confidence: of each canonical coordinate, 0 to 1.
+        aligned: where the point was seen, turned into the canonical frame (`alignment_frame`), in
+            edges of the cube from its middle.
+        image: which picture the point belongs to.
+        images: number of pictures.
+    """
+
+    features: Float[Tensor, "points channels"]
+    unit: Float[Tensor, "points 3"]
+    confidence: Float[Tensor, "points 3"]
+    aligned: Float[Tensor, "points 3"]
+    image: Int[Tensor, " points"]
+    images: int
+
+
+def scatter_max(
+    values: Float[Tensor, "points channels"],
+    unit: Float[Tensor, "points 3"],
+    image: Int[Tensor, " points"],
+    images: int,
+    cells: tuple[int, int, int],
+) -> Float[Tensor, "images channels x y z"]:
+    """The largest value, per channel, of the points in each cell of a box; 0 where none is.
+
+    Args:
+        values: of the points, not negative.
+        unit: places of the points in the box, each coordinate from 0 to 1.
+        image: which volume a point goes to.
+        images: number of volumes.
+        cells: cells along x, y and z.
+    """
+    wide, long, high = cells
+    x, y, z = cell_of(unit, cells).unbind(dim=1)
+    index = ((image * wide + x) * long + y) * high + z
+    flat = values.new_zeros(images * wide * long * high, values.shape[1])
+    flat = flat.scatter_reduce(0, index[:, None].expand_as(values), values, reduce="amax")
+    return flat.reshape(images, wide, long, high, -1).permute(0, 4, 1, 2, 3)
+
+
+def cell_of(
+    unit: Float[Tensor, "points 3"], cells: tuple[int, int, int]
+) -> Int[Tensor, "points 3"]:
+    """The cell of the box in which a point lies; cell k spans k / cells to (k + 1) / cells."""
+    last = torch.tensor(cells, device=unit.device) - 1
+    return torch.minimum((unit * (last + 1)).floor().long().clamp(min=0), last)
+
+
+def in_box(unit: Float[Tensor, "*points 3"], config: NetworkConfig) -> Float[Tensor, "*points 3"]:
+    """Places of the unit cube in the box that a volume covers; those beyond it at its walls.
+
+    The box is the cube, cut along z to `volume_depth` of `volume` cells about the middle.
+    """
+    stretch = unit.new_tensor((1.0, 1.0, config.volume / config.volume_depth))
+    return (0.5 + (unit - 0.5) * stretch).clamp(0.0, 1.0)
+
+
+def sample(
+    volume: Float[Tensor, "batch channels x y z"], queries: Float[Tensor, "batch queries 3"]
+) -> Float[Tensor, "batch queries channels"]:
+    """A volume at places of its box: linear between the centres of its cells.
+
+    Args:
+        volume: axes x, y, z.
+        queries: places (x, y, z) in the box, each from 0 to 1; the border's value holds beyond it.
+    """
+    # `grid_sample` takes the last axis first and runs from -1 to 1 between the outer cell walls.
+    grid = (2.0 * queries - 1.0).flip(-1)[:, :, None, None, :]
+    found = functional.grid_sample(
+        # In half precision a place would be off by a tenth of a cell.
+        volume.to(grid.dtype),
+        grid,
+        mode="bilinear",
+        padding_mode="border",
+        align_corners=False,
+    )
+    return found[..., 0, 0].transpose(1, 2)
+
+
+def perceptron(widths: tuple[int, ...]) -> nn.Sequential:
+    """Linear layers with ReLU between them, none after the last."""
+    layers: list[nn.Module] = []
+    for inputs, outputs in pairwise(widths):
+        layers += [nn.Linear(inputs, outputs), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+class VolumeUNet(nn.Module):
+    """A 3-D U-Net: group norm, 3x3x3 convolution and ReLU, twice per resolution.
+
+    Args:
+        channels: of the volume in and out.
+        widths: channels at each resolution, halved from one to the next.
+    """
+
+    def __init__(self, channels: int, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        befores = (channels, *widths[:-1])
+        self.down = nn.ModuleList(
+            _double(before, max(before, width // 2), width)
+            for before, width in zip(befores, widths, strict=True)
+        )
+        self.up = nn.ModuleList(
+            _double(below + width, width, width) for width, below in reversed([*pairwise(widths)])
+        )
+        self.last = nn.Conv3d(widths[0], channels, 1)
+
+    def forward(
+        self, volume: Float[Tensor, "batch channels x y z"]
+    ) -> Float[Tensor, "batch channels x y z"]:
+        """The completed volume."""
+        skips = []
+        for level, block in enumerate(self.down):
+            volume = block(volume if level == 0 else functional.max_pool3d(volume, 2))
+            skips.append(volume)
+        for block, skip in zip(self.up, reversed(skips[:-1]), strict=True):
+            volume = functional.interpolate(volume, size=skip.shape[-3:], mode="nearest")
+            volume = block(torch.cat([skip, volume], dim=1))
+        return self.last(volume)
+
+
+class Completion(nn.Module):
+    """Seen points to a feature volume over the canonical cube, and to the winding number in it.
+
+    Args:
+        config: sizes of the network.
+        point_channels: channels of a pixel's feature.
+    """
+
+    def __init__(self, config: NetworkConfig, point_channels: int) -> None:
+        super().__init__()
+        self.config = config
+        # A point also says where in its cell it lies, where it was seen and how sure that is.
+        hidden, channels = config.point_hidden, config.volume_channels
+        self.points = perceptron((point_channels + 9, hidden, hidden, channels))
+        self.unet = VolumeUNet(channels, config.volume_widths)
+        wide = config.decoder_hidden
+        self.winding_decoder = perceptron((channels, wide, wide, 1))
+
+    def forward(self, points: ObservedPoints) -> Float[Tensor, "images channels x y z"]:
+        """The completed volume of each picture."""
+        cells = self.config.volume_cells
+        places = in_box(points.unit, self.config)
+        in_cell = places * places.new_tensor(cells) - (cell_of(places, cells) + 0.5)
+        known = torch.cat([points.features, in_cell, points.aligned, points.confidence], dim=1)
+        values = functional.relu(self.points(known))
+        return self.unet(scatter_max(values, places, points.image, points.images, cells))
+
+    def winding(
+        self,
+        volume: Float[Tensor, "batch channels x y z"],
+        queries: Float[Tensor, "batch queries 3"],
+    ) -> Float[Tensor, "batch queries"]:
+        """The winding number of the canonical garment at places of the unit cube."""
+        return self.winding_decoder(sample(volume, in_box(queries, self.config)))[..., 0]
+
+    def field(
+        self,
+        volume: Float[Tensor, "batch channels x y z"],
+        nodes: Float[Tensor, "nodes 3"],
+    ) -> Float[Tensor, "batch nodes"]:
+        """The winding number at many places, the same ones for every picture.
+
+        Args:
+            volume: from `forward`.
+            nodes: places in the unit cube (`surface.FieldGrid.nodes`).
+        """
+        pieces = [
+            self.winding(volume, piece.expand(len(volume), -1, -1))
+            for piece in nodes.split(QUERIES_AT_ONCE)
+        ]
+        return torch.cat(pieces, dim=1)
+
+
+def _double(inputs: int, middle: int, outputs: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for a, b in ((inputs, middle), (middle, outputs)):
+        groups = _GROUPS if a % _GROUPS == 0 else 1
+        layers += [nn.GroupNorm(groups, a), nn.Conv3d(a, b, 3, padding=1, bias=False), nn.ReLU()]
+    return nn.Sequential(*layers)

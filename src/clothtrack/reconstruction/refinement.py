@@ -1,0 +1,319 @@
+"""Test-time fine-tuning: a reconstructed mesh is drawn to the very picture that it was made from.
+
+The terms are those of the network that the paper builds on (MEDOR, arXiv 2209.03287, Sec. IV-C):
+points of the cloud to visible vertices (Chamfer), observed points to the place on the mesh that
+their canonical coordinates name (observation consistency), nothing under the table, and optionally
+a Laplacian of the mesh and the length of its edges. Consistency is quadratic and solved at once;
+all else is the tracker's own alignment. Where the flat garment is known, the cloth solver carries
+the correction out, so that layers keep their sides and edges their lengths.
+"""
+
+import logging
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from clothtrack.alignment.aligner import Aligner, AlignmentConfig
+from clothtrack.errors import InvalidConfigError, InvalidMeshError, SimulationDivergedError
+from clothtrack.geometry.chamfer import two_way
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.dynamics import ClothDynamics, DynamicsConfig
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import Attachment
+
+logger = logging.getLogger(__name__)
+
+SETTLE_IN_S = 1e-3
+"""Time [s] in which the solver learns on which side of each other a flat garment's layers are."""
+
+_LIFT_M = 0.05
+
+
+def _alignment() -> AlignmentConfig:
+    # Two rounds of 50 steps are the reference's 100.
+    return AlignmentConfig(iterations=50)
+
+
+def _sliding_cloth() -> ClothParameters:
+    return ClothParameters(stretch_compliance=3e-3, table_friction=0.0, particle_friction=0.0)
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """How a reconstructed mesh is fine-tuned.
+
+    Attributes:
+        rounds: corrections, each from what became of the one before.
+        consistency_rounds: the first so many of them begin with observation consistency; the
+            reference takes it back after half of its iterations.
+        consistency_weight: of observation consistency (the reference: 10); 0 leaves it out.
+        rigidity_weight: difference of the displacements along edges while it is solved, as in the
+            alignment that follows (the paper: 10).
+        laplacian_weight: of the mesh's uniform Laplacian while it is solved; smooths the mesh and
+            not only its displacement (the reference: 0 when it plans, 0.01 when it is evaluated).
+        off_mesh_m: a canonical coordinate this far from the mesh counts 1 / e [m].
+        outlier_m: an observed point that misses its place on the mesh by this counts a quarter [m]:
+            its canonical coordinate is wrong (S. Geman, D. McClure, 1987).
+        alignment: Chamfer, table and length of edges (`length_weight`) of each round.
+        visibility_width: width [pixels] of the z-buffer that decides visibility.
+        visibility_tolerance_m: how far [m] behind the z-buffer's surface a vertex is still visible.
+        roll_s: time over which the solver carries a correction out [s]; 0 displaces the vertices.
+        strength: of its pull on visible vertices over `roll_s`.
+        cloth: what the garment is made of while that lasts: it slides freely, for a correction is
+            no motion, and gives a little.
+        solver: the cloth simulator; the table is the recording's.
+    """
+
+    rounds: int = 2
+    consistency_rounds: int = 1
+    consistency_weight: float = 10.0
+    rigidity_weight: float = 10.0
+    laplacian_weight: float = 0.0
+    off_mesh_m: float = 0.02
+    outlier_m: float = 0.02
+    alignment: AlignmentConfig = field(default_factory=_alignment)
+    visibility_width: int = 320
+    visibility_tolerance_m: float = 0.003
+    roll_s: float = 0.1
+    strength: float = 0.999
+    cloth: ClothParameters = field(default_factory=_sliding_cloth)
+    solver: SolverConfig = field(default_factory=SolverConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot be meant.
+
+        Raises:
+            InvalidConfigError: with the field, its value and the limit.
+        """
+        if self.rounds < 1 or self.visibility_width < 1:
+            raise InvalidConfigError(
+                f"rounds is {self.rounds}, visibility_width {self.visibility_width}; both must be "
+                "at least 1"
+            )
+        for name in ("consistency_weight", "rigidity_weight", "laplacian_weight", "roll_s"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise InvalidConfigError(f"refinement.{name} is {value}; it must be 0 or more")
+        for name in ("off_mesh_m", "outlier_m"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidConfigError(
+                    f"refinement.{name} is {getattr(self, name)}; it must be positive [m]"
+                )
+        if not 0.0 < self.strength < 1.0:
+            raise InvalidConfigError(
+                f"refinement.strength is {self.strength}; it must be in (0, 1)"
+            )
+        if self.consistency_weight > 0.0 and not self.rigidity_weight > 0.0:
+            raise InvalidConfigError(
+                "refinement.rigidity_weight is 0: nothing says where hidden vertices are to go; "
+                "give more than 0, or consistency_weight 0"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What fine-tuning made of a mesh.
+
+    Attributes:
+        positions: vertices in the world [m]: of the start and all rounds, those nearest to the
+            cloud.
+        chamfer_m2: visible vertices against the cloud, both directions [m^2], at the start and
+            after each round.
+        chosen: whose positions these are; 0 is the start.
+    """
+
+    positions: Float[np.ndarray, "vertices 3"]
+    chamfer_m2: tuple[float, ...]
+    chosen: int
+
+
+class Refiner:
+    """Fine-tunes one reconstructed mesh against what was observed.
+
+    Args:
+        mesh: the reconstruction in the world [m]; its canonical coordinates [m], where it has some,
+            in the convention of those that were observed.
+        observation: the cloud and the cameras that saw it.
+        config: terms and their weights.
+        rest: the flat garment at rest, vertex by vertex the mesh's; None when it is not known: then
+            edges keep the lengths of the reconstruction, and vertices are displaced at once.
+        table: what the cloth lies on.
+        device: "cpu" or "cuda:0".
+
+    Raises:
+        InvalidMeshError: mesh and rest have different triangles.
+    """
+
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        observation: Observation,
+        config: RefinementConfig,
+        *,
+        rest: ClothMesh | None = None,
+        table: Table | None = None,
+        device: str = "cpu",
+    ) -> None:
+        if rest is not None and not np.array_equal(rest.faces, mesh.faces):
+            raise InvalidMeshError(
+                f"the flat garment has {rest.vertex_count} vertices and {len(rest.faces)} faces, "
+                f"the mesh {mesh.vertex_count} and {len(mesh.faces)}; give the one that the mesh "
+                "was made from"
+            )
+        self._mesh, self._observation, self._config = mesh, observation, config
+        self._table = table
+        self._solver_config = replace(config.solver, table=table)
+        cameras = tuple(one.resized(config.visibility_width) for one in observation.cameras)
+        self._visible = VisibilityCheck(
+            mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m, device=device
+        )
+        self._aligner = Aligner(rest or mesh, config.alignment, device=device)
+        self._dynamics = None
+        if rest is not None and config.roll_s > 0.0:
+            self._dynamics = self._laid_out(rest, device)
+
+    def refine(self, seen: SeenPoints | None = None) -> Refinement:
+        """Correct the mesh, and keep what is nearest to the cloud.
+
+        Args:
+            seen: observed points with canonical coordinates; None leaves consistency out.
+        """
+        config = self._config
+        positions = self._mesh.vertices.astype(np.float64)
+        tried, scores = [positions], [self._score(positions)]
+        for number in range(config.rounds):
+            wanted = positions
+            consistent = number < config.consistency_rounds and config.consistency_weight > 0.0
+            if seen is not None and consistent:
+                wanted = wanted + consistent_displacement(
+                    self._mesh.with_vertices(wanted), seen, config
+                )
+            visible = self._visible(wanted)
+            alignment = self._aligner.align(
+                wanted,
+                self._observation.points,
+                visible,
+                trusted=visible & ~self._observation.silent(wanted),
+                table=self._table,
+                rest_height_m=self._solver_config.resting_height_m,
+            )
+            wanted = wanted + alignment.corrections
+            carried = self._carried_out(positions, wanted, visible)
+            if carried is None:
+                logger.warning("round %d of the fine-tuning bursts; it is left out", number + 1)
+                break
+            positions = carried
+            tried.append(positions)
+            scores.append(self._score(positions))
+        chosen = int(np.argmin(np.where(np.isfinite(scores), scores, np.inf)))
+        return Refinement(tried[chosen], tuple(scores), chosen)
+
+    def _score(self, positions: Float[np.ndarray, "vertices 3"]) -> float:
+        visible = self._visible(positions)
+        if not visible.any() or not len(self._observation.points):
+            return float("nan")
+        return two_way(positions[visible], self._observation.points)
+
+    def _laid_out(self, rest: ClothMesh, device: str) -> ClothDynamics:
+        """The garment at rest over the table, its layers on their sides."""
+        point = np.zeros(3) if self._table is None else self._table.point
+        above = rest.vertices - rest.vertices[:, 2].min() * np.array([0.0, 0.0, 1.0])
+        flat = rest.with_vertices(above + point + (0.0, 0.0, _LIFT_M))
+        solver = ClothSolver(
+            flat, self._solver_config, parameters=self._config.cloth, device=device
+        )
+        solver.step(SETTLE_IN_S)
+        return ClothDynamics(solver, DynamicsConfig(velocity_kept=0.0))
+
+    def _carried_out(
+        self,
+        positions: Float[np.ndarray, "vertices 3"],
+        wanted: Float[np.ndarray, "vertices 3"],
+        visible: Bool[np.ndarray, " vertices"],
+    ) -> Float[np.ndarray, "vertices 3"] | None:
+        """Where the vertices come to when visible ones are pulled; None when the cloth bursts."""
+        if self._dynamics is None:
+            return wanted if np.isfinite(wanted).all() else None
+        solver = self._dynamics.solver
+        # Hidden vertices begin where the correction carries them, and are left to the cloth.
+        start = np.where(visible[:, None], positions, wanted)
+        solver.place(start)
+        solver.set_velocities(np.zeros_like(start, dtype=np.float32))
+        strength = np.where(visible, self._config.strength, 0.0).astype(np.float32)
+        pull = Attachment(wanted[None].astype(np.float32), strength[None])
+        try:
+            rolled = self._dynamics.roll_out(None, None, self._config.roll_s, pull)
+        except SimulationDivergedError:
+            return None
+        ended: Float32[np.ndarray, "vertices 3"] = rolled.positions[0]
+        return ended.astype(np.float64) if np.isfinite(ended).all() else None
+
+
+def consistent_displacement(
+    mesh: ClothMesh, seen: SeenPoints, config: RefinementConfig
+) -> Float[np.ndarray, "vertices 3"]:
+    """The displacement [m] that brings the mesh to where its pieces were seen (consistency).
+
+    It minimises, with x the vertices, S the interpolation to the canonical coordinates of observed
+    points o, w their weights, and U the uniform Laplacian,
+
+        c sum_p w_p |S_p (x + d) - o_p|^2 / sum_p w_p + b mean_ij |d_i - d_j|^2
+        + l mean_i |U_i (x + d)|^2
+
+    Args:
+        mesh: in the world [m], with canonical coordinates.
+        seen: observed points.
+        config: weights and limits.
+
+    Raises:
+        InvalidMeshError: the mesh has no canonical coordinates.
+    """
+    if mesh.canonical is None:
+        raise InvalidMeshError(
+            "the mesh has no canonical coordinates, so that consistency means nothing; give them, "
+            "or refinement.consistency_weight=0"
+        )
+    canonical = np.asarray(mesh.canonical, np.float64)
+    face, blend = closest_on_mesh(seen.canonical, canonical, mesh.faces)
+    rows = np.repeat(np.arange(len(face)), 3)
+    entries = (blend.ravel(), (rows, mesh.faces[face].ravel()))
+    shows = sparse.coo_array(entries, (len(face), mesh.vertex_count)).tocsr()
+    away = np.linalg.norm(shows @ canonical - seen.canonical, axis=1)
+    miss = seen.points - shows @ mesh.vertices
+    weight = seen.confidence * np.exp(-((away / config.off_mesh_m) ** 2))
+    weight = weight / (1.0 + (np.linalg.norm(miss, axis=1) / config.outlier_m) ** 2) ** 2
+    if not weight.sum() > 0.0:
+        return np.zeros((mesh.vertex_count, 3))
+    data = shows.T @ sparse.diags_array(config.consistency_weight * weight / weight.sum())
+    laplacian = _edge_laplacian(mesh)
+    matrix = data @ shows + config.rigidity_weight / len(mesh.edges) * laplacian
+    wanted = data @ miss
+    if config.laplacian_weight > 0.0:
+        uniform = sparse.diags_array(1.0 / np.asarray(laplacian.diagonal(), np.float64)) @ laplacian
+        bends = config.laplacian_weight / mesh.vertex_count * (uniform.T @ uniform)
+        matrix = matrix + bends
+        wanted = wanted - bends @ mesh.vertices
+    # A piece of the mesh in which nothing was seen has no equation: it stays where it is.
+    matrix = matrix + _STAYS / mesh.vertex_count * sparse.eye_array(mesh.vertex_count)
+    return splu(matrix.tocsc()).solve(wanted)
+
+
+_STAYS = 1e-6
+
+
+def _edge_laplacian(mesh: ClothMesh) -> sparse.csr_array:
+    """The matrix of the sum of squared differences along edges."""
+    i, j = mesh.edges.T
+    count = mesh.vertex_count
+    ends = (np.concatenate([i, j]), np.concatenate([j, i]))
+    joined = sparse.coo_array((np.ones(2 * len(i)), ends), (count, count)).tocsr()
+    return (sparse.diags_array(joined.sum(axis=1)) - joined).tocsr()

@@ -1,0 +1,230 @@
+"""Weights on disk: safetensors to share, and the progress of a run to resume it.
+
+Neither can run code: safetensors holds numbers and text, and progress is read by the restricted
+unpickler of PyTorch, which knows tensors and plain containers and refuses everything else.
+"""
+
+import json
+import pickle
+import warnings
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.files.atomic_write import whole_file
+
+FORMAT = "clothtrack-weights"
+PROGRESS_FORMAT = "clothtrack-training-progress"
+FORMAT_VERSION = 1
+_REMEDY = "train again, or fetch an undamaged copy"
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What a weights file holds.
+
+    Attributes:
+        path: where it was read.
+        tensors: parameters and buffers by name.
+        network: the network's configuration, as plain values.
+        kind: the garment that it is for.
+        provenance: data, seed, commit, hardware, scores.
+    """
+
+    path: Path
+    tensors: Mapping[str, Tensor]
+    network: Mapping[str, Any]
+    kind: str
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def load_into(self, module: nn.Module, *, prefix: str = "") -> None:
+        """Give a module these weights, all of them and exactly them.
+
+        Args:
+            module: of the same configuration.
+            prefix: only tensors whose names begin like this; it is cut off.
+
+        Raises:
+            InvalidResultError: a tensor is missing, unknown or of another shape.
+        """
+        found = {
+            name.removeprefix(prefix): value
+            for name, value in self.tensors.items()
+            if name.startswith(prefix)
+        }
+        load_tensors(module, found, self.path)
+
+
+def save_weights(
+    path: Path,
+    tensors: Mapping[str, Tensor],
+    network: Any,
+    *,
+    kind: str,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write weights as safetensors, whole or not at all.
+
+    Args:
+        path: the file.
+        tensors: the state of what was trained, by name.
+        network: its configuration, a dataclass of plain values.
+        kind: the garment that it is for.
+        provenance: data, seed, commit, hardware, scores.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    copies = {name: value.detach().to("cpu").contiguous() for name, value in tensors.items()}
+    metadata = {
+        "format": FORMAT,
+        "version": str(FORMAT_VERSION),
+        "network": json.dumps(asdict(network)),
+        "kind": kind,
+        "provenance": json.dumps(provenance or {}, default=str),
+    }
+    try:
+        with whole_file(path) as temporary:
+            save_file(copies, temporary, metadata)
+    except SafetensorError as error:
+        raise StorageError(
+            f"{path}: cannot be written ({error}); free some space or choose another folder"
+        ) from error
+
+
+def load_weights(path: Path) -> Weights:
+    """Read a weights file; nothing in it is executed.
+
+    Raises:
+        InvalidResultError: it is missing, truncated, of another version or something else.
+    """
+    if not path.is_file():
+        raise InvalidResultError(f"{path}: there is no such weights file; check the name")
+    try:
+        with safe_open(path, framework="pt", device="cpu") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InvalidResultError(
+            f"{path}: not a whole safetensors file ({error}); {_REMEDY}"
+        ) from error
+    if metadata.get("format") != FORMAT or metadata.get("version") != str(FORMAT_VERSION):
+        raise InvalidResultError(
+            f"{path}: format and version are {metadata.get('format')!r}, "
+            f"{metadata.get('version')!r}, expected {FORMAT!r}, '{FORMAT_VERSION}'; give weights "
+            "that clothtrack has written"
+        )
+    try:
+        network, provenance = (json.loads(metadata[key]) for key in ("network", "provenance"))
+        kind = metadata["kind"]
+    except (KeyError, ValueError, RecursionError) as error:
+        raise InvalidResultError(f"{path}: its description is damaged ({error}); {_REMEDY}") from (
+            error
+        )
+    if not isinstance(network, dict) or not isinstance(provenance, dict):
+        raise InvalidResultError(f"{path}: its description is not a list of settings; {_REMEDY}")
+    return Weights(path, tensors, network, kind, provenance)
+
+
+def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    """Give a module weights by name, all of them and exactly them.
+
+    Args:
+        module: what gets them.
+        tensors: by name.
+        path: where they come from, for the message.
+
+    Raises:
+        InvalidResultError: a tensor is missing, unknown, of another shape or not finite.
+    """
+    check_tensors(module, tensors, path)
+    for name, value in tensors.items():
+        if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+            raise InvalidResultError(f"{path}: {name} is not finite; {_REMEDY}")
+    module.load_state_dict(dict(tensors))
+
+
+def check_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    """Refuse weights that are not exactly those of a module, which may be on the meta device.
+
+    Args:
+        module: whose weights they should be.
+        tensors: by name.
+        path: where they come from, for the message.
+
+    Raises:
+        InvalidResultError: a tensor is missing, unknown, or of another shape.
+    """
+    wanted = module.state_dict()
+    wrong = sorted(set(wanted) - set(tensors)) + sorted(set(tensors) - set(wanted))
+    if wrong:
+        what = "lacks" if wrong[0] in wanted else "has, and the network does not know,"
+        raise InvalidResultError(
+            f"{path} {what} {wrong[0]!r} ({len(wrong)} names differ): it belongs to another "
+            "preset or stage; give weights of this one"
+        )
+    for name, value in tensors.items():
+        if value.shape != wanted[name].shape:
+            raise InvalidResultError(
+                f"{path}: {name} has shape {tuple(value.shape)}, the network's has "
+                f"{tuple(wanted[name].shape)}: it belongs to another preset; give weights of "
+                "this one"
+            )
+
+
+def save_progress(path: Path, document: Mapping[str, Any]) -> None:
+    """Write tensors and plain values for `load_progress`, whole or not at all.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    content = {"format": PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        torch.save(content, file)
+
+
+def load_progress(path: Path) -> dict[str, Any]:
+    """Read what `save_progress` has written; nothing in it is executed.
+
+    Raises:
+        InvalidResultError: it is truncated, hostile, of another version or something else.
+    """
+    try:
+        with warnings.catch_warnings():
+            # It warns of what it then refuses.
+            warnings.simplefilter("ignore")
+            document = torch.load(path, map_location="cpu", weights_only=True)
+    except (
+        pickle.UnpicklingError,
+        zipfile.BadZipFile,
+        RuntimeError,
+        ValueError,
+        KeyError,
+        AttributeError,
+        TypeError,
+        IndexError,
+        EOFError,
+        OSError,
+    ) as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise InvalidResultError(
+            f"{path}: not the progress of a training ({reason}); remove it to train from the start"
+        ) from error
+    if not isinstance(document, dict) or document.get("format") != PROGRESS_FORMAT:
+        raise InvalidResultError(
+            f"{path}: not the progress of a training; remove it to train from the start"
+        )
+    if document.get("version") != FORMAT_VERSION:
+        raise InvalidResultError(
+            f"{path}: version {document.get('version')} (this clothtrack reads {FORMAT_VERSION}); "
+            "remove it to train from the start"
+        )
+    return document

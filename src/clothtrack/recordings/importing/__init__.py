@@ -1,1 +1,0 @@
-"""Recordings of other programs: ROS bags, RealSense, Kinect and folders of pictures, read whole."""

@@ -1,0 +1,288 @@
+"""The mesh that tracking starts from: the recording's template, or a garment fitted to the cloth.
+
+Where the reconstruction network is not asked (`tracking.initial_state`) a flat towel or T-shirt is
+laid on the first cloud, its size measured from the cloud when the recording does not state it. What
+is fitted is the outline: the inside of a flat cloth says nothing about its size, and would only
+draw the edges inwards. Depth alone cannot tell a shirt's front from its back nor one corner of a
+towel from another: the front is taken to face up.
+"""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import map_coordinates
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.refinement import RefinementConfig
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Recording, Table
+from clothtrack.simulation.garments import garment
+
+FITTED_KINDS = ("towel", "tshirt")
+
+SOURCES = ("auto", "template", "network", "flat")
+"""Where a first mesh may come from."""
+
+
+@dataclass(frozen=True)
+class FirstMeshConfig:
+    """Where the first mesh comes from, and how it is made when the recording has no template.
+
+    Attributes:
+        source: "template": the recording's own; "network": reconstructed from the first depth
+            picture, whether or not there is a template; "flat": a flat garment fitted to the first
+            cloud, likewise; "auto": the template, else the flat fit of a cloth that lies flat, else
+            the network where there are weights for the garment.
+        weights: file with the network's weights; empty: those that come with the package, if any.
+        refined: whether a network's mesh is fine-tuned to the first cloud.
+        refinement: how.
+        vertex_count: about how many vertices the mesh gets.
+        resting_height_m: height of its lowest vertices above the table [m].
+        rim_m: how far inside the cloth's edge the outermost points lie [m]. Where the edge cuts the
+            cubes in which points are averaged, their mean is a quarter of a cube inside: 1 mm for
+            the usual 4 mm.
+        turns: directions that the fit is started from, equally spaced.
+        doubtful_m: where outlines disagree more than this (root mean square) [m] the cloth is not
+            flat, or of another kind: the network is asked, or a warning given.
+    """
+
+    vertex_count: int = 1000
+    resting_height_m: float = 0.0015
+    rim_m: float = 0.001
+    turns: int = 12
+    doubtful_m: float = 0.01
+    source: str = "auto"
+    weights: str = ""
+    refined: bool = True
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse a source that there is not.
+
+        Raises:
+            InvalidConfigError: with the sources that there are.
+        """
+        if self.source not in SOURCES:
+            raise InvalidConfigError(
+                f"first_mesh.source is {self.source!r}; choose one of {', '.join(SOURCES)}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class FlatFit:
+    """A flat garment where a cloud is.
+
+    Attributes:
+        mesh: the flat cloth in the world frame [m].
+        misfit_m: how far its outline is from the cloud's, root of the mean square [m].
+    """
+
+    mesh: ClothMesh
+    misfit_m: float
+
+
+def flat_fit(recording: Recording, observation: Observation, config: FirstMeshConfig) -> FlatFit:
+    """A flat garment fitted to the first cloud, whether or not the recording has a template.
+
+    Args:
+        recording: says what the cloth is and where the table is.
+        observation: the cloud of the first frame, flat cloth.
+        config: size of the mesh.
+
+    Raises:
+        InvalidRecordingError: the kind has no outline, or table or cloud are missing.
+    """
+    if recording.cloth.kind not in FITTED_KINDS:
+        raise InvalidRecordingError(
+            f"{recording.folder}: cloth.kind is {recording.cloth.kind!r} and there is no template; "
+            f"give cloth.template, or a kind that can be fitted: {', '.join(FITTED_KINDS)}"
+        )
+    if recording.table is None:
+        raise InvalidRecordingError(
+            f"{recording.folder}: no table and no template; a cloth in the air needs cloth.template"
+        )
+    if len(observation.points) < 100:
+        raise InvalidRecordingError(
+            f"{recording.folder}: the first cloud has {len(observation.points)} points, a fit "
+            "needs at least 100; check the mask of frame 0 with: clothtrack inspect"
+        )
+    return _fitted(recording, recording.table, observation.points, config)
+
+
+def _fitted(
+    recording: Recording,
+    table: Table,
+    points: Float[np.ndarray, "points 3"],
+    config: FirstMeshConfig,
+) -> FlatFit:
+    axes = _plane_axes(table)
+    covered = CoveredRegion((points - table.point) @ axes[:2].T, config.rim_m)
+    cloth, unit = recording.cloth, unit_outline(recording.cloth.kind)
+    fits = [
+        _fit_outline(unit, covered, angle, cloth.size_m)
+        for angle in np.linspace(0.0, 2.0 * np.pi, config.turns, endpoint=False)
+    ]
+    best = min(fits, key=lambda fit: fit.cost)
+    misfit = float(np.sqrt(np.mean(best.fun**2)))
+    x, y, angle = best.x[:3]
+    width, length = cloth.size_m or np.exp(best.x[3:])
+    size_m = (float(width), float(length))
+    mesh = garment(cloth.kind, vertex_count=config.vertex_count, size_m=size_m)
+    placed = mesh.vertices.astype(np.float64).copy()
+    placed[:, :2] = _rotated(placed[:, :2], angle) + (x, y)
+    placed[:, 2] += config.resting_height_m - placed[:, 2].min()
+    return FlatFit(mesh.with_vertices(table.point + placed @ axes), misfit)
+
+
+GRID_M = 0.001
+"""Side of the squares [m] in which the covered part of the table is drawn."""
+
+CLOSED_M = 0.006
+"""Points nearer to each other than twice this [m] have cloth between them."""
+
+OUTLIER_M = 0.003
+"""Distance of outlines [m] from which a misfit counts less than its square: a curled corner."""
+
+OUTLINE_SPACING_M = 0.004
+"""Distance [m] at which outlines are compared."""
+
+
+class CoveredRegion:
+    """The part of the table that a cloud covers, as a signed distance and as an outline.
+
+    Args:
+        cloud: points in the plane of the table [m].
+        rim_m: how far inside the cloth's edge the outermost points lie [m].
+    """
+
+    def __init__(self, cloud: Float[np.ndarray, "points 2"], rim_m: float) -> None:
+        apart = np.percentile(cKDTree(cloud).query(cloud, k=2)[0][:, 1], 95)
+        reach = max(CLOSED_M, 1.5 * float(apart))
+        self._origin = cloud.min(axis=0) - 0.05
+        shape = np.ceil((np.ptp(cloud, axis=0) + 0.1) / GRID_M).astype(int)[::-1]
+        columns, rows = ((cloud - self._origin) / GRID_M).astype(int).T
+        hit = np.zeros(shape, dtype=bool)
+        hit[rows, columns] = True
+        grown = _distance_inside(~hit) <= reach
+        contour = _largest_outline(_distance_inside(grown) > reach)
+        filled = cv2.fillPoly(np.zeros(shape, np.uint8), [contour], 1) > 0
+        # Half a cell on either side of the boundary belongs to neither distance.
+        self._signed = _distance_inside(filled) - _distance_inside(~filled)
+        self._signed += np.where(filled, -0.5, 0.5) * GRID_M + rim_m
+        self.outline = _even_steps(self._to_plane(contour[:, 0].astype(np.float64)))
+        self._rim_m = rim_m
+
+    def depth(self, places: Float[np.ndarray, "places 2"]) -> Float[np.ndarray, " places"]:
+        """How far inside the cloth's edge places of the table are [m]; negative outside."""
+        columns, rows = (places - self._origin).T / GRID_M - 0.5
+        return map_coordinates(self._signed, [rows, columns], order=1, mode="nearest")
+
+    def beyond(self, polygon: Float[np.ndarray, "corners 2"]) -> Float[np.ndarray, " outline"]:
+        """How far outside a counter-clockwise polygon the cloth's edge is [m], negative inside."""
+        ahead = np.roll(polygon, -1, axis=0) - np.roll(polygon, 1, axis=0)
+        normals = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        away, nearest = cKDTree(polygon).query(self.outline)
+        across = np.einsum("od,od->o", self.outline - polygon[nearest], normals[nearest])
+        # Far from the polygon its normals say nothing.
+        across = np.where(away < 2.0 * OUTLINE_SPACING_M, across, np.copysign(away, across))
+        return across + self._rim_m
+
+    def _to_plane(self, pixels: Float[np.ndarray, "pixels 2"]) -> Float[np.ndarray, "pixels 2"]:
+        return (pixels + 0.5) * GRID_M + self._origin
+
+
+def unit_outline(kind: str) -> Float[np.ndarray, "corners 2"]:
+    """The silhouette of a flat garment of 1 m x 1 m [m], counter-clockwise, evenly sampled.
+
+    Garments grow along x and y in proportion, so that this is the outline of every size.
+    """
+    flat = garment(kind, vertex_count=1000, size_m=(1.0, 1.0))
+    pixels = 2000
+    corners = np.rint((flat.vertices[:, :2] + 0.55) * pixels).astype(np.int32)
+    drawn = np.zeros((round(1.1 * pixels),) * 2, dtype=np.uint8)
+    for face in flat.faces:
+        cv2.fillConvexPoly(drawn, corners[face], 1)
+    contour = _largest_outline(drawn > 0)
+    return _even_steps(contour[:, 0] / pixels - 0.55, 0.008)
+
+
+def _fit_outline(
+    unit: Float[np.ndarray, "corners 2"],
+    covered: CoveredRegion,
+    start_angle: float,
+    size_m: tuple[float, float] | None,
+) -> OptimizeResult:
+    """Least squares between two outlines, each looking for the other.
+
+    Variables are the place [m], the angle [rad] and, when the size is not given, the logarithms of
+    width and length.
+    """
+    turned = _rotated(covered.outline, -start_angle)
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    place = _rotated(0.5 * (low + high)[None], start_angle)[0]
+    start = np.array([*place, start_angle, *([] if size_m else np.log(high - low))])
+
+    def residuals(variables: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " residuals"]:
+        size = size_m or np.exp(variables[3:])
+        polygon = _rotated(unit * size, variables[2]) + variables[:2]
+        ours, theirs = covered.depth(polygon), covered.beyond(polygon)
+        return np.concatenate([ours, theirs * np.sqrt(len(ours) / len(theirs))])
+
+    def slopes(
+        variables: Float[np.ndarray, " variables"],
+    ) -> Float[np.ndarray, "residuals variables"]:
+        here = residuals(variables)
+        steps = np.eye(len(variables)) * _STEP
+        return np.stack([(residuals(variables + step) - here) / _STEP for step in steps], axis=1)
+
+    return least_squares(
+        residuals, start, slopes, method="trf", loss="soft_l1", f_scale=OUTLIER_M, xtol=1e-5
+    )
+
+
+_STEP = 1e-3
+"""Step of the numerical slope: the outline of drawn squares is rough below 1 mm."""
+
+
+def _largest_outline(mask: Bool[np.ndarray, "rows columns"]) -> np.ndarray:
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return max(contours, key=cv2.contourArea)
+
+
+def _distance_inside(mask: Bool[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
+    """Distance [m] of every set cell to the nearest one that is not."""
+    return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) * np.float32(GRID_M)
+
+
+def _even_steps(
+    closed: Float[np.ndarray, "corners 2"], spacing_m: float = OUTLINE_SPACING_M
+) -> Float[np.ndarray, "samples 2"]:
+    """A closed polygon resampled at equal distances [m], counter-clockwise."""
+    x, y = closed.T
+    if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0:
+        closed = closed[::-1]
+    around = np.concatenate([closed, closed[:1]])
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(around, axis=0), axis=1))])
+    at = np.linspace(0.0, length[-1], max(8, round(length[-1] / spacing_m)), endpoint=False)
+    return np.stack([np.interp(at, length, axis) for axis in around.T], axis=1)
+
+
+def _rotated(points: Float[np.ndarray, "points 2"], angle: float) -> Float[np.ndarray, "points 2"]:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return points @ np.array([[cosine, sine], [-sine, cosine]])
+
+
+def _plane_axes(table: Table) -> Float[np.ndarray, "3 3"]:
+    """Rows: two directions in the table and its normal, as close to the world's axes as can be."""
+    normal = table.normal / np.linalg.norm(table.normal)
+    first = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    if np.linalg.norm(first) < 1e-3:
+        first = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first), normal])

@@ -1,0 +1,201 @@
+"""What tracking starts from: the recording's template, the network's mesh, or the flat fit.
+
+Only the recording is asked, never a truth. PyTorch is imported when the network is used, and not
+before.
+"""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.files.atomic_write import content_hash
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.availability import INSTALL, missing_modules, shipped_weights
+from clothtrack.reconstruction.from_picture import front_up, laid_flat, network_mesh
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.tracking.flat_fit import FITTED_KINDS, FirstMeshConfig, flat_fit
+
+logger = logging.getLogger(__name__)
+
+LEVEL_DEG = 10.0
+"""The network looks along the world's z: it is not asked about a table that tilts more [deg]."""
+
+
+@dataclass(frozen=True, eq=False)
+class FirstCloth:
+    """The cloth at the first frame.
+
+    Attributes:
+        mesh: the flat cloth at rest, in the world [m]: its edges are the rest lengths.
+        positions: where its vertices are at the first frame [m]; None: as in `mesh`.
+        origin: where it is from, stored with the result.
+    """
+
+    mesh: ClothMesh
+    positions: Float[np.ndarray, "vertices 3"] | None
+    origin: Mapping[str, object]
+
+
+def first_cloth(
+    recording: Recording,
+    observation: Observation,
+    config: FirstMeshConfig,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
+) -> FirstCloth:
+    """The cloth that tracking starts from.
+
+    Args:
+        recording: template, kind, table, cameras and the first depth picture.
+        observation: the cloud of the first frame.
+        config: where it is to come from.
+        segmenter: finds the cloth in a picture; the recording's own way by default.
+        device: where to compute.
+
+    Raises:
+        InvalidRecordingError: the recording lacks what the chosen source needs.
+        InvalidConfigError: the network is asked for and [learn] is not installed.
+        InvalidResultError: weights are missing, damaged or for another garment.
+    """
+    template = recording.cloth.template
+    if config.source == "template" and template is None:
+        raise InvalidRecordingError(
+            f"{recording.folder}: first_mesh.source is template, and the recording has none; give "
+            "cloth.template, or first_mesh.source=auto"
+        )
+    if template is not None and config.source in ("auto", "template"):
+        if config.weights:
+            logger.warning(
+                "%s: the first mesh is the recording's template, and the network of %s is not "
+                "asked; first_mesh.source=network would ask it",
+                recording.folder, config.weights,
+            )  # fmt: skip
+        return FirstCloth(template, None, {"source": "template"})
+    if recording.cloth.held_vertices:
+        raise InvalidRecordingError(
+            f"{recording.folder}: cloth.held_vertices are numbers of the template's vertices, and "
+            f"first_mesh.source is {config.source}; use first_mesh.source=template, or take them "
+            "out"
+        )
+    weights = None if config.source == "flat" else _weights(recording, config)
+    if weights is None or not (config.source == "network" or config.weights):
+        # A cloth that lies flat needs no guess: its outline says where all of it is.
+        flat = flat_fit(recording, observation, config)
+        lies_flat = flat.misfit_m <= config.doubtful_m
+        if lies_flat or weights is None:
+            if not lies_flat:
+                _doubt(recording, flat.misfit_m)
+            return FirstCloth(flat.mesh, None, {"source": "flat"})
+        logger.info(
+            "%s: the first cloud is not that of a flat %s, outlines differ by %.1f mm: the first "
+            "mesh is the network's",
+            recording.folder, recording.cloth.kind, 1e3 * flat.misfit_m,
+        )  # fmt: skip
+    return _from_network(
+        recording, observation, config, weights, segmenter=segmenter, device=device
+    )
+
+
+def _doubt(recording: Recording, misfit_m: float) -> None:
+    logger.warning(
+        "%s: a flat %s does not match the first cloud, outlines differ by %.1f mm; flatten the "
+        "cloth, check cloth.kind, or give cloth.template",
+        recording.folder, recording.cloth.kind, 1e3 * misfit_m,
+    )  # fmt: skip
+
+
+def _weights(recording: Recording, config: FirstMeshConfig) -> Path | None:
+    """The weights to ask, or None for the flat fit; what was asked for by name is not left out."""
+    kind = recording.cloth.kind
+    given = Path(config.weights) if config.weights else None
+    wanted = config.source == "network" or given is not None
+    obstacle = _obstacle(recording)
+    if wanted and obstacle:
+        raise InvalidRecordingError(
+            f"{recording.folder}: {obstacle}, so that the network cannot be asked for the first "
+            "mesh; use first_mesh.source=flat, or give cloth.template"
+        )
+    missing = missing_modules()
+    if wanted and missing:
+        raise InvalidConfigError(
+            f"the first mesh is to come from the network, which needs {', '.join(missing)}; "
+            f"install with: {INSTALL}, or use first_mesh.source=flat"
+        )
+    weights = given or shipped_weights(kind)
+    if weights is None and wanted:
+        raise InvalidConfigError(
+            f"first_mesh.source is network, and no weights for {kind!r} come with this "
+            "installation; name some with --weights, or use first_mesh.source=flat"
+        )
+    if weights is None:
+        obstacle = f"no weights for {kind!r} come with this installation"
+    elif missing:
+        obstacle = f"{', '.join(missing)} is not installed ({INSTALL})"
+    if obstacle:
+        logger.info("%s: the first mesh is fitted flat: %s", recording.folder, obstacle)
+        return None
+    return weights
+
+
+def _obstacle(recording: Recording) -> str:
+    """Why this recording's first frame is nothing for the network; empty when it is."""
+    if recording.cloth.kind not in FITTED_KINDS:
+        return f"cloth.kind is {recording.cloth.kind!r}"
+    if not recording.frames or not recording.frames[0].depth:
+        return "its first frame has no depth picture"
+    if recording.table is None:
+        return "it has no table"
+    upwards = float(recording.table.normal[2] / np.linalg.norm(recording.table.normal))
+    tilt_deg = float(np.degrees(np.arccos(np.clip(upwards, -1.0, 1.0))))
+    if tilt_deg > LEVEL_DEG:
+        return f"its table tilts by {tilt_deg:.0f} degrees (at most {LEVEL_DEG:.0f})"
+    return ""
+
+
+def _from_network(
+    recording: Recording,
+    observation: Observation,
+    config: FirstMeshConfig,
+    weights: Path,
+    *,
+    segmenter: Segmenter | None,
+    device: str,
+) -> FirstCloth:
+    from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
+    from clothtrack.reconstruction.depth_input import DepthInput, load_model
+
+    kind, table = recording.cloth.kind, recording.table
+    depth, mask, camera = cloth_picture(recording, recording.frames[0], segmenter)
+    found = network_mesh(
+        load_model(kind, weights, device=device),
+        DepthInput(depth, mask, camera, table, kind),
+        kind,
+        size_m=recording.cloth.size_m,
+        vertex_count=config.vertex_count,
+        refinement=config.refinement if config.refined else None,
+        observation=observation,
+        device=device,
+    )
+    rest = found.reconstruction.rest
+    if found.mesh is None or rest is None or table is None:
+        raise InvalidRecordingError(
+            f"{recording.folder}: the network makes no mesh of the first frame "
+            f"({found.reconstruction.status}); use first_mesh.source=flat"
+        )
+    positions = front_up(rest, found.mesh.vertices.astype(np.float64), kind)
+    origin = {
+        "source": "network",
+        "weights": weights.name,
+        "weights_sha256": content_hash(weights),
+        "refined": found.refinement is not None and found.refinement.chosen > 0,
+    }
+    mesh = laid_flat(rest, positions, table, config.resting_height_m)
+    return FirstCloth(mesh, positions, origin)

@@ -1,0 +1,285 @@
+"""From recordings to tracked trajectories: the method over a data set, in a straight line."""
+
+import hashlib
+import json
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+from clothtrack.errors import ClothTrackError, InvalidConfigError, StorageError
+from clothtrack.files.atomic_write import content_hash, name_problem
+from clothtrack.files.provenance import made_with
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
+from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.flat_fit import FirstMeshConfig
+from clothtrack.tracking.initial_state import first_cloth
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.tracking.tracker import Tracker
+
+logger = logging.getLogger(__name__)
+
+CLOUDS_KEPT = 128
+"""Most clouds in memory, however long an action is: some 50 MB with pictures of 640 x 480."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with a recording's name, frames done and frames in all."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that a tracking run depends on; it is stored with every result.
+
+    Attributes:
+        tracker: Algorithm 1 and all that it uses.
+        first_mesh: where the mesh that it starts from comes from.
+        cloud_spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
+        seed: stored with the result; nothing in tracking draws random numbers so far.
+    """
+
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    first_mesh: FirstMeshConfig = field(default_factory=FirstMeshConfig)
+    cloud_spacing_m: float = 0.004
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one recording.
+
+    Attributes:
+        recording: its folder.
+        result: the tracked trajectory on disk, or None after an error.
+        skipped: it had been finished before.
+        error: what was wrong with it, in a line that names it.
+        tracked_again: it had been finished before, but the recording has changed since.
+    """
+
+    recording: Path
+    result: Path | None
+    skipped: bool = False
+    error: str = ""
+    tracked_again: bool = False
+
+
+def observer(
+    recording: Recording, spacing_m: float, segmenter: Segmenter | None = None
+) -> Callable[[Frame], Observation]:
+    """The clouds of a recording, those of the latest frames kept.
+
+    A search follows one action several times and would segment every picture of it each time.
+
+    Args:
+        recording: read and validated.
+        spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
+        segmenter: finds the cloth in a picture; the recording's masks or colours by default.
+    """
+    longest = max((a.last_frame - a.first_frame for a in recording.actions), default=0)
+
+    @lru_cache(maxsize=min(longest + 2, CLOUDS_KEPT))
+    def observed(frame_index: int) -> Observation:
+        frame = recording.frames[frame_index]
+        return observe(recording, frame, segmenter, spacing_m=spacing_m or None)
+
+    return lambda frame: observed(frame.index)
+
+
+def track_recording(
+    recording: Recording,
+    config: RunConfig,
+    *,
+    device: str = "cpu",
+    segmenter: Segmenter | None = None,
+    progress: Progress | None = None,
+) -> TrackedTrajectory:
+    """Recording -> clouds -> first mesh -> calibration and tracking (Fig. 2 of the paper).
+
+    Args:
+        recording: read and validated.
+        config: the whole configuration.
+        device: "cpu" or "cuda:0".
+        segmenter: finds the cloth in a picture; the recording's masks or colours by default.
+        progress: called after every frame.
+    """
+    clock = time.process_time()
+    stamp = provenance(recording, config, device)
+    cloud = observer(recording, config.cloud_spacing_m, segmenter)
+    first = first_cloth(
+        recording, cloud(recording.frames[0]), config.first_mesh, segmenter=segmenter, device=device
+    )
+    tracker = Tracker(
+        recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
+    )
+    tracked = tracker.track(progress)
+    stamp |= {
+        "first_mesh": dict(first.origin),
+        "cpu_s": round(time.process_time() - clock, 2),
+    }
+    return replace(tracked, config=asdict(config), provenance=stamp)
+
+
+def track_recordings(
+    recordings: Sequence[Path],
+    output: Path,
+    config: RunConfig,
+    *,
+    workers: int = 1,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> list[Outcome]:
+    """Track many recordings; finished ones are skipped, a bad one does not stop the others.
+
+    A finished one whose recording has changed since is tracked again.
+
+    Args:
+        recordings: recording folders.
+        output: folder that gets one `NAME.zarr` per recording.
+        config: the whole configuration.
+        workers: processes; each tracks one recording at a time.
+        device: "cpu" or "cuda:0".
+        progress: called after every frame (with one worker) or every recording.
+
+    Returns:
+        One outcome per recording, in the given order.
+
+    Raises:
+        InvalidConfigError: there are no workers, or two recordings have one name, or a name is
+            none for a file.
+    """
+    require_workers(workers)
+    folders = [Path(folder) for folder in recordings]
+    names = [folder.resolve().name for folder in folders]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InvalidConfigError(
+            f"two recordings are called {min(twice)!r}, their results would overwrite each "
+            "other; rename one folder"
+        )
+    for name in names:
+        if problem := name_problem(name):
+            raise InvalidConfigError(
+                f"a recording is called {name!r}, and no result can be named after it ({problem}); "
+                "rename the folder"
+            )
+    output.mkdir(parents=True, exist_ok=True)
+    if workers == 1 or len(folders) == 1:
+        return [_track_folder(folder, output, config, device, progress) for folder in folders]
+    return _track_in_parallel(folders, output, config, workers, device=device, progress=progress)
+
+
+def _track_in_parallel(
+    folders: Sequence[Path],
+    output: Path,
+    config: RunConfig,
+    workers: int,
+    *,
+    device: str,
+    progress: Progress | None,
+) -> list[Outcome]:
+    outcomes: dict[Path, Outcome] = {}
+    work = partial(_track_folder, output=output, config=config, device=device)
+    try:
+        with closing(finished_in_workers(work, folders, workers)) as results:
+            for done, outcome in enumerate(results, 1):
+                outcomes[outcome.recording] = outcome
+                if progress is not None:
+                    progress(outcome.recording.name, done, len(folders))
+    except ClothTrackError as error:
+        # A worker was killed, and nobody knows over which recording.
+        for folder in folders:
+            outcomes.setdefault(folder, Outcome(folder, None, error=f"{folder}: {error}"))
+    return [outcomes[folder] for folder in folders]
+
+
+def result_path(recording: Path, output: Path) -> Path:
+    """Where the tracked trajectory of a recording lies."""
+    return output / f"{recording.resolve().name}.zarr"
+
+
+def _track_folder(
+    folder: Path,
+    output: Path,
+    config: RunConfig,
+    device: str,
+    progress: Progress | None = None,
+) -> Outcome:
+    path = result_path(folder, output)
+    try:
+        earlier = TrackedTrajectory.load(path).provenance if path.exists() else None
+        if earlier is not None:
+            _refuse_other_settings(path, earlier, config)
+        recording = read_recording(folder)
+        if earlier is not None and earlier.get(DIGEST_FIELD) == recording_digest(recording):
+            logger.info("%s: finished before, skipped", path)
+            return Outcome(folder, path, skipped=True)
+        track_recording(recording, config, device=device, progress=progress).save(path)
+    except ClothTrackError as error:
+        named = str(error) if str(folder) in str(error) else f"{folder}: {error}"
+        return Outcome(folder, None, error=named)
+    return Outcome(folder, path, tracked_again=earlier is not None)
+
+
+def _refuse_other_settings(path: Path, earlier: Mapping[str, Any], config: RunConfig) -> None:
+    found = earlier.get("config_hash")
+    if found != config_hash(config):
+        raise InvalidConfigError(
+            f"{path} was tracked with other settings (hash {found}, now {config_hash(config)}); "
+            "choose another --output or remove it"
+        )
+
+
+def config_hash(config: RunConfig) -> str:
+    """Ten hexadecimal digits that change with any setting."""
+    text = json.dumps(counted_settings(config), sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:10]
+
+
+def counted_settings(config: RunConfig) -> dict[str, Any]:
+    """The settings that a kept result is known by.
+
+    Settings that came when results had already been kept count where they are not as they were, so
+    that those results stay valid; weights count by what is in their file, not by its name.
+    """
+    settings, usual = asdict(config), asdict(RunConfig())
+    for *groups, name in _CAME_LATER:
+        group, of_usual = settings, usual
+        for part in groups:
+            group, of_usual = group[part], of_usual[part]
+        if group[name] == of_usual[name]:
+            del group[name]
+    first = settings["first_mesh"]
+    if weights := first.get("weights"):
+        with suppress(StorageError):
+            first["weights"] = content_hash(Path(weights))
+    return settings
+
+
+_CAME_LATER = (
+    ("first_mesh", "source"),
+    ("first_mesh", "weights"),
+    ("first_mesh", "refined"),
+    ("first_mesh", "refinement"),
+    ("tracker", "solver", "buckling"),
+)
+
+
+def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str, object]:
+    """What one needs to make a result again: versions, commit, seed, device, source."""
+    packages = ("numpy", "scipy", "warp-lang", "opencv-python-headless", "zarr")
+    return {
+        **made_with(packages),
+        "device": device,
+        "seed": config.seed,
+        "config_hash": config_hash(config),
+        "recording": dict(recording.provenance),
+        DIGEST_FIELD: recording_digest(recording),
+    }

@@ -1,0 +1,217 @@
+"""Flattening episodes in the stand-in world: same seed, same crumpled start, whoever flattens.
+
+    OUT/episodes/NAME/        the episode (`EpisodeStore`)
+    OUT/recordings/NAME/      the same as one normal recording
+    OUT/truth/NAME.npz        true vertices at the first and last frame of every action
+    OUT/worlds/NAME/00.npz    the world after every step, to go on from
+
+The truth is apart, as everywhere: no tracking code takes it.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from clothtrack.files.atomic_write import whole_file
+from clothtrack.geometry.coverage import projected_area
+from clothtrack.planning.dynamics import PlanningDynamics
+from clothtrack.planning.episode_store import EpisodeStore
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+from clothtrack.planning.flattening import EpisodeScene, Flattening, Watch
+from clothtrack.planning.perception import Perception, perception_of
+from clothtrack.recordings.store import read_recording
+from clothtrack.simulation.garments import GarmentKind
+from clothtrack.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SimulatedEpisode:
+    """Which episode.
+
+    Attributes:
+        kind: the garment.
+        seed: of garment, world, start and candidates.
+        name: of the episode; KIND_SEED by default.
+    """
+
+    kind: GarmentKind
+    seed: int
+    name: str = ""
+
+    @property
+    def label(self) -> str:
+        """The name."""
+        return self.name or f"{self.kind}_{self.seed:04d}"
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeParts:
+    """What several episodes share, so that networks are loaded once.
+
+    Attributes:
+        perception: finds the cloth; made from the configuration when None.
+        dynamics: of the planner; likewise.
+        starts: folder where crumpled starts are kept, shared by all ways of flattening.
+    """
+
+    perception: Perception | None = None
+    dynamics: Sequence[PlanningDynamics] = field(default_factory=tuple)
+    starts: Path | None = None
+
+
+def flatten_simulated(
+    out: Path,
+    episode: SimulatedEpisode,
+    config: FlattenConfig,
+    *,
+    robot_config: SimulatedRobotConfig | None = None,
+    parts: EpisodeParts | None = None,
+    device: str = "cpu",
+    watch: Watch | None = None,
+) -> EpisodeStore:
+    """Flatten one crumpled garment in the stand-in world; a finished episode is left as it is.
+
+    Args:
+        out: folder for episodes, recordings and truth.
+        episode: which.
+        config: how.
+        robot_config: of the world and its robot.
+        parts: what several episodes share.
+        device: where to compute.
+        watch: called after every step.
+
+    Raises:
+        InvalidConfigError: `out` holds an episode of this name with other settings.
+        InvalidResultError: weights are missing, damaged or of another garment; nothing is written.
+        SimulationDivergedError: the physics does.
+        StorageError: the disk refuses.
+    """
+    parts = parts or EpisodeParts()
+    name = episode.label
+    robot = SimulatedRobot(episode.kind, episode.seed, robot_config)
+    dynamics, perception = parts.dynamics, parts.perception
+    # Before anything is written: weights that cannot be read are refused here.
+    if config.policy == "planned":
+        dynamics = dynamics or dynamics_of(config, device=device)
+        # A control asks this robot, so that it cannot be shared.
+        if config.perception.name == "truth" or perception is None:
+            perception = perception_of(
+                episode.kind, config.perception, true_cloth=robot.true_cloth, device=device
+            )
+    worlds = _Worlds(robot, out / "worlds" / name)
+    if not (out / "episodes" / name / "episode.json").exists():
+        start = (parts.starts or out / "starts") / f"{episode.kind}_{episode.seed:04d}.npz"
+        begin(robot, start)
+    flat, _ = robot.true_cloth()
+    flat_area_m2 = projected_area(flat.vertices, flat.faces)
+
+    def score() -> float:
+        mesh, positions = robot.true_cloth()
+        return projected_area(positions, mesh.faces)
+
+    flattening = Flattening(
+        robot,
+        EpisodeScene(robot.cloth, robot.table, flat_area_m2),
+        config,
+        perception=perception,
+        dynamics=dynamics,
+        seed=episode.seed,
+        score=score,
+        checkpoint=worlds,
+    )
+    store = flattening.run(out / "episodes" / name, watch=watch)
+    label = store.document["asked"]["label"]
+    store.joined(
+        out / "recordings" / name,
+        {"source": "stand-in world (clothtrack flatten)", "seed": episode.seed, **label},
+    )
+    _write_truth(out / "truth" / f"{name}.npz", robot, store, worlds)
+    return store
+
+
+def shared_parts(
+    kind: GarmentKind, config: FlattenConfig, *, starts: Path | None = None, device: str = "cpu"
+) -> EpisodeParts:
+    """What episodes of one garment can share; weights that cannot be read are refused here.
+
+    Args:
+        kind: the garment.
+        config: how it is flattened.
+        starts: folder of crumpled starts.
+        device: where to compute.
+
+    Raises:
+        InvalidConfigError: something is asked for that there is not.
+        InvalidResultError: weights are missing, damaged or of another garment.
+    """
+    if config.policy != "planned":
+        return EpisodeParts(starts=starts)
+    perception = None
+    if config.perception.name != "truth":
+        perception = perception_of(kind, config.perception, device=device)
+    return EpisodeParts(perception, dynamics_of(config, device=device), starts)
+
+
+def begin(robot: SimulatedRobot, start: Path) -> None:
+    """Crumple the robot's cloth: the same start for every way to flatten it.
+
+    Args:
+        robot: with the flat cloth.
+        start: file where the start is kept; made when it is not there.
+
+    Raises:
+        SimulationDivergedError: the physics does.
+        StorageError: the disk refuses.
+    """
+    if start.exists():
+        robot.restore(start)
+        return
+    robot.crumple()
+    robot.save(start)
+    # From the file, as in every other run.
+    robot.restore(start)
+
+
+class _Worlds:
+    """The world after every step, on disk."""
+
+    def __init__(self, robot: SimulatedRobot, folder: Path) -> None:
+        self._robot, self.folder = robot, folder
+
+    def save(self, step: int) -> None:
+        """Keep the world after a step."""
+        self._robot.save(self.folder / f"{step:02d}.npz")
+
+    def restore(self, step: int) -> None:
+        """Put the world where it was after a step."""
+        self._robot.restore(self.folder / f"{step:02d}.npz")
+
+    def positions(self, step: int) -> np.ndarray:
+        """True vertices after a step [m]."""
+        with np.load(self.folder / f"{step:02d}.npz", allow_pickle=False) as file:
+            return file["positions"]
+
+
+def _write_truth(path: Path, robot: SimulatedRobot, store: EpisodeStore, worlds: _Worlds) -> None:
+    """The true vertices at the end of every step, by frames of the joined recording."""
+    if path.exists():
+        return
+    flat, _ = robot.true_cloth()
+    frames, total = [], 0
+    for step in range(len(store.steps)):
+        total += len(read_recording(store.recording_path(step)).frames)
+        frames.append(total - 1)
+    positions = np.stack([worlds.positions(step) for step in range(len(frames))])
+    with whole_file(path) as unfinished:
+        np.savez_compressed(
+            unfinished,
+            positions=positions.astype(np.float32),
+            faces=flat.faces.astype(np.int32),
+            canonical=np.asarray(flat.canonical, dtype=np.float64),
+            frames=np.array(frames),
+        )

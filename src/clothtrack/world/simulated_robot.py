@@ -1,0 +1,319 @@
+"""A robot in the stand-in world (MuJoCo): it moves a cloth that planning cannot look into.
+
+What a camera could not tell is in `true_cloth`, which only scoring and the named control
+`perception=truth` ask.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.files.atomic_write import whole_file
+from clothtrack.geometry.coverage import projected_area
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.planning.actions import PickPlace, Workspace
+from clothtrack.planning.robots.robot import Execution, MotionLimits, Reachability, RgbdFrame
+from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
+from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
+from clothtrack.simulation.pick_and_place import PlannedAction, carrying_path, free_path
+from clothtrack.world.appearance import Appearance
+from clothtrack.world.bench import vary
+from clothtrack.world.episodes import EpisodeConfig
+from clothtrack.world.flex import TIME_STEP_S, USUAL_CONTACT_S, FlexWorld
+from clothtrack.world.scene import Scene
+from clothtrack.world.sensor import Sensor, top_down_camera
+from clothtrack.world.template import laid_down, random_pose
+from clothtrack.world.tool import Tool
+
+_OF_STARTS = 0xF1A7
+"""Keeps the draws of this module apart from those of others with the same seed."""
+
+
+@dataclass(frozen=True)
+class SimulatedRobotConfig:
+    """The robot, and how it crumples the cloth before an episode.
+
+    Attributes:
+        episode: garment, camera, fabric, tool and speeds; drawn from the seed as in the benchmark
+            when None.
+        film: take pictures all through an action; without them only after it.
+        layers: layers of cloth that the gripper takes, the uppermost first.
+        contact_s: time constant of a contact between layers [s], half the usual one (`FlexWorld`):
+            a shirt that passed through itself in its fall is knotted, and nobody can flatten it.
+        drops: how often the cloth is lifted at a random vertex and let go before an episode, at
+            most; it stops as soon as the cloth is crumpled.
+        crumpled: share of the flat area under which the cloth counts as crumpled.
+        drop_speed: of the lifted vertex [m/s].
+        lift_share: least and largest height at which the vertex is let go, as a share of that at
+            which the cloth hangs clear of the table. Dropped from 1 a towel ends as a ball that no
+            single pick-and-place opens: of 25 the best gained 6 % of the flat area.
+        limits: what the robot refuses.
+    """
+
+    episode: EpisodeConfig | None = None
+    film: bool = True
+    layers: int = 1
+    contact_s: float = 0.01
+    drops: int = 5
+    crumpled: float = 0.65
+    drop_speed: float = 0.6
+    lift_share: tuple[float, float] = (0.4, 0.8)
+    limits: MotionLimits = field(
+        default_factory=lambda: MotionLimits(workspace=Workspace((-0.45, 0.45), (-0.4, 0.4)))
+    )
+
+
+class SimulatedRobot:
+    """A gripper, a depth camera and a cloth in the stand-in world.
+
+    Attributes:
+        kind: the garment.
+        config: the robot.
+        cloth: what a person at the table knows of the cloth: kind, colour and size.
+        table: z = 0.
+    """
+
+    def __init__(
+        self, kind: GarmentKind, seed: int, config: SimulatedRobotConfig | None = None
+    ) -> None:
+        """Lay the flat garment down; `crumple` makes the start of an episode of it.
+
+        Args:
+            kind: the garment.
+            seed: of garment, fabric, camera, noise and the start.
+            config: the robot.
+        """
+        self.kind: GarmentKind = kind
+        self.config = config or SimulatedRobotConfig()
+        self._episode = self.config.episode or vary(kind, seed)
+        root = np.random.SeedSequence([_OF_STARTS, seed, list(DEFAULT_SIZES_M).index(kind)])
+        of_world, of_sensor, of_start, of_picker = map(np.random.default_rng, root.spawn(4))
+        self._of_start, self._of_picker = of_start, of_picker
+        episode = self._episode
+        self._flat = garment(
+            kind, vertex_count=episode.vertex_count, size_m=episode.size_m, pattern="random",
+            seed=2 * seed,
+        )  # fmt: skip
+        fabric = episode.fabric or vary(kind, seed).fabric
+        if fabric is None:
+            raise InvalidConfigError("episode.fabric is None; give one")
+        laid = laid_down(self._flat, random_pose(of_world), fabric.contact_radius_m)
+        self._world = FlexWorld(laid, fabric, contact_s=self.config.contact_s)
+        camera = top_down_camera(episode.sensor, of_sensor)
+        appearance = Appearance.sample(of_sensor)
+        tool = episode.tool or Tool.sample(of_sensor)
+        self._scene = Scene(self._flat, tool, camera)
+        noise = int(of_sensor.integers(1 << 31))
+        self._sensor = Sensor(self._scene, episode.sensor, appearance, seed=noise)
+        self._pictures = 0
+        self._bias = episode.picker_bias_m * of_picker.standard_normal(3)
+        self.cloth = ClothDescription(
+            kind=kind, color=appearance.cloth, size_m=episode.size_m or DEFAULT_SIZES_M[kind]
+        )
+        self.table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+
+    # The four methods
+
+    def observe(self) -> RgbdFrame:
+        """A picture without the tool."""
+        return self.picture(None)
+
+    def check(self, action: PickPlace) -> Reachability:
+        """Whether the way of the tip is within the limits."""
+        path = np.vstack([action.pick, self._carried(action)])
+        reason = self.config.limits.refusal(path)
+        return Reachability(not reason, reason)
+
+    def execute(self, action: PickPlace) -> Execution:
+        """Pick up what lies at the pick, carry it, let it go, and wait until it rests."""
+        found = self.check(action)
+        if not found.reachable:
+            raise InvalidConfigError(f"refused before moving: {found.reason}")
+        episode = self._episode
+        way = _Way(self)
+        away = self._scene.out_of_picture(action.pick)
+        held = self._under(action.pick)
+        tip = action.pick.copy()
+        if len(held):
+            # Down to the cloth, wherever it is: fingers close on what they touch.
+            tip[2] = self._world.positions[held[0], 2]
+        way.take(away)
+        for point in free_path(away, tip, episode.action)[:-1]:
+            way.take(point)
+        way.take(tip, closed=True)
+        carried = self._carried(replace(action, pick=tip))
+        if len(held):
+            self._world.grasp(held, tip)
+        stride = self._stride
+        for number, point in enumerate(carried, start=1):
+            self._world.move(point)
+            self._world.step()
+            if number % stride == 0:
+                way.take(point, closed=number < len(carried))
+        self._world.release()
+        self._retreat(way, carried[-1])
+        noise = episode.picker_noise_m * self._of_picker.standard_normal((len(way.tips), 3))
+        path = PickerPath(
+            np.array(way.times), np.array(way.tips) + self._bias + noise, np.array(way.closed)
+        )
+        return Execution(path, tuple(way.film), grasped=bool(len(held)))
+
+    def home(self) -> None:
+        """The tool is out of view already: it retreats after every action."""
+
+    # Before an episode
+
+    def crumple(self) -> None:
+        """Lift the cloth at a random vertex, bring it over the middle of the table, let it go."""
+        episode = self._episode
+        self._world.settle(speed=episode.settle_speed, limit_s=episode.settle_limit_s)
+        wanted = self.config.crumpled * projected_area(self._flat.vertices, self._flat.faces)
+        for _ in range(self.config.drops):
+            positions = self._world.positions
+            vertex = int(self._of_start.integers(len(positions)))
+            lying = self._flat.vertices
+            hangs = float(np.linalg.norm(lying - lying[vertex], axis=1).max())
+            start = positions[vertex]
+            aside = self._of_start.uniform(-0.03, 0.03, 2)
+            share = self._of_start.uniform(*self.config.lift_share)
+            end = np.array([*aside, share * hangs])
+            steps = int(np.linalg.norm(end - start) / (self.config.drop_speed * TIME_STEP_S)) + 1
+            self._world.grasp(np.array([vertex]), start)
+            for way in np.linspace(0.0, 1.0, steps + 1)[1:]:
+                self._world.move(start + way * (end - start))
+                self._world.step()
+            self._world.release()
+            self._world.settle(speed=episode.settle_speed, limit_s=1.0 + episode.settle_limit_s)
+            if projected_area(self._world.positions, self._flat.faces) < wanted:
+                break
+
+    def save(self, path: Path) -> None:
+        """Write the world as it is, to go on from; whole or not at all.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        with whole_file(path) as unfinished:
+            np.savez_compressed(
+                unfinished,
+                state=self._world.save(),
+                pictures=np.array(self._pictures),
+                contact_s=np.array(self.config.contact_s),
+                positions=self._world.positions,
+                faces=self._flat.faces,
+            )
+
+    def restore(self, path: Path) -> None:
+        """Go back to what `save` wrote of the same garment and seed.
+
+        Raises:
+            InvalidResultError: the file is missing or damaged.
+            InvalidConfigError: it is of another cloth, or of a world with other contacts.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                state, pictures = file["state"], int(file["pictures"])
+                # Worlds that do not say it were saved before there was a choice.
+                contact_s = float(file["contact_s"]) if "contact_s" in file else USUAL_CONTACT_S
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise InvalidResultError(
+                f"{path}: not a saved world ({error}); remove the episode and begin again"
+            ) from error
+        if contact_s != self.config.contact_s:
+            raise InvalidConfigError(
+                f"{path}: saved with a contact_s of {contact_s}, not {self.config.contact_s}; "
+                "choose another folder, or remove this one"
+            )
+        self._world.restore(state)
+        self._pictures = pictures
+
+    # What no camera knows
+
+    def true_cloth(self) -> tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]:
+        """The true garment at rest and where it is [m]: for scoring and the named control only."""
+        return self._flat, self._world.positions
+
+    # Inside
+
+    @property
+    def frame_s(self) -> float:
+        """Time between two pictures [s]."""
+        return 1.0 / self._episode.action.frame_rate
+
+    @property
+    def _stride(self) -> int:
+        return round(self.frame_s / TIME_STEP_S)
+
+    def _carried(self, action: PickPlace) -> Float[np.ndarray, "steps 3"]:
+        planned = PlannedAction(np.zeros(0, np.int64), action.pick, action.place, action.lift_m)
+        speed = min(self._episode.action.speed, self.config.limits.speed)
+        return carrying_path(planned, replace(self._episode.action, speed=speed), TIME_STEP_S)
+
+    def _under(self, pick: Float[np.ndarray, " 3"]) -> Int[np.ndarray, " held"]:
+        """Vertices that closing fingers take: the uppermost layers of the cloth under the tip."""
+        positions = self._world.positions
+        gap = np.linalg.norm(positions[:, :2] - pick[:2], axis=1)
+        column = np.flatnonzero(gap < self._episode.action.grasp_radius_m)
+        column = column[np.argsort(-positions[column, 2], kind="stable")]
+        held: list[int] = []
+        for vertex in column:
+            apart = [np.linalg.norm(self._flat.vertices[vertex] - self._flat.vertices[one])
+                     for one in held]  # fmt: skip
+            if len(held) < self.config.layers and all(one > 0.03 for one in apart):
+                held.append(int(vertex))
+        return np.array(held, dtype=np.int64)
+
+    def _retreat(self, way: "_Way", tip: Float[np.ndarray, " 3"]) -> None:
+        """Draw the tool back while the cloth comes to rest; the last picture shows no tool."""
+        episode = self._episode
+        away = self._scene.out_of_picture(tip)
+        path = free_path(tip, away, episode.action)
+        limit = int(np.ceil(episode.settle_limit_s / self.frame_s))
+        resting = False
+        for frame in range(max(len(path), limit)):
+            if not resting and frame < limit:
+                self._world.step(self._stride)
+                resting = self._world.speed_rms < episode.settle_speed
+            last = frame >= len(path) - 1 and (resting or frame >= limit - 1)
+            way.take(path[min(frame, len(path) - 1)], needed=last)
+            if last:
+                break
+
+    def tick(self) -> float:
+        """The time of the camera's next picture [s], which is past then."""
+        self._pictures += 1
+        return (self._pictures - 1) * self.frame_s
+
+    def picture(self, tip: Float[np.ndarray, " 3"] | None) -> RgbdFrame:
+        """A picture with the tool's tip here [m]; None: without the tool."""
+        shown = self._sensor.capture(self._world.positions, tip)
+        return RgbdFrame(
+            self.tick(), self._scene.camera, shown.depth.astype(np.float32), color=shown.color
+        )
+
+
+class _Way:
+    """The tip's way through one action, and the pictures taken on it."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+        self.film: list[RgbdFrame] = []
+        self.times: list[float] = []
+        self.tips: list[Float[np.ndarray, " 3"]] = []
+        self.closed: list[bool] = []
+
+    def take(
+        self, tip: Float[np.ndarray, " 3"], *, closed: bool = False, needed: bool = False
+    ) -> None:
+        """Note where the tip is; take a picture if one is wanted."""
+        robot = self._robot
+        if robot.config.film or needed or not self.film:
+            self.film.append(robot.picture(tip))
+            self.times.append(self.film[-1].time_s)
+        else:
+            self.times.append(robot.tick())
+        self.tips.append(np.array(tip))
+        self.closed.append(closed)

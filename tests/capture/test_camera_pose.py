@@ -1,0 +1,169 @@
+"""A recording's cameras get their place; what stands in the old world is not broken silently."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from clothtrack.capture.board import Board
+from clothtrack.capture.camera_pose import (
+    CameraPlacement,
+    camera_named,
+    place_by_board,
+    place_by_robot,
+    place_by_table,
+    place_camera,
+    save_placement,
+)
+from clothtrack.capture.hand_eye import RobotPose
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.store import RecordingWriter, read_recording
+
+BOARD = Board(7, 5, 0.03, 0.022)
+
+
+def camera_above(degrees=10.0):
+    turn = Rotation.from_rotvec(np.radians([degrees, degrees / 2, 0.0])).as_matrix()
+    pose = np.eye(4)
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ turn
+    pose[:3, 3] = pose[:3, 2] * (0.7 / pose[2, 2])
+    return Camera("top", 640, 480, 600.0, 600.0, 319.5, 239.5, pose)
+
+
+def warped(camera, world_from_board):
+    """A picture of the board lying somewhere, on grey."""
+    pixels = 40
+    picture = BOARD.picture(pixels)
+    height, width = picture.shape
+    scale = BOARD.square_m / pixels
+    to_board = np.array(
+        [[scale, 0, (0.5 - width / 2) * scale], [0, -scale, (height / 2 - 0.5) * scale], [0, 0, 1]]
+    )
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    pose = np.linalg.inv(camera.world_from_camera) @ world_from_board
+    fine = np.array([[2, 0, 0.5], [0, 2, 0.5], [0, 0, 1]])
+    mapping = fine @ matrix @ pose[:3][:, [0, 1, 3]] @ to_board
+    size = 2 * camera.width, 2 * camera.height
+    shown = cv2.warpPerspective(picture, mapping, size, flags=cv2.INTER_AREA, borderValue=190)
+    shown = cv2.resize(shown, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return np.repeat(shown[..., None], 3, axis=2)
+
+
+def table_depth(camera):
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = np.stack(
+        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)], -1
+    )
+    return -camera.position[2] / (rays @ camera.world_from_camera[2, :3])
+
+
+@pytest.fixture
+def filmed(tmp_path):
+    """A recording without any pose: a board on a table, turned and off the middle."""
+    camera = camera_above()
+    board = np.eye(4)
+    board[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
+    board[:3, 3] = [0.04, -0.02, 0.0]
+    depth = table_depth(camera)
+    noise = np.random.default_rng(0).normal(0, 0.001, (2, *depth.shape))
+    with RecordingWriter(
+        tmp_path / "film", [replace(camera, world_from_camera=np.eye(4))], {"top": 0.0005}
+    ) as writer:
+        for number, off in enumerate(noise):
+            writer.add_frame(
+                0.1 * number, color={"top": warped(camera, board)}, depth={"top": depth + off}
+            )
+    return read_recording(tmp_path / "film"), camera, board
+
+
+def off(found, true):
+    turn = Rotation.from_matrix(found[:3, :3].T @ true[:3, :3]).magnitude()
+    return np.degrees(turn), 1e3 * np.linalg.norm(found[:3, 3] - true[:3, 3])
+
+
+def test_by_the_table(filmed):
+    recording, camera, _ = filmed
+    place_camera(recording, place_by_table(recording, recording.cameras[0]))
+    again = read_recording(recording.folder)
+    found = again.cameras[0].world_from_camera
+    np.testing.assert_allclose(again.table.normal, [0, 0, 1])
+    assert np.degrees(np.arccos(found[2, :3] @ camera.world_from_camera[2, :3])) < 0.05
+    assert abs(found[2, 3] - camera.position[2]) < 0.0005
+    assert again.provenance["camera_placement"]["by"] == "table"
+
+
+def test_by_a_board(filmed):
+    recording, camera, board = filmed
+    placement = place_by_board(recording, recording.cameras[0], BOARD)
+    angle, distance = off(
+        placement.world_from_camera, np.linalg.inv(board) @ camera.world_from_camera
+    )
+    assert angle < 0.2
+    assert distance < 1.5
+    assert abs(placement.told["depth_beyond_board_mm"]) < 1.5
+    raised = place_by_board(recording, recording.cameras[0], BOARD, thickness_m=0.005)
+    lift = raised.world_from_camera[:3, 3] - placement.world_from_camera[:3, 3]
+    np.testing.assert_allclose(lift, [0, 0, 0.005], atol=1e-12)
+
+
+def test_by_a_robot_that_holds_the_board(filmed, tmp_path):
+    recording, camera, _ = filmed
+    rng = np.random.default_rng(1)
+    base_from_world = np.eye(4)
+    base_from_world[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 1.0]).as_matrix()
+    base_from_world[:3, 3] = [0.4, 0.1, -0.1]
+    gripper_from_board = np.eye(4)
+    gripper_from_board[:3, 3] = [0.0, 0.02, 0.05]
+    poses = []
+    for number in range(9):
+        board = np.eye(4)
+        board[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.35, 3)).as_matrix()
+        board[:3, 3] = [*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.0, 0.15)]
+        path = tmp_path / f"{number}.png"
+        cv2.imwrite(str(path), warped(camera, board))
+        poses.append(RobotPose(path, base_from_world @ board @ np.linalg.inv(gripper_from_board)))
+    placement, found = place_by_robot(recording, recording.cameras[0], BOARD, poses)
+    angle, distance = off(found.pose, base_from_world @ camera.world_from_camera)
+    assert angle < 0.3
+    assert distance < 3.0
+    assert placement.told["pictures_used"] == 9
+    assert placement.told["residual_mm"] < 2.0
+    place_camera(recording, placement)
+    table = read_recording(recording.folder).table
+    assert np.degrees(np.arccos(min(1.0, table.normal[2]))) < 0.3
+    assert abs(table.heights(np.array([[0.4, 0.1, -0.1]]))[0]) < 0.003
+
+
+def test_what_stands_in_the_world_is_not_moved_silently(write, tmp_path):
+    recording = write(tmp_path / "a")
+    text = (tmp_path / "a" / "recording.json").read_text()
+    placement = CameraPlacement("top", camera_above().world_from_camera, None, {"by": "test"})
+    with pytest.raises(InvalidRecordingError, match=r"picker.csv and the template and observed"):
+        place_camera(recording, placement)
+    assert (tmp_path / "a" / "recording.json").read_text() == text
+    place_camera(recording, placement, force=True)
+    again = read_recording(tmp_path / "a")
+    np.testing.assert_allclose(
+        again.cameras[0].world_from_camera, placement.world_from_camera, atol=1e-12
+    )
+    np.testing.assert_array_equal(
+        again.picker_paths["arm"].positions, recording.picker_paths["arm"].positions
+    )
+
+
+def test_a_placement_is_a_json_file(filmed, tmp_path):
+    recording, _, _ = filmed
+    placement = place_by_table(recording, recording.cameras[0])
+    save_placement(tmp_path / "pose.json", placement)
+    stored = json.loads((tmp_path / "pose.json").read_text())
+    np.testing.assert_array_equal(stored["world_from_camera"], placement.world_from_camera)
+    assert stored["camera"] == "top"
+
+
+def test_an_unknown_camera_is_refused(filmed):
+    with pytest.raises(InvalidConfigError, match="there is no camera 'side'; cameras: top"):
+        camera_named(filmed[0], "side")

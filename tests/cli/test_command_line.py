@@ -1,0 +1,174 @@
+"""The command line: quick help, the right exit code, one clear line when something is wrong."""
+
+import errno
+import json
+import resource
+import subprocess
+import sys
+
+import pytest
+
+from clothtrack.cli import command_line as cli
+from clothtrack.errors import InvalidRecordingError
+
+
+def run(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "clothtrack.cli", *words],
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+
+
+def children_cpu_s():
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+BARE = "import tyro\ndef peer(x: int = 1) -> None: ...\ntyro.cli(peer, args=['--help'])"
+"""The least that a command line of this kind costs."""
+
+
+def test_help_is_quick_and_lists_the_verbs_in_order():
+    ours, bare = [], []
+    for _ in range(3):
+        before = children_cpu_s()
+        shown = run("--help")
+        between = children_cpu_s()
+        subprocess.run([sys.executable, "-c", BARE], capture_output=True, check=True)
+        ours.append(between - before)
+        bare.append(children_cpu_s() - between)
+    assert shown.returncode == 0
+    places = [
+        shown.stdout.index(f"• {verb}")
+        for verb in ("demo", "inspect", "simulate", "bench", "track", "evaluate", "view", "export")
+    ]
+    assert places == sorted(places)
+    # 3 times here, 0.27 s on a quiet machine; one stage that is loaded (Warp, MuJoCo) makes it 10.
+    assert min(ours) < 5.0 * min(bare)
+
+
+def test_help_loads_no_stage():
+    code = (
+        "import sys\nfrom clothtrack.cli.command_line import main\n"
+        "try:\n    main(['track', '--help'])\nexcept SystemExit:\n    pass\n"
+        "sys.exit(len({'warp', 'scipy', 'cv2', 'zarr', 'mujoco'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["trak"],
+        ["track", "folder"],
+        ["track", "--output", "out"],
+        ["demo", "--mode", "best"],
+        ["evaluate", "--recordings", "folder"],
+    ],
+)
+def test_wrong_usage_exits_with_2(words):
+    assert run(*words).returncode == 2
+
+
+def test_bad_input_is_one_line_on_standard_error(tmp_path):
+    told = run("export", str(tmp_path / "nothing.zarr"), "--output", str(tmp_path / "out"))
+    assert told.returncode == 1
+    assert told.stdout == ""
+    assert told.stderr.count("\n") == 1
+    assert "nothing.zarr" in told.stderr
+
+
+def test_no_trajectories_cannot_be_simulated(tmp_path):
+    told = run("simulate", str(tmp_path / "out"), "--trajectories", "0")
+    assert told.returncode == 1
+    assert "trajectories is 0" in told.stderr
+
+
+def test_an_unusable_recording_is_inspected_with_exit_code_1(tmp_path, capsys):
+    assert cli.main(["inspect", str(tmp_path), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["valid"] is False
+    assert found["violations"]
+
+
+def raising(error):
+    def verb() -> int:
+        """Fail."""
+        raise error
+
+    return verb
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (InvalidRecordingError("recording.json: no frames"), 1, "recording.json: no frames"),
+        (OSError(errno.ENOSPC, "No space left on device", "out/a.zarr"), 1, "out/a.zarr: the disk"),
+        (PermissionError(errno.EACCES, "Permission denied", "out"), 1, "out: no permission"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_what_can_go_wrong_is_said_in_one_line(monkeypatch, capsys, error, code, told):
+    fail = raising(error)
+    fail.__name__ = "fail"
+    monkeypatch.setattr(cli, "VERBS", [fail, cli.inspect])
+    assert cli.main(["fail"]) == code
+    shown = capsys.readouterr()
+    assert told in shown.err
+    assert shown.err.count("\n") == 1
+    assert shown.out == ""
+
+
+def test_a_defect_of_ours_is_not_hidden(monkeypatch):
+    fail = raising(ZeroDivisionError())
+    fail.__name__ = "fail"
+    monkeypatch.setattr(cli, "VERBS", [fail, cli.inspect])
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["fail"])
+
+
+def test_every_mode_of_the_tracker_is_offered():
+    from clothtrack.tracking.configuration import MODES
+
+    assert set(cli.Mode.__args__) == set(MODES)
+
+
+WITHOUT_THE_EXTRA = """
+import importlib, pkgutil, sys
+from importlib.machinery import PathFinder
+
+EXTRA = ("torch", "safetensors", "skimage", "igl", "tensorboard")
+find = PathFinder.find_spec
+
+def find_others(name, path=None, target=None):
+    return None if name.partition(".")[0] in EXTRA else find(name, path, target)
+
+PathFinder.find_spec = find_others  # as if they were not installed
+import clothtrack
+for found in pkgutil.walk_packages(clothtrack.__path__, "clothtrack."):
+    if not found.name.startswith(("clothtrack.reconstruction", "clothtrack.planning.graph_dynamics")):
+        importlib.import_module(found.name)
+
+from clothtrack.cli.command_line import main
+for words in (
+    ["label", "x.zarr", "--recordings", "x", "--output", "x"],
+    ["pretrain", "x", "--output", "x"],
+    ["finetune", "x", "x", "--output", "x"],
+    ["reconstruct", "x.png"],
+):
+    print(main(words))
+assert not set(EXTRA) & set(sys.modules)
+"""
+
+
+def test_without_the_extra_all_but_learning_works_and_learning_says_what_it_needs():
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_THE_EXTRA],
+        capture_output=True, text=True, check=True, timeout=300,
+    )  # fmt: skip
+    assert done.stdout.split() == ["1"] * 4
+    lines = done.stderr.splitlines()
+    assert len(lines) == 4
+    for line in lines:
+        assert "learning needs torch" in line
+        assert line.endswith("pip install 'clothtrack[learn]'")

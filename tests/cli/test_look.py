@@ -1,0 +1,144 @@
+"""What `view` and `export` are given decides what they show; one clear line where it cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clothtrack.cli import command_line as cli
+from clothtrack.evaluation.label_review import LabelReview, review_path
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.recordings.mesh_file import write_mesh
+from clothtrack.recordings.recording import ClothDescription
+from clothtrack.recordings.store import RecordingWriter
+from clothtrack.simulation.garments import garment
+from clothtrack.tracking.tracked_trajectory import (
+    Calibration,
+    StepRecords,
+    TrackedAction,
+    TrackedTrajectory,
+)
+
+POSE = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.6], [0, 0, 0, 1]])
+CAMERA = Camera("top", 96, 72, 90.0, 90.0, 47.5, 35.5, POSE)
+TOWEL = garment("towel", vertex_count=80, size_m=(0.2, 0.2))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """A recording of a towel that is lifted a little, and two tracked trajectories of it."""
+    folder = tmp_path_factory.mktemp("world")
+    states = [TOWEL.vertices + (0.0, 0.0, 0.004 + 0.01 * step) for step in range(3)]
+    with RecordingWriter(
+        folder / "recordings" / "lift", [CAMERA], {"top": 1e-4}, cloth=ClothDescription("towel")
+    ) as writer:
+        for step, vertices in enumerate(states):
+            drawn = Rasteriser(TOWEL.faces, CAMERA).render(vertices)
+            seen = drawn.faces >= 0
+            depth = np.where(seen, drawn.depth, 0.6).astype(np.float32)
+            writer.add_frame(0.1 * step, depth={"top": depth}, mask={"top": seen})
+    none = Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+    action = TrackedAction(0, 2, states[2], states[2], np.zeros(2), {}, none, {})
+    tracked = TrackedTrajectory(
+        name="lift",
+        mesh=TOWEL,
+        frames=np.arange(3),
+        time_s=np.arange(3) / 10,
+        positions=np.stack(states).astype(np.float32),
+        visible=np.ones((3, TOWEL.vertex_count), bool),
+        actions=(action,),
+        steps=StepRecords.empty(3),
+    )
+    tracked.save(folder / "tracked" / "lift.zarr")
+    truth = {"positions": np.stack(states), "faces": TOWEL.faces, "frames": np.arange(3)}
+    (folder / "truth").mkdir()
+    np.savez(folder / "truth" / "lift.npz", canonical=TOWEL.canonical, **truth)
+    write_mesh(TOWEL, folder / "towel.obj")
+    return folder
+
+
+def test_a_trajectory_its_truth_and_its_review_are_in_one_page(world, tmp_path, capsys):
+    tracked = TrackedTrajectory.load(world / "tracked" / "lift.zarr")
+    path = review_path(world / "tracked" / "lift.zarr")
+    LabelReview.blank(tracked).decided(0, "rejected").save(path)
+    words = ["view", str(world / "tracked" / "lift.zarr"), "--html", str(tmp_path / "p.html")]
+    words += ["--recordings", str(world / "recordings")]
+    try:
+        assert cli.main([*words, "--truth", str(world / "truth")]) == 0
+        text = (tmp_path / "p.html").read_text(encoding="utf-8")
+        assert "Error against the truth" in text
+        assert "&quot;verdict&quot;: &quot;rejected&quot;" in text
+        path.write_text('{"format": "clothtrack-label-review", "version": 7}')
+        assert cli.main(words) == 1
+        assert "version 1" in capsys.readouterr().err
+    finally:
+        path.unlink()
+
+
+def test_a_recording_and_a_mesh_are_shown_without_more(world, tmp_path, capsys):
+    for artefact in (world / "recordings" / "lift", world / "towel.obj"):
+        page = tmp_path / f"{artefact.stem}.html"
+        assert cli.main(["view", str(artefact), "--html", str(page)]) == 0
+        assert page.exists()
+        assert cli.main(["view", str(artefact), "--truth", str(world / "truth")]) == 1
+        assert "is not tracked" in capsys.readouterr().err
+
+
+def test_a_folder_has_an_index_that_names_what_is_broken(world, tmp_path, capsys):
+    (world / "tracked" / "torn.zarr").mkdir()
+    try:
+        words = ["view", str(world / "tracked"), "--recordings", str(world / "recordings")]
+        assert cli.main([*words, "--html", str(tmp_path / "index.html")]) == 0
+    finally:
+        (world / "tracked" / "torn.zarr").rmdir()
+    text = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert '<a href="lift.html">' in text
+    assert "torn.zarr is not a tracked trajectory" in text
+    assert (tmp_path / "lift.html").exists()
+
+
+def test_a_name_in_a_result_leads_out_of_no_folder(world, tmp_path, capsys):
+    tracked = TrackedTrajectory.load(world / "tracked" / "lift.zarr")
+    replace(tracked, name="../../x").save(tmp_path / "lift.zarr")
+    recording = ["--recordings", str(world / "recordings" / "lift")]
+    for words in (["label", "--output", str(tmp_path / "a" / "b")], ["evaluate"]):
+        assert cli.main([words[0], str(tmp_path / "lift.zarr"), *words[1:], *recording]) == 1
+        told = capsys.readouterr().err
+        assert "its name is '../../x'" in told
+        assert told.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["lift.zarr"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["view", "tracked/lift.zarr"], "add --recordings"),
+        (["view", "tracked"], "add --recordings"),
+        (["view", "nothing.zarr", "--recordings", "recordings"], "no such file or folder; view "),
+        (["view", "truth"], "truth is a folder with lift.npz; view takes NAME.zarr that"),
+        (["view", "truth/lift.npz"], "is a .npz file; view takes NAME.zarr that `track` wrote"),
+        (["view", "recordings"], "such as recordings/lift"),
+        (["view", "film.mcap"], "make a recording of it first: clothtrack import"),
+        (["view", "half.zarr"], "has no zarr.json: it was not finished"),
+        (["view", "none.ply"], "none.ply"),
+        (["export", "tracked/lift.zarr", "--output", "x", "--format", "mp4"], "--recordings"),
+        (["export", "tracked/lift.zarr", "--output", "x", "--rows", "0"], "rows is 0"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(world, monkeypatch, capsys, words, told):
+    monkeypatch.chdir(world)
+    (world / "film.mcap").touch()
+    (world / "half.zarr").mkdir(exist_ok=True)
+    assert cli.main(words) == 1
+    shown = capsys.readouterr()
+    assert told in shown.err
+    assert shown.err.count("\n") == 1
+
+
+def test_a_sheet_is_exported(world, tmp_path, capsys):
+    words = ["export", str(world / "tracked" / "lift.zarr"), "--format", "sheet"]
+    words += ["--recordings", str(world / "recordings"), "--output", str(tmp_path / "s")]
+    assert cli.main([*words, "--rows", "2"]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "s.png")
+    assert (tmp_path / "s.png").exists()

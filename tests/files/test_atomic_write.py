@@ -1,0 +1,172 @@
+import errno
+import os
+import shutil
+
+import pytest
+
+from clothtrack.errors import StorageError
+from clothtrack.files.atomic_write import (
+    name_problem,
+    storage,
+    whole_file,
+    whole_folder,
+    write_file,
+)
+
+
+def _break_off(opened, path):
+    with opened(path) as temporary:
+        target = temporary / "part" if temporary.is_dir() else temporary
+        target.write_text("half")
+        raise RuntimeError("power cut")
+
+
+@pytest.mark.parametrize("opened", [whole_file, whole_folder])
+def test_nothing_appears_when_the_writer_fails(opened, tmp_path):
+    with pytest.raises(RuntimeError):
+        _break_off(opened, tmp_path / "result")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_there_stays_when_the_writer_fails(tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text("yesterday")
+    with pytest.raises(RuntimeError):
+        _break_off(whole_file, path)
+    assert path.read_text() == "yesterday"
+
+
+def test_a_finished_file_replaces_the_one_before(tmp_path):
+    path = tmp_path / "deep" / "page.html"
+    for words in ("yesterday", "today"):
+        with whole_file(path) as temporary:
+            temporary.write_text(words)
+    assert path.read_text() == "today"
+    assert [found.name for found in path.parent.iterdir()] == ["page.html"]
+
+
+@pytest.mark.parametrize("opened", [whole_file, whole_folder])
+def test_a_place_that_cannot_be_written_to_is_named(opened, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    path = tmp_path / "file" / "result"
+    with pytest.raises(StorageError, match="file/result"), opened(path):
+        pass
+
+
+def test_a_finished_folder_replaces_the_one_before_when_it_is_to(tmp_path):
+    path = tmp_path / "states.zarr"
+    for words in ("yesterday", "today"):
+        with whole_folder(path, replace=True) as temporary:
+            (temporary / words).touch()
+    assert [found.name for found in path.iterdir()] == ["today"]
+    assert [found.name for found in tmp_path.iterdir()] == ["states.zarr"]
+
+
+def test_the_folder_before_stays_when_the_new_one_cannot_take_its_place(tmp_path, monkeypatch):
+    path = tmp_path / "states.zarr"
+    with whole_folder(path) as temporary:
+        (temporary / "yesterday").touch()
+    rename = os.replace
+
+    def refused(source, target):
+        if (source / "today").exists():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "replace", refused)
+    with (
+        pytest.raises(StorageError, match="the disk is full"),
+        whole_folder(path, replace=True) as temporary,
+    ):
+        (temporary / "today").touch()
+    assert [found.name for found in path.iterdir()] == ["yesterday"]
+    assert [found.name for found in tmp_path.iterdir()] == ["states.zarr"]
+
+
+def test_no_folder_is_half_removed_under_its_name(tmp_path, monkeypatch):
+    path = tmp_path / "states.zarr"
+    removed = []
+    remove = shutil.rmtree
+
+    def watched(folder, **options):
+        removed.append(folder)
+        remove(folder, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", watched)
+    for words in ("yesterday", "today"):
+        with whole_folder(path, replace=True) as temporary:
+            (temporary / words).touch()
+    assert all(folder.name.startswith(".") for folder in removed)
+
+
+def test_a_file_gives_way_to_no_folder(tmp_path):
+    (tmp_path / "states.zarr").write_text("mine")
+    with (
+        pytest.raises(StorageError, match="a file is where a folder belongs"),
+        whole_folder(tmp_path / "states.zarr", replace=True),
+    ):
+        pass
+    assert (tmp_path / "states.zarr").read_text() == "mine"
+
+
+def test_what_late_writers_keep_alive_is_removed_too(tmp_path, monkeypatch):
+    """A writer that has not heard of the failure makes the first removals fail."""
+    remove, calls = shutil.rmtree, []
+
+    def fails_twice(folder, **options):
+        calls.append(folder)
+        if len(calls) > 2:
+            remove(folder, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", fails_twice)
+    with pytest.raises(RuntimeError):
+        _break_off(whole_folder, tmp_path / "result")
+    assert len(calls) == 3
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"), [(errno.ENOSPC, "disk is full"), (errno.ENOTEMPTY, "in the way")]
+)
+def test_what_the_system_says_comes_with_a_remedy(number, remedy, tmp_path):
+    with pytest.raises(StorageError, match=rf"result: .*{remedy}"), storage(tmp_path / "result"):
+        raise OSError(number, "what the system says")
+
+
+def test_a_disk_that_fills_up_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "picker.csv"
+    write_file(path, b"old")
+
+    def full(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StorageError, match="the disk is full"):
+        write_file(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert [found.name for found in tmp_path.iterdir()] == ["picker.csv"]
+
+
+@pytest.mark.parametrize("name", ["towel_0001", "my shirt", "größer.2", "x" * 200, "..."])
+def test_a_plain_name_names_one_entry_of_a_folder(name):
+    assert name_problem(name) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("", "empty"),
+        (".", "a folder itself"),
+        ("..", "a folder itself"),
+        ("../x", "separator"),
+        ("/x", "separator"),
+        ("C:\\x", "separator"),
+        ("a\0", "control"),
+        ("a\x85b", "control"),
+        ("x" * 201, "201 characters"),
+        (7, "no text"),
+        (None, "no text"),
+    ],
+)
+def test_what_is_wrong_with_another_name_is_said(name, told):
+    assert told in name_problem(name)

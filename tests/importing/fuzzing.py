@@ -1,0 +1,195 @@
+"""Damages files of one format in many ways and imports each: run by `test_fuzz.py`, alone.
+
+    python fuzzing.py FORMAT FIRST COUNT FOLDER
+
+A process of its own, so that its memory can be limited and a crash of a library is seen. Ends with
+1 and says which case did what it must not.
+"""
+
+import importlib.util
+import resource
+import shutil
+import signal
+import sys
+import time
+import traceback
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+_spec = importlib.util.spec_from_file_location(
+    "import_makers", Path(__file__).with_name("makers.py")
+)
+makers = importlib.util.module_from_spec(_spec)
+sys.modules["import_makers"] = makers
+_spec.loader.exec_module(makers)
+
+from clothtrack.errors import ClothTrackError  # noqa: E402
+from clothtrack.geometry.devices import quiet_warp  # noqa: E402
+from clothtrack.importing.import_recording import ImportConfig, import_recording  # noqa: E402
+from clothtrack.importing.source import Wanted  # noqa: E402
+
+LONGEST_S = 10
+MOST_MEMORY = 2**30
+FORMATS = (
+    "ros1", "ros1-lz4", "mcap", "mcap-zstd", "sqlite", "realsense-bag", "realsense-db3", "kinect",
+    "tum", "open3d", "bop",
+)  # fmt: skip
+NASTY = (0, 1, 0x7F, 0x80, 0xFF)
+
+
+def seed_file(kind, folder):
+    """A small valid recording of a format."""
+    film = makers.Film(frames=3, width=16, height=12)
+    ros1, ros2 = makers.Messages(cdr=False), makers.Messages(cdr=True)
+    if kind.startswith("ros1"):
+        compression = "lz4" if kind.endswith("lz4") else None
+        return makers.write_ros1(
+            folder / "seed.bag", makers.stream(film, ros1), ros1, compression=compression
+        )
+    if kind.startswith("mcap") or kind == "sqlite":
+        bag = makers.write_ros2(
+            folder / "seed", makers.stream(film, ros2), ros2,
+            storage="sqlite3" if kind == "sqlite" else "mcap",
+            compression="storage" if kind.endswith("zstd") else None,
+        )  # fmt: skip
+        return next(one for one in bag.iterdir() if one.suffix in (".db3", ".mcap"))
+    if kind == "realsense-bag":
+        return makers.write_realsense_bag(folder / "seed.bag", film)
+    if kind == "realsense-db3":
+        return makers.write_realsense_db3(folder / "seed.db3", film, 0.01)
+    if kind == "kinect":
+        rng = np.random.default_rng(0)
+        depth = rng.integers(500, 900, (2, 288, 320)).astype(np.uint16)
+        return makers.write_kinect(folder / "seed.mkv", depth, None, film.times - makers.START_NS)
+    return makers.write_folder(folder / "seed", film, kind)
+
+
+def damaged(data, rng):
+    """Bytes with a few changes: flipped, overwritten, cut, doubled, shortened or lengthened."""
+    data = bytearray(data)
+    for _ in range(int(rng.integers(1, 6))):
+        if not data:
+            break
+        # Half of the damage hits the start, where the structure is.
+        reach = len(data) if rng.random() < 0.5 else min(len(data), 4096)
+        at, size = int(rng.integers(reach)), int(2 ** rng.integers(0, 7))
+        how = rng.integers(7)
+        if how == 0:
+            data[at] ^= 1 << int(rng.integers(8))
+        elif how == 1:
+            data[at : at + size] = bytes(rng.integers(0, 256, size, dtype=np.uint8))
+        elif how == 2:
+            data[at : at + 4] = bytes([NASTY[int(rng.integers(len(NASTY)))]] * 4)
+        elif how == 3:
+            del data[at : at + size]
+        elif how == 4:
+            data[at:at] = data[at : at + size]
+        elif how == 5:
+            data[at : at + 8] = int(rng.integers(0, 2**63)).to_bytes(8, "little")
+        else:
+            del data[int(rng.integers(len(data))) :]
+    return bytes(data)
+
+
+def damage_folder(folder, rng):
+    """Damage one file of a folder, or take it away."""
+    files = sorted(one for one in folder.rglob("*") if one.is_file())
+    text = [one for one in files if one.suffix in (".txt", ".json")]
+    chosen = text if text and rng.random() < 0.5 else files
+    file = chosen[int(rng.integers(len(chosen)))]
+    if rng.random() < 0.1:
+        file.unlink()
+    else:
+        file.write_bytes(damaged(file.read_bytes(), rng))
+
+
+def listing(folder):
+    return {one: one.stat().st_size for one in folder.rglob("*")}
+
+
+def one_case(kind, seed, place):
+    """Damage and import once: "imported", "refused" or what went wrong."""
+    rng = np.random.default_rng([seed, FORMATS.index(kind)])
+    box = place / "case"
+    box.mkdir()
+    source = box / seed_of(place).name
+    if seed_of(place).is_dir():
+        shutil.copytree(seed_of(place), source)
+        damage_folder(source, rng)
+    else:
+        source.write_bytes(damaged(seed_of(place).read_bytes(), rng))
+    lens = makers.lens_file(box / "lens.json", makers.Film(width=16, height=12))
+    wanted = Wanted(
+        intrinsics=lens if kind == "tum" or rng.random() < 0.1 else None,
+        depth_unit_m=0.001 if kind == "tum" else None,
+        fps=30.0 if kind == "bop" else None,
+        picker_topic="/picker" if rng.random() < 0.1 else None,
+    )
+    before = listing(place)
+    outcome, started = "imported", time.monotonic()
+    signal.alarm(LONGEST_S)
+    try:
+        import_recording(source, box / "out", ImportConfig(wanted, workers=1))
+    except ClothTrackError as error:
+        outcome = "refused"
+        if len(str(error)) > 4000:
+            return f"a message of {len(str(error))} characters"
+    except BaseException:  # noqa: BLE001
+        return traceback.format_exc()
+    finally:
+        signal.alarm(0)
+    if time.monotonic() - started > LONGEST_S:
+        return "too slow"
+    outside = {
+        one: size
+        for one, size in listing(place).items()
+        if (box / "out") not in (one, *one.parents)
+    }
+    shutil.rmtree(box)
+    return outcome if outside == before else f"files changed: {outside.keys() ^ before.keys()}"
+
+
+def seed_of(place):
+    return next((place / "seeds").iterdir())
+
+
+class HangError(BaseException):
+    """A case takes too long."""
+
+
+def on_alarm(*_):
+    raise HangError
+
+
+def main(kind, first, count, folder):
+    quiet_warp()
+    place = Path(folder)
+    (place / "seeds").mkdir(parents=True)
+    made = place / "made"
+    made.mkdir()
+    seed = seed_file(kind, made)
+    shutil.move(seed, place / "seeds" / seed.name)
+    shutil.rmtree(made)
+    signal.signal(signal.SIGALRM, on_alarm)
+    # The first import compiles and loads; what it takes is not the file's doing.
+    one_case(kind, 2**31, place)
+    shutil.rmtree(place / "case", ignore_errors=True)
+    with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123
+        used = int(file.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_MEMORY, used + MOST_MEMORY))
+    outcomes = Counter()
+    for number in range(int(first), int(first) + int(count)):
+        outcome = one_case(kind, number, place)
+        outcomes[outcome] += 1
+        if outcome not in ("imported", "refused"):
+            sys.exit(f"{kind}, case {number}: {outcome}")
+    sys.stdout.write(f"{kind}: {dict(outcomes)}\n")
+    # Damage that always or never stops the import would test nothing.
+    if min(outcomes["imported"], outcomes["refused"]) < int(count) // 20:
+        sys.exit(f"{kind}: {dict(outcomes)}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

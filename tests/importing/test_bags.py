@@ -1,0 +1,265 @@
+"""ROS 1 and ROS 2 bags: every bit of depth arrives, whatever the container."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from import_makers import (
+    START_NS,
+    Film,
+    Messages,
+    color_of,
+    depth_of,
+    png,
+    stream,
+    write_ros1,
+    write_ros2,
+)
+from mcap.writer import CompressionType
+from mcap_ros2.writer import Writer as OtherMcapWriter
+from rosbags.highlevel import AnyReader
+
+from clothtrack.errors import ClothTrackError, InvalidRecordingError
+from clothtrack.importing.bag_walk import open_parts
+from clothtrack.importing.import_recording import ImportConfig, import_recording
+from clothtrack.importing.ros_bags import bag_files
+from clothtrack.importing.source import Wanted
+from clothtrack.recordings.store import read_recording
+
+ROS2 = Messages(cdr=True)
+ROS1 = Messages(cdr=False)
+WRITERS = {
+    "mcap": lambda path, film: write_ros2(path, stream(film, ROS2), ROS2),
+    "mcap zstd": lambda path, film: write_ros2(
+        path, stream(film, ROS2), ROS2, compression="storage"
+    ),
+    "sqlite": lambda path, film: write_ros2(path, stream(film, ROS2), ROS2, storage="sqlite3"),
+    "sqlite, each message zstd": lambda path, film: write_ros2(
+        path, stream(film, ROS2), ROS2, storage="sqlite3", compression="message"
+    ),
+    "ros 1": lambda path, film: write_ros1(path, stream(film, ROS1), ROS1),
+    "ros 1 bz2": lambda path, film: write_ros1(path, stream(film, ROS1), ROS1, compression="bz2"),
+    "ros 1 lz4": lambda path, film: write_ros1(path, stream(film, ROS1), ROS1, compression="lz4"),
+}
+
+
+def as_lists(value):
+    """A message as dictionaries and lists, which the other writer takes."""
+    if hasattr(value, "__dataclass_fields__"):
+        names = [name for name in value.__dataclass_fields__ if name != "__msgtype__"]
+        return {name: as_lists(getattr(value, name)) for name in names}
+    if isinstance(value, np.ndarray):
+        return value.tobytes() if value.dtype == np.uint8 else value.tolist()
+    return value
+
+
+def assert_same(recording, film, frames=slice(None)):
+    assert np.array_equal(depth_of(recording), film.depth[frames])
+    assert np.array_equal(color_of(recording), film.color[frames])
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_every_bit_arrives(kind, film, tmp_path):
+    source = WRITERS[kind](tmp_path / "bag", film)
+    report = import_recording(source, tmp_path / "out")
+    assert_same(tmp_path / "out", film)
+    recording = read_recording(tmp_path / "out")
+    times = [frame.time_s for frame in recording.frames]
+    assert np.allclose(times, (film.times - START_NS) / 1e9, atol=1e-9)
+    camera = recording.cameras[0]
+    assert (camera.fx, camera.cx, camera.cy) == (film.f, film.matrix[2], film.matrix[5])
+    assert recording.depth_units_m == {"camera": 0.001}
+    assert report.frames == film.frames
+    assert "REP 118" in report.depth_unit_origin
+    assert not report.dropped
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_the_walk_finds_what_the_reader_of_the_format_finds(kind, film, tmp_path):
+    name = "film.bag" if kind.startswith("ros 1") else "film"
+    source = WRITERS[kind](tmp_path / name, film)
+    with AnyReader([source]) as reader:
+        expected = [(one.topic, time) for one, time, _ in reader.messages()]
+    containers, _ = open_parts(bag_files(source))
+    found = [(one.topic.name, one.log_ns) for part in containers for one in part.messages()]
+    assert sorted(found) == sorted(expected)
+    assert all(part.damage is None for part in containers)
+    for part in containers:
+        part.close()
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_mcap_of_another_writer(compression, film, tmp_path):
+    """As `ros2 bag` and Foxglove write it: schemas with dependencies, CRCs, three packings."""
+    definitions = {
+        kind: ROS2.store.generate_msgdef(kind, ros_version=2)[0]
+        for kind in ("sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo")
+    }
+    file = tmp_path / "film.mcap"
+    with file.open("wb") as output:
+        writer = OtherMcapWriter(output, chunk_size=5000, compression=compression)
+        schemas = {kind: writer.register_msgdef(kind, text) for kind, text in definitions.items()}
+        for topic, time, message in stream(film, ROS2):
+            writer.write_message(
+                topic, schemas[message.__msgtype__], as_lists(message), log_time=time,
+                publish_time=time,
+            )  # fmt: skip
+        writer.finish()
+    import_recording(file, tmp_path / "out")
+    assert_same(tmp_path / "out", film)
+
+
+def test_a_bag_in_several_parts_is_read_in_natural_order(tmp_path):
+    film = Film(frames=12)
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for part in range(12):
+        one = Film(frames=12)
+        one.times, one.depth, one.color = (
+            a[part : part + 1] for a in (film.times, film.depth, film.color)
+        )
+        written = write_ros2(tmp_path / f"part{part}", stream(one, ROS2), ROS2, storage="sqlite3")
+        (written / f"part{part}.db3").rename(folder / f"bag_{part}.db3")
+    import_recording(folder, tmp_path / "out")
+    assert_same(tmp_path / "out", film)
+
+
+@pytest.mark.parametrize("share", [0.45, 0.8])
+@pytest.mark.parametrize("kind", ["mcap", "mcap zstd", "sqlite", "ros 1", "ros 1 lz4"])
+def test_a_bag_that_breaks_off_gives_what_is_whole(kind, share, tmp_path):
+    film = Film(frames=20, width=64, height=48)
+    source = WRITERS[kind](tmp_path / "bag", film)
+    file = source if source.is_file() else next(source.glob("*.[dm][bc]*"))
+    data = file.read_bytes()
+    file.write_bytes(data[: int(share * len(data))])
+    if kind == "sqlite":
+        # The schema lies at the start; rows whose pages are gone are lost.
+        limits = (0.1, share + 0.05)
+    elif kind in ("mcap zstd", "ros 1 lz4"):
+        limits = (0.0, share + 0.2)
+    else:
+        limits = (share - 0.15, share + 0.1)
+    try:
+        report = import_recording(source, tmp_path / "out")
+    except InvalidRecordingError as error:
+        # All of a small packed bag is one chunk; without it there is nothing.
+        packed = kind in ("mcap zstd", "ros 1 lz4")
+        if not (packed and re.search("breaks off|not one whole", str(error))):
+            raise
+        return
+    assert limits[0] * film.frames <= report.frames <= limits[1] * film.frames
+    assert any("breaks off" in note and "saved" in note for note in report.notes)
+    assert_same(tmp_path / "out", film, slice(report.frames))
+
+
+def test_padding_byte_order_and_float_metres(tmp_path):
+    film = Film(frames=3)
+    lengths = film.depth / 1000.0
+    lengths[0, 0, :4] = [np.nan, np.inf, -1.0, 7.0]
+    entries = []
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/depth/camera_info", time, ROS2.info(time, film)))
+        image = ROS2.image(time, lengths[k].astype(">f4"), "32FC1", padding=5)
+        image.is_bigendian = 1
+        entries.append(("/depth/image_raw", time, image))
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    report = import_recording(source, tmp_path / "out")
+    expected = 10 * film.depth.astype(int)
+    expected[0, 0, :4] = 0
+    assert np.array_equal(depth_of(tmp_path / "out"), expected)
+    assert report.depth_unit_m == pytest.approx(1e-4)
+    assert "colour" not in report.streams
+
+
+def test_compressed_transports(film, tmp_path):
+    entries = []
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/camera/depth_registered/camera_info", time, ROS2.info(time, film)))
+        entries.append(("/camera/rgb/camera_info", time, ROS2.info(time, film)))
+        depth = ROS2.compressed(time, bytes(12) + png(film.depth[k]), "16UC1; compressedDepth")
+        entries.append(("/camera/depth_registered/image_raw/compressedDepth", time, depth))
+        color = ROS2.compressed(time, png(film.color[k]), "rgb8; png compressed bgr8")
+        entries.append(("/camera/rgb/image_raw/compressed", time, color))
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    import_recording(source, tmp_path / "out")
+    assert_same(tmp_path / "out", film)
+
+
+def test_lossy_depth_is_refused(film, tmp_path):
+    entries = []
+    for time in film.times.tolist():
+        entries.append(("/camera/depth/camera_info", time, ROS2.info(time, film)))
+        lossy = ROS2.compressed(time, b"\xff\xd8", "16UC1; jpeg compressed")
+        entries.append(("/camera/depth/image_raw/compressed", time, lossy))
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    with pytest.raises(InvalidRecordingError, match="--depth-topic"):
+        import_recording(source, tmp_path / "out")
+
+
+def test_topics_that_cannot_be_guessed_are_listed(film, tmp_path):
+    entries = list(stream(film, ROS2, depth="/mine/tiefe", color="/mine/farbe"))
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    with pytest.raises(InvalidRecordingError) as caught:
+        import_recording(source, tmp_path / "out")
+    for word in ("/mine/tiefe", "/mine/farbe", "--depth-topic"):
+        assert word in str(caught.value)
+    wanted = Wanted(depth_topic="/mine/tiefe", color_topic="/mine/farbe")
+    import_recording(source, tmp_path / "out", ImportConfig(wanted))
+    assert_same(tmp_path / "out", film)
+
+
+def test_two_cameras_must_be_chosen_between(film, tmp_path):
+    entries = [
+        *stream(film, ROS2, depth="/left/depth/image_raw", color="/left/color/image_raw"),
+        *stream(film, ROS2, depth="/right/depth/image_raw", color="/right/color/image_raw"),
+    ]
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    with pytest.raises(InvalidRecordingError, match=r"/left/depth/image_raw.*--depth-topic"):
+        import_recording(source, tmp_path / "out")
+    wanted = Wanted(depth_topic="/right/depth/image_raw")
+    report = import_recording(source, tmp_path / "out", ImportConfig(wanted))
+    assert report.streams["colour"] == "/right/color/image_raw"
+
+
+def test_depth_that_the_driver_registered_is_preferred(film, tmp_path):
+    entries = [
+        *stream(film, ROS2, depth="/camera/camera/depth/image_rect_raw"),
+        *stream(film, ROS2, depth="/camera/camera/aligned_depth_to_color/image_raw"),
+    ]
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    report = import_recording(source, tmp_path / "out")
+    assert "aligned" in report.streams["depth"]
+
+
+@pytest.mark.parametrize("missing", ["unit", "lens"])
+def test_what_is_not_known_is_asked_for(missing, film, tmp_path):
+    encoding = "mono16" if missing == "unit" else "16UC1"
+    entries = []
+    for k, time in enumerate(film.times.tolist()):
+        entries.append(("/depth/image_raw", time, ROS2.image(time, film.depth[k], encoding)))
+        if missing == "unit":
+            entries.append(("/depth/camera_info", time, ROS2.info(time, film)))
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    flag = {"unit": "--depth-unit-m", "lens": "--intrinsics"}[missing]
+    with pytest.raises(ClothTrackError, match=flag):
+        import_recording(source, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_picture_costs_its_frame_only(film, tmp_path):
+    entries = list(stream(film, ROS2))
+    entries[6][2].step = 3  # depth of the second frame
+    source = write_ros2(tmp_path / "bag", entries, ROS2)
+    report = import_recording(source, tmp_path / "out")
+    assert report.frames == film.frames - 1
+    assert any("1 frames" in one for one in report.dropped)
+    assert np.array_equal(depth_of(tmp_path / "out"), film.depth[[0, 2, 3]])
+
+
+def test_provenance_names_the_source(film, tmp_path):
+    source = WRITERS["mcap"](tmp_path / "bag", film)
+    import_recording(source, tmp_path / "out")
+    document = json.loads((tmp_path / "out" / "recording.json").read_text())
+    assert document["provenance"]["imported_from"] == "bag"
+    assert document["provenance"]["registered_by_import"] is False

@@ -1,0 +1,114 @@
+"""Folders of pictures in the styles of TUM, Open3D and BOP."""
+
+import json
+
+import numpy as np
+import pytest
+from import_makers import color_of, depth_of, lens_file, write_folder
+
+from clothtrack.errors import ClothTrackError, InvalidRecordingError
+from clothtrack.importing.import_recording import ImportConfig, import_recording
+from clothtrack.importing.source import Wanted
+from clothtrack.recordings.store import read_recording
+
+
+def options(style, film, tmp_path):
+    if style == "tum":
+        lens = lens_file(tmp_path / "lens.json", film)
+        return ImportConfig(Wanted(intrinsics=lens, depth_unit_m=0.0002))
+    return ImportConfig(Wanted(fps=30.0 if style == "bop" else None))
+
+
+@pytest.mark.parametrize(("style", "unit_m"), [("tum", 2e-4), ("open3d", 1e-3), ("bop", 1e-4)])
+def test_every_bit_arrives(style, unit_m, film, tmp_path):
+    if unit_m < 1e-3:
+        film.depth *= 5  # so that the median is some decimetres in each unit
+    source = write_folder(tmp_path / "film", film, style)
+    report = import_recording(source, tmp_path / "out", options(style, film, tmp_path))
+    assert np.array_equal(depth_of(tmp_path / "out"), film.depth)
+    assert np.array_equal(color_of(tmp_path / "out"), film.color)
+    assert report.depth_unit_m == pytest.approx(unit_m)
+    recording = read_recording(tmp_path / "out")
+    times = [frame.time_s for frame in recording.frames]
+    assert np.allclose(times, np.arange(film.frames) / 30.0, atol=1e-6)
+    assert recording.cameras[0].fx == film.f
+
+
+@pytest.mark.parametrize(
+    ("style", "left_out", "flag"),
+    [("tum", "unit", "--depth-unit-m"), ("tum", "lens", "--intrinsics"), ("bop", "fps", "--fps")],
+)
+def test_what_a_style_does_not_say_is_asked_for(style, left_out, flag, film, tmp_path):
+    source = write_folder(tmp_path / "film", film, style)
+    lens = lens_file(tmp_path / "lens.json", film)
+    wanted = {
+        "unit": Wanted(intrinsics=lens), "lens": Wanted(depth_unit_m=0.001), "fps": Wanted(),
+    }[left_out]  # fmt: skip
+    with pytest.raises(InvalidRecordingError, match=flag):
+        import_recording(source, tmp_path / "out", ImportConfig(wanted))
+
+
+def test_a_picture_that_is_missing_leaves_its_moment_empty(film, tmp_path):
+    source = write_folder(tmp_path / "film", film, "open3d")
+    (source / "depth" / "000001.png").unlink()
+    report = import_recording(source, tmp_path / "out")
+    times = [frame.time_s for frame in read_recording(tmp_path / "out").frames]
+    assert np.allclose(times, [0, 2 / 30, 3 / 30])
+    assert "1 colour pictures" in report.dropped[0]
+
+
+def test_a_scene_whose_camera_changes_is_refused(film, tmp_path):
+    source = write_folder(tmp_path / "film", film, "bop")
+    content = json.loads((source / "scene_camera.json").read_text())
+    content["2"]["cam_K"][0] += 1
+    (source / "scene_camera.json").write_text(json.dumps(content))
+    with pytest.raises(InvalidRecordingError, match="one fixed camera"):
+        import_recording(source, tmp_path / "out", ImportConfig(Wanted(fps=30.0)))
+
+
+def test_lists_and_links_do_not_lead_out(film, tmp_path):
+    source = write_folder(tmp_path / "film", film, "tum")
+    secret = tmp_path / "secret.png"
+    (source / "depth").joinpath(next((source / "depth").iterdir()).name).rename(secret)
+    with (source / "depth.txt").open("a") as lines:
+        lines.write("1700000009.0 ../secret.png\n")
+    report = import_recording(source, tmp_path / "out", options("tum", film, tmp_path))
+    assert report.frames == film.frames - 1
+    assert any("left out" in note for note in report.notes)
+
+
+def test_a_bomb_costs_nothing(film, tmp_path):
+    """A PNG that announces a gigantic picture is refused by its header."""
+    import struct
+    import zlib
+
+    def chunk(kind, data):
+        tail = struct.pack(">I", zlib.crc32(kind + data))
+        return struct.pack(">I", len(data)) + kind + data + tail
+
+    source = write_folder(tmp_path / "film", film, "open3d")
+    head = struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0)
+    bomb = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
+    (source / "depth" / "000001.png").write_bytes(bomb)
+    report = import_recording(source, tmp_path / "out")
+    assert report.frames == film.frames - 1
+    assert any("60000 x 60000" in one for one in report.dropped)
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        ("{", "JSON"),
+        ("[]", "object"),
+        ('{"width": 32}', "height"),
+        ('{"width": 32, "height": 24, "fx": -1, "fy": 1, "cx": 0, "cy": 0}', "positive"),
+        ('{"width": 32, "height": 24, "fx": 1, "fy": 1, "cx": 0, "cy": 0, "distortion": [1]}', "1"),
+        ('{"width": 1e9, "height": 24, "fx": 1, "fy": 1, "cx": 0, "cy": 0}', "whole"),
+    ],
+)
+def test_a_wrong_lens_file_is_named(content, word, film, tmp_path):
+    source = write_folder(tmp_path / "film", film, "open3d")
+    (source / "intrinsic.json").write_text(content)
+    with pytest.raises(ClothTrackError, match=word) as caught:
+        import_recording(source, tmp_path / "out")
+    assert "intrinsic.json" in str(caught.value)

@@ -1,0 +1,35 @@
+"""Damaged files: our own error or a recording, in ten seconds and one gibibyte, nothing else."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).with_name("fuzzing.py")
+SOURCES = Path(__file__).parents[2] / "src"
+FORMATS = (
+    "ros1", "ros1-lz4", "mcap", "mcap-zstd", "sqlite", "realsense-bag", "realsense-db3", "kinect",
+    "tum", "open3d", "bop",
+)  # fmt: skip
+
+
+def run(kind, first, count, folder):
+    environment = dict(os.environ, PYTHONPATH=str(SOURCES), OMP_NUM_THREADS="1")
+    done = subprocess.run(
+        [sys.executable, str(SCRIPT), kind, str(first), str(count), str(folder)],
+        env=environment, capture_output=True, text=True, check=False, timeout=3000,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-4000:]
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_sixty_damaged_files(kind, tmp_path):
+    run(kind, 0, 60, tmp_path / "place")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", FORMATS)
+def test_two_thousand_damaged_files(kind, tmp_path):
+    run(kind, 1000, 2000, tmp_path / "place")

@@ -1,0 +1,162 @@
+"""Azure Kinect recordings: the container against libav, the calibration against a projection."""
+
+import json
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from import_makers import depth_of, kinect_calibration, write_kinect
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.importing.import_recording import ImportConfig, import_recording
+from clothtrack.importing.kinect_calibration import kinect_lenses
+from clothtrack.importing.matroska import MatroskaReader
+from clothtrack.importing.source import Wanted
+
+TIMES = np.array([0, 33_333_000, 66_666_000])
+FILM = Path("film.mkv")
+NARROW, HD = (320, 288), (1280, 720)
+
+
+@pytest.fixture
+def depth(rng):
+    counts = rng.integers(400, 3000, (3, 288, 320)).astype(np.uint16)
+    counts[:, :20] = 0
+    return counts
+
+
+@pytest.fixture
+def color(rng):
+    small = rng.integers(0, 256, (3, 45, 80, 3), dtype=np.uint8)
+    return np.stack([cv2.resize(one, HD, interpolation=cv2.INTER_CUBIC) for one in small])
+
+
+def text():
+    return json.dumps(kinect_calibration()).encode()
+
+
+def test_libav_reads_the_same(depth, color, tmp_path):
+    source = write_kinect(tmp_path / "film.mkv", depth, color, TIMES)
+    reader = MatroskaReader(source)
+    mine = [(one.track, one.time_ns, reader.fetch(one)) for one in reader.blocks()]
+    names = [track.name for track in reader.content.tracks]
+    reader.close()
+    with av.open(str(source)) as container:
+        theirs = [
+            (packet.stream.index + 1, round(packet.pts * packet.time_base * 10**9), bytes(packet))
+            for packet in container.demux(video=[0, 1])
+            if packet.size
+        ]
+        assert names == [one.metadata["title"] for one in container.streams.video]
+        attached = next(one for one in container.streams if one.type == "attachment")
+        assert attached.data == reader.content.attachments["calibration.json"]
+    assert sorted(mine) == sorted(theirs)
+    assert reader.content.tags["K4A_DEPTH_MODE"] == "NFOV_2X2BINNED"
+
+
+def test_a_file_that_libav_wrote_is_walked(color, tmp_path):
+    path = tmp_path / "film.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mjpeg", rate=30)
+        stream.width, stream.height, stream.pix_fmt = *HD, "yuvj420p"
+        for picture in color:
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    with av.open(str(path)) as container:
+        theirs = [bytes(packet) for packet in container.demux(video=0) if packet.size]
+    reader = MatroskaReader(path)
+    mine = [reader.fetch(one) for one in reader.blocks()]
+    reader.close()
+    assert mine == theirs
+    assert reader.damage is None
+    assert reader.content.tracks[0].codec == "V_MJPEG"
+
+
+def test_depth_alone_arrives_where_its_lens_is_straight(depth, tmp_path):
+    """Without distortion every bit stays; big-endian on disk."""
+    calibration = kinect_calibration()
+    lens = calibration["CalibrationInformation"]["Cameras"][0]["Intrinsics"]["ModelParameters"]
+    lens[4:] = [0.0] * 10
+    source = write_kinect(tmp_path / "film.mkv", depth, None, TIMES, calibration=calibration)
+    report = import_recording(source, tmp_path / "out")
+    assert np.array_equal(depth_of(tmp_path / "out"), depth)
+    assert report.duration_s == pytest.approx(0.066666)
+    assert report.depth_unit_m == 0.001
+
+
+@pytest.mark.parametrize("letters", [b"MJPG", b"BGRA"])
+def test_depth_is_carried_to_the_colour_camera(letters, depth, color, tmp_path):
+    depth[:] = 1000
+    source = write_kinect(tmp_path / "film.mkv", depth, color, TIMES, letters=letters)
+    report = import_recording(source, tmp_path / "out")
+    assert "carried" in report.registration
+    carried = depth_of(tmp_path / "out")[0]
+    assert carried.shape == HD[::-1]
+    inner = carried[200:500, 400:880]
+    assert (inner > 0).all()
+    # A plane at 1 m before the depth camera, seen from one that is tilted by six degrees.
+    assert 900 < inner.min() < inner.max() < 1100
+
+
+def test_lenses_against_the_formula():
+    """Sensor shares, outer corner at zero -> pixels of the mode, first centre at zero."""
+    depth, color, pose = kinect_lenses(FILM, text(), NARROW, HD)
+    assert depth.fx == pytest.approx(0.49 * 512)
+    assert depth.cx == pytest.approx(0.5 * 512 - 96 - 0.5)
+    assert depth.cy == pytest.approx(0.5 * 512 - 90 - 0.5)
+    assert color.fy == pytest.approx(0.64 * 960)
+    assert color.cy == pytest.approx(0.5 * 960 - 120 - 0.5)
+    assert depth.distortion[2:4] == (-5e-5, 1e-4)  # the file has p2 before p1
+    assert pose[:3, 3] == pytest.approx([-0.032, -0.002, 0.004])
+
+
+@pytest.mark.parametrize(("one", "other"), [((320, 288), (640, 576)), ((512, 512), (1024, 1024))])
+def test_binning_changes_the_pixels_not_the_rays(one, other):
+    """Modes of the same crop see the same directions at the same places."""
+    coarse, _, _ = kinect_lenses(FILM, text(), one, None)
+    fine, _, _ = kinect_lenses(FILM, text(), other, None)
+    wide = coarse.corner_rays()
+    assert np.allclose(wide, fine.corner_rays()[::2, ::2], atol=1e-4, equal_nan=True)
+
+
+def test_cropped_colour_modes_share_their_rays():
+    _, hd, _ = kinect_lenses(FILM, text(), NARROW, HD)
+    _, full, _ = kinect_lenses(FILM, text(), NARROW, (2560, 1440))
+    assert np.allclose(hd.corner_rays(), full.corner_rays()[::2, ::2], atol=1e-4)
+
+
+def test_an_old_calibration_of_a_wide_picture():
+    """16:9 calibrations are cut out of the middle of the 4:3 sensor."""
+    content = kinect_calibration()
+    camera = content["CalibrationInformation"]["Cameras"][1]
+    lens = camera["Intrinsics"]["ModelParameters"]
+    # The same lens in shares of the 4096 x 2304 rows in the middle.
+    lens[1] = (lens[1] * 3072 - 384) / 2304
+    lens[3] = lens[3] * 3072 / 2304
+    camera["SensorHeight"] = 2304
+    _, old, _ = kinect_lenses(FILM, json.dumps(content).encode(), NARROW, HD)
+    _, new, _ = kinect_lenses(FILM, text(), NARROW, HD)
+    assert (old.fx, old.fy, old.cx, old.cy) == pytest.approx((new.fx, new.fy, new.cx, new.cy))
+
+
+def test_what_breaks_off_is_saved(depth, tmp_path):
+    source = write_kinect(tmp_path / "film.mkv", depth, None, TIMES)
+    data = source.read_bytes()
+    source.write_bytes(data[:-100_000])
+    report = import_recording(source, tmp_path / "out")
+    assert report.frames == 2
+    assert any("2 whole pictures" in note for note in report.notes)
+
+
+def test_without_calibration_the_lenses_are_asked_for(depth, tmp_path):
+    source = write_kinect(tmp_path / "film.mkv", depth, None, TIMES)
+    source.write_bytes(source.read_bytes().replace(b"calibration.json", b"calibration.xyz1"))
+    with pytest.raises(InvalidRecordingError, match="--intrinsics"):
+        import_recording(source, tmp_path / "out")
+    lens = tmp_path / "lens.json"
+    lens.write_text('{"width": 320, "height": 288, "fx": 250, "fy": 250, "cx": 159.5, "cy": 143.5}')
+    import_recording(source, tmp_path / "out", ImportConfig(Wanted(intrinsics=lens)))
+    assert np.array_equal(depth_of(tmp_path / "out"), depth)

@@ -1,0 +1,96 @@
+"""Colour and depth by time stamp: nearest, each once, within the tolerance."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.importing.pairing import pair
+from clothtrack.importing.source import Shot
+
+FILM = Path("film.bag")
+MS = 1_000_000
+
+
+def shots(times_ms):
+    return [Shot(round(time * MS), k) for k, time in enumerate(times_ms)]
+
+
+times = st.lists(st.integers(0, 2000), min_size=1, max_size=30, unique=True)
+
+
+@settings(max_examples=200, deadline=None)
+@given(times, times, st.integers(1, 50))
+def test_laws_of_a_pairing(depth, color, tolerance_ms):
+    try:
+        paired = pair(FILM, shots(depth), shots(color), tolerance_ms / 1e3)
+    except InvalidRecordingError:
+        assert min(abs(d - c) for d in depth for c in color) > tolerance_ms
+        return
+    pairs = [(one.depth.time_ns // MS, one.color.time_ns // MS) for one in paired.pairs]
+    assert pairs == sorted(pairs)
+    for side, every in ((0, depth), (1, color)):
+        used = [one[side] for one in pairs]
+        assert len(set(used)) == len(used)
+        assert set(used) <= set(every)
+    for d, c in pairs:
+        assert abs(d - c) <= tolerance_ms
+        assert abs(d - c) == min(abs(d - other) for other in color)
+        assert abs(d - c) == min(abs(c - other) for other in depth)
+    assert paired.depth_alone == len(depth) - len(pairs)
+    assert paired.color_alone == len(color) - len(pairs)
+    assert paired.worst_s == pytest.approx(max(abs(d - c) for d, c in pairs) / 1e3)
+
+
+def test_the_usual_tolerance_is_half_the_time_between_depth_pictures():
+    depth = np.arange(10) * 40.0
+    paired = pair(FILM, shots(depth), shots(depth + 19), None)
+    assert paired.tolerance_s == pytest.approx(0.02)
+    assert len(paired.pairs) == 10
+    with pytest.raises(InvalidRecordingError, match="--tolerance-s"):
+        pair(FILM, shots(depth[:2]), shots([1000.0]), None)
+
+
+def test_the_tolerance_that_is_proposed_is_enough():
+    depth, color = shots([0.0, 100.0]), shots([163.4567])
+    with pytest.raises(InvalidRecordingError) as caught:
+        pair(FILM, depth, color, 0.01)
+    proposed = float(str(caught.value).partition("--tolerance-s ")[2].split()[0])
+    assert len(pair(FILM, depth, color, proposed).pairs) == 1
+
+
+def test_a_constant_offset_is_met_by_the_tolerance_that_is_proposed():
+    """One pair is near by chance; the flag in the report takes in the other ones."""
+    depth = np.arange(10) * 100.0
+    color = depth + 60.0
+    color[0] = 10.0
+    paired = pair(FILM, shots(depth[:9]), shots(np.append(color[:1], color[1:] - 120.0)), 0.02)
+    assert len(paired.pairs) == 1
+    proposed, count = paired.advice.split()[1], int(paired.advice.split()[3])
+    assert count == 8
+    more = pair(FILM, shots(depth[:9]), shots(np.append(color[:1], color[1:] - 120.0)),
+                float(proposed))  # fmt: skip
+    assert len(more.pairs) == 9
+    assert more.advice == ""
+
+
+def test_faster_colour_and_doubles_are_counted():
+    depth = [0.0, 100.0, 100.0, 200.0]
+    paired = pair(FILM, shots(depth), shots(np.arange(0, 210, 50.0)), None)
+    assert len(paired.pairs) == 3
+    assert (paired.color_alone, paired.doubles) == (2, 1)
+
+
+def test_depth_alone():
+    paired = pair(FILM, shots([5.0, 0.0]), None, None)
+    assert [one.depth.time_ns for one in paired.pairs] == [0, 5 * MS]
+    assert all(one.color is None for one in paired.pairs)
+
+
+@pytest.mark.parametrize(("depth", "color"), [([], [1.0]), ([1.0], [])])
+def test_nothing_to_pair(depth, color):
+    with pytest.raises(InvalidRecordingError, match="not one whole"):
+        pair(FILM, shots(depth), shots(color), None)

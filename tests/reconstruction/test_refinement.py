@@ -1,0 +1,241 @@
+"""Fine-tuning a mesh against its own picture: each term does what it says, and no harm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clothtrack.alignment.aligner import AlignmentConfig
+from clothtrack.errors import InvalidConfigError, InvalidMeshError
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import edge_strain
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.refinement import (
+    RefinementConfig,
+    Refiner,
+    consistent_displacement,
+)
+from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.recordings.point_cloud import Observation, thin
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.garments import garment
+
+TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+POSE = np.diag([1.0, -1.0, -1.0, 1.0])
+POSE[2, 3] = 0.7
+CAMERA = Camera("top", 320, 240, 300.0, 300.0, 159.5, 119.5, POSE)
+ALONE = RefinementConfig(consistency_rounds=0)
+
+
+def towel() -> ClothMesh:
+    return garment("towel", vertex_count=400, size_m=(0.24, 0.18))
+
+
+def lying(mesh: ClothMesh, shift=(0.0, 0.0)) -> np.ndarray:
+    """The flat towel on the table with one corner bent upwards a little, so that it has a shape."""
+    vertices = mesh.vertices.astype(np.float64) + (*shift, 0.0)
+    vertices[:, 2] = 0.0015 + 0.4 * np.maximum(0.0, mesh.vertices[:, 0] - 0.07) ** 1.5
+    return vertices
+
+
+def filmed(mesh: ClothMesh, vertices: np.ndarray):
+    """The cloud of a perfect camera, and its points with their true canonical coordinates."""
+    drawn = Rasteriser(mesh.faces, CAMERA).render(vertices)
+    seen = np.isfinite(drawn.depth)
+    depth = np.where(seen, drawn.depth, 0.0)
+    points = CAMERA.back_project(depth, seen)
+    corners = mesh.faces[drawn.faces[seen]]
+    a, b, c = np.moveaxis(vertices[corners], 1, 0)
+    share = np.stack(
+        [
+            np.linalg.norm(np.cross(b - points, c - points), axis=1),
+            np.linalg.norm(np.cross(c - points, a - points), axis=1),
+            np.linalg.norm(np.cross(a - points, b - points), axis=1),
+        ],
+        axis=1,
+    )
+    share /= share.sum(axis=1, keepdims=True)
+    canonical = np.einsum("pc,pcx->px", share, mesh.canonical[corners])
+    cloud = Observation(thin(points, 0.004), (CAMERA,), {}, None, np.zeros((0, 3)), 0.0)
+    return cloud, SeenPoints(points, canonical, np.ones(len(points)))
+
+
+def mean_error_mm(found: np.ndarray, truth: np.ndarray) -> float:
+    return 1e3 * float(np.linalg.norm(found - truth, axis=1).mean())
+
+
+def test_a_slipped_mesh_is_brought_back_by_what_its_pieces_are() -> None:
+    """Slid by 12 mm in its plane a towel hardly differs for nearest points; its pieces tell."""
+    mesh = towel()
+    truth = lying(mesh)
+    cloud, seen = filmed(mesh, truth)
+    start = mesh.with_vertices(lying(mesh, (0.009, -0.008)))
+    assert mean_error_mm(start.vertices, truth) == pytest.approx(12.0, abs=0.5)
+    config = RefinementConfig(rounds=3, consistency_rounds=2)
+    with_pieces = Refiner(start, cloud, config, rest=mesh, table=TABLE).refine(seen)
+    without = Refiner(start, cloud, config, rest=mesh, table=TABLE).refine()
+    assert mean_error_mm(with_pieces.positions, truth) < 4.0
+    assert mean_error_mm(without.positions, truth) > 6.0
+    assert with_pieces.chosen > 0
+    assert with_pieces.chamfer_m2[with_pieces.chosen] == min(with_pieces.chamfer_m2)
+    # The solver has carried it there: a towel and no rubber.
+    assert edge_strain(mesh, with_pieces.positions) < 0.01
+
+
+def test_a_right_mesh_stays_where_it_is() -> None:
+    mesh = towel()
+    truth = lying(mesh)
+    cloud, seen = filmed(mesh, truth)
+    found = Refiner(mesh.with_vertices(truth), cloud, RefinementConfig(), rest=mesh, table=TABLE)
+    assert mean_error_mm(found.refine(seen).positions, truth) < 1.0
+
+
+def test_wrong_pieces_are_outvoted() -> None:
+    mesh = towel()
+    truth = lying(mesh)
+    cloud, seen = filmed(mesh, truth)
+    rng = np.random.default_rng(0)
+    canonical = seen.canonical.copy()
+    wrong = rng.random(len(canonical)) < 0.15
+    canonical[wrong] = rng.permutation(canonical)[wrong]
+    mixed = replace(seen, canonical=canonical)
+    start = mesh.with_vertices(lying(mesh, (0.009, -0.008)))
+    config = RefinementConfig(rounds=3, consistency_rounds=2)
+    found = Refiner(start, cloud, config, rest=mesh, table=TABLE).refine(mixed)
+    assert mean_error_mm(found.positions, truth) < 5.0
+
+
+def test_without_the_flat_garment_vertices_go_at_once_and_the_cloud_draws_them() -> None:
+    mesh = towel()
+    truth = lying(mesh)
+    cloud, _ = filmed(mesh, truth)
+    # 6 mm too high: every point of the cloud says so.
+    start = mesh.with_vertices(truth + (0.0, 0.0, 0.006))
+    found = Refiner(start, cloud, ALONE, table=TABLE).refine()
+    assert mean_error_mm(found.positions, truth) < 2.0
+
+
+def test_nothing_stays_under_the_table() -> None:
+    mesh = towel()
+    truth = lying(mesh)
+    cloud, _ = filmed(mesh, truth)
+    start = mesh.with_vertices(truth - (0.0, 0.0, 0.008))
+    no_cloud = replace(cloud, points=cloud.points[:1])
+    alignment = AlignmentConfig(iterations=100, chamfer_weight=0.0, two_way_weight=0.0)
+    config = replace(ALONE, alignment=alignment, rounds=1)
+    refiner = Refiner(start, no_cloud, config, table=TABLE)
+    # One point far below what it can see: only the table term moves anything.
+    moved = refiner.refine()
+    assert moved.chosen == 1
+    assert moved.positions[:, 2].min() > truth[:, 2].min() - 2e-3
+
+
+def test_consistency_minimises_what_it_says() -> None:
+    """The closed form is the minimum of its formula, robust weights held fixed."""
+    mesh = towel()
+    truth = lying(mesh)
+    _, seen = filmed(mesh, truth)
+    few = np.random.default_rng(1).choice(len(seen.points), 200, replace=False)
+    seen = SeenPoints(seen.points[few], seen.canonical[few], np.linspace(0.2, 1.0, 200))
+    start = mesh.with_vertices(lying(mesh, (0.006, 0.002)))
+    config = RefinementConfig(laplacian_weight=0.5, outlier_m=1e3)
+    found = consistent_displacement(start, seen, config)
+
+    def objective(flat: np.ndarray) -> float:
+        displacement = flat.reshape(-1, 3)
+        x = start.vertices + displacement
+        value = 0.0
+        for point, canonical, weight in zip(
+            seen.points, seen.canonical, seen.confidence, strict=True
+        ):
+            corners = mesh.canonical[mesh.faces]
+            inside = _barycentric(canonical[:2], corners[:, :, :2])
+            face = int(inside.min(axis=1).argmax())
+            on_mesh = inside[face] @ x[mesh.faces[face]]
+            value += weight * ((on_mesh - point) ** 2).sum()
+        value *= config.consistency_weight / seen.confidence.sum()
+        i, j = mesh.edges.T
+        gap = displacement[i] - displacement[j]
+        value += config.rigidity_weight * (gap**2).sum(axis=1).mean()
+        around = [[] for _ in x]
+        for a, b in mesh.edges:
+            around[a].append(b)
+            around[b].append(a)
+        bends = np.array([x[v] - x[near].mean(axis=0) for v, near in enumerate(around)])
+        return value + config.laplacian_weight * (bends**2).sum(axis=1).mean()
+
+    rng = np.random.default_rng(2)
+    here = objective(found.ravel())
+    assert here < objective(np.zeros(found.size))
+    for _ in range(3):
+        aside = rng.normal(scale=1e-3, size=found.size)
+        up, down = objective(found.ravel() + aside), objective(found.ravel() - aside)
+        # At a minimum of a quadratic function both ways are up, and equally so.
+        assert min(up, down) > here
+        assert abs(up - down) < 0.05 * (up + down - 2.0 * here)
+
+
+def _barycentric(place: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    a, b, c = np.moveaxis(corners, 1, 0)
+    whole = _cross(b - a, c - a)
+    return (
+        np.stack(
+            [
+                _cross(b - place, c - place),
+                _cross(c - place, a - place),
+                _cross(a - place, b - place),
+            ],
+            axis=1,
+        )
+        / whole[:, None]
+    )
+
+
+def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+
+
+def test_the_laplacian_smooths() -> None:
+    mesh = towel()
+    rng = np.random.default_rng(0)
+    rough = lying(mesh) + rng.normal(scale=2e-3, size=mesh.vertices.shape)
+    _, seen = filmed(mesh, lying(mesh))
+    start = mesh.with_vertices(rough)
+    strains = []
+    for weight in (0.0, 5.0):
+        config = RefinementConfig(laplacian_weight=weight)
+        moved = rough + consistent_displacement(start, seen, config)
+        strains.append(edge_strain(mesh, moved))
+    assert strains[1] < 0.8 * strains[0]
+
+
+def test_a_mesh_without_names_for_its_pieces_is_refused() -> None:
+    mesh = towel()
+    _, seen = filmed(mesh, lying(mesh))
+    nameless = ClothMesh(mesh.vertices, mesh.faces)
+    with pytest.raises(InvalidMeshError, match="canonical coordinates"):
+        consistent_displacement(nameless, seen, RefinementConfig())
+
+
+def test_another_garment_is_refused() -> None:
+    mesh = towel()
+    cloud, _ = filmed(mesh, lying(mesh))
+    other = garment("towel", vertex_count=200)
+    with pytest.raises(InvalidMeshError, match="made from"):
+        Refiner(mesh, cloud, RefinementConfig(), rest=other)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"rounds": 0}, "rounds is 0"),
+        ({"strength": 1.0}, "strength is 1.0"),
+        ({"outlier_m": 0.0}, "outlier_m is 0.0"),
+        ({"laplacian_weight": -1.0}, "laplacian_weight is -1.0"),
+        ({"rigidity_weight": 0.0}, "rigidity_weight is 0"),
+    ],
+)
+def test_settings_that_cannot_be_meant_are_refused(change: dict, told: str) -> None:
+    with pytest.raises(InvalidConfigError, match=told):
+        RefinementConfig(**change)

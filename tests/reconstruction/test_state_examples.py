@@ -1,0 +1,231 @@
+"""Examples of simulated states: picture, labels and points say the same, however turned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.reconstruction.data.examples import ExampleConfig, Garment, collate, draw_example
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
+from clothtrack.reconstruction.data.state_examples import FilmingConfig, StateExamples, film
+from clothtrack.reconstruction.data.state_store import StateShard, write_states
+from clothtrack.reconstruction.data.view import crop
+from clothtrack.reconstruction.data.winding import WindingConfig, winding_numbers
+from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack.reconstruction.training.batches import loader
+from clothtrack.simulation.garments import garment
+
+NETWORK = NetworkConfig()
+PERFECT = FilmingConfig(sensor=SensorConfig.perfect(), mask_jitter=0.0)
+CONFIG = ExampleConfig(surface_queries=4096, winding=WindingConfig(pool=4096))
+
+
+def crumpled(mesh, seed=0, amplitude=0.02):
+    """The flat cloth, turned, bent into waves and with one side folded over the other."""
+    rng = np.random.default_rng(seed)
+    x, y, z = np.asarray(mesh.vertices, np.float64).T
+    line = 0.25 * np.ptp(x) + x.min()
+    folded = x < line
+    x = np.where(folded, 2 * line - x, x)
+    z = z + np.where(folded, 0.012, 0.0)
+    waves = rng.uniform(20, 40, 2)
+    z = z + amplitude * (1 + np.sin(waves[0] * x) * np.cos(waves[1] * y))
+    angle = rng.uniform(-np.pi, np.pi)
+    turned = np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y
+    return np.column_stack([*turned, z + 0.005])
+
+
+def states(folder, kind="tshirt", count=4, vertices=600, shards=2):
+    parts = []
+    for number in range(shards):
+        mesh = garment(kind, vertex_count=vertices, seed=number)
+        positions = np.stack([crumpled(mesh, seed=k) for k in range(count)]).astype(np.float32)
+        episodes = np.arange(count) // 2
+        parts.append(StateShard(kind, mesh, positions, episodes, ("drop",) * count, number))
+    return write_states(folder, kind, parts, {})
+
+
+@pytest.fixture
+def shirts(tmp_path):
+    return states(tmp_path / "shirts")
+
+
+@pytest.mark.parametrize("kind", ["towel", "tshirt"])
+def test_pixels_points_and_labels_agree(tmp_path, kind):
+    """A pixel's canonical coordinate leads to the material point that was measured there."""
+    examples = StateExamples(
+        [states(tmp_path, kind, shards=1)], NETWORK, CONFIG, filming=PERFECT, seed=4
+    )
+    for index in range(4):
+        example = examples[index, 7 * index]
+        assert example.labelled.mean() > 0.97
+        gap, nearest = cKDTree(example.surface).query(example.unit[example.labelled])
+        assert np.percentile(gap, 90) < 0.012
+        # Material points a few millimetres apart on the cloth lie a few millimetres apart.
+        way = np.linalg.norm(example.positions[nearest] - example.points[example.labelled], axis=1)
+        assert np.median(way) < 0.006
+        assert np.percentile(way, 95) < 0.015
+
+
+def test_the_picture_shows_the_points(shirts):
+    example = StateExamples([shirts], NETWORK, CONFIG, filming=PERFECT)[0, 0]
+    assert example.depth.shape == (NETWORK.image_size, NETWORK.image_size)
+    shown = np.zeros((NETWORK.output_size,) * 2, bool)
+    shown[tuple(example.pixels.T)] = True
+    covered = example.depth.reshape(NETWORK.output_size, 2, NETWORK.output_size, 2) > 0
+    np.testing.assert_array_equal(shown, covered.any(axis=(1, 3)))
+    # Image right is world x, image down is world -y.
+    columns, rows = example.pixels[:, 1], example.pixels[:, 0]
+    assert np.corrcoef(columns, example.points[:, 0])[0, 1] > 0.99
+    assert np.corrcoef(rows, example.points[:, 1])[0, 1] < -0.99
+
+
+def drawn_picture(angle=0.0, mirror=False, seed=2):
+    mesh = garment("tshirt", vertex_count=600)
+    picture = film(crumpled(mesh), mesh, PERFECT, np.random.default_rng(seed))
+    picture = picture.mirrored() if mirror else picture
+    return picture.turned(angle)
+
+
+def view_of(picture):
+    return crop(picture.depth_m, picture.mask, picture.camera, NETWORK).depth
+
+
+def test_a_mirrored_picture_is_the_picture_of_the_mirrored_cloth():
+    plain, mirrored = view_of(drawn_picture()), view_of(drawn_picture(mirror=True))
+    both = (plain[:, ::-1] > 0) & (mirrored > 0)
+    assert both.sum() > 0.98 * (mirrored > 0).sum()
+    gap = np.abs(plain[:, ::-1][both] - mirrored[both])
+    assert np.percentile(gap, 99) < 1e-3
+    twice = drawn_picture(mirror=True).mirrored()
+    np.testing.assert_allclose(
+        twice.camera.world_from_camera, drawn_picture().camera.world_from_camera, atol=1e-12
+    )
+
+
+def test_a_turned_picture_is_the_picture_of_the_turned_cloth():
+    plain, turned = view_of(drawn_picture()), view_of(drawn_picture(angle=np.pi / 2))
+    expected = np.rot90(plain)
+    both = (expected > 0) & (turned > 0)
+    assert both.sum() > 0.98 * (turned > 0).sum()
+    assert np.abs(expected[both] - turned[both]).mean() < 5e-4
+
+
+@pytest.mark.parametrize(("mirror", "angle"), [(True, 0.0), (False, 1.0), (True, 2.0)])
+def test_the_camera_still_sees_its_cloth(mirror, angle):
+    """Camera, picture and vertices are moved together: the measured points lie on the mesh."""
+    picture = drawn_picture(angle, mirror)
+    points = picture.camera.back_project(picture.depth_m, picture.mask)
+    dense = cKDTree(picture.positions)
+    assert dense.query(points)[0].max() < 0.03
+    shown = picture.faces[picture.mask & (picture.depth_m > 0)]
+    corners = garment("tshirt", vertex_count=600).faces[shown]
+    centres = picture.positions[corners].mean(axis=1)
+    assert np.linalg.norm(points - centres, axis=1).max() < 0.03
+
+
+def test_winding_numbers_are_those_of_the_labelled_garment():
+    mesh = garment("tshirt", vertex_count=600)
+    labels = Garment.of(mesh, "tshirt", CONFIG.winding, seed=0)
+    picture = film(crumpled(mesh), mesh, PERFECT, np.random.default_rng(0))
+    for seed in range(4):
+        example = draw_example(picture, labels, NETWORK, CONFIG, np.random.default_rng(seed))
+        mirror = np.random.default_rng(seed).random() < 0.5
+        unit, faces = labels.unit.copy(), mesh.faces
+        if mirror:
+            unit[:, 0], faces = 1.0 - unit[:, 0], mesh.faces[:, ::-1]
+        expected = winding_numbers(unit, faces, example.volume)
+        np.testing.assert_allclose(example.winding, expected, atol=0.03)
+
+
+def test_an_example_is_a_function_of_index_epoch_and_seed(shirts):
+    first, again = (StateExamples([shirts], NETWORK, CONFIG, seed=3) for _ in range(2))
+    other = StateExamples([shirts], NETWORK, CONFIG, seed=4)
+    again[5, 0]
+    one, same = first[2, 1], again[2, 1]
+    for name in one.__annotations__:
+        np.testing.assert_array_equal(getattr(one, name), getattr(same, name), err_msg=name)
+    assert not np.array_equal(one.depth, first[2, 2].depth)
+    assert not np.array_equal(one.depth, other[2, 1].depth)
+
+
+def test_rotations_are_even(shirts):
+    """The label's direction in the picture takes all directions as epochs pass."""
+    examples = StateExamples([shirts], NETWORK, CONFIG, filming=PERFECT)
+    angles = []
+    for epoch in range(24):
+        example = examples[0, epoch]
+        centred = example.points[:, :2] - example.points[:, :2].mean(axis=0)
+        along = example.unit[:, 1] - example.unit[:, 1].mean()
+        angles.append(np.arctan2(*(centred * along[:, None]).sum(axis=0)[::-1]))
+    quarters = np.bincount(((np.array(angles) + np.pi) / (np.pi / 2)).astype(int) % 4, minlength=4)
+    assert (quarters >= 2).all()
+
+
+def test_a_noisy_camera_measures_near_the_cloth(shirts):
+    example = StateExamples([shirts], NETWORK, CONFIG, seed=1)[1, 0]
+    assert 0.5 < example.labelled.mean() <= 1.0
+    gap = cKDTree(example.positions).query(example.points[example.labelled])[0]
+    assert 1e-4 < np.median(gap) < 0.01
+
+
+def test_a_label_far_from_the_mesh_is_cut():
+    mesh = garment("towel", vertex_count=600)
+    labels = Garment.of(mesh, "towel", CONFIG.winding, seed=0)
+    flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
+    picture = film(flat, mesh, PERFECT, np.random.default_rng(1))
+    half = np.zeros_like(picture.mask)
+    half[: len(half) // 2] = True
+    raised = picture.depth_m - np.where(half, 0.03, 0.0)
+    moved = type(picture)(raised, picture.mask, picture.camera, picture.faces, picture.positions)
+    config = ExampleConfig(cut_m=0.02, winding=CONFIG.winding)
+    example = draw_example(moved, labels, NETWORK, config, np.random.default_rng(0))
+    high = example.points[:, 2] > 0.02
+    assert 0.2 < high.mean() < 0.8
+    assert not example.labelled[high].any()
+    assert example.labelled[~high].mean() > 0.9
+    assert (example.unit[~example.labelled] == 0.0).all()
+
+
+def test_states_of_one_episode_are_one_group(shirts):
+    examples = StateExamples([shirts], NETWORK, CONFIG)
+    assert len(examples) == 8
+    assert examples.groups == [(0, 0), (0, 0), (0, 1), (0, 1), (1, 0), (1, 0), (1, 1), (1, 1)]
+
+
+def test_states_of_two_kinds_are_refused(shirts, tmp_path):
+    towels = states(tmp_path / "towels", "towel", shards=1)
+    with pytest.raises(InvalidConfigError, match="towel, tshirt"):
+        StateExamples([shirts, towels], NETWORK)
+
+
+def test_a_batch_keeps_every_pixel_with_its_picture(shirts):
+    examples = [StateExamples([shirts], NETWORK, CONFIG)[index, 0] for index in range(3)]
+    batch = collate(examples)
+    assert batch.depth.shape == (3, 1, NETWORK.image_size, NETWORK.image_size)
+    for index, example in enumerate(examples):
+        own = batch.pixels[:, 0] == index
+        np.testing.assert_array_equal(batch.pixels[own, 1:].numpy(), example.pixels)
+        np.testing.assert_array_equal(batch.unit[own].numpy(), example.unit)
+        np.testing.assert_array_equal(batch.positions[index].numpy(), example.positions)
+
+
+def test_examples_travel_to_other_processes(shirts):
+    examples = StateExamples([shirts], NETWORK, CONFIG, seed=6)
+    order = [[(0, 0), (3, 1)]]
+    here, there = (next(iter(loader(examples, order, collate, workers=n))) for n in (0, 1))
+    assert torch.equal(here.depth, there.depth)
+    assert torch.equal(here.unit, there.unit)
+
+
+def test_the_labels_of_a_long_towel_are_those_of_a_wide_one():
+    """Which side is called the width must not be something to learn."""
+    wide = garment("towel", vertex_count=300, size_m=(0.3, 0.22))
+    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    long = replace(wide, vertices=wide.vertices @ turn, canonical=wide.canonical @ turn)
+    first, second = (Garment.of(one, "towel", CONFIG.winding, seed=0) for one in (wide, long))
+    np.testing.assert_allclose(second.unit, first.unit, atol=1e-12)
+    np.testing.assert_allclose(second.pool.values, first.pool.values, atol=1e-6)

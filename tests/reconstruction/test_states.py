@@ -1,0 +1,290 @@
+"""Crumpled states: sound cloth, the same from the same seed, whole after whatever interrupts."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from multiprocessing import active_children
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothtrack.cli import command_line as cli
+from clothtrack.errors import InvalidConfigError, SimulationDivergedError
+from clothtrack.files.worker_pool import PATIENCE_S
+from clothtrack.geometry.coverage import projected_area
+from clothtrack.geometry.quality import crossings, edge_strain
+from clothtrack.reconstruction.data.crumpling import Crumpler, CrumplingConfig
+from clothtrack.reconstruction.data.state_store import open_states, read_shard, shard_path
+from clothtrack.reconstruction.data.states import (
+    StatesConfig,
+    draw_garment,
+    generate_states,
+    make_shard,
+)
+from clothtrack.simulation.garments import garment
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.world.bench import Ranges
+
+CRUMPLING = CrumplingConfig(states=2, rest_limit_s=0.3)
+TINY = StatesConfig(vertex_count=120, episodes=2, crumpling=CRUMPLING)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("states")
+    generate_states(out, "towel", 5, seed=3, config=TINY)
+    return out
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "copy"))
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    files = [one for one in (folder / "shards").rglob("*") if one.is_file()]
+    return {str(one.relative_to(folder)): one.read_bytes() for one in files}
+
+
+def only(recipe: str, **changes: object) -> CrumplingConfig:
+    shares = {"flat": 0.0, "drop": 0.0, "lift": 0.0, "pick_and_place": 0.0, recipe: 1.0}
+    return CrumplingConfig(**{"states": 1, "shares": shares, **changes})
+
+
+def one_state(kind: str, crumpling: CrumplingConfig, seed: int = 0) -> tuple[Crumpler, np.ndarray]:
+    mesh = garment(kind, vertex_count=300, pattern="random")
+    crumpler = Crumpler(mesh, crumpling, SolverConfig(edge_contact=False, damping=4.0))
+    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
+    (state,) = crumpler.episode(softness, np.random.default_rng(seed))
+    assert not state.exploded
+    return crumpler, state.positions
+
+
+def test_there_are_at_least_as_many_as_asked_in_whole_shards(made: Path) -> None:
+    found = open_states(made)
+    shards = [read_shard(path) for path in found.shards]
+    assert [len(shard.positions) for shard in shards] == [4, 4]
+    assert found.document["config"]["vertex_count"] == 120
+    low, high = Ranges().towel_side_m
+    for shard in shards:
+        size = np.ptp(shard.mesh.vertices, axis=0)
+        assert low <= size[:2].min() <= size[:2].max() <= high
+        assert len(np.unique(shard.episodes)) >= 2
+        assert shard.recipes[1] == "pick_and_place"
+    assert not np.array_equal(shards[0].mesh.vertices[-1], shards[1].mesh.vertices[-1])
+
+
+def test_states_are_sound_cloth_on_the_table_near_the_origin(made: Path) -> None:
+    shard = read_shard(shard_path(made, 0))
+    flat = np.ptp(shard.mesh.vertices[:, :2], axis=0).prod()
+    for number, vertices in enumerate(shard.positions):
+        measured = {name: values[number] for name, values in shard.measures.items()}
+        assert vertices[:, 2].min() > 0.001
+        assert vertices[:, 2].min() < 0.01
+        middle = 0.5 * (vertices[:, :2].min(axis=0) + vertices[:, :2].max(axis=0))
+        assert np.abs(middle).max() <= TINY.shift_m + 1e-6
+        assert measured["strain"] == pytest.approx(edge_strain(shard.mesh, vertices), rel=1e-3)
+        assert measured["strain"] < 0.03
+        assert measured["crossings"] == crossings(vertices, shard.mesh.faces)
+        assert 0.0 < measured["coverage"] < 1.02
+        assert np.ptp(vertices[:, :2], axis=0).prod() >= 0.98 * measured["coverage"] * flat
+
+
+def test_a_shard_depends_on_its_seed_and_number_alone(made: Path, tmp_path: Path) -> None:
+    alone = make_shard("towel", 1, 3, TINY)
+    assert np.array_equal(alone.positions, read_shard(shard_path(made, 1)).positions)
+    generate_states(tmp_path, "towel", 8, seed=3, config=TINY, processes=2)
+    assert bytes_of(tmp_path) == bytes_of(made)
+    assert not np.array_equal(make_shard("towel", 1, 4, TINY).positions, alone.positions)
+
+
+def test_a_finished_shard_is_kept_and_a_broken_one_made_again(copy: Path) -> None:
+    whole = bytes_of(copy)
+    times = {path: path.stat().st_mtime_ns for path in (copy / "shards/0000.zarr").rglob("*")}
+    chunk = max((copy / "shards/0001.zarr/positions/c").rglob("*"), key=lambda one: one.is_file())
+    chunk.write_bytes(chunk.read_bytes()[:100])
+    (copy / "shards" / ".0001.zarr.abc").mkdir()
+    told = []
+    generate_states(
+        copy, "towel", 8, seed=3, config=TINY, progress=lambda *words: told.append(words[1:])
+    )
+    assert told == [(1, 2), (2, 2)]
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    assert bytes_of(copy) == whole
+    assert not list(copy.rglob(".*"))
+
+
+def test_states_of_another_kind_are_not_mixed_in(copy: Path) -> None:
+    before = bytes_of(copy)
+    other = replace(TINY, vertex_count=130)
+    for kind, seed, config, told in (
+        ("tshirt", 3, TINY, "kind"),
+        ("towel", 4, TINY, "seed"),
+        ("towel", 3, other, "config"),
+    ):
+        with pytest.raises(InvalidConfigError, match=f"another {told}"):
+            generate_states(copy, kind, 8, seed=seed, config=config)
+    (copy / "states.json").unlink()
+    with pytest.raises(InvalidConfigError, match=r"states\.json"):
+        generate_states(copy, "towel", 8, seed=3, config=TINY)
+    assert bytes_of(copy) == before
+
+
+def test_the_card_tells_what_lies_there(made: Path) -> None:
+    card = (made / "README.md").read_text()
+    document = json.loads((made / "states.json").read_text())
+    assert "8 states in " in card
+    assert "of 2 garments" in card
+    assert "Settled:" in card
+    assert "per CPU-hour" in card
+    assert sum(entry["cpu_s"] for entry in document["shards"].values()) > 0.0
+    rows = [line.split("|") for line in card.splitlines() if line.endswith("% |")]
+    assert sum(int(row[2]) for row in rows) == 8
+
+
+def test_what_is_not_sound_is_left_out_until_nothing_is_left(tmp_path: Path) -> None:
+    exploding = replace(TINY, crumpling=replace(CRUMPLING, strain_limit=0.0))
+    crossing = replace(TINY, crossings_limit=-1.0)
+    for config in (exploding, crossing):
+        with pytest.raises(SimulationDivergedError, match="only 0 of 4"):
+            generate_states(tmp_path / "none", "towel", 1, config=config)
+        shutil.rmtree(tmp_path / "none")
+
+
+def test_a_smoothed_cloth_is_flat_and_a_dropped_one_is_not() -> None:
+    crumpler, flat = one_state("towel", only("flat"))
+    size = np.ptp(crumpler.mesh.vertices[:, :2], axis=0)
+    assert np.ptp(flat[:, :2], axis=0) == pytest.approx(size, rel=0.15)
+    assert flat[:, 2].max() < 0.02
+    _, dropped = one_state("towel", only("drop"))
+    assert dropped[:, 2].max() > 0.02
+    assert np.ptp(dropped[:, :2], axis=0).prod() < 0.9 * size.prod()
+
+
+def test_pulling_opens_a_heap() -> None:
+    mesh = garment("towel", vertex_count=300, pattern="random")
+    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
+    covered = {}
+    for pulled in (0.0, 1.0):
+        config = replace(
+            only("drop", states=4, folded=0.0, middle=0.0, pulled=pulled), two_pickers=0.0
+        )
+        crumpler = Crumpler(mesh, config, SolverConfig(edge_contact=False, damping=4.0))
+        areas = [
+            [projected_area(state.positions, mesh.faces)
+             for state in crumpler.episode(softness, np.random.default_rng(seed))]
+            for seed in range(4)
+        ]  # fmt: skip
+        covered[pulled] = np.array(areas)
+    np.testing.assert_array_equal(covered[0.0][:, 0], covered[1.0][:, 0])
+    assert covered[1.0][:, -1].mean() > 1.1 * covered[1.0][:, 0].mean()
+    assert covered[1.0][:, -1].mean() > 1.1 * covered[0.0][:, -1].mean()
+
+
+def test_shares_of_pick_and_places_that_cannot_be_are_refused() -> None:
+    for shares in ({"pulled": 0.8}, {"middle": -0.1}):
+        (name,) = shares
+        with pytest.raises(InvalidConfigError, match=f"crumpling.{name}"):
+            StatesConfig(crumpling=CrumplingConfig(**shares))
+
+
+def test_a_garment_may_lie_with_either_side_up() -> None:
+    for turned_over in (0.0, 1.0):
+        crumpler, flat = one_state("tshirt", only("flat", turned_over=turned_over))
+        front = crumpler.mesh.canonical[:, 2] > 0.01
+        back = crumpler.mesh.canonical[:, 2] < -0.01
+        gap = flat[front, 2].mean() - flat[back, 2].mean()
+        assert gap * (1.0 - 2.0 * turned_over) > 0.001
+
+
+def test_an_interrupt_leaves_nothing_half_written_and_can_go_on(tmp_path: Path) -> None:
+    out, script = tmp_path / "states", tmp_path / "script.py"
+    words = ["simulate", str(out), "--states", "400", "--workers", "2",
+             "--set", "vertex_count=120", "--set", "episodes=2"]  # fmt: skip
+    # Whatever was started in the background of a shell ignores interrupts, and so do its children.
+    script.write_text(
+        "import signal\n"
+        "from clothtrack.cli.command_line import main\n"
+        "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        f"    raise SystemExit(main({words!r}))\n"
+    )
+    with subprocess.Popen([sys.executable, str(script)], stderr=subprocess.PIPE, text=True) as run:
+        try:
+            while not list(out.glob("shards/[0-9]*.zarr")):
+                assert run.poll() is None, run.stderr.read()
+                time.sleep(0.05)
+            run.send_signal(signal.SIGINT)
+            _, told = run.communicate(timeout=10 * PATIENCE_S)
+        finally:
+            run.kill()
+    assert run.returncode == 130
+    assert "interrupted" in told
+    assert "Traceback" not in told
+    found = open_states(out)
+    assert 1 <= len(found.shards) < 40
+    assert not list(out.rglob(".*"))
+    for path in found.shards:
+        read_shard(path)
+
+
+def test_an_interrupt_between_two_shards_ends_the_workers(tmp_path: Path) -> None:
+    """It may come while a finished shard is listed; a traceback must not keep workers going."""
+
+    def interrupt(*_: object) -> None:
+        (tmp_path / "shards" / ".0003.zarr.left").mkdir()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate_states(tmp_path, "towel", 400, config=TINY, processes=2, progress=interrupt)
+    assert not active_children()
+    assert not list(tmp_path.rglob(".*"))
+    assert 1 <= len(open_states(tmp_path).shards) < 20
+
+
+def test_the_verb_makes_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["simulate", str(tmp_path), "--garment", "tshirt", "--states", "3", "--seed", "5"]
+    sizes = ["vertex_count=150", "episodes=2", "crumpling.states=2", "crumpling.rest_limit_s=0.2"]
+    assert cli.main([*words, *(word for one in sizes for word in ("--set", one))]) == 0
+    card, told = capsys.readouterr().out.split(maxsplit=1)
+    assert Path(card) == tmp_path / "README.md"
+    assert "1 garments" in told
+    found = open_states(tmp_path)
+    assert (found.kind, found.document["seed"]) == ("tshirt", 5)
+    (shard,) = (read_shard(path) for path in found.shards)
+    assert shard.positions.shape == (4, shard.mesh.vertex_count, 3)
+    assert 100 < shard.mesh.vertex_count < 200
+
+
+@pytest.mark.parametrize("words", [["--trajectories", "1"], ["--actions", "3"]])
+def test_states_are_not_filmed(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["simulate", str(tmp_path / "out"), "--states", "5", *words]) == 2
+    assert "leave them out" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_towel_is_at_least_as_wide_as_long() -> None:
+    for number in range(20):
+        mesh = draw_garment("towel", TINY, np.random.default_rng(number))
+        width, length, _ = np.ptp(mesh.vertices, axis=0)
+        assert width >= length
+
+
+def test_wrong_words_on_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words in (["--states", "0"], ["--states", "5", "--set", "episodes=0"],
+                  ["--states", "5", "--workers", "0"]):  # fmt: skip
+        assert cli.main(["simulate", str(tmp_path / "out"), *words]) == 1
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(SystemExit) as left:
+        cli.main(["simulate", str(tmp_path / "out"), "--states", "5", "--garment", "sock"])
+    assert left.value.code == 2

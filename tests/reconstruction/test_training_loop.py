@@ -1,0 +1,370 @@
+"""The loop: it learns, selects, resumes to the same bits, and says what is wrong."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.reconstruction.training.batches import BatchOrder, Mixture, loader, split_by_group
+from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
+from clothtrack.reconstruction.training.processes import Processes, require_torch_device
+from clothtrack.reconstruction.training.training_config import TrainingConfig, training_preset
+from clothtrack.reconstruction.training.training_log import read_scalars
+from clothtrack.reconstruction.training.training_loop import PROGRESS, train
+
+SCRIPT = Path(__file__).with_name("line_stage.py")
+STEPS = 40
+
+
+def in_a_process(folder, *, kill_after=0, dropout=0.1, launcher=()):
+    """Train the toy in a process of its own; returns its exit status."""
+    command = [sys.executable, *launcher, str(SCRIPT), str(folder), str(kill_after), str(dropout)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode in (0, -signal.SIGKILL), done.stderr
+    return done.returncode
+
+
+def progress_of(folder):
+    return load_progress(folder / PROGRESS)
+
+
+def assert_same_bits(first, second):
+    assert first.keys() == second.keys()
+    for name, value in first.items():
+        assert torch.equal(value, second[name]), name
+
+
+def without_time(folder):
+    return [json.dumps(line, sort_keys=True) for line in read_scalars(folder)]
+
+
+def test_training_learns_and_keeps_the_best(line, tmp_path):
+    _, outcome = line.train_line(tmp_path, epochs=60, high_rate=1e-2, low_rate=1e-2)
+    held = [one["error"] for one in read_scalars(tmp_path) if one["split"] == "held_out"]
+    assert outcome.status == "finished"
+    assert outcome.steps == 600
+    assert outcome.best_score == min(held) < 0.4 * held[0]
+    best = line.LineStage(seed=5)
+    load_weights(outcome.weights).load_into(best.trained)
+    best.eval()
+    batch = line.line_batch([line.LineExamples(12, seed=1)[k, 0] for k in range(12)])
+    with torch.no_grad():
+        assert best.measure(batch)["error"].mean() == pytest.approx(outcome.best_score, abs=1e-6)
+
+
+def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    line.train_line(whole)
+    # Between two saves, so that work is lost and done again.
+    assert in_a_process(broken, kill_after=17) == -signal.SIGKILL
+    assert 0 < progress_of(broken)["step"] < 17
+    line.train_line(broken)
+    first, second = progress_of(whole), progress_of(broken)
+    assert first["step"] == second["step"] == STEPS
+    assert_same_bits(first["weights"], second["weights"])
+    for number, state in first["optimiser"]["state"].items():
+        assert_same_bits(state, second["optimiser"]["state"][number])
+    best = [load_weights(folder / "best.safetensors").tensors for folder in (whole, broken)]
+    assert_same_bits(*best)
+    assert without_time(whole) == without_time(broken)
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one(line, tmp_path):
+    alone, together = tmp_path / "alone", tmp_path / "together"
+    launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
+    assert in_a_process(alone, dropout=0.0) == 0
+    assert in_a_process(together, dropout=0.0, launcher=launcher) == 0
+    first, second = progress_of(alone), progress_of(together)
+    assert second["step"] == STEPS
+    for name, value in first["weights"].items():
+        torch.testing.assert_close(second["weights"][name], value, rtol=1e-4, atol=1e-6)
+    assert not torch.equal(first["weights"]["0.weight"], line.LineStage().trained[0].weight)
+    steps = [one["step"] for one in read_scalars(together) if one["split"] == "train"]
+    assert steps == list(range(1, STEPS + 1))
+
+
+def test_termination_saves_and_the_next_run_goes_on(line, tmp_path):
+    config = TrainingConfig(epochs=4, batch_size=4)
+    parts = (line.LineExamples(), line.LineExamples(12, seed=1), config, tmp_path / "stopped")
+
+    def ask_to_stop(name, done, total):
+        if done == 7:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    stage = line.LineStage()
+    stopped = train(stage, *parts, collate=line.line_batch, progress=ask_to_stop)
+    assert (stopped.status, stopped.steps) == ("interrupted", 7)
+    assert signal.getsignal(signal.SIGTERM) is before
+    resumed = line.LineStage(seed=9)
+    finished = train(resumed, *parts, collate=line.line_batch)
+    assert (finished.status, finished.steps) == ("finished", STEPS)
+    through = line.LineStage()
+    train(through, *parts[:3], tmp_path / "through", collate=line.line_batch)
+    assert_same_bits(resumed.trained.state_dict(), through.trained.state_dict())
+
+
+def test_a_finished_run_is_not_done_again(line, tmp_path):
+    line.train_line(tmp_path)
+    before = (tmp_path / "best.safetensors").stat().st_mtime_ns, without_time(tmp_path)
+    _, again = line.train_line(tmp_path)
+    assert again.status == "finished"
+    assert before == ((tmp_path / "best.safetensors").stat().st_mtime_ns, without_time(tmp_path))
+    _, longer = line.train_line(tmp_path, epochs=5)
+    assert longer.steps == 50
+
+
+@pytest.mark.parametrize("changed", [{"batch_size": 8}, {"seed": 1}, {"low_rate": 1e-4}])
+def test_progress_of_other_settings_is_refused(line, tmp_path, changed):
+    line.train_line(tmp_path, epochs=1)
+    with pytest.raises(InvalidResultError, match=f"training.{next(iter(changed))}"):
+        line.train_line(tmp_path, epochs=1, **changed)
+
+
+def test_training_ends_when_nothing_improves(line, tmp_path):
+    _, outcome = line.train_line(tmp_path, epochs=500, patience=3, low_rate=1e-30, high_rate=1e-30)
+    assert outcome.status == "converged"
+    # With a rate of nothing only batch norm's statistics move, and soon no more.
+    assert outcome.steps < 5000
+
+
+def test_training_that_helps_nothing_changes_nothing(line, tmp_path):
+    """The start is judged too, and kept when no step beats it."""
+    _, outcome = line.train_line(
+        tmp_path, epochs=2, low_rate=100.0, high_rate=100.0, freeze_statistics=True
+    )
+    assert outcome.best_step == 0
+    kept = load_weights(outcome.weights).tensors
+    assert_same_bits(kept, line.LineStage().trained.state_dict())
+
+
+def test_frozen_statistics_stay(line, tmp_path):
+    frozen, _ = line.train_line(tmp_path / "frozen", epochs=1, freeze_statistics=True)
+    moving, _ = line.train_line(tmp_path / "moving", epochs=1)
+    start = line.LineStage().trained[1]
+    assert torch.equal(frozen.trained[1].running_mean, start.running_mean)
+    assert torch.equal(frozen.trained[1].running_var, start.running_var)
+    assert not torch.equal(frozen.trained[1].weight, start.weight)
+    assert not torch.equal(moving.trained[1].running_mean, start.running_mean)
+
+
+def test_a_loss_that_is_no_number_is_an_error(line, tmp_path):
+    stage = line.LineStage()
+    with torch.no_grad():
+        stage.trained[0].weight.fill_(float("inf"))
+    with pytest.raises(InvalidConfigError, match="loss of line is nan"):
+        train(
+            stage,
+            line.LineExamples(),
+            line.LineExamples(12, seed=1),
+            TrainingConfig(epochs=1, batch_size=4),
+            tmp_path,
+            collate=line.line_batch,
+        )
+
+
+def test_every_scalar_is_a_line_of_json(line, tmp_path):
+    line.train_line(tmp_path, epochs=2)
+    lines = read_scalars(tmp_path)
+    train_steps = [one["step"] for one in lines if one["split"] == "train"]
+    assert train_steps == list(range(1, 21))
+    assert [one["step"] for one in lines if one["split"] == "held_out"] == [0, 10, 20]
+    assert all(np.isfinite(one["loss"]) for one in lines if one["split"] == "train")
+
+
+def test_tensorboard_reads_the_same_scalars(line, tmp_path):
+    accumulators = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    line.train_line(tmp_path, epochs=2)
+    board = accumulators.EventAccumulator(str(tmp_path))
+    board.Reload()
+    found = {one.step: one.value for one in board.Scalars("held_out/error")}
+    wanted = {one["step"]: one["error"] for one in read_scalars(tmp_path) if "error" in one}
+    assert found.keys() == wanted.keys()
+    np.testing.assert_allclose([found[k] for k in wanted], list(wanted.values()), rtol=1e-6)
+
+
+def test_the_rate_is_constant_or_a_triangle():
+    constant = TrainingConfig(low_rate=1e-3, high_rate=1e-3)
+    assert {constant.rate(step, 10) for step in range(200)} == {1e-3}
+    cyclic = training_preset("paper", "completion")
+    rates = [cyclic.rate(step, 10) for step in range(161)]
+    assert rates[0] == rates[80] == rates[160] == pytest.approx(1e-6)
+    assert rates[40] == rates[120] == max(rates) == pytest.approx(1e-5)
+    slopes = np.diff(rates)
+    np.testing.assert_allclose(np.abs(slopes), 9e-6 / 40, rtol=1e-9)
+
+
+def test_the_paper_preset_is_the_paper():
+    epochs = [
+        training_preset("paper", stage).epochs for stage in ("canonicalisation", "completion")
+    ]
+    assert epochs == [1000, 2000]
+    assert training_preset("paper", "completion").patience == 0
+    assert training_preset("finetune", "completion").patience > 0
+    with pytest.raises(InvalidConfigError, match="paper"):
+        training_preset("papier", "completion")
+
+
+def test_groups_are_not_parted():
+    groups = [f"trajectory {number // 4}" for number in range(80)]
+    training, held_out = split_by_group(groups, 0.1, seed=2)
+    assert len(held_out) == 8
+    assert len(training) + len(held_out) == 80
+    assert not {groups[k] for k in training} & {groups[k] for k in held_out}
+    again = split_by_group(groups, 0.1, seed=2)
+    np.testing.assert_array_equal(held_out, again[1])
+    assert any(
+        set(split_by_group(groups, 0.1, seed=seed)[1]) != set(held_out) for seed in range(3, 8)
+    )
+    with pytest.raises(InvalidConfigError, match="two or more"):
+        split_by_group(["one"] * 5, 0.1, seed=0)
+
+
+def test_an_epoch_shows_everything_once():
+    order = BatchOrder(12, TrainingConfig(epochs=3, batch_size=4), Processes())
+    batches = list(order)
+    epochs = [[draw for batch in batches[3 * k : 3 * k + 3] for draw in batch] for k in range(3)]
+    for number, epoch in enumerate(epochs):
+        assert sorted(epoch) == [(index, number) for index in range(12)]
+    for one, other in pairwise(epochs):
+        assert [k for k, _ in one] != [k for k, _ in other]
+
+
+def test_an_order_begun_later_is_the_rest_of_the_whole():
+    config = TrainingConfig(epochs=3, batch_size=4)
+    whole = list(BatchOrder(14, config, Processes()))
+    rest = BatchOrder(14, config, Processes())
+    rest.start = 5
+    assert list(rest) == whole[5:]
+    assert len(rest) == len(whole) - 5
+
+
+def test_processes_share_a_batch():
+    config = TrainingConfig(epochs=1, batch_size=4)
+    whole = list(BatchOrder(8, config, Processes()))
+    shares = [list(BatchOrder(8, config, Processes(rank, 2))) for rank in (0, 1)]
+    for batch, *parts in zip(whole, *shares, strict=True):
+        assert sorted(batch) == sorted([*parts[0], *parts[1]])
+    with pytest.raises(InvalidConfigError, match="multiple"):
+        BatchOrder(8, config, Processes(0, 3))
+
+
+def test_examples_made_elsewhere_are_the_same(line, monkeypatch):
+    monkeypatch.syspath_prepend(SCRIPT.parent)
+    examples = line.LineExamples(8)
+    order = [[(0, 0), (1, 0)], [(2, 1), (3, 1)]]
+    here = list(loader(examples, order, line.line_batch))
+    there = list(loader(examples, order, line.line_batch, workers=2))
+    for one, other in zip(here, there, strict=True):
+        assert torch.equal(one.inputs, other.inputs)
+        assert torch.equal(one.targets, other.targets)
+
+
+def test_a_mixture_has_its_share_of_others():
+    class Constant(list):
+        def __getitem__(self, draw):
+            return super().__getitem__(draw[0])
+
+    mixture = Mixture(Constant(["new"] * 50), Constant(["old"] * 7), 0.3, seed=1)
+    drawn = [mixture[index, epoch] for index in range(50) for epoch in range(40)]
+    assert len(mixture) == 50
+    assert drawn.count("old") / len(drawn) == pytest.approx(0.3, abs=0.04)
+    assert drawn == [mixture[index, epoch] for index in range(50) for epoch in range(40)]
+
+
+def test_statistics_are_frozen_in_every_depth():
+    from clothtrack.reconstruction.training.training_loop import freeze_statistics
+
+    nested = nn.Sequential(nn.Sequential(nn.BatchNorm2d(2), nn.Dropout()), nn.BatchNorm3d(2))
+    freeze_statistics(nested.train())
+    assert not nested[0][0].training
+    assert not nested[1].training
+    assert nested[0][1].training
+
+
+def test_whether_an_example_is_replaced_says_nothing_about_the_others():
+    """Examples are drawn from [seed, epoch, index]; the mixture must not use the same numbers."""
+
+    class Coin:
+        def __len__(self):
+            return 50
+
+        def __getitem__(self, draw):
+            return np.random.default_rng([1, draw[1], draw[0]]).random()
+
+    class Other(Coin):
+        def __getitem__(self, draw):
+            return None
+
+    mixture = Mixture(Coin(), Other(), 0.3, seed=1)
+    kept = [mixture[index, epoch] for index in range(50) for epoch in range(40)]
+    assert np.mean([one for one in kept if one is not None]) == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_loss_that_is_no_number_never_reaches_the_weights(line, tmp_path):
+    """It is noticed in its own step, not when a line of scalars is due."""
+    stage = line.LineStage()
+    ruined = {"at": 7}
+
+    class Ruined(line.LineExamples):
+        def __getitem__(self, draw):
+            ruined["at"] -= 1
+            inputs, targets = super().__getitem__(draw)
+            return inputs, targets * (float("nan") if ruined["at"] < 0 else 1.0)
+
+    config = TrainingConfig(epochs=1, batch_size=4, log_steps=1000, save_steps=1)
+    with pytest.raises(InvalidConfigError, match="after step 1; lower"):
+        train(
+            stage, Ruined(), line.LineExamples(12, seed=1), config, tmp_path,
+            collate=line.line_batch,
+        )  # fmt: skip
+    assert all(torch.isfinite(one).all() for one in stage.trained.parameters())
+    saved = progress_of(tmp_path)
+    assert saved["step"] == 1
+    assert all(torch.isfinite(one).all() for one in saved["weights"].values())
+
+
+def test_a_run_killed_before_its_first_save_is_judged_once(line, tmp_path):
+    """Judged twice, it would seem to have waited a measurement longer for an improvement."""
+
+    def run(progress=None):
+        held_out = line.LineExamples(12, seed=1)
+        config = TrainingConfig(epochs=1, batch_size=4)
+        return train(
+            line.LineStage(), line.LineExamples(), held_out, config, tmp_path,
+            collate=line.line_batch, progress=progress,
+        )  # fmt: skip
+
+    def kill(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(kill)
+    assert (progress_of(tmp_path)["step"], progress_of(tmp_path)["stale"]) == (0, 0)
+    run()
+    assert [row["step"] for row in read_scalars(tmp_path) if row["split"] == "held_out"] == [0, 10]
+
+
+@pytest.mark.parametrize("device", ["tpu", "cuda:x", "cudafast"])
+def test_a_device_that_cannot_be_is_refused(device):
+    with pytest.raises(InvalidConfigError, match="use cpu, cuda or cuda:0"):
+        require_torch_device(device)
+
+
+def test_a_graphics_card_that_is_not_there_is_refused(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    require_torch_device("cuda")
+    require_torch_device("cuda:1")
+    with pytest.raises(InvalidConfigError, match="sees 2 GPUs"):
+        require_torch_device("cuda:2")
