@@ -146,7 +146,9 @@ def find_others(name, path=None, target=None):
 PathFinder.find_spec = find_others  # as if they were not installed
 import clothtrack
 for found in pkgutil.walk_packages(clothtrack.__path__, "clothtrack."):
-    if not found.name.startswith(("clothtrack.reconstruction", "clothtrack.planning.graph_dynamics")):
+    if not found.name.startswith(
+        ("clothtrack.reconstruction", "clothtrack.planning.graph_dynamics")
+    ):
         importlib.import_module(found.name)
 
 from clothtrack.cli.command_line import main
