@@ -19,7 +19,7 @@ import torch
 from results import provenance, write_json
 from scipy.spatial import cKDTree
 
-from clothtrack.alignment.aligner import Aligner, AlignmentConfig
+from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import visible_vertices
@@ -127,7 +127,9 @@ def compare(size: str, objective: str, *, repeats: int) -> dict[str, object]:
     """One row: peer, Adam and icp on one problem."""
     config = OBJECTIVES[objective]
     mesh, positions, cloud, visible = folded_cloth(*SIZES[size])
-    solvers = {solver: Aligner(mesh, replace(config, solver=solver)) for solver in ("adam", "icp")}
+    solvers = {
+        solver: CloudAligner(mesh, replace(config, solver=solver)) for solver in ("adam", "icp")
+    }
 
     def solve(solver: str) -> float:
         return float(solvers[solver].align(positions, cloud, visible).losses[-1])

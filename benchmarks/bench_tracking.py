@@ -77,9 +77,8 @@ def tracked(
     total = time.process_time() - built
     steps = result.steps
     parts = {name: float(np.nansum(getattr(steps, f"{name}_s"))) for name in ("predict", "correct")}
-    # The last frame is observed once more only by name: the cloud is kept.
     parts["observe"] = eyes.spent_s
-    parts["align"] = float(np.nansum(steps.align_s)) - eyes.spent_s
+    parts["align"] = float(np.nansum(steps.align_s))
     parts["rest"] = total - sum(parts.values())
     return {"total": total, "construction": built - start, **parts}, result
 

@@ -19,9 +19,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from bench_measures import ROW_FORMAT, Row, finite, measure
-from cpd_peer import PeerConfig, follow
 from first_meshes import resampled, with_first_mesh_error
 
+from clothtrack.baselines.coherent_point_drift import PeerConfig, follow
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.devices import quiet_warp

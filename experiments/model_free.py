@@ -1,8 +1,8 @@
 """Why a simulator? Coherent point drift with an edge-length projection against the tracker.
 
 Claim judged: dynamics bring something that smoothness and edge lengths do not: where the hidden
-part of the cloth goes. The peer (`cpd_peer.py`) sees the same clouds, the same first mesh and the
-same tool path; once it is told where the tool holds the cloth, as CDCPD is, and once not.
+part of the cloth goes. The peer (`clothtrack.baselines`) sees the same clouds, the same first mesh
+and the same tool path; once it is told where the tool holds the cloth, as CDCPD is, and once not.
 
     pip install biocpd      (the extra [experiments] brings it)
     python experiments/model_free.py --bench OUT --split test --workers 2
@@ -14,9 +14,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bench_runs import Variant
-from cpd_peer import PeerConfig
 from experiment import Run, Setup, run_experiment
 from figures import say
+
+from clothtrack.baselines.coherent_point_drift import PeerConfig
 
 
 def plan(setup: Setup) -> list[Run]:

@@ -9,7 +9,7 @@ import warp as wp
 from scipy.optimize import check_grad
 from scipy.spatial import cKDTree
 
-from clothtrack.alignment.aligner import Aligner, AlignmentConfig
+from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table
@@ -139,7 +139,7 @@ def test_kernel_gradient_and_objective_are_the_oracle_s(name):
     displacement = np.random.default_rng(1).normal(scale=2e-3, size=positions.shape)
     oracle.match(displacement)
     value, gradient = oracle.value_and_gradient(displacement)
-    loss, measured = Aligner(mesh, config).gradient(
+    loss, measured = CloudAligner(mesh, config).gradient(
         positions, displacement, cloud, visible, table=table, rest_height_m=0.01
     )
     assert loss == pytest.approx(value, rel=1e-5)
@@ -163,7 +163,7 @@ def test_kernel_gradient_agrees_with_automatic_differentiation():
         + 300 * ((x[i] - x[j]).norm(dim=1) - rest).square().mean()
     )
     loss.backward()
-    value, measured = Aligner(mesh, OURS).gradient(positions, displacement, cloud, visible)
+    value, measured = CloudAligner(mesh, OURS).gradient(positions, displacement, cloud, visible)
     assert value == pytest.approx(loss.item(), rel=1e-5)
     np.testing.assert_allclose(measured, d.grad.numpy(), atol=2e-5 * np.abs(d.grad.numpy()).max())
 
@@ -176,7 +176,7 @@ def test_adam_follows_the_reference(name):
     expected, losses = Oracle(
         mesh, config, positions, cloud, visible, table=table, rest=0.003
     ).adam()
-    result = Aligner(mesh, config).align(
+    result = CloudAligner(mesh, config).align(
         positions, cloud, visible, table=table, rest_height_m=0.003
     )
     assert result.iterations == 101
@@ -192,7 +192,7 @@ def test_neighbours_may_be_renewed_less_often():
     config = replace(PAPER, iterations=40, neighbours_every=5)
     mesh, positions, cloud, visible = scene()
     _, losses = Oracle(mesh, config, positions, cloud, visible).adam()
-    result = Aligner(mesh, config).align(positions, cloud, visible)
+    result = CloudAligner(mesh, config).align(positions, cloud, visible)
     np.testing.assert_allclose(result.losses[:-1], losses[:-1], rtol=1e-2)
 
 
@@ -200,8 +200,8 @@ def test_neighbours_may_be_renewed_less_often():
 def test_icp_reaches_what_adam_reaches_within_percents(name):
     config = VARIANTS[name]
     mesh, positions, cloud, visible = scene()
-    adam = Aligner(mesh, config).align(positions, cloud, visible)
-    icp = Aligner(mesh, replace(config, solver="icp")).align(positions, cloud, visible)
+    adam = CloudAligner(mesh, config).align(positions, cloud, visible)
+    icp = CloudAligner(mesh, replace(config, solver="icp")).align(positions, cloud, visible)
     assert icp.losses[0] == pytest.approx(adam.losses[0], rel=1e-6)
     assert icp.losses[-1] < 1.05 * adam.losses[-1]
     assert icp.losses[-1] < 0.9 * icp.losses[0]
@@ -213,7 +213,7 @@ def test_a_shifted_cloth_seen_completely_is_put_back():
     shift = np.array([0.003, -0.002, 0.004])
     visible = np.ones(mesh.vertex_count, bool)
     for config in (PAPER, replace(PAPER, solver="icp", icp_inner=60)):
-        result = Aligner(mesh, config).align(mesh.vertices, mesh.vertices + shift, visible)
+        result = CloudAligner(mesh, config).align(mesh.vertices, mesh.vertices + shift, visible)
         np.testing.assert_allclose(result.corrections, np.tile(shift, (len(visible), 1)), atol=1e-4)
         assert result.losses[-1] < 1e-3 * result.losses[0]
 
@@ -222,7 +222,7 @@ def test_rigidity_carries_hidden_vertices_along():
     mesh = sheet()
     visible = mesh.vertices[:, 0] < 0
     shift = np.array([0.0, 0.0, 0.004])
-    result = Aligner(mesh, PAPER).align(mesh.vertices, mesh.vertices[visible] + shift, visible)
+    result = CloudAligner(mesh, PAPER).align(mesh.vertices, mesh.vertices[visible] + shift, visible)
     assert result.corrections[~visible, 2].min() > 0.002
 
 
@@ -235,7 +235,7 @@ def test_the_length_term_keeps_the_rest_lengths():
         config = replace(PAPER, length_weight=weight)
         found = (
             mesh.vertices
-            + Aligner(mesh, config).align(mesh.vertices, stretched, visible).corrections
+            + CloudAligner(mesh, config).align(mesh.vertices, stretched, visible).corrections
         )
         ends = found[mesh.edges]
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -251,13 +251,15 @@ def test_only_the_two_way_term_pulls_an_overhanging_edge_in():
     cloud = mesh.vertices[mesh.vertices[:, 0] < 0.05]  # the cloth's right end is not there
     right = mesh.vertices[:, 0] > 0.06
     pulled = [
-        Aligner(mesh, replace(PAPER, two_way_weight=weight)).align(mesh.vertices, cloud, visible)
+        CloudAligner(mesh, replace(PAPER, two_way_weight=weight)).align(
+            mesh.vertices, cloud, visible
+        )
         for weight in (0.0, 1.0)
     ]
     assert np.abs(pulled[0].corrections[right]).max() < 1e-4
     assert pulled[1].corrections[right, 0].max() < -0.005
     trusted = mesh.vertices[:, 0] < 0.05
-    silent = Aligner(mesh, replace(PAPER, two_way_weight=1.0)).align(
+    silent = CloudAligner(mesh, replace(PAPER, two_way_weight=1.0)).align(
         mesh.vertices, cloud, visible, trusted=trusted
     )
     assert silent.terms["two_way"][0] == 0.0
@@ -269,7 +271,9 @@ def test_the_table_pushes_back():
     table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     cloud = mesh.vertices - np.array([0, 0, 0.005])
     result = [
-        Aligner(mesh, PAPER).align(mesh.vertices, cloud, visible, table=each, rest_height_m=0.0)
+        CloudAligner(mesh, PAPER).align(
+            mesh.vertices, cloud, visible, table=each, rest_height_m=0.0
+        )
         for each in (None, table)
     ]
     assert result[0].corrections[:, 2].mean() < -0.0045
@@ -279,7 +283,7 @@ def test_the_table_pushes_back():
 @pytest.mark.parametrize("solver", ["adam", "icp"])
 def test_alignment_repeats_bit_for_bit_and_does_not_depend_on_where_the_world_begins(solver):
     mesh, positions, cloud, visible = scene()
-    aligner = Aligner(mesh, replace(OURS, solver=solver, iterations=30))
+    aligner = CloudAligner(mesh, replace(OURS, solver=solver, iterations=30))
     first = aligner.align(positions, cloud, visible)
     again = aligner.align(positions, cloud, visible)
     np.testing.assert_array_equal(first.corrections, again.corrections)
@@ -291,7 +295,7 @@ def test_alignment_repeats_bit_for_bit_and_does_not_depend_on_where_the_world_be
 
 def test_nothing_to_align_to_is_a_result():
     mesh, positions, cloud, visible = scene()
-    aligner = Aligner(mesh, PAPER)
+    aligner = CloudAligner(mesh, PAPER)
     for result, reason in (
         (aligner.align(positions, cloud[:0], visible), "no points"),
         (aligner.align(positions, cloud, np.zeros_like(visible)), "no visible vertex"),
@@ -329,7 +333,7 @@ def test_the_gpu_agrees_with_the_cpu(solver):
     mesh, positions, cloud, visible = scene()
     config = replace(OURS, solver=solver)
     results = [
-        Aligner(mesh, config, device=device).align(positions, cloud, visible)
+        CloudAligner(mesh, config, device=device).align(positions, cloud, visible)
         for device in ("cpu", "cuda:0", "cuda:0")
     ]
     np.testing.assert_array_equal(results[1].corrections, results[2].corrections)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, calibrate, ranked
+from clothtrack.tracking.calibration import CalibrationConfig, calibrate, ranked
 from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.theta import PARAMETERS
 
 START = TrackerConfig().parameters
 BEST = {"bend_compliance": 1e-2, "table_friction": 3.0, "particle_friction": 0.3}

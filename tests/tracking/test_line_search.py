@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.simulation.dynamics import RollOut
+from clothtrack.simulation.dynamics import PickerAction, RollOut
 from clothtrack.simulation.state import ClothState, ContactMemory
-from clothtrack.tracking.line_search import LineSearchConfig, is_calm, search_line
+from clothtrack.tracking.line_search import LineSearchConfig, PseudoActionSearch, is_calm
+from clothtrack.tracking.seams import Correction
 
 
 def roll_out(speed: float, position: float = 0.0) -> RollOut:
@@ -14,18 +15,28 @@ def roll_out(speed: float, position: float = 0.0) -> RollOut:
     slots, counts = np.zeros((1, 2, 1), np.int32), np.zeros((1, 2), np.int32)
     memory = ContactMemory(slots, slots.astype(np.float32), counts, counts)
     state = ClothState(points, np.zeros_like(points), memory)
-    return RollOut(state=state, positions=points, highest_speed=np.array([speed]))
+    return RollOut(state, points, np.array([speed]), points)
+
+
+STILL = PickerAction(None, 0.1)
+CORRECTION = Correction(
+    np.zeros((2, 3)), np.array([[1.0, 0, 0], [0, 1.0, 0]]), np.array([True, False]), (1.0, 0.5)
+)
+SEARCH = PseudoActionSearch(LineSearchConfig(explosion_speed=2.0), strength=0.5)
 
 
 @pytest.mark.parametrize(("limit", "trials"), [(1.0, 1), (0.7, 2), (0.69, 3), (0.05, 10)])
 def test_takes_the_largest_power_of_the_decay_that_is_calm(limit: float, trials: int) -> None:
     tried = []
 
-    def roll(scale: float) -> RollOut:
+    def dyn(state, action, pseudo_action):
+        scale = float(pseudo_action.targets[0, 0, 0])
         tried.append(scale)
+        np.testing.assert_allclose(pseudo_action.targets[0], scale * CORRECTION.displacement)
+        np.testing.assert_array_equal(pseudo_action.strength[0], [0.5, 0.0])
         return roll_out(1.0 if scale <= limit else 9.0)
 
-    result = search_line(roll, roll_out(0.0), 2.0, LineSearchConfig())
+    result = SEARCH(dyn, None, STILL, roll_out(0.0), CORRECTION)
     assert result.trials == trials == len(tried)
     assert result.scale == pytest.approx(0.7 ** (trials - 1))
     assert not result.gave_up
@@ -33,10 +44,17 @@ def test_takes_the_largest_power_of_the_decay_that_is_calm(limit: float, trials:
 
 def test_gives_up_after_ten_trials_and_keeps_the_prediction() -> None:
     prediction = roll_out(0.1)
-    result = search_line(lambda _: roll_out(np.inf), prediction, 2.0, LineSearchConfig())
+    result = SEARCH(lambda *_: roll_out(np.inf), None, STILL, prediction, CORRECTION)
     assert result.gave_up
-    assert result.roll_out is prediction
+    assert result.prediction is prediction
     assert (result.trials, result.scale) == (10, 0.0)
+
+
+def test_without_a_correction_the_prediction_stands() -> None:
+    prediction = roll_out(9.0)
+    result = SEARCH(lambda *_: roll_out(0.0), None, STILL, prediction, None)
+    assert result.state is prediction.state
+    assert (result.trials, result.gave_up) == (0, False)
 
 
 def test_non_finite_is_never_calm() -> None:

@@ -6,11 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from clothtrack.alignment.aligner import Aligner
 from clothtrack.geometry.quality import crossing_edges
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
-from clothtrack.tracking import tracker as tracker_module
+from clothtrack.tracking import final_alignment
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.pipeline import RunConfig, track_recording
 from clothtrack.tracking.tracker import Tracker
@@ -31,14 +30,14 @@ def config() -> TrackerConfig:
 def slides(monkeypatch) -> list:
     """Every slide to the outline that is made: vertices before and after."""
     made = []
-    slide = tracker_module.slide_to_outline
+    slide = final_alignment.slide_to_outline
 
     def noted(mesh, vertices, *others, **named):
         after = slide(mesh, vertices, *others, **named)
         made.append((vertices, after))
         return after
 
-    monkeypatch.setattr(tracker_module, "slide_to_outline", noted)
+    monkeypatch.setattr(final_alignment, "slide_to_outline", noted)
     return made
 
 
@@ -96,7 +95,6 @@ def test_vertices_at_crossings_are_left_free_unless_the_paper_is_followed(
     crossed = np.unique(np.concatenate([edges.ravel(), faces.ravel()]))
     assert 10 < len(crossed) < 0.5 * len(crossing)
 
-    aligner = Aligner(mesh, config.alignment)
-    _, attached = tracker._alignment(aligner, crossing, observe(recording, recording.frames[0]))
-    assert attached[crossed].any() == attach_crossed
-    assert attached.sum() > 0.3 * len(attached)
+    correction = tracker.parts.align.aligned(crossing, observe(recording, recording.frames[0]))
+    assert correction.attached[crossed].any() == attach_crossed
+    assert correction.attached.sum() > 0.3 * len(correction.attached)

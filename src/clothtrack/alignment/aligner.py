@@ -20,7 +20,7 @@ from clothtrack.alignment.nearest import Matcher
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table
 
-__all__ = ["Aligner", "Alignment", "AlignmentConfig"]
+__all__ = ["Alignment", "AlignmentConfig", "CloudAligner"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Alignment:
     reason: str
 
 
-class Aligner:
+class CloudAligner:
     """Aligns one cloth to clouds; topology and rest lengths are prepared once.
 
     Args:

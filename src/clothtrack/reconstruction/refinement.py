@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Float32
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from clothtrack.alignment.aligner import Aligner, AlignmentConfig
+from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
 from clothtrack.errors import InvalidConfigError, InvalidMeshError, SimulationDivergedError
 from clothtrack.geometry.chamfer import two_way
 from clothtrack.geometry.closest_point import closest_on_mesh
@@ -176,7 +176,7 @@ class Refiner:
         self._visible = VisibilityCheck(
             mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m, device=device
         )
-        self._aligner = Aligner(rest or mesh, config.alignment, device=device)
+        self._aligner = CloudAligner(rest or mesh, config.alignment, device=device)
         self._dynamics = None
         if rest is not None and config.roll_s > 0.0:
             self._dynamics = self._laid_out(rest, device)

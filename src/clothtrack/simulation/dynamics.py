@@ -45,6 +45,21 @@ class HeldMotion:
 
 
 @dataclass(frozen=True, eq=False)
+class PickerAction:
+    """a_t: what the pickers do between two frames.
+
+    Attributes:
+        motion: the held vertices and their path; None holds none.
+        duration_s: time between the frames [s].
+        speed: of the fastest picker that holds cloth [m/s].
+    """
+
+    motion: HeldMotion | None
+    duration_s: float
+    speed: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class RollOut:
     """What a roll-out ends with.
 
@@ -52,11 +67,13 @@ class RollOut:
         state: the state, to go on from.
         positions: the vertices [m].
         highest_speed: highest speed of a free vertex on the way, before the limit [m/s].
+        started_at: the vertices before it [m].
     """
 
     state: ClothState
     positions: Float32[np.ndarray, "environments vertices 3"]
     highest_speed: Float[np.ndarray, " environments"]
+    started_at: Float32[np.ndarray, "environments vertices 3"]
 
 
 @dataclass(frozen=True)
@@ -122,7 +139,13 @@ class ClothDynamics:
         positions = solver.positions
         if pseudo is not None:
             solver.set_velocities(self.config.velocity_kept / duration_s * (positions - before))
-        return RollOut(solver.save(), positions, highest)
+        return RollOut(solver.save(), positions, highest, before)
+
+    def __call__(
+        self, state: ClothState, action: PickerAction, pseudo_action: Attachment | None = None
+    ) -> RollOut:
+        """dyn(x, a) and dyn(x, a, a~) of Algorithm 1."""
+        return self.roll_out(state, action.motion, action.duration_s, pseudo_action)
 
     def _steps(
         self,

@@ -15,19 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
 from clothtrack.tracking.tracked_trajectory import Calibration
-
-PARAMETERS = (
-    "stretch_compliance",
-    "bend_compliance",
-    "table_friction",
-    "particle_friction",
-    "held_layers",
-    "grasp_offset_x_m",
-    "grasp_offset_y_m",
-    "grasp_offset_z_m",
-)
-"""Everything that can be calibrated: four properties of the cloth, and how the tool holds it."""
 
 Method = Literal["none", "grid", "halving", "descent"]
 Judge = Literal["open_loop", "tracking"]
@@ -129,25 +118,8 @@ class CalibrationConfig:
         return int(np.prod([len(values) for values in self.axes.values()]))
 
 
-def check_parameter(name: str, value: float) -> None:
-    """Refuse a value that the named one of PARAMETERS cannot take.
-
-    Raises:
-        InvalidConfigError: with the name, the value and what is allowed.
-    """
-    if not np.isfinite(value):
-        raise InvalidConfigError(f"{name} is {value}; it must be finite")
-    if not name.startswith("grasp_offset") and value < 0.0:
-        raise InvalidConfigError(f"{name} is {value}; it must be 0 or more")
-    if name == "held_layers" and value != int(value):
-        raise InvalidConfigError(
-            f"held_layers is {value}; it must be a whole number (0: the nearest vertices, whatever "
-            "layer they are of)"
-        )
-
-
 def calibrate(
-    score: Score | None, start: Mapping[str, float], config: CalibrationConfig
+    score: Score | None, start: Theta, config: CalibrationConfig
 ) -> tuple[dict[str, float], Calibration]:
     """Find the parameters whose open-loop roll-out ends nearest to the last cloud.
 
@@ -160,7 +132,7 @@ def calibrate(
         The chosen value of every parameter, and the record of all candidates.
     """
     if score is None or config.method == "none":
-        return dict(start), Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+        return dict(start), Calibration.none()
     names = tuple(config.axes)
     counted = _Counted(score, start, names, config.batch)
     if names:

@@ -7,9 +7,10 @@ from clothtrack.alignment.aligner import AlignmentConfig
 from clothtrack.errors import InvalidConfigError
 from clothtrack.simulation.dynamics import DynamicsConfig
 from clothtrack.simulation.parameters import SolverConfig
-from clothtrack.tracking.calibration import PARAMETERS, CalibrationConfig, check_parameter
+from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.line_search import LineSearchConfig
 from clothtrack.tracking.picking import PickingConfig
+from clothtrack.tracking.theta import PARAMETERS, check_parameter
 
 
 def _default_parameters() -> dict[str, float]:

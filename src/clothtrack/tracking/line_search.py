@@ -6,13 +6,14 @@ roll-out that stays calm. When none does, the pseudo-action is dropped for this 
 recorded result, not an error.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.simulation.dynamics import RollOut
+from clothtrack.simulation.dynamics import PickerAction
+from clothtrack.simulation.state import Attachment
+from clothtrack.tracking.seams import Corrected, Correction, Dyn, Prediction, State
 
 
 @dataclass(frozen=True)
@@ -57,54 +58,58 @@ class LineSearchConfig:
         return max(self.explosion_speed, self.explosion_ratio * picker_speed, own)
 
 
-@dataclass(frozen=True, eq=False)
-class LineSearchResult:
-    """What the search settled on.
+class PseudoActionSearch:
+    """Rolls the dynamics with the correction as pseudo-action, with ever smaller parts of it."""
 
-    Attributes:
-        roll_out: the accepted roll-out; the plain prediction when the search gave up.
-        scale: the accepted part of the correction; 0 when it gave up.
-        trials: roll-outs spent.
-        gave_up: no part of the correction was calm.
-    """
+    def __init__(self, config: LineSearchConfig, strength: float) -> None:
+        """Take the settings.
 
-    roll_out: RollOut
-    scale: float
-    trials: int
-    gave_up: bool
+        Args:
+            config: decay, number of trials and what counts as divergence.
+            strength: 1 holds attached vertices at their targets, less pulls them there.
+        """
+        self._config, self._strength = config, strength
+
+    def __call__(
+        self,
+        dyn: Dyn,
+        state: State,
+        action: PickerAction,
+        predicted: Prediction,
+        correction: Correction | None,
+    ) -> Corrected:
+        """The first stable roll-out; the prediction when there is none, or no correction.
+
+        Args:
+            dyn: the dynamics.
+            state: the cloth before the frame.
+            action: what the pickers do during it.
+            predicted: the roll-out without a pseudo-action.
+            correction: what the cloud wants.
+        """
+        if correction is None:
+            return Corrected(predicted)
+        config, scale = self._config, 1.0
+        threshold = config.threshold(action.speed, float(predicted.highest_speed.max()))
+        for trial in range(1, config.trials + 1):
+            rolled = dyn(state, action, self._pseudo_action(correction, scale))
+            if is_calm(rolled, threshold):
+                return Corrected(rolled, scale, trial)
+            scale *= config.decay
+        return Corrected(predicted, 0.0, config.trials, gave_up=True)
+
+    def _pseudo_action(self, correction: Correction, scale: float) -> Attachment:
+        """a~_t: the attached vertices are wanted where this part of the correction takes them."""
+        strength = np.where(correction.attached, self._strength, 0.0).astype(np.float32)
+        targets = (correction.start + scale * correction.displacement)[None].astype(np.float32)
+        return Attachment(targets, strength[None])
 
 
-def search_line(
-    roll_with_correction: Callable[[float], RollOut],
-    prediction: RollOut,
-    threshold: float,
-    config: LineSearchConfig,
-) -> LineSearchResult:
-    """Find the largest part of the correction that does not make the cloth burst.
-
-    Args:
-        roll_with_correction: rolls the dynamics with this part of the correction as pseudo-action.
-        prediction: the roll-out without a pseudo-action, used when every trial bursts.
-        threshold: highest speed [m/s] that is still calm.
-        config: decay and number of trials.
-
-    Returns:
-        The first calm roll-out, or the prediction with `gave_up` set.
-    """
-    scale = 1.0
-    for trial in range(1, config.trials + 1):
-        roll_out = roll_with_correction(scale)
-        if is_calm(roll_out, threshold):
-            return LineSearchResult(roll_out, scale, trial, gave_up=False)
-        scale *= config.decay
-    return LineSearchResult(prediction, 0.0, config.trials, gave_up=True)
-
-
-def is_calm(roll_out: RollOut, threshold: float) -> bool:
+def is_calm(roll_out: Prediction, threshold: float) -> bool:
     """Whether every vertex stayed finite and slower than the threshold [m/s]."""
     fastest = float(np.max(roll_out.highest_speed))
     return bool(np.isfinite(fastest) and fastest <= threshold and _finite(roll_out))
 
 
-def _finite(roll_out: RollOut) -> bool:
+def _finite(roll_out: Prediction) -> bool:
     return bool(np.isfinite(roll_out.positions).all())

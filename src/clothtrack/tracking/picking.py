@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,8 +11,11 @@ from scipy.sparse.csgraph import connected_components
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
-from clothtrack.simulation.dynamics import HeldMotion
+from clothtrack.simulation.dynamics import HeldMotion, PickerAction
 from clothtrack.simulation.picker import grasp_vertices
+from clothtrack.simulation.state import ClothState
+from clothtrack.tracking.seams import Grasps, Pick, State
+from clothtrack.tracking.theta import Theta, grasp_offset
 
 logger = logging.getLogger(__name__)
 
@@ -112,6 +115,88 @@ def find_grasps(
             continue
         grasps.append(Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
     return tuple(grasps)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldCloth:
+    """What the pickers of one action hold, and where on the cloth they really are.
+
+    Attributes:
+        grasps: one per picker that holds something.
+        offset: from where a tip was commanded to where it holds the cloth [m].
+    """
+
+    grasps: tuple[Grasp, ...]
+    offset: Float[np.ndarray, " 3"]
+
+    def action(self, start_s: float, end_s: float) -> PickerAction:
+        """a_t: what the closed pickers do between two times [s]."""
+        motion = held_motion(self.grasps, start_s, end_s, self.offset)
+        return PickerAction(motion, end_s - start_s, picker_speed(self.grasps, start_s, end_s))
+
+    def closed_at(self, time_s: float) -> bool:
+        """Whether any of them holds cloth at this time [s]."""
+        return any(grasp.path.closed_at(time_s) for grasp in self.grasps)
+
+    def identity(self, theta: Theta) -> tuple[object, ...]:
+        """Equal for choices of theta that come to the same hold of the same cloth.
+
+        Where one layer lies under the tip, there is no second one to hold.
+        """
+        others = {**theta, "held_layers": 0.0}
+        return tuple(self.held_vertices.values()), *others.values()
+
+    @property
+    def held_vertices(self) -> dict[str, tuple[int, ...]]:
+        """The vertices each picker holds, by its name."""
+        return {grasp.picker: tuple(grasp.vertices.tolist()) for grasp in self.grasps}
+
+
+def pick(
+    action: PickAndPlace,
+    state: ClothState,
+    theta: Theta,
+    *,
+    recording: Recording,
+    mesh: ClothMesh,
+    config: PickingConfig,
+) -> HeldCloth:
+    """What the pickers of an action take hold of, from where the cloth lies when it starts.
+
+    Args:
+        action: the pick-and-place.
+        state: the cloth at its first frame.
+        theta: how many layers are held, and the grasp's offset.
+        recording: holds the picker paths and, if known, the held vertices.
+        mesh: the cloth's topology.
+        config: reach and number of vertices.
+    """
+    cloth = mesh.with_vertices(state.positions[0].astype(np.float64))
+    layers = int(theta["held_layers"])
+    grasps = find_grasps(recording, action, cloth, config, layers)
+    return HeldCloth(grasps, grasp_offset(theta))
+
+
+def without_motion(take_hold: Pick) -> Pick:
+    """The ablation without action conditioning: the dynamics do not learn what pickers do."""
+
+    def held_still(action: PickAndPlace, state: State, theta: Theta) -> Grasps:
+        return _Unmoved(take_hold(action, state, theta))
+
+    return held_still
+
+
+class _Unmoved:
+    """Grasps whose motion nobody is told; where a picker is stays known."""
+
+    def __init__(self, grasps: Grasps) -> None:
+        self._grasps = grasps
+        self.closed_at, self.identity = grasps.closed_at, grasps.identity
+        self.held_vertices = grasps.held_vertices
+
+    def action(self, start_s: float, end_s: float) -> PickerAction:
+        """No motion, for the same time and at the same speed."""
+        return replace(self._grasps.action(start_s, end_s), motion=None)
 
 
 def layers_under(

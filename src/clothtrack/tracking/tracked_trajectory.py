@@ -46,6 +46,11 @@ class Calibration:
     roll_outs: float
     judge: str = "open_loop"
 
+    @classmethod
+    def none(cls) -> "Calibration":
+        """The record of an action for which nothing was searched."""
+        return cls("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class TrackedAction:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from clothtrack.tracking.open_loop import within_reach
+from clothtrack.alignment.cloud_distance import within_reach
 
 
 @pytest.mark.parametrize("reach_m", [0.03, 0.05, 0.2])

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from cpd_peer import EdgeLengths, PeerConfig, drifted
 
+from clothtrack.baselines.coherent_point_drift import EdgeLengths, PeerConfig, drifted
 from clothtrack.simulation.garments import towel
 
 

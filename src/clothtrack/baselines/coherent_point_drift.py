@@ -10,6 +10,7 @@ brings is what this lacks.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,16 +18,39 @@ from jaxtyping import Bool, Float, Int
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
-from clothtrack.recordings.recording import Frame, Recording, Table
-from clothtrack.tracking.picking import Grasp, PickingConfig, find_grasps
-from clothtrack.tracking.tracked_trajectory import (
-    Calibration,
-    StepRecords,
-    TrackedAction,
-    TrackedTrajectory,
-)
+from clothtrack.recordings.recording import Frame, PickAndPlace, Recording, Table
+from clothtrack.simulation.dynamics import HeldMotion, PickerAction
+from clothtrack.simulation.state import Attachment
+from clothtrack.tracking.algorithm import track
+from clothtrack.tracking.calibrator import uncalibrated
+from clothtrack.tracking.final_alignment import no_final_alignment
+from clothtrack.tracking.picking import HeldCloth, PickingConfig, find_grasps, without_motion
+from clothtrack.tracking.recorder import Recorder
+from clothtrack.tracking.seams import Corrected, Correction, Dyn, Parts
+from clothtrack.tracking.theta import Theta
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-UNCALIBRATED = Calibration("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
+
+@dataclass(frozen=True, eq=False)
+class Vertices:
+    """Where a cloth without dynamics is: a state, and the prediction that it stays.
+
+    Attributes:
+        positions: vertices in the world [m].
+    """
+
+    positions: Float[np.ndarray, "1 vertices 3"]
+    highest_speed: Float[np.ndarray, " 1"] = field(default_factory=lambda: np.zeros(1))
+
+    @property
+    def state(self) -> "Vertices":
+        """Itself."""
+        return self
+
+    @property
+    def started_at(self) -> Float[np.ndarray, "1 vertices 3"]:
+        """Where it was before: here."""
+        return self.positions
 
 
 @dataclass(frozen=True)
@@ -88,41 +112,27 @@ def follow(
     """
     cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
     visible = VisibilityCheck(mesh.faces, cameras, tolerance_m=0.003, device=device)
-    edges = EdgeLengths(mesh)
-    vertices = mesh.vertices.astype(np.float64)
-    positions = np.repeat(vertices[None].astype(np.float32), len(recording.frames), axis=0)
-    actions = []
-    for action in recording.actions:
-        grasps = find_grasps(recording, action, mesh.with_vertices(vertices), config.picking)
-        for frame in recording.frames[action.first_frame + 1 : action.last_frame + 1]:
-            seen = visible(vertices.astype(np.float32))
-            moved = drifted(vertices, seen, observe(frame).points, config)
-            held, fixed = _held(moved, frame.time_s, grasps if config.use_tool else ())
-            vertices = edges.project(held, fixed, lengths=config.lengths, sweeps=config.sweeps)
-            vertices = _above_table(vertices, recording.table, config.rest_height_m)
-            positions[frame.index :] = vertices
-        actions.append(
-            TrackedAction(
-                first_frame=action.first_frame,
-                last_frame=action.last_frame,
-                positions_before_final_alignment=positions[action.last_frame],
-                positions_after_final_alignment=positions[action.last_frame],
-                final_alignment_losses=np.full(2, np.nan),
-                parameters={},
-                calibration=UNCALIBRATED,
-                held_vertices={g.picker: tuple(g.vertices.tolist()) for g in grasps},
-            )
-        )
-    return TrackedTrajectory(
-        name=recording.name,
-        mesh=mesh,
-        frames=np.array([frame.index for frame in recording.frames]),
-        time_s=np.array([frame.time_s for frame in recording.frames]),
-        positions=positions,
-        visible=np.stack([visible(each) for each in positions]),
-        actions=tuple(actions),
-        steps=StepRecords.empty(len(recording.frames)),
+    start = Vertices(mesh.vertices.astype(np.float64)[None])
+
+    def align(predicted: Vertices, observation: Observation) -> Correction:
+        vertices = predicted.positions[0]
+        seen = visible(vertices.astype(np.float32))
+        moved = drifted(vertices, seen, observation.points, config)
+        return Correction(vertices, moved - vertices, seen, (np.nan, np.nan))
+
+    take_hold = partial(_pick, recording=recording, mesh=mesh, config=config.picking)
+    parts = Parts(
+        observe=observe,
+        pick=take_hold if config.use_tool else without_motion(take_hold),
+        calibrate=uncalibrated,
+        dynamics=_still,
+        align=align,
+        line_search=Projection(mesh, config, recording.table),
+        align_last=no_final_alignment,
     )
+    recorder = Recorder(recording, mesh, start, visible)
+    track(recording, start, {}, parts, recorder)
+    return recorder.trajectory()
 
 
 def drifted(
@@ -171,6 +181,76 @@ def _carried(
         weights = np.exp(-8.0 * (squared - squared.min(axis=1, keepdims=True)))
         motion[~seen] = weights @ drift / weights.sum(axis=1, keepdims=True)
     return motion
+
+
+class Projection:
+    """Takes the whole correction, holds what the tool holds, and puts edges and table right."""
+
+    def __init__(self, mesh: ClothMesh, config: PeerConfig, table: Table | None) -> None:
+        """Take the rest lengths from the first mesh."""
+        self._edges, self._config, self._table = EdgeLengths(mesh), config, table
+
+    def __call__(
+        self,
+        dyn: Dyn,  # noqa: ARG002
+        state: Vertices,  # noqa: ARG002
+        action: PickerAction,
+        predicted: Vertices,  # noqa: ARG002
+        correction: Correction | None,
+    ) -> Corrected:
+        """The vertices after one frame; there are no dynamics to ask."""
+        assert correction is not None
+        vertices = correction.start + correction.displacement
+        fixed = np.zeros(len(vertices), bool)
+        if action.motion is not None:
+            vertices[action.motion.vertices] = action.motion.at(1.0)[0]
+            fixed[action.motion.vertices] = True
+        config = self._config
+        vertices = self._edges.project(
+            vertices, fixed, lengths=config.lengths, sweeps=config.sweeps
+        )
+        vertices = _above_table(vertices, self._table, config.rest_height_m)
+        return Corrected(Vertices(vertices[None]))
+
+
+def _still(theta: Theta) -> Dyn:  # noqa: ARG001
+    """Frozen dynamics: without a correction the cloth stays where it is."""
+
+    def dyn(
+        state: Vertices,
+        action: PickerAction,  # noqa: ARG001
+        pseudo_action: Attachment | None = None,  # noqa: ARG001
+    ) -> Vertices:
+        return state
+
+    return dyn
+
+
+class _Tool(HeldCloth):
+    """The tool as the peer sees it: where it is at the end of a frame."""
+
+    def action(self, start_s: float, end_s: float) -> PickerAction:
+        """Held vertices at the tip of each tool that is closed at the end."""
+        closed = [grasp for grasp in self.grasps if grasp.path.closed_at(end_s)]
+        if not closed:
+            return PickerAction(None, end_s - start_s)
+        held = np.concatenate([grasp.vertices for grasp in closed]).astype(np.int32)
+        targets = [grasp.path.position_at(end_s) + grasp.offsets for grasp in closed]
+        return PickerAction(HeldMotion(held, np.concatenate(targets)[None]), end_s - start_s)
+
+
+def _pick(
+    action: PickAndPlace,
+    state: Vertices,
+    theta: Theta,  # noqa: ARG001
+    *,
+    recording: Recording,
+    mesh: ClothMesh,
+    config: PickingConfig,
+) -> HeldCloth:
+    """What the tool holds."""
+    grasps = find_grasps(recording, action, mesh.with_vertices(state.positions[0]), config)
+    return _Tool(grasps, np.zeros(3))
 
 
 class EdgeLengths:
@@ -227,18 +307,6 @@ def _edge_colors(edges: Int[np.ndarray, "edges 2"], count: int) -> list[Int[np.n
         used[a].add(color)
         used[b].add(color)
     return [np.array(each) for each in colors]
-
-
-def _held(
-    vertices: Float[np.ndarray, "vertices 3"], time_s: float, grasps: tuple[Grasp, ...]
-) -> tuple[Float[np.ndarray, "vertices 3"], Bool[np.ndarray, " vertices"]]:
-    """Vertices [m] with the held ones at the tool, and which those are."""
-    vertices, fixed = np.array(vertices), np.zeros(len(vertices), bool)
-    for grasp in grasps:
-        if grasp.path.closed_at(time_s):
-            vertices[grasp.vertices] = grasp.path.position_at(time_s) + grasp.offsets
-            fixed[grasp.vertices] = True
-    return vertices, fixed
 
 
 def _above_table(

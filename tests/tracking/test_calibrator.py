@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.tracking import tracker as tracker_module
+from clothtrack.tracking import algorithm
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.pipeline import RunConfig, track_recording
@@ -42,12 +42,12 @@ def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recordin
 
 def test_where_one_layer_lies_no_second_one_is_tried(recording, config, monkeypatch):
     followed = []
-    follow = tracker_module.Tracker._follow
+    follow = algorithm.follow
 
-    def counted(self, *arguments):
+    def counted(*arguments, **named):
         followed.append(arguments)
-        return follow(self, *arguments)
+        return follow(*arguments, **named)
 
-    monkeypatch.setattr(tracker_module.Tracker, "_follow", counted)
+    monkeypatch.setattr(algorithm, "follow", counted)
     track_recording(recording, RunConfig(tracker=config))
     assert len(followed) == len(AXES["table_friction"])

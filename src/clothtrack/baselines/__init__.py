@@ -1,0 +1,1 @@
+"""What is only compared with: none of it is part of the method."""

@@ -1,0 +1,115 @@
+"""TTO2: at the end of an action the mesh is aligned to the cloud once more, and left at rest."""
+
+import logging
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.alignment.silhouette import slide_to_outline
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Recording
+from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.state import Attachment, ClothState
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.seams import Correction, State
+from clothtrack.tracking.visible_alignment import VisibleAlignment
+
+logger = logging.getLogger(__name__)
+
+
+class FinalAlignment:
+    """Slides a cloth that nobody holds to its outline, then aligns its visible vertices."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        mesh: ClothMesh,
+        config: TrackerConfig,
+        align: VisibleAlignment,
+        dynamics: ClothDynamics,
+        *,
+        device: str = "cpu",
+    ) -> None:
+        """Take what all actions share.
+
+        Args:
+            recording: its name for messages, and its table.
+            mesh: the flat first mesh.
+            config: rounds, slide, and how a correction is carried out.
+            align: aligns visible vertices with the settings of the final alignment.
+            dynamics: carries a correction out.
+            device: "cpu" or "cuda:0".
+        """
+        self._name, self._table, self._mesh = recording.name, recording.table, mesh
+        self._config, self._align, self._dynamics = config, align, dynamics
+        self._device = device
+
+    def __call__(
+        self, state: ClothState, observation: Observation, held: bool
+    ) -> tuple[ClothState, tuple[float, float]]:
+        """The state that the next action starts from: aligned, at rest, contacts remembered.
+
+        Args:
+            state: the cloth at the last frame of an action.
+            observation: the cloud of that frame.
+            held: some picker still holds it: it is not slid.
+
+        Returns:
+            The state, and the objective [m^2] before and after; NaN where there was no cloud.
+        """
+        if self._config.final_slide and not held:
+            state = self._slid(state, observation)
+        losses = (np.nan, np.nan)
+        for _ in range(self._config.final_rounds):
+            correction = self._align.aligned(state.positions[0], observation)
+            if correction is None:
+                break
+            first = correction.losses[0] if np.isnan(losses[0]) else losses[0]
+            losses = (first, correction.losses[1])
+            state = self._corrected(state, correction)
+        return state, losses
+
+    def _slid(self, state: ClothState, observation: Observation) -> ClothState:
+        """The cloth slid over the table as a whole until its outline fits; at rest."""
+        positions = state.positions[0]
+        if self._table is None or not np.isfinite(positions).all():
+            return state
+        moved = slide_to_outline(
+            self._mesh, positions.astype(np.float64), observation, self._table, device=self._device
+        )
+        return self._at_rest(state, moved)
+
+    def _corrected(self, state: ClothState, correction: Correction) -> ClothState:
+        """The state after a correction: rolled there, or displaced at once; at rest."""
+        solver, config = self._dynamics.solver, self._config
+        targets = state.positions + correction.displacement[None]
+        if config.final_roll_s == 0.0:
+            return self._at_rest(state, targets)
+        strength = np.where(correction.attached, config.final_strength, 0.0).astype(np.float32)
+        pseudo_action = Attachment(targets.astype(np.float32), strength[None])
+        rolled = self._dynamics.roll_out(state, None, config.final_roll_s, pseudo_action)
+        if not np.isfinite(rolled.positions).all():
+            logger.warning("%s: the final alignment diverges, dropped", self._name)
+            solver.restore(state)
+        solver.set_velocities(np.zeros_like(state.velocities))
+        return solver.save()
+
+    def _at_rest(
+        self, state: ClothState, vertices: Float[np.ndarray, "*environments vertices 3"]
+    ) -> ClothState:
+        """The state with its vertices placed here [m], through whatever is in the way."""
+        solver = self._dynamics.solver
+        solver.restore(state)
+        solver.place(vertices)
+        solver.set_velocities(np.zeros_like(state.velocities))
+        return solver.save()
+
+
+def no_final_alignment(
+    state: State,
+    observation: Observation,  # noqa: ARG001
+    held: bool,  # noqa: ARG001
+) -> tuple[State, tuple[float, float]]:
+    """The ablation without TTO2: the cloth stays as the last frame left it."""
+    return state, (np.nan, np.nan)

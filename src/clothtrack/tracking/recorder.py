@@ -1,0 +1,175 @@
+"""Keeps what Algorithm 1 does: positions, losses and CPU times of the passes that are chosen."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
+from clothtrack.tracking.seams import (
+    Corrected,
+    Correction,
+    FollowedAction,
+    Grasps,
+    Parts,
+    State,
+    Theta,
+)
+from clothtrack.tracking.tracked_trajectory import (
+    Calibration,
+    StepRecords,
+    TrackedAction,
+    TrackedTrajectory,
+)
+
+Progress = Callable[[str, int, int], None]
+Visible = Callable[[Float[np.ndarray, "vertices 3"]], Bool[np.ndarray, " vertices"]]
+
+
+class Recorder:
+    """Collects one trajectory."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        mesh: ClothMesh,
+        state: State,
+        visible: Visible,
+        progress: Progress | None = None,
+    ) -> None:
+        """Begin a trajectory that stays where it starts.
+
+        Args:
+            recording: what is tracked.
+            mesh: the flat cloth at rest.
+            state: the cloth at the first frame.
+            visible: which vertices some camera sees.
+            progress: called after every frame.
+        """
+        self._recording, self._mesh, self._visible = recording, mesh, visible
+        self._progress = progress
+        self._positions = np.repeat(
+            np.asarray(state.positions, np.float32), len(recording.frames), axis=0
+        )
+        self._records = StepRecords.empty(len(recording.frames))
+        self._actions: list[TrackedAction] = []
+
+    def begin(self, action: PickAndPlace, parts: Parts) -> "tuple[Pass, Parts]":
+        """Begin a pass over an action.
+
+        Returns:
+            What notes the pass, and the parts with clocks around them.
+        """
+        notes = Pass(self._recording, action, self._progress)
+        return notes, notes.timed(parts)
+
+    def keep(
+        self, action: PickAndPlace, followed: FollowedAction, calibration: Calibration
+    ) -> None:
+        """Keep the pass that was chosen; what comes after it starts from where it ended."""
+        within = slice(action.first_frame + 1, action.last_frame + 1)
+        end = np.asarray(followed.state.positions[0], np.float32)
+        self._positions[within] = followed.positions
+        self._positions[action.last_frame :] = end
+        self._records.adopt(followed.records, within)
+        self._actions.append(
+            TrackedAction(
+                first_frame=action.first_frame,
+                last_frame=action.last_frame,
+                positions_before_final_alignment=followed.positions[-1],
+                positions_after_final_alignment=end,
+                final_alignment_losses=np.array(followed.losses),
+                parameters=dict(followed.theta),
+                calibration=calibration,
+                held_vertices=followed.grasps.held_vertices,
+            )
+        )
+
+    def trajectory(self) -> TrackedTrajectory:
+        """All that was kept."""
+        frames = self._recording.frames
+        return TrackedTrajectory(
+            name=self._recording.name,
+            mesh=self._mesh,
+            frames=np.array([frame.index for frame in frames]),
+            time_s=np.array([frame.time_s for frame in frames]),
+            positions=self._positions,
+            visible=np.stack([self._visible(each) for each in self._positions]),
+            actions=tuple(self._actions),
+            steps=self._records,
+        )
+
+
+class Pass:
+    """Notes of one pass over one action."""
+
+    def __init__(
+        self, recording: Recording, action: PickAndPlace, progress: Progress | None
+    ) -> None:
+        """Begin with empty records."""
+        self._recording, self._action, self._progress = recording, action, progress
+        self._records = StepRecords.empty(len(recording.frames))
+        self._positions: list[np.ndarray] = []
+        self._clocks = dict.fromkeys(("predict_s", "align_s", "correct_s"), 0.0)
+        self._running = False
+
+    def timed(self, parts: Parts) -> Parts:
+        """The same parts, with clocks around dynamics, alignment and line search."""
+        return replace(
+            parts,
+            dynamics=lambda theta: self._clocked("predict_s", parts.dynamics(theta)),
+            align=self._clocked("align_s", parts.align),
+            line_search=self._clocked("correct_s", parts.line_search),
+        )
+
+    def step(
+        self,
+        frame: Frame,
+        correction: Correction | None,
+        corrected: Corrected,
+    ) -> None:
+        """Note what happened at one frame."""
+        records, at = self._records, frame.index
+        records.predict_s[at] = self._clocks["predict_s"]
+        records.highest_speed[at] = corrected.prediction.highest_speed.max()
+        if correction is not None:
+            records.align_s[at] = self._clocks["align_s"]
+            records.correct_s[at] = self._clocks["correct_s"]
+            records.loss_before[at], records.loss_after[at] = correction.losses
+            records.trials[at] = corrected.trials
+            records.correction_scale[at] = corrected.scale
+            records.gave_up[at] = corrected.gave_up
+        self._clocks = dict.fromkeys(self._clocks, 0.0)
+        self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
+        if self._progress is not None:
+            self._progress(self._recording.name, at + 1, len(self._recording.frames))
+
+    def finished(
+        self, theta: Theta, grasps: Grasps, last: tuple[State, tuple[float, float]]
+    ) -> FollowedAction:
+        """The whole pass, with what the final alignment made of its end."""
+        state, losses = last
+        return FollowedAction(
+            self._action, theta, grasps, np.stack(self._positions), state, losses, self._records
+        )
+
+    def _clocked(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        """The same function, its CPU time added up; calls within a clocked call are that one's."""
+
+        @wraps(call)
+        def clocked(*arguments: Any) -> Any:
+            if self._running:
+                return call(*arguments)
+            self._running, clock = True, time.process_time()
+            try:
+                return call(*arguments)
+            finally:
+                self._clocks[name] += time.process_time() - clock
+                self._running = False
+
+        return clocked

@@ -1,0 +1,45 @@
+"""theta: what is calibrated per action, four properties of the cloth and how the tool holds it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.simulation.parameters import ClothParameters
+
+OF_THE_CLOTH = ("stretch_compliance", "bend_compliance", "table_friction", "particle_friction")
+GRASP_OFFSET = ("grasp_offset_x_m", "grasp_offset_y_m", "grasp_offset_z_m")
+
+PARAMETERS = (*OF_THE_CLOTH, "held_layers", *GRASP_OFFSET)
+"""Everything that can be calibrated, in the order of a candidate's columns."""
+
+Theta = Mapping[str, float]
+"""A value for each of PARAMETERS."""
+
+
+def cloth_parameters(theta: Theta) -> ClothParameters:
+    """The solver's share of theta."""
+    return ClothParameters(**{name: float(theta[name]) for name in OF_THE_CLOTH})
+
+
+def grasp_offset(theta: Theta) -> Float[np.ndarray, " 3"]:
+    """The tool's share: from where the tip was commanded to where it holds the cloth [m]."""
+    return np.array([theta[name] for name in GRASP_OFFSET])
+
+
+def check_parameter(name: str, value: float) -> None:
+    """Refuse a value that the named one of PARAMETERS cannot take.
+
+    Raises:
+        InvalidConfigError: with the name, the value and what is allowed.
+    """
+    if not np.isfinite(value):
+        raise InvalidConfigError(f"{name} is {value}; it must be finite")
+    if not name.startswith("grasp_offset") and value < 0.0:
+        raise InvalidConfigError(f"{name} is {value}; it must be 0 or more")
+    if name == "held_layers" and value != int(value):
+        raise InvalidConfigError(
+            f"held_layers is {value}; it must be a whole number (0: the nearest vertices, whatever "
+            "layer they are of)"
+        )

@@ -1,0 +1,115 @@
+"""TTO1: the visible vertices of a predicted mesh are aligned to the cloud of its frame."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
+from clothtrack.alignment.cloud_distance import within_reach
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.quality import crossing_edges
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Table
+from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.seams import Aligner, Correction, Prediction
+
+
+class VisibleAlignment:
+    """Aligns what is visible, and says what a pseudo-action may take hold of."""
+
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        config: TrackerConfig,
+        alignment: AlignmentConfig,
+        visible: VisibilityCheck,
+        *,
+        table: Table | None,
+        device: str = "cpu",
+    ) -> None:
+        """Prepare topology and rest lengths once.
+
+        Args:
+            mesh: the flat first mesh.
+            config: what counts as observed and what is attached.
+            alignment: objective and solver of the optimisation.
+            visible: which vertices some camera sees.
+            table: the plane that the cloth cannot pass.
+            device: "cpu" or "cuda:0".
+        """
+        self._faces, self._config, self._visible, self._table = mesh.faces, config, visible, table
+        self._aligner = CloudAligner(mesh, alignment, device=device)
+
+    def __call__(self, predicted: Prediction, observation: Observation) -> Correction | None:
+        """How the predicted mesh has to move; None when there is too little cloud to tell."""
+        return self.aligned(predicted.positions[0], observation)
+
+    def aligned(
+        self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
+    ) -> Correction | None:
+        """How vertices [m] have to move to meet a cloud; None when there is too little of it."""
+        config = self._config
+        visible = self._visible(positions)
+        points = within_reach(observation.points, positions[visible], config.cloud_reach_m)
+        if len(points) < config.minimum_observed * len(positions):
+            return None
+        observed = visible & ~observation.silent(positions)
+        alignment = self._aligner.align(
+            positions,
+            points,
+            visible,
+            trusted=observed,
+            table=self._table,
+            rest_height_m=config.solver.resting_height_m,
+        )
+        attached = visible
+        if config.attach_observed_only:
+            # Where silence means nothing, a vertex is observed if it found points beside it.
+            unsure = np.flatnonzero(visible & ~observed)
+            moved = positions[unsure] + alignment.corrections[unsure]
+            attached = observed
+            attached[unsure] = _supported(moved, points, config.support_m)
+        if not config.attach_crossed:
+            attached = attached & ~_at_crossings(positions, self._faces)
+        losses = float(alignment.losses[0]), float(alignment.losses[-1])
+        return Correction(positions, alignment.corrections, attached, losses)
+
+
+def no_alignment(predicted: Prediction, observation: Observation) -> None:  # noqa: ARG001
+    """The ablation without pseudo-actions: no cloud is asked, every prediction stands."""
+    return
+
+
+def from_last_mesh(align: Aligner) -> Aligner:
+    """The ablation without dynamics initialisation: aligned is the mesh before the roll-out."""
+
+    def aligned(predicted: Prediction, observation: Observation) -> Correction | None:
+        return align(replace(predicted, positions=predicted.started_at), observation)
+
+    return aligned
+
+
+def _at_crossings(
+    positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Bool[np.ndarray, " vertices"]:
+    """Vertices of the edges and triangles that pass through each other."""
+    crossed = np.zeros(len(positions), dtype=bool)
+    for part in crossing_edges(positions, faces):
+        crossed[part] = True
+    return crossed
+
+
+def _supported(
+    vertices: Float[np.ndarray, "vertices 3"],
+    points: Float[np.ndarray, "points 3"],
+    support_m: float,
+) -> Bool[np.ndarray, " vertices"]:
+    """Vertices with a cloud point beside them."""
+    if not len(vertices):
+        return np.zeros(0, dtype=bool)
+    tree = cKDTree(points, balanced_tree=False)
+    distance = tree.query(vertices, distance_upper_bound=support_m)[0]
+    return np.isfinite(distance)
