@@ -1,3 +1,97 @@
-"""Know where every point of a crumpled cloth is, from one depth camera."""
+"""Know where every point of a crumpled cloth is, from one depth camera.
 
-__version__ = "0.1.0"
+    import clothtrack as ct
+
+    run = ct.track("my_recording")
+    run.positions  # [m], (frames, vertices, 3)
+    run.save("out/my_recording.zarr")
+
+These names are what the package promises. What they are made of lies in its rooms, and may change.
+"""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+from clothtrack.version import __version__
+
+if TYPE_CHECKING:
+    from clothtrack.errors import (
+        ClothTrackError,
+        InvalidConfigError,
+        InvalidMeshError,
+        InvalidRecordingError,
+        InvalidResultError,
+        SimulationDivergedError,
+        StorageError,
+    )
+    from clothtrack.evaluation.label_quality import judge_labels
+    from clothtrack.evaluation.truth import Truth
+    from clothtrack.files.settings import with_settings
+    from clothtrack.front.beyond_tracking import flatten, label, reconstruct, simulate
+    from clothtrack.front.run import (
+        Label,
+        Run,
+        evaluate,
+        export,
+        load,
+        track,
+        view,
+        write_report,
+    )
+    from clothtrack.geometry.camera import Camera
+    from clothtrack.geometry.mesh import ClothMesh
+    from clothtrack.recordings.inspection import inspect as inspect_recording
+    from clothtrack.recordings.pictures import read_color, read_depth
+    from clothtrack.recordings.point_cloud import observe
+    from clothtrack.recordings.recording import ClothDescription, PickerPath, Recording, Table
+    from clothtrack.recordings.segmentation import ColorSegmenter
+    from clothtrack.recordings.shipped import shipped_recording
+    from clothtrack.recordings.store import RecordingWriter, read_recording
+    from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
+    from clothtrack.tracking.pipeline import RunConfig
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "MODES",
+    "Camera",
+    "ClothDescription",
+    "ClothMesh",
+    "ClothTrackError",
+    "ColorSegmenter",
+    "InvalidConfigError",
+    "InvalidMeshError",
+    "InvalidRecordingError",
+    "InvalidResultError",
+    "Label",
+    "PickerPath",
+    "Recording",
+    "RecordingWriter",
+    "Run",
+    "RunConfig",
+    "SimulationDivergedError",
+    "StorageError",
+    "Table",
+    "TrackerConfig",
+    "Truth",
+    "__version__",
+    "evaluate",
+    "export",
+    "flatten",
+    "inspect_recording",
+    "judge_labels",
+    "label",
+    "load",
+    "mode",
+    "observe",
+    "read_color",
+    "read_depth",
+    "read_recording",
+    "reconstruct",
+    "shipped_recording",
+    "simulate",
+    "track",
+    "view",
+    "with_settings",
+    "write_report",
+]

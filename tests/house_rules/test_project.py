@@ -34,7 +34,7 @@ def test_the_change_log_has_room_for_the_next_change():
 
 
 def test_one_version():
-    front = (ROOT / "src/clothtrack/__init__.py").read_text("utf-8")
+    front = (ROOT / "src/clothtrack/version.py").read_text("utf-8")
     assert f'__version__ = "{VERSION}"' in front
     assert f"version: {VERSION}" in (ROOT / "CITATION.cff").read_text("utf-8")
 

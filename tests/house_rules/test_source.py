@@ -121,6 +121,8 @@ def test_kernels_are_hidden_from_the_shape_checks(module, tree):
 def test_only_our_own_errors_are_raised(module, tree):
     errors = ast.parse((PACKAGE / "errors.py").read_text(encoding="utf-8"))
     allowed = {node.name for node in errors.body if isinstance(node, ast.ClassDef)}
+    # Python itself asks for it: the front has no such name (PEP 562).
+    allowed |= {"AttributeError"} if module.stem == "_lazy" else set()
     # What a module raises and catches itself never reaches anybody.
     for node in ast.walk(tree):
         if isinstance(node, ast.ExceptHandler) and node.type is not None:

@@ -1,1 +1,22 @@
 """Mesh to cloud: test-time optimisation, nearest points, outlines."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.alignment.aligner import Aligner
+    from clothtrack.alignment.alignment_config import AlignmentConfig
+    from clothtrack.alignment.nearest import Matcher, MovingGrid
+    from clothtrack.alignment.silhouette import silhouette_gap, slide_to_outline
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "Aligner",
+    "AlignmentConfig",
+    "Matcher",
+    "MovingGrid",
+    "silhouette_gap",
+    "slide_to_outline",
+]

@@ -94,7 +94,7 @@ def export(
         known = _truth_of(tracked.name, truth)
         say(str(export_pictures(tracked, recording, output, format, rows=rows, truth=known)))
         return 0
-    from clothtrack.report.export import export as export_meshes
+    from clothtrack.report.mesh_export import export as export_meshes
 
     say(str(export_meshes(tracked, output, format)))
     return 0

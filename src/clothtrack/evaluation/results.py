@@ -87,6 +87,10 @@ class Evaluation:
     labels: tuple[LabelQuality, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        """The rows as a table for a person."""
+        return table([self])
+
 
 @dataclass(frozen=True, eq=False)
 class _Reference:

@@ -6,7 +6,7 @@ import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
-from clothtrack import __version__
+from clothtrack.version import __version__
 
 
 def made_with(packages: Iterable[str]) -> dict[str, object]:

@@ -1,1 +1,17 @@
 """Other programs' files become recordings."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.importing.import_recording import ImportConfig, open_source
+    from clothtrack.importing.import_report import ImportReport
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "ImportConfig",
+    "ImportReport",
+    "open_source",
+]

@@ -1,1 +1,54 @@
 """Flattening: which pick-and-place to try next, what it would do, and who carries it out."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.planning.actions import (
+        ActionSpace,
+        PickPlace,
+        SeenCloth,
+        Workspace,
+        sample_actions,
+    )
+    from clothtrack.planning.dynamics import (
+        PlannedCloth,
+        PlanningDynamics,
+        SimulatorConfig,
+        SimulatorDynamics,
+    )
+    from clothtrack.planning.episode_store import EpisodeStore
+    from clothtrack.planning.flatten_config import FlattenConfig
+    from clothtrack.planning.flattening import EpisodeScene, Flattening, improvement
+    from clothtrack.planning.perception import Estimate, Perception, PerceptionConfig, perception_of
+    from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
+    from clothtrack.planning.reward import coverage
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "ActionSpace",
+    "Decision",
+    "EpisodeScene",
+    "EpisodeStore",
+    "Estimate",
+    "FlattenConfig",
+    "Flattening",
+    "Hypothesis",
+    "Perception",
+    "PerceptionConfig",
+    "PickPlace",
+    "PlannedCloth",
+    "Planner",
+    "PlannerConfig",
+    "PlanningDynamics",
+    "SeenCloth",
+    "SimulatorConfig",
+    "SimulatorDynamics",
+    "Workspace",
+    "coverage",
+    "improvement",
+    "perception_of",
+    "sample_actions",
+]

@@ -1,1 +1,38 @@
 """From one depth picture to the whole mesh, hidden layers included (needs the extra [learn])."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.depth_input import (
+        DepthInput,
+        from_depth,
+        from_recording,
+        load_model,
+    )
+    from clothtrack.reconstruction.from_picture import NetworkMesh, network_mesh
+    from clothtrack.reconstruction.model import MeshReconstructor, Reconstruction
+    from clothtrack.reconstruction.refinement import Refinement, RefinementConfig, Refiner
+    from clothtrack.reconstruction.template_fit import TemplateFitConfig
+    from clothtrack.reconstruction.two_stages import LearningConfig, finetune, pretrain
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "DepthInput",
+    "LearningConfig",
+    "MeshReconstructor",
+    "NetworkMesh",
+    "Reconstruction",
+    "Refinement",
+    "RefinementConfig",
+    "Refiner",
+    "TemplateFitConfig",
+    "finetune",
+    "from_depth",
+    "from_recording",
+    "load_model",
+    "network_mesh",
+    "pretrain",
+]

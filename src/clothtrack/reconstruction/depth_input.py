@@ -96,14 +96,36 @@ def from_picture(
         InvalidRecordingError: a file cannot be read, sizes differ, or nothing was measured.
         InvalidConfigError: a number that must be positive is not.
     """
-    given = {"depth_unit": depth_unit_m, "focal": focal, "table_distance": table_distance_m}
-    for name, value in given.items():
-        if value is not None and not 0.0 < value < float("inf"):
-            raise InvalidConfigError(f"{name} is {value}; it must be positive and finite")
+    _require_positive(depth_unit=depth_unit_m)
     depth = read_depth(path, depth_unit_m)
+    return from_depth(depth, str(path), mask=mask, focal=focal, table_distance_m=table_distance_m)
+
+
+def from_depth(
+    depth: Float[np.ndarray, "height width"],
+    name: str,
+    *,
+    mask: Path | None = None,
+    focal: float | None = None,
+    table_distance_m: float | None = None,
+) -> DepthInput:
+    """Measured depth [m] of a camera that looks straight down on a table.
+
+    Args:
+        depth: 0 where nothing was measured.
+        name: what messages call it.
+        mask: as for `from_picture`, and so are the others.
+        focal: focal length [pixels].
+        table_distance_m: from the camera to the table [m].
+
+    Raises:
+        InvalidRecordingError: the mask cannot be read, sizes differ, or nothing was measured.
+        InvalidConfigError: a number that must be positive is not.
+    """
+    _require_positive(focal=focal, table_distance=table_distance_m)
     height, width = depth.shape
     focal = focal or USUAL_FOCAL * width
-    distance = table_distance_m or _usual_depth(depth, path)
+    distance = table_distance_m or _usual_depth(depth, name)
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = distance
     camera = Camera("top", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, pose)
@@ -111,7 +133,7 @@ def from_picture(
     found = HeightSegmenter()(None, depth, camera, table) if mask is None else read_mask(mask)
     if found.shape != depth.shape:
         raise InvalidRecordingError(
-            f"{mask} has {found.shape[1]} x {found.shape[0]} pixels, {path} has {width} x "
+            f"{mask} has {found.shape[1]} x {found.shape[0]} pixels, {name} has {width} x "
             f"{height}; give a mask of the same picture"
         )
     return DepthInput(depth, cloth_measured(depth, found, camera), camera, table)
@@ -146,12 +168,18 @@ def load_model(kind: str, path: Path | None = None, *, device: str = "cpu") -> M
     return model.to(device).eval()
 
 
-def _usual_depth(depth: Float[np.ndarray, "height width"], path: Path) -> float:
+def _require_positive(**given: float | None) -> None:
+    for name, value in given.items():
+        if value is not None and not 0.0 < value < float("inf"):
+            raise InvalidConfigError(f"{name} is {value}; it must be positive and finite")
+
+
+def _usual_depth(depth: Float[np.ndarray, "height width"], name: str) -> float:
     """The most frequent depth [m]: the table's, in a picture of a cloth on a table."""
     measured = depth[depth > 0]
     if len(measured) == 0:
         raise InvalidRecordingError(
-            f"{path}: no pixel has a depth; check that the camera measured, and the file's unit"
+            f"{name}: no pixel has a depth; check that the camera measured, and the file's unit"
         )
     steps = np.bincount((measured / _DISTANCE_STEP_M).astype(np.int64))
     step = int(steps.argmax())

@@ -1,1 +1,38 @@
 """Look at what happened: stills, overlay video, one offline page."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.report.artefact_pages import write_index, write_mesh_page, write_recording_page
+    from clothtrack.report.for_papers import export_pictures
+    from clothtrack.report.live import view_live
+    from clothtrack.report.live_artefacts import view_mesh_live, view_recording_live
+    from clothtrack.report.mesh_export import export
+    from clothtrack.report.overlay import (
+        Overlay,
+        OverlayConfig,
+        write_contact_sheet,
+        write_overlay_video,
+    )
+    from clothtrack.report.page import ReportConfig, write_report
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "Overlay",
+    "OverlayConfig",
+    "ReportConfig",
+    "export",
+    "export_pictures",
+    "view_live",
+    "view_mesh_live",
+    "view_recording_live",
+    "write_contact_sheet",
+    "write_index",
+    "write_mesh_page",
+    "write_overlay_video",
+    "write_recording_page",
+    "write_report",
+]

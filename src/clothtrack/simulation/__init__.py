@@ -1,1 +1,34 @@
 """dyn(x, a): position-based cloth on Warp, the picker and procedural garments."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.simulation.dynamics import ClothDynamics, DynamicsConfig, HeldMotion, RollOut
+    from clothtrack.simulation.garments import garment, towel, tshirt
+    from clothtrack.simulation.parameters import SolverConfig
+    from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, plan_action
+    from clothtrack.simulation.picker import grasp_vertices
+    from clothtrack.simulation.solver import ClothSolver
+    from clothtrack.simulation.state import Attachment, ClothState
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "ActionConfig",
+    "Attachment",
+    "ClothDynamics",
+    "ClothSolver",
+    "ClothState",
+    "DynamicsConfig",
+    "HeldMotion",
+    "PlannedAction",
+    "RollOut",
+    "SolverConfig",
+    "garment",
+    "grasp_vertices",
+    "plan_action",
+    "towel",
+    "tshirt",
+]

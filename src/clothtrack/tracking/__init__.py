@@ -1,1 +1,42 @@
 """The contribution of the paper: calibration, alignment, line search, Algorithm 1."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
+    from clothtrack.tracking.initial_state import first_cloth
+    from clothtrack.tracking.pipeline import (
+        Outcome,
+        RunConfig,
+        result_path,
+        track_recording,
+        track_recordings,
+    )
+    from clothtrack.tracking.tracked_trajectory import (
+        Calibration,
+        StepRecords,
+        TrackedAction,
+        TrackedTrajectory,
+    )
+    from clothtrack.tracking.tracker import Tracker
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "MODES",
+    "Calibration",
+    "Outcome",
+    "RunConfig",
+    "StepRecords",
+    "TrackedAction",
+    "TrackedTrajectory",
+    "Tracker",
+    "TrackerConfig",
+    "first_cloth",
+    "mode",
+    "result_path",
+    "track_recording",
+    "track_recordings",
+]

@@ -31,6 +31,9 @@ logger = logging.getLogger(__name__)
 CLOUDS_KEPT = 128
 """Most clouds in memory, however long an action is: some 50 MB with pictures of 640 x 480."""
 
+PARTS = ("observe", "pick", "calibrate", "dynamics", "align", "line_search", "align_last")
+"""The parts of Algorithm 1 that a caller may replace (`tracking.seams.Parts`)."""
+
 Progress = Callable[[str, int, int], None]
 """Called with a recording's name, frames done and frames in all."""
 
@@ -100,6 +103,7 @@ def track_recording(
     device: str = "cpu",
     segmenter: Segmenter | None = None,
     progress: Progress | None = None,
+    parts: Mapping[str, Any] | None = None,
 ) -> TrackedTrajectory:
     """Recording -> clouds -> first mesh -> calibration and tracking (Fig. 2 of the paper).
 
@@ -109,7 +113,16 @@ def track_recording(
         device: "cpu" or "cuda:0".
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame.
+        parts: replacements for parts of Algorithm 1, by their names in `PARTS`.
+
+    Raises:
+        InvalidConfigError: Algorithm 1 has no part of that name.
     """
+    for name in (parts := parts or {}):
+        if name not in PARTS:
+            raise InvalidConfigError(
+                f"Algorithm 1 has no part {name!r}; there are {', '.join(PARTS)}"
+            )
     clock = time.process_time()
     stamp = provenance(recording, config, device)
     cloud = observer(recording, config.cloud_spacing_m, segmenter)
@@ -119,6 +132,8 @@ def track_recording(
     tracker = Tracker(
         recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
     )
+    if parts:
+        tracker.parts = replace(tracker.parts, **parts)
     tracked = tracker.track(progress)
     stamp |= {
         "first_mesh": dict(first.origin),

@@ -146,13 +146,13 @@ class TrackedTrajectory:
     config: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write the Zarr group, whole or not at all.
 
         Raises:
             StorageError: when the disk refuses; nothing is left under `path` then.
         """
-        with whole_folder(path, replace=True) as temporary:
+        with whole_folder(Path(path), replace=True) as temporary:
             _write(zarr.open_group(temporary, mode="w"), self)
 
     @classmethod

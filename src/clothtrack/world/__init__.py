@@ -1,1 +1,29 @@
 """The stand-in for reality: another engine, a depth camera with noise, a tool in the way."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.world.bench import BenchTrajectory
+    from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate, simulate_trajectory
+    from clothtrack.world.scene import Scene
+    from clothtrack.world.sensor import Sensor
+    from clothtrack.world.simulated_episodes import SimulatedEpisode, flatten_simulated
+    from clothtrack.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "SMALL_WORLD",
+    "BenchTrajectory",
+    "EpisodeConfig",
+    "Scene",
+    "Sensor",
+    "SimulatedEpisode",
+    "SimulatedRobot",
+    "SimulatedRobotConfig",
+    "flatten_simulated",
+    "simulate",
+    "simulate_trajectory",
+]

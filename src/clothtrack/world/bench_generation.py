@@ -20,10 +20,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from clothtrack import __version__
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import content_hash, storage, whole_file
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.version import __version__
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
 

@@ -1,0 +1,3 @@
+"""The version of the package, for everything that is written with it."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,115 @@
+"""A run: tracked, saved, read back, judged, exported; and what is refused in one line."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import clothtrack as ct
+from clothtrack.tracking import pipeline
+
+
+def test_a_run_says_where_every_vertex_was(run, recording):
+    frames, vertices = len(recording.frames), run.mesh.vertex_count
+    assert run.positions.shape == (frames, vertices, 3)
+    assert run.visible.shape == (frames, vertices)
+    assert run.provenance["config_hash"]
+    assert run.recording is recording
+
+
+def test_a_saved_run_comes_back_as_it_was(run, recording, tmp_path):
+    run.save(str(tmp_path / "napkin.zarr"))
+    again = ct.load(str(tmp_path / "napkin.zarr"), recording)
+    np.testing.assert_array_equal(again.positions, run.positions)
+    # The rest shape is stored in single precision.
+    assert again.labels[0].quality == pytest.approx(run.labels[0].quality, rel=1e-5)
+
+
+def test_a_label_is_the_mesh_at_the_end_of_an_action_with_its_quality(run):
+    (label,) = run.labels
+    assert label.frame == run.actions[0].last_frame
+    np.testing.assert_array_equal(label.positions, run.actions[0].positions_after_final_alignment)
+    assert 0 <= label.quality <= 1
+    assert label.expected_error_mm > 0
+    assert run.labels is run.labels  # judged once
+
+
+def test_a_run_finds_the_recording_that_lies_where_simulate_puts_it(run, world):
+    run.save(world / "tracked" / "towel_0003.zarr")
+    found = ct.load(world / "tracked" / "towel_0003.zarr").recording
+    assert found is not None
+    assert found.folder == world / "recordings" / "towel_0003"
+
+
+def test_a_run_without_its_recording_asks_for_it(run, tmp_path):
+    run.save(tmp_path / "napkin.zarr")
+    alone = ct.load(tmp_path / "napkin.zarr")
+    assert alone.recording is None
+    with pytest.raises(ct.InvalidRecordingError, match="recording=FOLDER"):
+        _ = alone.labels
+
+
+def test_another_recording_of_the_same_name_is_not_taken_for_the_tracked_one(run, world, tmp_path):
+    other = replace(run, provenance={**run.provenance, "recording_sha256": "0" * 64})
+    other.save(tmp_path / "recordings" / "napkin.zarr")
+    (tmp_path / "recordings" / "towel_0003").symlink_to(world / "recordings" / "towel_0003")
+    assert ct.load(tmp_path / "recordings" / "napkin.zarr").recording is None
+
+
+def test_a_run_is_measured_against_the_truth_only_when_it_is_evaluated(run, world):
+    measured = ct.evaluate(run, truth=world / "truth" / "towel_0003.npz")
+    assert measured.rows[0].vertex_error_mm["all"].mean > 0
+    assert "towel_0003" in str(measured)
+    assert ct.evaluate(run).rows[0].vertex_error_mm == {}
+
+
+def test_a_report_is_one_page(run, tmp_path):
+    page = ct.write_report(run, tmp_path / "napkin.html")
+    assert page.read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html>")
+
+
+def test_settings_change_the_run_and_are_kept_with_it(run):
+    assert run.config["seed"] == 7
+
+
+def test_an_unknown_part_of_the_algorithm_is_named_with_those_that_there_are(recording):
+    with pytest.raises(ct.InvalidConfigError, match=r"no part 'aline'.* align,"):
+        ct.track(recording, aline=None)
+
+
+def test_a_part_that_is_given_replaces_that_of_the_tracker(recording, monkeypatch):
+    @dataclass(frozen=True)
+    class Parts:
+        align: object = "the usual one"
+        dynamics: object = "the usual ones"
+
+    class FakeTracker:
+        def __init__(self, *arguments, **options):
+            self.parts = Parts()
+
+        def track(self, progress):
+            told.append(self.parts)
+            raise ct.SimulationDivergedError("far enough")
+
+    told = []
+    monkeypatch.setattr(pipeline, "Tracker", FakeTracker)
+    with pytest.raises(ct.SimulationDivergedError):
+        ct.track(recording, align="mine")
+    assert told == [Parts(align="mine")]
+
+
+def test_a_configuration_and_a_mode_contradict_each_other(recording):
+    with pytest.raises(ct.InvalidConfigError, match="mode='open_loop'"):
+        ct.track(recording, ct.RunConfig(), mode="open_loop")
+
+
+@pytest.mark.parametrize("kind", ["npz", "obj"])
+def test_a_run_goes_out_to_other_programs(run, tmp_path, kind):
+    assert ct.export(run, tmp_path / "napkin", kind).exists()
+
+
+def test_what_garment_a_depth_array_shows_must_be_said():
+    depth = np.full((48, 64), 0.6)
+    depth[20:30, 20:30] = 0.55
+    with pytest.raises(ct.InvalidConfigError, match="garment='towel'"):
+        ct.reconstruct(depth)
