@@ -124,14 +124,6 @@ def methods(options: argparse.Namespace) -> list[Method]:
         Method("heuristic", replace(base, policy="heuristic")),
         Method("control: truth, simulator", replace(base, perception=TRUTH)),
         Method(
-            "control: truth, simulator, refined",
-            replace(base, perception=TRUTH, planner=replace(base.planner, refinements=2)),
-        ),
-        Method(
-            "control: truth, simulator, two steps",
-            replace(base, perception=TRUTH, planner=replace(base.planner, look_ahead=5)),
-        ),
-        Method(
             "control: truth, simulator, 3 materials", replace(base, perception=TRUTH, materials=3)
         ),
     ]
@@ -145,10 +137,10 @@ def methods(options: argparse.Namespace) -> list[Method]:
             continue
         seen = {
             how: replace(base, perception=PerceptionConfig(name=how, weights=str(weights)))
-            for how in ("network", "tracker", "both")
+            for how in ("network", "tracker")
         }
         found.append(Method(name, seen["network"]))
-        found += [Method(f"{name}, {how}", seen[how]) for how in ("tracker", "both")]
+        found.append(Method(f"{name}, tracker", seen["tracker"]))
         found.append(
             Method(
                 f"{name}, {VIEWS} views",
@@ -172,7 +164,7 @@ def methods(options: argparse.Namespace) -> list[Method]:
 
 def filming(robot: SimulatedRobotConfig, method: Method) -> SimulatedRobotConfig:
     """The robot, which films where somebody tracks: without pictures of an action nobody can."""
-    tracks = method.config.perception.name in ("tracker", "both")
+    tracks = method.config.perception.name == "tracker"
     return replace(robot, film=robot.film or tracks)
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-PerceptionChoice = Literal["network", "tracker", "both", "truth"]
+PerceptionChoice = Literal["network", "tracker", "truth"]
 PolicyChoice = Literal["planned", "random", "outwards", "heuristic"]
 
 
@@ -54,8 +54,8 @@ def flatten(
             interrupted episode goes on with the same command.
         garment: what lies on the table.
         robot: one in the stand-in world, or none: plans are written down and nothing moves.
-        perception: the network's mesh of each picture, the tracker's carried on, both as
-            hypotheses; truth is a control (an upper bound, no result) and simulated only.
+        perception: the network's mesh of each picture, or the tracker's carried on; truth is a
+            control (an upper bound, no result) and simulated only.
         weights: of the reconstruction network; the ones that come with clothtrack by default.
         policy: planned; or, without any mesh, random actions, the place farthest off the cloth of
             a hundred, or the farthest corner outwards.
@@ -67,7 +67,7 @@ def flatten(
         episodes: how many, with the seeds SEED, SEED + 1 and so on.
         live: show it in a browser while it happens, on this machine only.
         port: of that page; any free one by default.
-        settings: changes, such as planner.candidates=300 or planner.refinements=2.
+        settings: changes, such as planner.candidates=300 or planner.strip_m=0.
         device: where to compute.
         seed: of garment, start, noise and candidates.
         json: machine-readable.

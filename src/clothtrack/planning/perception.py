@@ -1,4 +1,4 @@
-"""Where the cloth is, before each action: the network, the tracker, both, or a named control.
+"""Where the cloth is, before each action: the network, the tracker, or a named control.
 
 Everything but the control asks recordings and weights only. The control `truth` is handed the true
 cloth by whoever has a simulated robot, and everything that it leads to is labelled "control".
@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-PerceptionName = Literal["network", "tracker", "both", "truth"]
+PerceptionName = Literal["network", "tracker", "truth"]
 CONTROLS = ("truth",)
 """Perceptions that no camera can have: upper bounds, never results."""
 
@@ -49,8 +49,7 @@ class PerceptionConfig:
 
     Attributes:
         name: "network": reconstructed anew from each picture; "tracker": reconstructed once, then
-            followed through every action; "both": the two as hypotheses that a planner averages;
-            "truth": the control.
+            followed through every action; "truth": the control.
         weights: file with the network's weights; empty: those that come with the package, if any.
         views: from so many directions around the vertical the network is shown the cloth; what it
             makes of each is a hypothesis, and where they differ it guessed.
@@ -82,9 +81,9 @@ class PerceptionConfig:
         Raises:
             InvalidConfigError: with those that there are.
         """
-        if self.name not in ("network", "tracker", "both", "truth"):
+        if self.name not in get_args(PerceptionName):
             raise InvalidConfigError(
-                f"perception is {self.name!r}; choose network, tracker, both or truth"
+                f"perception is {self.name!r}; choose network, tracker or truth"
             )
         if not 1 <= self.views <= MOST_VIEWS:
             raise InvalidConfigError(
@@ -279,20 +278,6 @@ def unseen_way_m(recording: Recording) -> float:
     return longest
 
 
-class BothPerception:
-    """The tracked estimate and a fresh one: two hypotheses."""
-
-    def __init__(self, network: Perception, tracker: Perception) -> None:
-        """Remember both."""
-        self._network, self._tracker = network, tracker
-
-    def perceive(self, look: Look) -> list[Estimate]:
-        """The tracker's first, as the next action is tracked from it; before any, the network's."""
-        if not look.acted:
-            return self._network.perceive(look)
-        return [*self._tracker.perceive(look), *self._network.perceive(look)]
-
-
 class ControlPerception:
     """The true cloth: the upper bound of all perception, and no result."""
 
@@ -330,14 +315,13 @@ def perception_of(
         if true_cloth is None:
             raise InvalidConfigError(
                 "perception is truth, a control that only the simulated robot can give; choose "
-                "network, tracker or both"
+                "network or tracker"
             )
         return ControlPerception(true_cloth)
     network = NetworkPerception(kind, config, device=device)
     if config.name == "network":
         return network
-    tracker = TrackerPerception(network, config, device=device)
-    return tracker if config.name == "tracker" else BothPerception(network, tracker)
+    return TrackerPerception(network, config, device=device)
 
 
 def label_of(config: PerceptionConfig) -> Mapping[str, object]:
