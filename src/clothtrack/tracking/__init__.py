@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         track_recording,
         track_recordings,
     )
+    from clothtrack.tracking.seams import Corrected, Correction, Parts
     from clothtrack.tracking.tracked_trajectory import (
         Calibration,
         StepRecords,
@@ -27,7 +28,10 @@ else:
 __all__ = [
     "MODES",
     "Calibration",
+    "Corrected",
+    "Correction",
     "Outcome",
+    "Parts",
     "RunConfig",
     "StepRecords",
     "TrackedAction",

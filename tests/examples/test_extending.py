@@ -1,0 +1,24 @@
+"""The Python of docs/extending.md runs as it is printed, from the first block to the last."""
+
+import re
+from pathlib import Path
+
+import clothtrack as ct
+from clothtrack.world import SMALL_WORLD, simulate
+
+PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def test_the_page_can_be_followed(tmp_path, monkeypatch, capsys):
+    (small,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)
+    # The page takes the shipped recording; a smaller one says the same sooner.
+    monkeypatch.setattr(ct, "shipped_recording", lambda: small, raising=False)
+    names: dict = {}
+    for block in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
+        exec(compile(block, str(PAGE), "exec"), names)  # noqa: S102
+    assert callable(names["my_segmenter"])
+    # An aligner that knows no edges stretches them more than ours.
+    mine, ours = map(float, capsys.readouterr().out.split()[-2:])
+    assert mine > ours
+    assert names["mine"].positions.shape == names["ours"].positions.shape
