@@ -4,11 +4,10 @@
     python3 ros2_bridge.py --port 5555          # moves nothing
     python3 ros2_bridge.py --port 5555 --move   # may move
 
-clothtrack connects with `clothtrack.planning.robots.bridge_robot.BridgeRobot(5555)`. One request is
+clothtrack connects with `BridgeRobot(5555)` of `bridge_robot.py` beside this file. One request is
 one line of JSON, one answer is one line; only this machine can connect. It needs rclpy and numpy,
 not clothtrack. `MoveArm` is where your MoveIt, or whatever moves your arm, comes in: a template
-that
-you fill in, not a driver.
+that you fill in, not a driver.
 """
 
 import argparse

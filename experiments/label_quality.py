@@ -20,6 +20,7 @@ import numpy as np
 from bench_measures import Row
 from bench_runs import read_rows, write_rows
 from figures import say
+from jaxtyping import Float
 from scipy.stats import spearmanr
 from tables import table
 
@@ -32,8 +33,8 @@ from clothtrack.evaluation.label_evidence import (
 )
 from clothtrack.evaluation.label_quality import (
     SHIPPED,
+    SHRINKAGE,
     QualityModel,
-    cross_validated,
     fit_quality,
 )
 from clothtrack.geometry.devices import quiet_warp
@@ -123,6 +124,32 @@ def fitted(labels: Sequence[Judged], variant: str) -> QualityModel:
         "rank_correlation_cross_validated": round(rank_correlation(expected, errors), 3),
     }
     return fit_quality(evidence, errors, provenance=provenance)
+
+
+def cross_validated(
+    evidence: Sequence[LabelEvidence],
+    errors_m: Float[np.ndarray, " labels"],
+    groups: Sequence[str],
+    *,
+    shrinkage: float = SHRINKAGE,
+) -> Float[np.ndarray, " labels"]:
+    """Expected error [m] of each label by a model that saw no label of its group.
+
+    Args:
+        evidence: one per label.
+        errors_m: their true mean vertex errors [m].
+        groups: the trajectory of each: labels of one are alike, so they go together.
+        shrinkage: as in `fit_quality`.
+    """
+    expected = np.empty(len(errors_m))
+    member = np.array(groups)
+    for name in dict.fromkeys(groups):
+        others = np.flatnonzero(member != name)
+        chosen = [evidence[index] for index in others]
+        model = fit_quality(chosen, np.asarray(errors_m)[others], shrinkage=shrinkage)
+        for index in np.flatnonzero(member == name):
+            expected[index] = model.expected_error_m(evidence[index])
+    return expected
 
 
 def rank_correlation(a: Iterable[float], b: Iterable[float]) -> float:

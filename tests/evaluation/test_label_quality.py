@@ -1,4 +1,4 @@
-"""The expected error of a label: monotone, recoverable, and judged without its own trajectory."""
+"""The expected error of a label: monotone and recoverable."""
 
 import json
 import math
@@ -12,7 +12,6 @@ from clothtrack.evaluation.label_evidence import EVIDENCE_NAMES, LabelEvidence
 from clothtrack.evaluation.label_quality import (
     SCALES,
     QualityModel,
-    cross_validated,
     fit_quality,
     shipped_model,
 )
@@ -75,19 +74,6 @@ def test_unknown_evidence_makes_an_unknown_error_only_where_it_counts():
     evidence = [*some_evidence(50), replace(one, cloud_gap_m=math.nan)]
     errors = np.linspace(0.002, 0.02, 51)
     assert fit_quality(evidence, errors).weights == fit_quality(evidence[:-1], errors[:-1]).weights
-
-
-def test_a_trajectory_is_judged_by_the_others():
-    evidence = some_evidence(60)
-    errors = np.array([PLANTED.expected_error_m(one) for one in evidence])
-    groups = [f"towel_{index // 3}" for index in range(60)]
-    expected = cross_validated(evidence, errors, groups, shrinkage=0.0)
-    assert expected == pytest.approx(errors, rel=1e-6)
-    lied = errors.copy()
-    lied[:3] *= 50.0
-    again = cross_validated(evidence, lied, groups, shrinkage=0.0)
-    assert again[:3] == pytest.approx(errors[:3], rel=1e-6)
-    assert not np.allclose(again[3:], errors[3:], rtol=1e-3)
 
 
 def test_a_model_is_read_as_it_was_written(tmp_path):

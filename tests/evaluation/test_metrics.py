@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation.metrics import (
     ErrorSummary,
     below_table,
@@ -11,7 +10,6 @@ from clothtrack.evaluation.metrics import (
     chamfer_surface,
     cloth_measures,
     cloud_floor,
-    normalised_improvement,
     root_mean_square_mm,
     vertex_error_mm,
 )
@@ -161,12 +159,3 @@ def test_below_the_table_is_more_than_three_millimetres_under_rest(sheet):
     assert below_table(on_it, tilted, 0.0015) == 0.0
     assert below_table(on_it - 0.0029 * tilted.normal, tilted, 0.0015) == 0.0
     assert below_table(on_it - 0.0031 * tilted.normal, tilted, 0.0015) == 1.0
-
-
-def test_improvement_runs_from_zero_to_one():
-    assert normalised_improvement(0.05, 0.05, 0.09) == 0.0
-    assert normalised_improvement(0.07, 0.05, 0.09) == pytest.approx(0.5)
-    assert normalised_improvement(0.09, 0.05, 0.09) == pytest.approx(1.0)
-    assert normalised_improvement(0.03, 0.05, 0.09) < 0.0
-    with pytest.raises(InvalidConfigError, match="nothing to improve"):
-        normalised_improvement(0.09, 0.09, 0.09)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bridge_robot import BridgeRobot, encoded
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.actions import PickPlace, Workspace
-from clothtrack.planning.robots.bridge_robot import BridgeRobot, encoded
 from clothtrack.planning.robots.robot import MotionLimits, RgbdFrame
 
 PATH = Path(__file__).parents[2] / "examples" / "ros2_bridge.py"

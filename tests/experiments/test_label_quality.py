@@ -6,7 +6,7 @@ import label_quality
 import numpy as np
 import pytest
 from bench_runs import read_rows
-from label_quality import Judged
+from label_quality import Judged, cross_validated
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation.label_evidence import LabelEvidence
@@ -32,6 +32,19 @@ def judged(split, count=8, *, noise=0.0, seed=0):
             }  # fmt: skip
             found.append(Judged(row, evidence))
     return found
+
+
+def test_a_trajectory_is_judged_by_the_others():
+    labels = judged("dev", 20)
+    evidence = [one.evidence for one in labels]
+    names = [one.row["recording"] for one in labels]
+    errors = np.array([one.row["error_all_mm"] for one in labels])
+    expected = cross_validated(evidence, errors, names)
+    lied = errors.copy()
+    lied[:3] *= 50.0
+    again = cross_validated(evidence, lied, names)
+    assert again[:3] == pytest.approx(expected[:3], rel=1e-6)
+    assert not np.allclose(again[3:], expected[3:], rtol=1e-3)
 
 
 def test_the_model_sees_no_label_but_those_of_dev():

@@ -7,7 +7,6 @@ import trimesh
 from clothtrack.errors import InvalidConfigError
 from clothtrack.reconstruction.data.winding import (
     WindingConfig,
-    winding_grid,
     winding_numbers,
     winding_pool,
 )
@@ -61,19 +60,6 @@ def test_an_inflated_shirt_is_full_and_its_surroundings_are_empty():
     )
     assert inside > 0.8
     assert abs(outside) < 0.05
-
-
-def test_the_grid_reaches_the_faces_of_the_cube():
-    sphere = trimesh.creation.icosphere(3, radius=0.4)
-    vertices = sphere.vertices * (1.0, 0.5, 0.2) + (0.5, 0.5, 0.5)
-    grid = winding_grid(vertices, sphere.faces, 11)
-    nodes = np.array([[0.0, 0.5, 0.5], [0.2, 0.5, 0.5], [0.5, 0.2, 0.5], [0.5, 0.5, 0.2]])
-    expected = winding_numbers(vertices, sphere.faces, nodes)
-    # The ellipsoid is longest along x: axes that were mixed up would show.
-    np.testing.assert_allclose([grid[0, 5, 5], grid[2, 5, 5]], expected[:2], atol=1e-12)
-    np.testing.assert_allclose([grid[5, 2, 5], grid[5, 5, 2]], expected[2:], atol=1e-12)
-    assert grid[2, 5, 5] > 0.9
-    assert grid[5, 5, 2] < 0.1
 
 
 def test_a_pool_is_seeded_and_as_near_as_wanted():

@@ -29,7 +29,6 @@ def test_cloth_rests_on_the_table_and_stays() -> None:
     world.settle(speed=0.002, limit_s=0.5)
     world.step(20)
     assert world.speed_rms < 0.002
-    assert world.kinetic_energy < 1e-6
     assert np.abs(world.positions[:, :2] - start[:, :2]).max() < 1e-4
     assert (world.positions[:, 2] > 0.0).all()
 

@@ -255,32 +255,6 @@ def fit_quality(
     )
 
 
-def cross_validated(
-    evidence: Sequence[LabelEvidence],
-    errors_m: Float[np.ndarray, " labels"],
-    groups: Sequence[str],
-    *,
-    shrinkage: float = SHRINKAGE,
-) -> Float[np.ndarray, " labels"]:
-    """Expected error [m] of each label by a model that saw no label of its group.
-
-    Args:
-        evidence: one per label.
-        errors_m: their true mean vertex errors [m].
-        groups: the trajectory of each: labels of one are alike, so they go together.
-        shrinkage: as in `fit_quality`.
-    """
-    expected = np.empty(len(errors_m))
-    member = np.array(groups)
-    for name in dict.fromkeys(groups):
-        others = np.flatnonzero(member != name)
-        chosen = [evidence[index] for index in others]
-        model = fit_quality(chosen, np.asarray(errors_m)[others], shrinkage=shrinkage)
-        for index in np.flatnonzero(member == name):
-            expected[index] = model.expected_error_m(evidence[index])
-    return expected
-
-
 def _terms(evidence: LabelEvidence) -> list[float]:
     """ln(1 + evidence / scale) for each piece, in the order of EVIDENCE_NAMES."""
     values = evidence.as_dict()

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.chamfer import two_way
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
@@ -181,17 +180,3 @@ def below_table(
     if table is None:
         return float("nan")
     return float((table.heights(vertices) < rest_height_m - BELOW_TABLE_M).mean())
-
-
-def normalised_improvement(coverage: float, initial: float, flat: float) -> float:
-    """Share of the way to flat that was gone: (c - c0) / (c_flat - c0); 1 is flat.
-
-    Raises:
-        InvalidConfigError: when the cloth was flat to begin with.
-    """
-    if not flat > initial:
-        raise InvalidConfigError(
-            f"flat coverage {flat:.4f} m^2 does not exceed the initial {initial:.4f} m^2; "
-            "there is nothing to improve"
-        )
-    return (coverage - initial) / (flat - initial)

@@ -120,13 +120,6 @@ class FlexWorld:
         """Root mean square speed of the vertices [m/s]."""
         return float(np.sqrt(3.0 * np.mean(np.square(self._data.qvel))))
 
-    @property
-    def kinetic_energy(self) -> float:
-        """Kinetic energy of the cloth [J]."""
-        masses = self._model.body_mass[self._model.flex_vertbodyid]
-        speeds = self._data.qvel.reshape(-1, 3)
-        return float(0.5 * np.sum(masses[:, None] * speeds**2))
-
     def grasp(self, vertices: Int[np.ndarray, " held"], tip: Float[np.ndarray, " 3"]) -> None:
         """Close the gripper at `tip` [m]: these vertices follow it from now on, offsets kept.
 

@@ -73,21 +73,6 @@ def winding_numbers(
     return np.asarray(found)
 
 
-def winding_grid(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], resolution: int
-) -> Float[np.ndarray, "x y z"]:
-    """The field on a grid of the unit cube whose outermost nodes lie on its faces.
-
-    Args:
-        vertices: of the mesh [unit cube].
-        faces: vertex indices per triangle.
-        resolution: nodes along each axis; node k lies at k / (resolution - 1).
-    """
-    axis = np.linspace(0.0, 1.0, resolution)
-    nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
-    return winding_numbers(vertices, faces, nodes.reshape(-1, 3)).reshape((resolution,) * 3)
-
-
 def winding_pool(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],

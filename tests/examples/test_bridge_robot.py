@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bridge_robot import BridgeRobot, encoded
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.actions import PickPlace, Workspace
-from clothtrack.planning.robots.bridge_robot import BridgeRobot, encoded
 from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
 
 CAMERA = Camera("top", 8, 6, 7.0, 7.0, 3.5, 2.5)

@@ -1,4 +1,4 @@
-"""A robot in another process: JSON lines over a local socket, as `examples/ros2_bridge.py` answers.
+"""A robot in another process: JSON lines over a local socket, as `ros2_bridge.py` answers.
 
 ROS brings its own Python; it stays on its side. One request is one line, one answer is one line.
 """
