@@ -14,6 +14,7 @@ def test_the_archive_holds_the_trajectory(tracked, tmp_path):
     assert path == tmp_path / "fold.npz"
     with np.load(path, allow_pickle=False) as archive:
         assert set(archive) == {
+            "rest_positions",
             "positions",
             "positions_before_final_alignment",
             "faces",
@@ -23,10 +24,18 @@ def test_the_archive_holds_the_trajectory(tracked, tmp_path):
         }
         np.testing.assert_array_equal(archive["positions"], tracked.positions)
         np.testing.assert_array_equal(archive["visible"], tracked.visible)
+        np.testing.assert_allclose(archive["rest_positions"], tracked.mesh.vertices, atol=1e-6)
         np.testing.assert_array_equal(
             archive["positions_before_final_alignment"][1],
             tracked.actions[1].positions_before_final_alignment,
         )
+
+
+def test_the_archive_holds_canonical_coordinates_where_the_mesh_has_them(tracked, tmp_path):
+    canonical = tracked.mesh.vertices[::-1].copy()
+    named = replace(tracked, mesh=replace(tracked.mesh, canonical=canonical))
+    with np.load(export(named, tmp_path / "named.npz", "npz"), allow_pickle=False) as archive:
+        np.testing.assert_allclose(archive["canonical"], canonical, atol=1e-6)
 
 
 def test_an_archive_without_actions_keeps_its_axes(tracked, tmp_path):

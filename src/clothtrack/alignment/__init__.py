@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.alignment.aligner import Aligner
+    from clothtrack.alignment.aligner import Alignment, CloudAligner
     from clothtrack.alignment.alignment_config import AlignmentConfig
     from clothtrack.alignment.nearest import Matcher, MovingGrid
     from clothtrack.alignment.silhouette import silhouette_gap, slide_to_outline
@@ -13,8 +13,9 @@ else:
     __getattr__, __dir__ = lazy_names(__name__)
 
 __all__ = [
-    "Aligner",
+    "Alignment",
     "AlignmentConfig",
+    "CloudAligner",
     "Matcher",
     "MovingGrid",
     "silhouette_gap",

@@ -1,1 +1,12 @@
 """What is only compared with: none of it is part of the method."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.baselines.coherent_point_drift import PeerConfig, drifted, follow
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = ["PeerConfig", "drifted", "follow"]

@@ -56,9 +56,16 @@ class Label:
 class Run(TrackedTrajectory):
     """A tracked trajectory with the recording that it was tracked from.
 
-    It is a `TrackedTrajectory`: whatever takes one takes a run.
+    It is a `TrackedTrajectory`: whatever takes one takes a run. Of its many attributes these matter
+    most; docs/result_format.md has them all.
 
     Attributes:
+        positions: vertex positions in the world [m], (frames, vertices, 3).
+        visible: whether some camera sees the vertex, (frames, vertices).
+        mesh: topology, rest shape and canonical coordinates.
+        actions: what was found for each pick-and-place: parameters, calibration, held vertices.
+        config: every setting of the run.
+        provenance: versions, commit, seed, device, and the recording's own provenance.
         recording: what was tracked; None when it was not found.
     """
 
@@ -178,6 +185,7 @@ def evaluate(
     recording: Recording | Path | str | None = None,
     truth: "Truth | Path | str | None" = None,
     *,
+    segmenter: Segmenter | None = None,
     device: str = "cpu",
     seed: int = 0,
 ) -> "Evaluation":
@@ -187,6 +195,7 @@ def evaluate(
         run: what `track` or `load` returned.
         recording: what it was tracked from; the run's own by default.
         truth: the true meshes, or their NPZ file, where somebody knows them.
+        segmenter: finds the cloth in a picture; the recording's own way by default.
         device: "cpu" or "cuda:0", for visibility.
         seed: of surface samples.
 
@@ -199,7 +208,8 @@ def evaluate(
 
     quiet_warp()
     known = Truth.load(Path(truth)) if isinstance(truth, Path | str) else truth
-    return measure(run, recording_of(run, recording), known, device=device, seed=seed)
+    source = recording_of(run, recording)
+    return measure(run, source, known, segmenter=segmenter, device=device, seed=seed)
 
 
 def view(
@@ -243,6 +253,8 @@ def export(
     run: Run | TrackedTrajectory,
     output: Path | str,
     format: Literal["npz", "obj", "ply", "sheet", "mp4", "rrd"] = "npz",  # noqa: A002
+    *,
+    rows: int = 6,
 ) -> Path:
     """Write a run for other programs, or as pictures for a paper, and return where it is.
 
@@ -251,6 +263,7 @@ def export(
         output: folder (obj, ply: one file per frame) or file (the others).
         format: npz, obj or ply: the meshes; sheet: a contact sheet as PNG; mp4: the mesh over the
             observation; rrd: everything for Rerun's viewer, needs the extra [rerun].
+        rows: frames on the sheet.
 
     Raises:
         InvalidConfigError: there is no such format.
@@ -259,7 +272,7 @@ def export(
     if format in ("sheet", "mp4", "rrd"):
         from clothtrack.report.for_papers import export_pictures
 
-        return export_pictures(run, recording_of(run), Path(output), format)
+        return export_pictures(run, recording_of(run), Path(output), format, rows=rows)
     from clothtrack.report.mesh_export import export as export_meshes
 
     return export_meshes(run, Path(output), format)

@@ -17,8 +17,7 @@ ExportFormat = Literal["npz", "obj", "ply"]
 def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:  # noqa: A002
     """Write a tracked trajectory for other programs and return where it is.
 
-    `npz`: one file with `positions` [m] (frames, vertices, 3), `positions_before_final_alignment`
-    [m] (actions, vertices, 3), `faces`, `frames`, `visible` (frames, vertices) and `time_s` [s].
+    `npz`: one file; docs/result_format.md lists its arrays.
 
     `obj`, `ply`: a folder with `frame_000000.obj` and so on, numbered as in the recording, and
     for each action `action_00_before.obj` and `action_00_after.obj`, the mesh around the final
@@ -46,7 +45,11 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
 
 def _arrays(tracked: TrackedTrajectory) -> dict[str, np.ndarray]:
     before = [action.positions_before_final_alignment for action in tracked.actions]
+    canonical = tracked.mesh.canonical
+    named = {} if canonical is None else {"canonical": canonical.astype(np.float32)}
     return {
+        **named,
+        "rest_positions": tracked.mesh.vertices.astype(np.float32),
         "positions": tracked.positions.astype(np.float32),
         "positions_before_final_alignment": np.reshape(
             np.asarray(before, dtype=np.float32), (-1, tracked.mesh.vertex_count, 3)

@@ -14,7 +14,20 @@ if TYPE_CHECKING:
         track_recording,
         track_recordings,
     )
-    from clothtrack.tracking.seams import Corrected, Correction, Parts
+    from clothtrack.tracking.seams import (
+        Aligner,
+        AlignLast,
+        Calibrate,
+        Corrected,
+        Correction,
+        Dyn,
+        Dynamics,
+        Grasps,
+        LineSearch,
+        Parts,
+        Pick,
+        Prediction,
+    )
     from clothtrack.tracking.tracked_trajectory import (
         Calibration,
         StepRecords,
@@ -27,11 +40,20 @@ else:
 
 __all__ = [
     "MODES",
+    "AlignLast",
+    "Aligner",
+    "Calibrate",
     "Calibration",
     "Corrected",
     "Correction",
+    "Dyn",
+    "Dynamics",
+    "Grasps",
+    "LineSearch",
     "Outcome",
     "Parts",
+    "Pick",
+    "Prediction",
     "RunConfig",
     "StepRecords",
     "TrackedAction",

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.flat_fit import FirstMeshConfig
 from clothtrack.tracking.initial_state import first_cloth
+from clothtrack.tracking.seams import Parts
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
 
@@ -31,7 +32,7 @@ logger = logging.getLogger(__name__)
 CLOUDS_KEPT = 128
 """Most clouds in memory, however long an action is: some 50 MB with pictures of 640 x 480."""
 
-PARTS = ("observe", "pick", "calibrate", "dynamics", "align", "line_search", "align_last")
+PARTS = tuple(one.name for one in fields(Parts))
 """The parts of Algorithm 1 that a caller may replace (`tracking.seams.Parts`)."""
 
 Progress = Callable[[str, int, int], None]
@@ -134,6 +135,7 @@ def track_recording(
     )
     if parts:
         tracker.parts = replace(tracker.parts, **parts)
+        stamp["replaced_parts"] = sorted(parts)
     tracked = tracker.track(progress)
     stamp |= {
         "first_mesh": dict(first.origin),

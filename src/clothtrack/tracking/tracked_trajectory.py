@@ -22,6 +22,15 @@ from clothtrack.geometry.mesh import ClothMesh
 FORMAT = "clothtrack-tracked-trajectory"
 FORMAT_VERSION = 2
 
+_UNITS_OF_STEPS = {
+    "loss_before": "m^2",
+    "loss_after": "m^2",
+    "highest_speed": "m/s",
+    "predict_s": "s",
+    "align_s": "s",
+    "correct_s": "s",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
@@ -195,7 +204,7 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
     _put(group, "visible", tracked.visible)
     steps = group.create_group("steps")
     for name in StepRecords.__annotations__:
-        _put(steps, name, getattr(tracked.steps, name))
+        _put(steps, name, getattr(tracked.steps, name), unit=_UNITS_OF_STEPS.get(name, ""))
     for number, action in enumerate(tracked.actions):
         part = group.create_group(f"actions/{number}")
         for name in ("positions_before_final_alignment", "positions_after_final_alignment"):
