@@ -1,5 +1,7 @@
 # One verb per wish. Everything is installed into .venv, nothing outside this folder.
 #
+#   make install   install clothtrack; make EXTRAS=rerun,realsense install: with these extras
+#   make learn     install what learning and the network need too (the extra learn)
 #   make demo      install, track the shipped recording, name the report
 #   make test      install the test tools too, run the tests
 #   make check     lint, format, types, direction of imports
@@ -12,6 +14,7 @@ PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,$(
 VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+EXTRAS ?=
 PYTEST_ARGS ?= -n auto --maxprocesses 4 --dist loadfile
 
 # The operations are small: a second thread per process waits more than it works.
@@ -19,12 +22,14 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all check docs format bench clean
+.PHONY: help install learn demo test test-all check docs format bench clean
 
 help:
-	@sed -n '3,10s/^# \{0,1\}//p' Makefile
+	@sed -n '3,12s/^# \{0,1\}//p' Makefile
 
-install: $(VENV)/.installed
+install: $(VENV)/.installed $(EXTRAS:%=$(VENV)/.installed-%)
+
+learn: $(VENV)/.installed-learn
 
 $(VENV)/.created:
 	@test -n "$(PYTHON)" || { echo "no python3 found; install Python 3.11 or newer" >&2; exit 1; }
@@ -40,14 +45,9 @@ $(VENV)/.installed: $(VENV)/.created pyproject.toml constraints.txt
 	@$(PIP) --editable .
 	@touch $@
 
-$(VENV)/.installed-dev: $(VENV)/.installed
-	@echo "installing the test tools into $(VENV) ..."
-	@$(PIP) --editable '.[dev]'
-	@touch $@
-
-$(VENV)/.installed-bench: $(VENV)/.installed
-	@echo "installing the peers of the benchmark into $(VENV) ..."
-	@$(PIP) --editable '.[bench]'
+$(VENV)/.installed-%: $(VENV)/.installed
+	@echo "installing the extra $* into $(VENV) ..."
+	@$(PIP) --editable '.[$*]'
 	@touch $@
 
 demo: $(VENV)/.installed

@@ -25,6 +25,7 @@ import numpy as np
 from engines import OURS, PEERS, Engine, Ours
 from scipy.spatial import KDTree
 
+from clothtrack.files.extras import install_command
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.garments import garment, tshirt
@@ -97,7 +98,7 @@ def bench(vertex_counts: list[int], *, warm_up: int, steps: int) -> dict[str, ob
             try:
                 peers[name] = measure(build, mesh, warm_up=warm_up, steps=steps)
             except ImportError as error:
-                skipped[name] = f"not installed ({error}); pip install 'clothtrack[bench]'"
+                skipped[name] = f"not installed ({error}); {install_command('bench')}"
         for contact in OURS:
             tell(f"{mesh.vertex_count} vertices: ours, {contact}")
             ours = measure(

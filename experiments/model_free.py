@@ -18,6 +18,7 @@ from experiment import Run, Setup, run_experiment
 from figures import say
 
 from clothtrack.baselines.coherent_point_drift import PeerConfig
+from clothtrack.files.extras import install_command
 
 
 def plan(setup: Setup) -> list[Run]:
@@ -36,7 +37,7 @@ def plan(setup: Setup) -> list[Run]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     if importlib.util.find_spec("biocpd") is None:
-        say("the peer needs biocpd: pip install 'clothtrack[experiments]'\n")
+        say(f"the peer needs biocpd: {install_command('experiments')}\n")
         return 1
     return run_experiment("model_free", __doc__, plan, arguments)
 

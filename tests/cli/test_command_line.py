@@ -10,6 +10,7 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.files.extras import install_command
 
 
 def run(*words):
@@ -173,4 +174,4 @@ def test_without_the_extra_all_but_learning_works_and_learning_says_what_it_need
     assert len(lines) == 4
     for line in lines:
         assert "learning needs torch" in line
-        assert line.endswith("pip install 'clothtrack[learn]'")
+        assert line.endswith(install_command("learn"))

@@ -82,3 +82,17 @@ def test_functions_named_in_the_docs_exist(page):
         source = module.read_text("utf-8")
         for name in re.split(r"[., ]+", names):
             assert re.search(rf"\b{name}\b", source), f"{page.name}: {path} has no {name}"
+
+
+def test_nobody_is_told_to_install_a_name_that_no_registry_has():
+    places = [*ROOT.glob("*.md"), ROOT / "Makefile"]
+    for folder in ("src", "docs", "experiments", "benchmarks", "examples"):
+        places += (ROOT / folder).rglob("*.*")
+    telling = re.compile(r"pip install[^\n]*clothtrack|clothtrack\[")
+    told = [
+        f"{place.relative_to(ROOT)}: {found.group()}"
+        for place in places
+        if place.suffix in (".md", ".py", ".ipynb", ".html", "") and place.is_file()
+        for found in telling.finditer(place.read_text("utf-8"))
+    ]
+    assert told == []

@@ -1,3 +1,4 @@
+import re
 import shutil
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError, StorageError
+from clothtrack.files.extras import install_command
 from clothtrack.report.for_papers import export_pictures
 from clothtrack.report.rerun_file import write_rerun
 
@@ -37,7 +39,7 @@ def test_a_place_that_cannot_be_written_to_is_named(tracked, clouds_only, tmp_pa
 
 def test_without_the_extra_rerun_is_named(tracked, clouds_only, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(InvalidConfigError, match=r"clothtrack\[rerun\]"):
+    with pytest.raises(InvalidConfigError, match=re.escape(install_command("rerun"))):
         write_rerun(tracked, clouds_only, tmp_path / "fold.rrd", clouds=[])
     assert list(tmp_path.iterdir()) == []
 
@@ -45,7 +47,7 @@ def test_without_the_extra_rerun_is_named(tracked, clouds_only, tmp_path, monkey
 def test_rerun_reads_what_was_written(tracked, two_cameras, tmp_path):
     pytest.importorskip(
         "rerun",
-        reason="writing .rrd needs rerun-sdk and its pyarrow: pip install 'clothtrack[rerun]'",
+        reason="writing .rrd needs rerun-sdk and its pyarrow: make EXTRAS=rerun install",
         exc_type=ImportError,
     )
     path = export_pictures(tracked, two_cameras, tmp_path / "fold", "rrd")

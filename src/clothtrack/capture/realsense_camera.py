@@ -9,11 +9,11 @@ import numpy as np
 
 from clothtrack.capture.recorder import CapturedFrame
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.files.extras import install_command
 from clothtrack.geometry.camera import Camera
 
 logger = logging.getLogger(__name__)
 
-INSTALL = "pip install 'clothtrack[realsense]'"
 WAIT_MS = 5000
 NOTICEABLE_PX = 0.5
 
@@ -144,5 +144,6 @@ def _sdk() -> Any:
         return import_module("pyrealsense2")
     except ImportError as error:
         raise InvalidConfigError(
-            f"recording from a RealSense camera needs pyrealsense2: {INSTALL}"
+            "recording from a RealSense camera needs pyrealsense2; install with: "
+            f"{install_command('realsense')}"
         ) from error

@@ -12,7 +12,8 @@ from tyro.conf import Positional
 from clothtrack.cli.options import AsJson, Device, Seed, Settings
 from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.reconstruction.availability import EXTRA, INSTALL, missing_modules
+from clothtrack.files.extras import install_command
+from clothtrack.reconstruction.availability import EXTRA, missing_modules
 from clothtrack.tracking.artefacts import load_tracked, recording_of
 
 if TYPE_CHECKING:
@@ -303,7 +304,8 @@ def require_learning() -> None:
     missing = missing_modules(EXTRA)
     if missing:
         raise InvalidConfigError(
-            f"learning needs {', '.join(missing)}, which tracking does not; install with: {INSTALL}"
+            f"learning needs {', '.join(missing)}, which tracking does not; install with: "
+            f"{install_command('learn')}"
         )
 
 

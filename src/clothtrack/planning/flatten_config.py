@@ -6,6 +6,7 @@ from typing import Any, Literal, get_args
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import content_hash
+from clothtrack.files.extras import install_command
 from clothtrack.planning.dynamics import (
     SHIPPED_WEIGHTS,
     PlanningDynamics,
@@ -15,7 +16,7 @@ from clothtrack.planning.dynamics import (
 )
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
-from clothtrack.reconstruction.availability import INSTALL, missing_modules, shipped_weights
+from clothtrack.reconstruction.availability import missing_modules, shipped_weights
 
 Policy = Literal["planned", "random", "outwards", "heuristic"]
 _OF_MATERIALS = 0xEF15
@@ -105,8 +106,8 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningD
         missing = missing_modules()
         if missing:
             raise InvalidConfigError(
-                f"dynamics is mesh, which needs {', '.join(missing)}; install with: {INSTALL}, or "
-                "plan in the simulator"
+                f"dynamics is mesh, which needs {', '.join(missing)}; install with: "
+                f"{install_command('learn')}, or plan in the simulator"
             )
         from clothtrack.planning.graph_dynamics.mesh_dynamics import load_mesh_dynamics
 

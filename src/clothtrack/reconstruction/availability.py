@@ -12,8 +12,6 @@ EXTRA = ("torch", "safetensors", "igl", "skimage")
 SHIPPED = Path(__file__).parent / "weights"
 """Folder of the weights that come with the package, KIND.safetensors."""
 
-INSTALL = "pip install 'clothtrack[learn]'"
-
 
 def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
     """Those of the modules, by default of the extra, that are not installed."""

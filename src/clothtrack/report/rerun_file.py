@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.extras import install_command
 from clothtrack.recordings.pictures import read_color
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.coloring import Coloring
@@ -26,8 +27,6 @@ from clothtrack.report.palette import (
     visibility_colors,
 )
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-
-INSTALL = "pip install 'clothtrack[rerun]'"
 
 
 def write_rerun(
@@ -87,7 +86,8 @@ def _rerun() -> Any:
         return import_module("rerun")
     except ImportError as error:
         raise InvalidConfigError(
-            f"writing .rrd needs rerun-sdk, which tracking does not; install with: {INSTALL}"
+            "writing .rrd needs rerun-sdk, which tracking does not; install with: "
+            f"{install_command('rerun')}"
         ) from error
 
 

@@ -14,8 +14,9 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.files.atomic_write import content_hash
+from clothtrack.files.extras import install_command
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.availability import INSTALL, missing_modules, shipped_weights
+from clothtrack.reconstruction.availability import missing_modules, shipped_weights
 from clothtrack.reconstruction.from_picture import front_up, laid_flat, network_mesh
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
@@ -127,7 +128,7 @@ def _weights(recording: Recording, config: FirstMeshConfig) -> Path | None:
     if wanted and missing:
         raise InvalidConfigError(
             f"the first mesh is to come from the network, which needs {', '.join(missing)}; "
-            f"install with: {INSTALL}, or use first_mesh.source=flat"
+            f"install with: {install_command('learn')}, or use first_mesh.source=flat"
         )
     weights = given or shipped_weights(kind)
     if weights is None and wanted:
@@ -138,7 +139,7 @@ def _weights(recording: Recording, config: FirstMeshConfig) -> Path | None:
     if weights is None:
         obstacle = f"no weights for {kind!r} come with this installation"
     elif missing:
-        obstacle = f"{', '.join(missing)} is not installed ({INSTALL})"
+        obstacle = f"{', '.join(missing)} is not installed ({install_command('learn')})"
     if obstacle:
         logger.info("%s: the first mesh is fitted flat: %s", recording.folder, obstacle)
         return None

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.extras import install_command
 from clothtrack.planning.actions import PickPlace, Workspace
 from clothtrack.planning.robots.robot import (
     Execution,
@@ -28,7 +29,6 @@ from clothtrack.recordings.recording import PickerPath
 
 logger = logging.getLogger(__name__)
 
-INSTALL = "pip install 'clothtrack[franka]'"
 HIGHEST_SPEED = 0.5
 """No configuration allows more than this [m/s]: cloth is not worth a faster arm near a table."""
 
@@ -297,8 +297,8 @@ class FrankyArm:
             franky = import_module("franky")
         except ImportError as error:
             raise InvalidConfigError(
-                f"a Franka arm needs franky-control, which is not installed; install with: "
-                f"{INSTALL}"
+                "a Franka arm needs franky-control, which is not installed; install with: "
+                f"{install_command('franka')}"
             ) from error
         self._franky: Any = franky
         self._robot: Any = franky.Robot(address)

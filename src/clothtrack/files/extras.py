@@ -1,0 +1,41 @@
+"""The command that adds an optional extra to this installation.
+
+The name clothtrack is on no registry, so that the command depends on where this copy came from.
+"""
+
+import importlib.metadata
+import json
+import shlex
+import sys
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+
+def install_command(extra: str) -> str:
+    """What to type to have an extra, such as `learn`, beside this copy of clothtrack.
+
+    A copy installed from a folder or from a wheel file is named by that path, with the interpreter
+    that is running. Of any other copy only the command inside a checkout is known.
+    """
+    source = _installed_from()
+    if source is None or not source[0].exists():
+        verb = "make learn" if extra == "learn" else f"make EXTRAS={extra} install"
+        return f"{verb} (in a checkout of clothtrack)"
+    path, editable = source
+    command = [sys.executable, "-m", "pip", "install"]
+    if (path / "constraints.txt").is_file():
+        command += ["-c", str(path / "constraints.txt")]
+    return shlex.join([*command, *["-e"] * editable, f"{path}[{extra}]"])
+
+
+def _installed_from() -> tuple[Path, bool] | None:
+    """The folder or wheel file that pip noted (PEP 610), and whether the copy is editable."""
+    try:
+        noted = importlib.metadata.distribution("clothtrack").read_text("direct_url.json")
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    origin = json.loads(noted or "{}")
+    url = urlsplit(origin.get("url", ""))
+    if url.scheme != "file":
+        return None
+    return Path(unquote(url.path)), bool(origin.get("dir_info", {}).get("editable"))
