@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from clothtrack.cli import command_line as cli
+from clothtrack.cli.track import Mode
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.extras import install_command
 
@@ -131,7 +132,7 @@ def test_a_defect_of_ours_is_not_hidden(monkeypatch):
 def test_every_mode_of_the_tracker_is_offered():
     from clothtrack.tracking.configuration import MODES
 
-    assert set(cli.Mode.__args__) == set(MODES)
+    assert set(Mode.__args__) == set(MODES)
 
 
 WITHOUT_THE_EXTRA = """

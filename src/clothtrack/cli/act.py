@@ -12,7 +12,7 @@ from tyro.conf import Positional
 
 from clothtrack.cli.learn import require_learning
 from clothtrack.cli.options import AsJson, Device, Seed, Settings
-from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say
+from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
@@ -210,11 +210,11 @@ def train_dynamics(
 
 def _told(outcome: "TrainingOutcome", *, json: bool) -> int:
     """Say how a training ended, and give the exit status."""
-    if json:
-        say(json_module.dumps(asdict(outcome), indent=2, default=str))
-    else:
-        say(f"{outcome.weights}   {outcome.status} after {outcome.steps} steps; best held-out "
-            f"error {outcome.best_score:.2f} mm after {outcome.best_step}")  # fmt: skip
+    text = (
+        f"{outcome.weights}   {outcome.status} after {outcome.steps} steps; best held-out "
+        f"error {outcome.best_score:.2f} mm after {outcome.best_step}"
+    )
+    say_result(text, asdict(outcome), json=json)
     if outcome.status == "interrupted":
         complain("interrupted; the same command goes on from there")
         return TERMINATED
@@ -260,16 +260,13 @@ def improve(
         weights, output, garment, config, old=old, device=device, seed=seed, progress=progress
     )
     end_progress()
-    if json:
-        say(json_module.dumps(curve, indent=2))
-        return 0
-    for number, row in enumerate(curve):
-        say(f"round {number}   improvement {row['mean']:.3f} +- {row['deviation']:.3f} over "
-            f"{row['episodes']} episodes   {row['weights']}")  # fmt: skip
+    lines = [
+        f"round {number}   improvement {row['mean']:.3f} +- {row['deviation']:.3f} over "
+        f"{row['episodes']} episodes   {row['weights']}"
+        for number, row in enumerate(curve)
+    ]
+    say_result("\n".join(lines), curve, json=json)
     return 0
-
-
-ACTING_VERBS = (flatten, train_dynamics, improve)
 
 
 def _config(

@@ -1,6 +1,5 @@
 """The verbs of setting up a recording: where its camera is, what is cloth, what moved it."""
 
-import json as json_module
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from clothtrack.cli.options import AsJson
-from clothtrack.cli.terminal import complain, say
+from clothtrack.cli.terminal import complain, say, say_result
 
 if TYPE_CHECKING:
     from clothtrack.capture.board import Board
@@ -156,18 +155,17 @@ def find_picker(
             for one, pick, release in zip(found.actions, found.picks, found.releases, strict=True)
         ],
     }  # fmt: skip
-    if json:
-        say(json_module.dumps(told, indent=2))
-        return 0
-    say(f"the tip is seen in {told['seen']} of {told['frames']} frames; closed by {found.by}")
-    for number, one in enumerate(told["actions"], start=1):
-        say(
+    lines = [
+        f"the tip is seen in {told['seen']} of {told['frames']} frames; closed by {found.by}",
+        *(
             f"action {number}: frames {one['first_frame']} to {one['last_frame']}, picks in "
             f"{one['pick']}, has let go in {one['release']}"
-        )
-    if vertex is not None:
-        say(f"the first pick takes vertex {vertex} of the template")
-    say(f"written to {recording / 'picker.csv'} and {recording / 'recording.json'}")
+            for number, one in enumerate(told["actions"], start=1)
+        ),
+        *([] if vertex is None else [f"the first pick takes vertex {vertex} of the template"]),
+        f"written to {recording / 'picker.csv'} and {recording / 'recording.json'}",
+    ]
+    say_result("\n".join(lines), told, json=json)
     return 0
 
 
@@ -275,9 +273,6 @@ def record(
     return 0
 
 
-SETTING_UP_VERBS = (record, calibrate_camera, calibrate_hand_eye, segment, find_picker)
-
-
 def _board(charuco: tuple[int, int, float, float] | None, dictionary: str) -> "Board | None":
     from clothtrack.capture.board import Board
 
@@ -295,14 +290,14 @@ def _placed(
         save_placement(output, placement)
     else:
         place_camera(read_recording(folder), placement, force=force)
-    if json:
-        say(json_module.dumps(placement.as_dict(), indent=2))
-        return 0
+    lines = []
     for name, value in placement.told.items():
         if name == "per_picture":
-            for one in value:
-                say(f"  {one['mm']:7.2f} mm {one['deg']:7.3f} deg  {one['picture']}")
+            lines += [
+                f"  {one['mm']:7.2f} mm {one['deg']:7.3f} deg  {one['picture']}" for one in value
+            ]
         else:
-            say(f"{name:<22} {value}")
-    say(f"written to             {output or folder / 'recording.json'}")
+            lines.append(f"{name:<22} {value}")
+    lines.append(f"written to             {output or folder / 'recording.json'}")
+    say_result("\n".join(lines), placement.as_dict(), json=json)
     return 0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 from clothtrack.cli.options import AsJson, Device, Seed, Settings
-from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say
+from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say, say_result
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.extras import install_command
 from clothtrack.reconstruction.availability import EXTRA, missing_modules
@@ -282,7 +282,7 @@ def reconstruct(
     summary += f"{apart_mm:.1f} mm from the cloud"
     if made.scale != 1.0:
         summary += f", seen as if {made.scale:g} times as large"
-    say(json_module.dumps(report, indent=2) if json else summary)
+    say_result(summary, report, json=json)
     if apart_mm > 1e3 * LOOSE_FIT_M:
         complain(
             f"{depth}: the mesh is {apart_mm:.0f} mm from what was measured (more than "
@@ -290,9 +290,6 @@ def reconstruct(
             "the sizes in its model card; is the garment, its mask or the depth's unit another?"
         )
     return 0
-
-
-LEARNING_VERBS = (label, pretrain, finetune, reconstruct)
 
 
 def require_learning() -> None:
@@ -337,16 +334,14 @@ def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "Learn
 def _told(outcome: "LearningOutcome", *, json: bool) -> int:
     """Say how it went; the exit code."""
     end_progress()
-    if json:
-        say(json_module.dumps(asdict(outcome), indent=2, default=str))
-    else:
-        for name, one in outcome.stages.items():
-            say(
-                f"{name}  {one.status} after {one.steps} steps; best held-out error "
-                f"{one.best_score:.1f} mm after {one.best_step}"
-            )
-        if outcome.model is not None:
-            say(str(outcome.model))
+    lines = [
+        f"{name}  {one.status} after {one.steps} steps; best held-out error "
+        f"{one.best_score:.1f} mm after {one.best_step}"
+        for name, one in outcome.stages.items()
+    ]
+    if outcome.model is not None:
+        lines.append(str(outcome.model))
+    say_result("\n".join(lines), asdict(outcome), json=json)
     if outcome.model is None:
         complain("interrupted; the same command goes on from there")
         return TERMINATED

@@ -100,9 +100,6 @@ def export(
     return 0
 
 
-LOOKING_VERBS = (view, export)
-
-
 def _unknown(artefact: Path) -> str:
     """What `view` takes, what lies there instead, and what may have been meant."""
     from clothtrack.recordings.mesh_file import MESH_SUFFIXES

@@ -4,6 +4,7 @@ Results go to standard output, everything else to standard error; progress is fo
 it is shown on a terminal and nowhere else.
 """
 
+import json as json_module
 import os
 import signal
 import sys
@@ -25,6 +26,11 @@ def say(text: str) -> None:
     """Write a result."""
     end_progress()
     sys.stdout.write(text + "\n")
+
+
+def say_result(text: str, document: object, *, json: bool) -> None:
+    """Write a result in words, or as the JSON document that holds the same."""
+    say(json_module.dumps(document, indent=2, default=str) if json else text)
 
 
 def complain(text: str) -> None:

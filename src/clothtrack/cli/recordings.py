@@ -1,14 +1,26 @@
-"""The verb that brings recordings of other programs in."""
+"""The verbs that check a recording and import one: inspect and import."""
 
-import json as json_module
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from clothtrack.cli.options import AsJson
-from clothtrack.cli.terminal import progress, say
+from clothtrack.cli.terminal import progress, say_result
+
+
+def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
+    """Is this recording readable? What is in it, what is wrong with it?
+
+    Args:
+        recording: folder with a recording.json.
+        json: machine-readable.
+    """
+    from clothtrack.recordings.inspection import inspect as inspect_recording
+
+    found = inspect_recording(recording)
+    say_result(found.text(), found.as_dict(), json=json)
+    return 0 if found.valid else 1
 
 
 def import_(
@@ -82,10 +94,9 @@ def import_(
         cloth, cloth_color, workers,
     )  # fmt: skip
     report = import_recording(source, recording, config, progress=progress)
-    say(json_module.dumps(report.as_dict(), indent=2) if json else report.text())
+    say_result(report.text(), report.as_dict(), json=json)
     return 0
 
 
 # The word of the command line is no name of Python's.
 import_.__name__ = "import"
-ACQUISITION_VERBS: tuple[Callable[..., int], ...] = (import_,)

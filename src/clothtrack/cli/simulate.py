@@ -1,0 +1,91 @@
+"""The verbs of the simulated environment: simulate and bench."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from clothtrack.cli.options import AsJson, Seed, Settings
+from clothtrack.cli.terminal import complain, progress, say, say_result
+
+
+def simulate(
+    output: Positional[Path],
+    *,
+    garment: Annotated[Literal["towel", "tshirt"], arg(aliases=["--kind"])] = "towel",
+    states: int | None = None,
+    trajectories: int | None = None,
+    actions: int | None = None,
+    settings: Settings = (),
+    workers: int = 1,
+    seed: Seed = 0,
+) -> int:
+    """Film a stand-in world; or, with --states, crumple garments for a network to learn from.
+
+    Args:
+        output: folder for recordings/ and truth/, or shards/; what is finished there is kept.
+        garment: what lies on the table.
+        states: film nothing; make at least so many labelled states with our own solver.
+        trajectories: how many recordings, 1 by default; they get the seeds SEED, SEED + 1, ...
+        actions: pick-and-places per recording, 3 by default.
+        settings: changes to what is filmed, such as sensor.width=320 or vertex_count=300.
+        workers: processes.
+        seed: of garment, pose, actions, camera and noise.
+    """
+    from clothtrack.files.settings import with_settings
+    from clothtrack.reconstruction.data.states import StatesConfig, generate_states
+    from clothtrack.world import episodes
+
+    if states is not None:
+        if trajectories is not None or actions is not None:
+            complain(
+                "--states films nothing, so that --trajectories and --actions mean nothing; leave "
+                "them out, or --states"
+            )
+            return 2
+        recipe = with_settings(StatesConfig(), settings)
+        made = generate_states(
+            output, garment, states, seed=seed, config=recipe, processes=workers, progress=progress
+        )
+        say(f"{made.folder / 'README.md'}   ({len(made.shards)} garments)")
+        return 0
+    wanted = 1 if trajectories is None else trajectories
+    told = {} if actions is None else {"actions": actions}
+    config = with_settings(episodes.EpisodeConfig(**told), settings)
+    folders = episodes.simulate(
+        output, garment, wanted, seed=seed, config=config, processes=workers
+    )
+    say("\n".join(map(str, folders)))
+    return 0 if len(folders) == wanted else 1
+
+
+def bench(
+    output: Positional[Path],
+    *,
+    split: Literal["all", "dev", "test", "hard"] = "all",
+    verify: bool = False,
+    workers: int = 1,
+    json: AsJson = False,
+) -> int:
+    """Film the benchmark: 20 trajectories to tune on (dev), 30 to score (test), 10 hard ones.
+
+    Args:
+        output: folder for recordings/, truth/ and their list; finished trajectories are kept.
+        split: only this part.
+        verify: film nothing; check what is there against its checksums.
+        workers: processes.
+        json: machine-readable.
+    """
+    from clothtrack.world import bench as contents
+    from clothtrack.world import bench_generation as generation
+
+    wanted = contents.trajectories(contents.SPLITS if split == "all" else (split,))
+    if verify:
+        for line in (wrong := generation.verify_bench(output, wanted)):
+            complain(line)
+        told = f"{len(wanted) - len(wrong)} of {len(wanted)} trajectories are as listed"
+        say_result(told, {"trajectories": len(wanted), "wrong": wrong}, json=json)
+        return 1 if wrong else 0
+    entries = generation.generate_bench(output, wanted, processes=workers, progress=progress)
+    say_result(generation.table(entries), entries, json=json)
+    return 0

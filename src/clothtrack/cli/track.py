@@ -1,0 +1,141 @@
+"""The verbs of tracking: demo and track."""
+
+import json as json_module
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from clothtrack.cli.options import AsJson, Device, Seed, Settings
+from clothtrack.cli.terminal import complain, progress, say
+from clothtrack.errors import InvalidConfigError
+
+if TYPE_CHECKING:
+    from clothtrack.tracking.pipeline import Outcome, RunConfig
+
+Mode = Literal[
+    "default",
+    "full_held_paper",
+    "open_loop",
+    "no_pseudo_action",
+    "no_dynamics_initialisation",
+    "no_action_conditioning",
+    "no_final_alignment",
+]
+
+
+def demo(
+    *,
+    recording: str = "",
+    output: Path = Path("out/demo"),
+    mode: Mode = "default",
+    device: Device = "cpu",
+) -> int:
+    """Track a recording that comes with clothtrack, and write its report.
+
+    Args:
+        recording: name of a shipped recording; the first one by default.
+        output: folder for the tracked trajectory and the report.
+        mode: the tracker's default, the paper's method, or an ablation of it.
+        device: where to compute.
+    """
+    from clothtrack.evaluation.results import evaluate as measure
+    from clothtrack.evaluation.results import table
+    from clothtrack.recordings.shipped import shipped_recording
+    from clothtrack.recordings.store import read_recording
+    from clothtrack.report.page import write_report
+    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+    folder = shipped_recording(recording)
+    config = _run_config(mode, (), seed=0)
+    outcome = _track([folder], output, config, device=device)[0]
+    if outcome.result is None:
+        complain(outcome.error)
+        return 1
+    tracked, source = TrackedTrajectory.load(outcome.result), read_recording(folder)
+    page = write_report(tracked, source, output / f"{tracked.name}.html")
+    say(table([measure(tracked, source, device=device)]))
+    say(f"tracked  {_told(outcome)}")
+    say(f"report   {page}   (open it in a browser; it needs no network)")
+    return 0
+
+
+def track(
+    recordings: Positional[tuple[Path, ...]],
+    *,
+    output: Path,
+    mode: Mode = "default",
+    weights: Path | None = None,
+    settings: Settings = (),
+    workers: int = 1,
+    device: Device = "cpu",
+    seed: Seed = 0,
+    json: AsJson = False,
+) -> int:
+    """Track recordings: the full mesh at every observation (Algorithm 1).
+
+    Args:
+        recordings: recording folders.
+        output: folder that gets one NAME.zarr per recording; those that are there are skipped,
+            so that an interrupted run goes on when it is started again. One whose recording has
+            changed since is tracked again.
+        mode: the tracker's default, the paper's method, or an ablation of it.
+        weights: of the network that makes the first mesh of a recording without a template; the
+            ones that come with clothtrack by default, and without any a flat garment is fitted.
+        settings: changes to the mode, or first_mesh.source=template, network or flat.
+        workers: processes; each tracks one recording at a time.
+        device: where to compute.
+        seed: stored with the result.
+        json: machine-readable.
+    """
+    if not recordings:
+        complain("no recording given; name at least one recording folder")
+        return 2
+    if weights is not None:
+        if not weights.is_file():
+            raise InvalidConfigError(f"{weights}: there is no such weights file; check the name")
+        settings = (f"first_mesh.weights={json_module.dumps(str(weights))}", *settings)
+    outcomes = _track(
+        recordings, output, _run_config(mode, settings, seed=seed), device=device, workers=workers
+    )
+    if json:
+        say(json_module.dumps([asdict(one) for one in outcomes], indent=2, default=str))
+    for one in outcomes:
+        if one.result is None:
+            complain(one.error)
+        elif not json:
+            say(_told(one))
+    return 1 if any(one.result is None for one in outcomes) else 0
+
+
+def _run_config(mode: str, settings: Sequence[str], *, seed: int) -> "RunConfig":
+    from clothtrack.files.settings import with_settings
+    from clothtrack.tracking.configuration import mode as tracker_mode
+    from clothtrack.tracking.pipeline import RunConfig
+
+    return with_settings(RunConfig(tracker=tracker_mode(mode), seed=seed), settings)
+
+
+def _track(
+    recordings: Sequence[Path],
+    output: Path,
+    config: "RunConfig",
+    *,
+    device: str,
+    workers: int = 1,
+) -> "list[Outcome]":
+    from clothtrack.geometry.devices import require_device
+    from clothtrack.tracking.pipeline import track_recordings
+
+    require_device(device)
+    return track_recordings(
+        recordings, output, config, workers=workers, device=device, progress=progress
+    )
+
+
+def _told(outcome: "Outcome") -> str:
+    """Where a result lies, and why it was tracked again or was not."""
+    again = "   (recording changed, tracked again)" if outcome.tracked_again else ""
+    return f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)
