@@ -36,8 +36,8 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.importing.import_recording import ImportConfig, import_recording
-from clothtrack.importing.source import Wanted
+from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.import_recording import import_recording
 from clothtrack.recordings.pictures import encode_png
 
 logger = logging.getLogger("bench_import")
@@ -266,7 +266,7 @@ def measure(name: str, frames: int, folder: Path) -> dict[str, object]:
     lens.write_text(json.dumps(values), encoding="utf-8")
     # No mode of a Kinect has 640 x 480 pixels of depth.
     given = lens if kind.write is write_kinect else None
-    config = ImportConfig(Wanted(intrinsics=given))
+    config = ImportOptions(intrinsics=given)
     peaks, times = [], (0.0, 0.0)
     for count in (frames // 4, frames):
         source = kind.write(folder / "source", count)

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 
@@ -20,6 +21,15 @@ OTHER_NAMES = {"settings": "set"}
 
 def ids(path):
     return str(path.relative_to(ROOT))
+
+
+def known_options(verb):
+    """Names of a verb's options; one that is a dataclass stands for its fields."""
+    for name, option in inspect.signature(VERBS[verb]).parameters.items():
+        if is_dataclass(option.annotation):
+            yield from (field.name for field in fields(option.annotation))
+        else:
+            yield name
 
 
 def defines(path, name):
@@ -54,8 +64,7 @@ def test_links_lead_somewhere(document):
 def test_commands_and_options_exist(document):
     for verb, rest in COMMAND.findall(document.read_text()):
         assert verb in VERBS, verb
-        known = inspect.signature(inspect.unwrap(VERBS[verb])).parameters
-        options = {OTHER_NAMES.get(name, name).replace("_", "-") for name in known}
+        options = {OTHER_NAMES.get(name, name).replace("_", "-") for name in known_options(verb)}
         for option in re.findall(r"--([\w-]+)", rest):
             assert option in options, f"{verb} --{option}"
 

@@ -14,6 +14,7 @@ import sys
 import time
 import traceback
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,8 @@ _spec.loader.exec_module(makers)
 
 from clothtrack.errors import ClothTrackError  # noqa: E402
 from clothtrack.geometry.devices import quiet_warp  # noqa: E402
-from clothtrack.importing.import_recording import ImportConfig, import_recording  # noqa: E402
-from clothtrack.importing.source import Wanted  # noqa: E402
+from clothtrack.importing.import_options import ImportOptions  # noqa: E402
+from clothtrack.importing.import_recording import import_recording  # noqa: E402
 
 LONGEST_S = 10
 MOST_MEMORY = 2**30
@@ -121,7 +122,7 @@ def one_case(kind, seed, place):
     else:
         source.write_bytes(damaged(seed_of(place).read_bytes(), rng))
     lens = makers.lens_file(box / "lens.json", makers.Film(width=16, height=12))
-    wanted = Wanted(
+    chosen = ImportOptions(
         intrinsics=lens if kind == "tum" or rng.random() < 0.1 else None,
         depth_unit_m=0.001 if kind == "tum" else None,
         fps=30.0 if kind == "bop" else None,
@@ -131,7 +132,7 @@ def one_case(kind, seed, place):
     outcome, started = "imported", time.monotonic()
     signal.alarm(LONGEST_S)
     try:
-        import_recording(source, box / "out", ImportConfig(wanted, workers=1))
+        import_recording(source, box / "out", replace(chosen, workers=1))
     except ClothTrackError as error:
         outcome = "refused"
         if len(str(error)) > 4000:

@@ -22,9 +22,9 @@ from rosbags.highlevel import AnyReader
 
 from clothtrack.errors import ClothTrackError, InvalidRecordingError
 from clothtrack.importing.bag_walk import open_parts
-from clothtrack.importing.import_recording import ImportConfig, import_recording
+from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.import_recording import import_recording
 from clothtrack.importing.ros_bags import bag_files
-from clothtrack.importing.source import Wanted
 from clothtrack.recordings.store import read_recording
 
 ROS2 = Messages(cdr=True)
@@ -204,8 +204,8 @@ def test_topics_that_cannot_be_guessed_are_listed(film, tmp_path):
         import_recording(source, tmp_path / "out")
     for word in ("/mine/tiefe", "/mine/farbe", "--depth-topic"):
         assert word in str(caught.value)
-    wanted = Wanted(depth_topic="/mine/tiefe", color_topic="/mine/farbe")
-    import_recording(source, tmp_path / "out", ImportConfig(wanted))
+    chosen = ImportOptions(depth_topic="/mine/tiefe", color_topic="/mine/farbe")
+    import_recording(source, tmp_path / "out", chosen)
     assert_same(tmp_path / "out", film)
 
 
@@ -217,8 +217,8 @@ def test_two_cameras_must_be_chosen_between(film, tmp_path):
     source = write_ros2(tmp_path / "bag", entries, ROS2)
     with pytest.raises(InvalidRecordingError, match=r"/left/depth/image_raw.*--depth-topic"):
         import_recording(source, tmp_path / "out")
-    wanted = Wanted(depth_topic="/right/depth/image_raw")
-    report = import_recording(source, tmp_path / "out", ImportConfig(wanted))
+    chosen = ImportOptions(depth_topic="/right/depth/image_raw")
+    report = import_recording(source, tmp_path / "out", chosen)
     assert report.streams["colour"] == "/right/color/image_raw"
 
 

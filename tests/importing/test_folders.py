@@ -7,16 +7,16 @@ import pytest
 from import_makers import color_of, depth_of, lens_file, write_folder
 
 from clothtrack.errors import ClothTrackError, InvalidRecordingError
-from clothtrack.importing.import_recording import ImportConfig, import_recording
-from clothtrack.importing.source import Wanted
+from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.import_recording import import_recording
 from clothtrack.recordings.store import read_recording
 
 
 def options(style, film, tmp_path):
     if style == "tum":
         lens = lens_file(tmp_path / "lens.json", film)
-        return ImportConfig(Wanted(intrinsics=lens, depth_unit_m=0.0002))
-    return ImportConfig(Wanted(fps=30.0 if style == "bop" else None))
+        return ImportOptions(intrinsics=lens, depth_unit_m=0.0002)
+    return ImportOptions(fps=30.0 if style == "bop" else None)
 
 
 @pytest.mark.parametrize(("style", "unit_m"), [("tum", 2e-4), ("open3d", 1e-3), ("bop", 1e-4)])
@@ -41,11 +41,13 @@ def test_every_bit_arrives(style, unit_m, film, tmp_path):
 def test_what_a_style_does_not_say_is_asked_for(style, left_out, flag, film, tmp_path):
     source = write_folder(tmp_path / "film", film, style)
     lens = lens_file(tmp_path / "lens.json", film)
-    wanted = {
-        "unit": Wanted(intrinsics=lens), "lens": Wanted(depth_unit_m=0.001), "fps": Wanted(),
-    }[left_out]  # fmt: skip
+    chosen = {
+        "unit": ImportOptions(intrinsics=lens),
+        "lens": ImportOptions(depth_unit_m=0.001),
+        "fps": ImportOptions(),
+    }[left_out]
     with pytest.raises(InvalidRecordingError, match=flag):
-        import_recording(source, tmp_path / "out", ImportConfig(wanted))
+        import_recording(source, tmp_path / "out", chosen)
 
 
 def test_a_picture_that_is_missing_leaves_its_moment_empty(film, tmp_path):
@@ -63,7 +65,7 @@ def test_a_scene_whose_camera_changes_is_refused(film, tmp_path):
     content["2"]["cam_K"][0] += 1
     (source / "scene_camera.json").write_text(json.dumps(content))
     with pytest.raises(InvalidRecordingError, match="one fixed camera"):
-        import_recording(source, tmp_path / "out", ImportConfig(Wanted(fps=30.0)))
+        import_recording(source, tmp_path / "out", ImportOptions(fps=30.0))
 
 
 def test_lists_and_links_do_not_lead_out(film, tmp_path):

@@ -10,10 +10,10 @@ import pytest
 from import_makers import depth_of, kinect_calibration, write_kinect
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.import_recording import ImportConfig, import_recording
+from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.import_recording import import_recording
 from clothtrack.importing.kinect_calibration import kinect_lenses
 from clothtrack.importing.matroska import MatroskaReader
-from clothtrack.importing.source import Wanted
 
 TIMES = np.array([0, 33_333_000, 66_666_000])
 FILM = Path("film.mkv")
@@ -158,5 +158,5 @@ def test_without_calibration_the_lenses_are_asked_for(depth, tmp_path):
         import_recording(source, tmp_path / "out")
     lens = tmp_path / "lens.json"
     lens.write_text('{"width": 320, "height": 288, "fx": 250, "fy": 250, "cx": 159.5, "cy": 143.5}')
-    import_recording(source, tmp_path / "out", ImportConfig(Wanted(intrinsics=lens)))
+    import_recording(source, tmp_path / "out", ImportOptions(intrinsics=lens))
     assert np.array_equal(depth_of(tmp_path / "out"), depth)

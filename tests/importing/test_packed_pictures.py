@@ -9,9 +9,9 @@ import pytest
 from import_makers import Film, color_of, depth_of, png, write_folder
 
 from clothtrack.errors import TornError
-from clothtrack.importing.import_recording import ImportConfig, import_recording
+from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.import_recording import import_recording
 from clothtrack.importing.packed_pictures import packed_color, packed_depth
-from clothtrack.importing.source import Wanted
 
 
 def chunk(kind, data):
@@ -106,7 +106,7 @@ def test_a_watcher_sees_what_is_taken_over(film, tmp_path):
             return {}
 
     source, watcher = write_folder(tmp_path / "film", film, "bop"), Watcher()
-    config = ImportConfig(Wanted(fps=30.0, depth_unit_m=1e-3))
+    config = ImportOptions(fps=30.0, depth_unit_m=1e-3)
     import_recording(source, tmp_path / "out", config, watcher=watcher)
     for (color, depth), wanted_color, wanted_depth in zip(
         watcher.seen, film.color, film.depth, strict=True

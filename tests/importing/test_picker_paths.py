@@ -1,6 +1,7 @@
 """The picker's path: from a table, a topic or TF; and the actions that it tells."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,9 +10,9 @@ from import_makers import OPTICAL, START_NS, Film, Messages, stream, write_ros1,
 from scipy.spatial.transform import Rotation
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
-from clothtrack.importing.import_recording import ImportConfig, import_recording
+from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.import_recording import import_recording
 from clothtrack.importing.picker_paths import actions_of, read_path_table, told_actions
-from clothtrack.importing.source import Wanted
 from clothtrack.importing.transforms import TransformTree
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import read_recording
@@ -57,14 +58,14 @@ def bag(path, messages, write=write_ros2, *, log_delay_ns=0, values=None, joints
     return write(path, entries, messages)
 
 
-@pytest.mark.parametrize("wanted", [
-    Wanted(picker_topic="/tip", gripper_topic="/gripper"),
-    Wanted(picker_frame="tool", gripper_topic="/gripper"),
+@pytest.mark.parametrize("chosen", [
+    ImportOptions(picker_topic="/tip", gripper_topic="/gripper"),
+    ImportOptions(picker_frame="tool", gripper_topic="/gripper"),
 ])  # fmt: skip
 @pytest.mark.parametrize("messages", [ROS1, ROS2], ids=["ros 1", "ros 2"])
-def test_topic_and_tf_give_the_same_path(wanted, messages, tmp_path):
+def test_topic_and_tf_give_the_same_path(chosen, messages, tmp_path):
     source = bag(tmp_path / "bag", messages, write_ros2 if messages.cdr else write_ros1)
-    report = import_recording(source, tmp_path / "out", ImportConfig(wanted))
+    report = import_recording(source, tmp_path / "out", chosen)
     recording = read_recording(tmp_path / "out")
     path = recording.picker_paths["picker"]
     for k, frame in enumerate(recording.frames):
@@ -77,27 +78,29 @@ def test_topic_and_tf_give_the_same_path(wanted, messages, tmp_path):
 
 def test_finger_joints_need_a_limit(tmp_path):
     source = bag(tmp_path / "bag", ROS2, joints=True)
-    wanted = Wanted(picker_topic="/tip", gripper_topic="/gripper")
+    chosen = ImportOptions(picker_topic="/tip", gripper_topic="/gripper")
     with pytest.raises(InvalidConfigError, match="--gripper-closed-below"):
-        import_recording(source, tmp_path / "out", ImportConfig(wanted))
-    limited = Wanted(picker_topic="/tip", gripper_topic="/gripper", gripper_closed_below=0.01)
-    report = import_recording(source, tmp_path / "out", ImportConfig(limited))
+        import_recording(source, tmp_path / "out", chosen)
+    limited = ImportOptions(
+        picker_topic="/tip", gripper_topic="/gripper", gripper_closed_below=0.01
+    )
+    report = import_recording(source, tmp_path / "out", limited)
     assert report.actions == [(3, 6)]
 
 
 def test_a_gripper_on_the_clock_of_another_machine(tmp_path):
     """Bool has no stamp: the times of writing are brought to the clock of the pictures."""
     source = bag(tmp_path / "bag", ROS2, log_delay_ns=5_000_000_000)
-    wanted = Wanted(picker_topic="/tip", gripper_topic="/gripper")
-    report = import_recording(source, tmp_path / "out", ImportConfig(wanted))
+    chosen = ImportOptions(picker_topic="/tip", gripper_topic="/gripper")
+    report = import_recording(source, tmp_path / "out", chosen)
     assert report.actions == [(3, 6)]
     assert any("-5.000 s" in note for note in report.notes)
 
 
 def test_a_frame_as_the_world(tmp_path):
     source = bag(tmp_path / "bag", ROS2)
-    wanted = Wanted(picker_frame="tool", world_frame="base")
-    import_recording(source, tmp_path / "out", ImportConfig(wanted))
+    chosen = ImportOptions(picker_frame="tool", world_frame="base")
+    import_recording(source, tmp_path / "out", chosen)
     recording = read_recording(tmp_path / "out")
     assert np.allclose(recording.cameras[0].position, [0, 0, 1])
     assert np.allclose(recording.picker_paths["picker"].positions[4], tip(4))
@@ -108,34 +111,34 @@ def test_a_path_that_nothing_ties_to_the_camera(tmp_path):
     for k, time in enumerate(FILM.times.tolist()):
         entries.append(("/tip", time, ROS2.pose(time, "base", tip(k))))
     source = write_ros2(tmp_path / "bag", entries, ROS2)
-    wanted = Wanted(picker_topic="/tip")
+    chosen = ImportOptions(picker_topic="/tip")
     with pytest.raises(InvalidConfigError, match="--world-from-camera"):
-        import_recording(source, tmp_path / "out", ImportConfig(wanted))
+        import_recording(source, tmp_path / "out", chosen)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = Rotation.from_quat(BACK).as_matrix(), [0, 0, 1]
     file = tmp_path / "pose.json"
     file.write_text(json.dumps(pose.tolist()))
-    import_recording(source, tmp_path / "out", ImportConfig(wanted, world_from_camera=file))
+    import_recording(source, tmp_path / "out", replace(chosen, world_from_camera=file))
     recording = read_recording(tmp_path / "out")
     assert np.allclose(recording.cameras[0].world_from_camera, pose)
     assert np.allclose(recording.picker_paths["picker"].positions[3], tip(3))
 
 
 @pytest.mark.parametrize(
-    ("wanted", "word"),
+    ("chosen", "word"),
     [
-        (Wanted(picker_topic="/nobody"), "/nobody"),
-        (Wanted(picker_frame="nobody"), "tool"),
-        (Wanted(gripper_topic="/gripper"), "--picker-topic"),
-        (Wanted(picker_topic="/tip", gripper_topic="/nobody"), "/nobody"),
-        (Wanted(picker_frame="tool", world_frame="nobody"), "nobody"),
-        (Wanted(picker_topic="/tip", picker_frame="tool"), "one of them"),
+        (ImportOptions(picker_topic="/nobody"), "/nobody"),
+        (ImportOptions(picker_frame="nobody"), "tool"),
+        (ImportOptions(gripper_topic="/gripper"), "--picker-topic"),
+        (ImportOptions(picker_topic="/tip", gripper_topic="/nobody"), "/nobody"),
+        (ImportOptions(picker_frame="tool", world_frame="nobody"), "nobody"),
+        (ImportOptions(picker_topic="/tip", picker_frame="tool"), "one of them"),
     ],
 )
-def test_what_is_not_there_is_named(wanted, word, tmp_path):
+def test_what_is_not_there_is_named(chosen, word, tmp_path):
     source = bag(tmp_path / "bag", ROS2)
     with pytest.raises(InvalidConfigError, match=word):
-        import_recording(source, tmp_path / "out", ImportConfig(wanted))
+        import_recording(source, tmp_path / "out", chosen)
     assert not list(tmp_path.glob(".out*"))
 
 
@@ -179,18 +182,18 @@ def test_the_clock_of_a_table(clock, tmp_path):
     rows = [f"{start + 0.05 * k:.6f},0,0,0.1,{int(2 <= k < 4)}" for k in range(8)]
     file = table(tmp_path / "path.csv", "time,x,y,z,closed\n" + "\n".join(rows) + "\n")
     report = import_recording(
-        source, tmp_path / "out", ImportConfig(picker_csv=file, picker_clock=clock)
+        source, tmp_path / "out", ImportOptions(picker_csv=file, picker_clock=clock)
     )
     # Closed from 0.1 to 0.2 s; frames come every 1/30 s.
     assert report.actions == [(3, 6)]
     if clock == "source":
         with pytest.raises(InvalidConfigError, match="--picker-clock"):
-            import_recording(source, tmp_path / "other", ImportConfig(picker_csv=file))
+            import_recording(source, tmp_path / "other", ImportOptions(picker_csv=file))
 
 
 def test_actions_told_by_hand(tmp_path):
     source = bag(tmp_path / "bag", ROS2)
-    config = ImportConfig(Wanted(picker_topic="/tip"), actions=("1-4", "4-9"))
+    config = ImportOptions(picker_topic="/tip", actions=("1-4", "4-9"))
     assert import_recording(source, tmp_path / "out", config).actions == [(1, 4), (4, 9)]
 
 
@@ -285,4 +288,4 @@ def test_a_wrong_pose_file_is_named(content, tmp_path):
     source = write_ros2(tmp_path / "bag", stream(FILM, ROS2), ROS2)
     file = table(tmp_path / "pose.json", content)
     with pytest.raises(ClothTrackError, match=r"pose\.json"):
-        import_recording(source, tmp_path / "out", ImportConfig(world_from_camera=file))
+        import_recording(source, tmp_path / "out", ImportOptions(world_from_camera=file))

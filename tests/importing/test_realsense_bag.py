@@ -6,8 +6,8 @@ from import_makers import color_of, depth_of, write_realsense_bag, write_realsen
 from rosbags.highlevel import AnyReader
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.import_recording import ImportConfig, import_recording, open_source
-from clothtrack.importing.source import Wanted
+from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.import_recording import import_recording, open_source
 from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.pictures import read_depth
 
@@ -24,7 +24,7 @@ def test_new_recordings(film, tmp_path):
 def test_the_pose_between_the_cameras_is_the_sensors_own(film, tmp_path):
     """`/tf_static` of the same file, in another convention, would move depth by half a metre."""
     source = write_realsense_db3(tmp_path / "film.db3", film, shift_m=0.015)
-    opened = open_source(source, Wanted())
+    opened = open_source(source, ImportOptions())
     opened.close()
     expected = np.eye(4)
     expected[0, 3] = 0.015
@@ -43,8 +43,8 @@ def test_an_old_recording_without_its_unit_asks(film, tmp_path):
     source = write_realsense_bag(tmp_path / "film.bag", film, units=None)
     with pytest.raises(InvalidRecordingError, match="--depth-unit-m"):
         import_recording(source, tmp_path / "out")
-    wanted = Wanted(depth_unit_m=0.001)
-    assert import_recording(source, tmp_path / "out", ImportConfig(wanted)).depth_unit_m == 0.001
+    chosen = ImportOptions(depth_unit_m=0.001)
+    assert import_recording(source, tmp_path / "out", chosen).depth_unit_m == 0.001
 
 
 @pytest.mark.data
@@ -53,7 +53,7 @@ def test_the_genuine_recording(data, tmp_path):
     source = data / "realsense-d435-bag" / "single_depth_color_640x480.bag"
     if not source.is_file():
         pytest.skip("the genuine RealSense recording is not here")
-    alone = import_recording(source, tmp_path / "alone", ImportConfig(Wanted(without_color=True)))
+    alone = import_recording(source, tmp_path / "alone", ImportOptions(without_color=True))
     assert alone.frames == 2
     with AnyReader([source]) as reader:
         raw = [
@@ -69,7 +69,7 @@ def test_the_genuine_recording(data, tmp_path):
     with pytest.raises(InvalidRecordingError, match=r"--tolerance-s 0\.103 for 1 frame") as caught:
         import_recording(source, tmp_path / "both")
     proposed = float(str(caught.value).partition("--tolerance-s ")[2].split()[0])
-    both = import_recording(source, tmp_path / "both", ImportConfig(tolerance_s=proposed))
+    both = import_recording(source, tmp_path / "both", ImportOptions(tolerance_s=proposed))
     assert both.frames == 1
     assert inspect(tmp_path / "both").valid
     carried = read_depth(tmp_path / "both" / "depth" / "000000.png", 0.001)

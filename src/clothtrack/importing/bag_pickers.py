@@ -10,7 +10,7 @@ from jaxtyping import Float, Int64
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.importing.bag_walk import Walk
-from clothtrack.importing.source import Wanted
+from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.topics import listed
 from clothtrack.recordings.recording import PickerPath
 
@@ -37,36 +37,36 @@ class BagPaths:
     notes: Sequence[str] = ()
 
 
-def bag_paths(path: Path, found: Walk, wanted: Wanted, camera_frame: str) -> BagPaths:
+def bag_paths(path: Path, found: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
     """The picker's path that was asked for, or nothing.
 
     Raises:
         InvalidConfigError: the topic or frame is not there, or the gripper needs a limit.
     """
-    if wanted.picker_topic is None and wanted.picker_frame is None:
-        if wanted.gripper_topic is not None:
+    if options.picker_topic is None and options.picker_frame is None:
+        if options.gripper_topic is not None:
             raise InvalidConfigError(
                 "--gripper-topic tells when, but not where: add --picker-topic or --picker-frame"
             )
         return BagPaths()
     target, frame = (
-        (wanted.world_frame, "world") if wanted.world_frame else (camera_frame, "camera")
+        (options.world_frame, "world") if options.world_frame else (camera_frame, "camera")
     )
     streams = {}
-    if wanted.picker_topic is not None:
-        streams["picker"] = wanted.picker_topic
-        times, positions, frame = _from_topic(path, found, wanted.picker_topic, target, frame)
+    if options.picker_topic is not None:
+        streams["picker"] = options.picker_topic
+        times, positions, frame = _from_topic(path, found, options.picker_topic, target, frame)
     else:
-        assert wanted.picker_frame is not None
-        streams["picker"] = f"TF frame {wanted.picker_frame}"
+        assert options.picker_frame is not None
+        streams["picker"] = f"TF frame {options.picker_frame}"
         tree = found.tree
-        if not target or not tree.connects(target, wanted.picker_frame):
+        if not target or not tree.connects(target, options.picker_frame):
             raise InvalidConfigError(
-                f"{path}: no TF ties --picker-frame {wanted.picker_frame!r} to {target!r}; frames: "
-                f"{', '.join(tree.frames) or 'none'}; name the world with --world-frame"
+                f"{path}: no TF ties --picker-frame {options.picker_frame!r} to {target!r}; "
+                f"frames: {', '.join(tree.frames) or 'none'}; name the world with --world-frame"
             )
-        times = tree.moments(target, wanted.picker_frame)
-        positions = tree.lookup(target, wanted.picker_frame, times)[:, :3, 3]
+        times = tree.moments(target, options.picker_frame)
+        positions = tree.lookup(target, options.picker_frame, times)[:, :3, 3]
     keep = np.concatenate([[True], np.diff(times) > 0]) if len(times) else np.zeros(0, bool)
     times, positions = times[keep], positions[keep]
     if len(times) < 2:
@@ -75,9 +75,9 @@ def bag_paths(path: Path, found: Walk, wanted: Wanted, camera_frame: str) -> Bag
         )
     closed = np.zeros(len(times), dtype=bool)
     notes = []
-    if wanted.gripper_topic is not None:
-        streams["gripper"] = wanted.gripper_topic
-        closed, notes = _closed(path, found, wanted, times)
+    if options.gripper_topic is not None:
+        streams["gripper"] = options.gripper_topic
+        closed, notes = _closed(path, found, options, times)
     start_ns = int(times[0])
     paths = {PICKER: PickerPath((times - start_ns) / 1e9, positions, closed)}
     return BagPaths(paths, start_ns, frame, streams, notes)
@@ -104,16 +104,16 @@ def _from_topic(
 
 
 def _closed(
-    path: Path, found: Walk, wanted: Wanted, times: np.ndarray
+    path: Path, found: Walk, options: ImportOptions, times: np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
     if not found.grips:
         raise InvalidConfigError(
-            f"{path}: no message in --gripper-topic {wanted.gripper_topic!r}; topics: "
+            f"{path}: no message in --gripper-topic {options.gripper_topic!r}; topics: "
             f"{listed(found.topics)}"
         )
     unstamped = not hasattr(found.grips[0][1], "header")
     gap = found.clock_gap_ns if unstamped and abs(found.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
-    told = sorted((time - gap, _is_closed(path, one, wanted)) for time, one in found.grips)
+    told = sorted((time - gap, _is_closed(path, one, options)) for time, one in found.grips)
     when = np.array([time for time, _ in told])
     what = np.array([closed for _, closed in told])
     # Before the first message the gripper is taken to be as that message says.
@@ -121,28 +121,28 @@ def _closed(
     notes = []
     if gap:
         notes.append(
-            f"{wanted.gripper_topic} has no time stamps of its own; its times of writing were "
+            f"{options.gripper_topic} has no time stamps of its own; its times of writing were "
             f"moved by {-gap / 1e9:.3f} s to the clock of the pictures"
         )
     return what[last], notes
 
 
-def _is_closed(path: Path, message: Any, wanted: Wanted) -> bool:
+def _is_closed(path: Path, message: Any, options: ImportOptions) -> bool:
     value = message
     for name in ("position", "data"):
         value = getattr(value, name, value)
     if isinstance(value, bool | np.bool_):
         return bool(value)
-    if wanted.gripper_closed_below is None:
+    if options.gripper_closed_below is None:
         raise InvalidConfigError(
-            f"{path}: --gripper-topic {wanted.gripper_topic!r} tells numbers, not closed or open; "
+            f"{path}: --gripper-topic {options.gripper_topic!r} tells numbers, not closed or open; "
             "say below which value the gripper is closed: --gripper-closed-below"
         )
     try:
         opening = float(np.sum(np.asarray(value, dtype=np.float64)))
     except (TypeError, ValueError) as error:
         raise InvalidConfigError(
-            f"{path}: --gripper-topic {wanted.gripper_topic!r} tells no number; name a topic of "
+            f"{path}: --gripper-topic {options.gripper_topic!r} tells no number; name a topic of "
             "Bool, Float or JointState"
         ) from error
-    return opening < wanted.gripper_closed_below
+    return opening < options.gripper_closed_below

@@ -4,9 +4,8 @@ import os
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +14,7 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError, Storage
 from clothtrack.geometry.camera import Camera
 from clothtrack.importing.bag_walk import is_bag
 from clothtrack.importing.containers import TornError
+from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.import_report import ImportReport
 from clothtrack.importing.intrinsics_file import read_json, rigid_matrix
 from clothtrack.importing.kinect import KinectSource, is_kinect
@@ -26,7 +26,7 @@ from clothtrack.importing.recorded_pickers import add_pickers, placed_paths
 from clothtrack.importing.registration import Registration
 from clothtrack.importing.reporting import report_of
 from clothtrack.importing.ros_bags import BagSource, bag_files
-from clothtrack.importing.source import Content, Footage, Source, Wanted
+from clothtrack.importing.source import Content, Footage, Source
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
@@ -34,43 +34,12 @@ from clothtrack.recordings.store import RecordingWriter
 _MOST_WORKERS = 4
 
 
-@dataclass(frozen=True)
-class ImportConfig:
-    """What a person says about an import; everything may be left to the source.
-
-    Attributes:
-        wanted: topics, unit, lenses.
-        tolerance_s: how far apart colour and depth of a frame may be [s]; half the time between
-            depth pictures by default.
-        picker_csv: CSV file with the picker's path.
-        picker_clock: clock of that file: the recording's (0 = first frame) or the source's.
-        actions: first and last frame of every action, such as "10-50".
-        world_from_camera: JSON file with the pose of the colour camera in the world, 4 x 4, and
-            perhaps the table: what `clothtrack calibrate-camera --output` writes.
-        camera_name: the camera's name in the recording.
-        cloth_kind: "towel", "tshirt" or "other".
-        cloth_color: named colour of the cloth.
-        workers: threads that decode and encode; as many as processors by default, at most four.
-    """
-
-    wanted: Wanted = field(default_factory=Wanted)
-    tolerance_s: float | None = None
-    picker_csv: Path | None = None
-    picker_clock: Literal["recording", "source"] = "recording"
-    actions: tuple[str, ...] = ()
-    world_from_camera: Path | None = None
-    camera_name: str = "camera"
-    cloth_kind: str = "other"
-    cloth_color: str | None = None
-    workers: int | None = None
-
-
-def open_source(path: Path, wanted: Wanted) -> Source:
+def open_source(path: Path, options: ImportOptions) -> Source:
     """The source that a file or folder is.
 
     Raises:
         InvalidRecordingError: it is none, or cannot be read.
-        InvalidConfigError: what is wanted contradicts it.
+        InvalidConfigError: what is said contradicts it.
     """
     if not path.exists():
         raise InvalidRecordingError(f"{path}: there is no such file or folder; check the name")
@@ -79,18 +48,18 @@ def open_source(path: Path, wanted: Wanted) -> Source:
     try:
         if path.is_dir():
             if bag_files(path):
-                return BagSource(path, wanted)
+                return BagSource(path, options)
             if is_picture_folder(path):
-                return FolderSource(path, wanted)
+                return FolderSource(path, options)
             seen = ", ".join(sorted(one.name for one in path.iterdir())[:10]) or "nothing"
             raise InvalidRecordingError(
                 f"{path}: neither .mcap, .db3 or .bag files nor a folder depth/ are in it (there: "
                 f"{seen}); see docs/import.md"
             )
         if is_kinect(path):
-            return KinectSource(path, wanted)
+            return KinectSource(path, options)
         if is_bag(path):
-            return BagSource(path, wanted)
+            return BagSource(path, options)
     except OSError as error:
         raise StorageError.of(error) from error
     packed = "; unpack it first: zstd -d" if path.suffix in (".zstd", ".zst") else ""
@@ -103,7 +72,7 @@ def open_source(path: Path, wanted: Wanted) -> Source:
 def import_recording(
     source: Path,
     folder: Path,
-    config: ImportConfig | None = None,
+    options: ImportOptions | None = None,
     *,
     watcher: FrameWatcher | None = None,
     progress: Callable[[str, int, int], None] | None = None,
@@ -113,7 +82,7 @@ def import_recording(
     Args:
         source: ROS bag, RealSense or Kinect recording, or folder of pictures.
         folder: the recording to write; must not exist.
-        config: what a person says about it.
+        options: what a person says about it.
         watcher: sees every frame and gives the picker's path, when nothing else does.
         progress: told the name, frames done and frames in all.
 
@@ -122,23 +91,23 @@ def import_recording(
         InvalidConfigError: what is said contradicts the source.
         StorageError: the folder exists or the disk refuses.
     """
-    config = config or ImportConfig()
-    _check(config, folder)
-    opened = open_source(source, config.wanted)
+    options = options or ImportOptions()
+    _check(options, folder)
+    opened = open_source(source, options)
     try:
         footage = opened.footage
-        pairing = pair(source, footage.depth, footage.color, config.tolerance_s)
+        pairing = pair(source, footage.depth, footage.color, options.tolerance_s)
         start_ns = pairing.pairs[0].depth.time_ns
-        pose, table = _world(config, footage)
+        pose, table = _world(options, footage)
         known = pose is not None
         pose = np.eye(4) if pose is None else pose
         paths, told = placed_paths(
-            source, footage, config.picker_csv, config.picker_clock, pose=pose, start_ns=start_ns,
+            source, footage, options.picker_csv, options.picker_clock, pose=pose, start_ns=start_ns,
             posed=known,
         )  # fmt: skip
         registration = Registration(footage.rig)
-        camera = _camera(source, registration, config.camera_name, pose)
-        cloth = ClothDescription(kind=config.cloth_kind, color=config.cloth_color)
+        camera = _camera(source, registration, options.camera_name, pose)
+        cloth = ClothDescription(kind=options.cloth, color=options.cloth_color)
         with RecordingWriter(
             folder,
             [camera],
@@ -149,7 +118,7 @@ def import_recording(
         ) as writer:
             job = _Job(opened, registration, camera, watcher)
             times, damaged = _write_frames(
-                writer, job, pairing.pairs, workers=_workers(config), progress=progress
+                writer, job, pairing.pairs, workers=_workers(options), progress=progress
             )
             if not times:
                 reason, count = damaged.most_common(1)[0]
@@ -158,14 +127,14 @@ def import_recording(
                 )
             if watcher is not None and not paths:
                 paths = dict(watcher.paths())
-            actions, notes = add_pickers(writer, paths, times, config.actions)
+            actions, notes = add_pickers(writer, paths, times, options.actions)
     finally:
         opened.close()
     return report_of(
         source, folder, footage, pairing, registration,
         camera=camera, times=times, damaged=damaged, paths=paths, actions=actions,
         notes=[*told, *notes], posed=known, table=table is not None,
-        color_named=config.cloth_color is not None,
+        color_named=options.cloth_color is not None,
     )  # fmt: skip
 
 
@@ -287,34 +256,34 @@ def _finished(
         return moment, error
 
 
-def _workers(config: ImportConfig) -> int:
-    return config.workers or min(os.cpu_count() or 1, _MOST_WORKERS)
+def _workers(options: ImportOptions) -> int:
+    return options.workers or min(os.cpu_count() or 1, _MOST_WORKERS)
 
 
-def _check(config: ImportConfig, folder: Path) -> None:
+def _check(options: ImportOptions, folder: Path) -> None:
     if folder.exists():
         raise StorageError(f"{folder} exists; delete it or write to another name")
     for name, value in (
-        ("--depth-unit-m", config.wanted.depth_unit_m),
-        ("--fps", config.wanted.fps),
-        ("--tolerance-s", config.tolerance_s),
-        ("--workers", config.workers),
+        ("--depth-unit-m", options.depth_unit_m),
+        ("--fps", options.fps),
+        ("--tolerance-s", options.tolerance_s),
+        ("--workers", options.workers),
     ):
         if value is not None and not 0 < value < 1e6:
             raise InvalidConfigError(f"{name} is {value}; it must be positive")
-    if config.picker_csv and (config.wanted.picker_topic or config.wanted.picker_frame):
+    if options.picker_csv and (options.picker_topic or options.picker_frame):
         raise InvalidConfigError(
             "--picker-csv and a topic or frame both tell the picker's path; give one of them"
         )
-    if config.wanted.picker_topic and config.wanted.picker_frame:
+    if options.picker_topic and options.picker_frame:
         raise InvalidConfigError("--picker-topic and --picker-frame: give one of them")
 
 
 def _world(
-    config: ImportConfig, footage: Footage
+    options: ImportOptions, footage: Footage
 ) -> tuple[Float[np.ndarray, "4 4"] | None, Table | None]:
     """The camera's pose and the table, as far as anybody knows them."""
-    file = config.world_from_camera
+    file = options.world_from_camera
     if file is None:
         return footage.world_from_camera, None
     content = read_json(file)

@@ -9,12 +9,13 @@ import numpy as np
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.importing.containers import TornError
+from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.intrinsics_file import read_intrinsics
 from clothtrack.importing.kinect_calibration import kinect_lenses
 from clothtrack.importing.lens import MOST_PIXELS
 from clothtrack.importing.matroska import MAGIC, MatroskaReader, Track
 from clothtrack.importing.packed_pictures import packed_color
-from clothtrack.importing.source import Content, Footage, Rig, Shot, Wanted
+from clothtrack.importing.source import Content, Footage, Rig, Shot
 
 _CALIBRATION = "calibration.json"
 _RAW_COLOR = {"NV12": (1.5, cv2.COLOR_YUV2RGB_NV12), "YUY2": (2.0, cv2.COLOR_YUV2RGB_YUY2),
@@ -30,7 +31,7 @@ def is_kinect(path: Path) -> bool:
 class KinectSource:
     """A Matroska file with the tracks COLOR and DEPTH and the calibration attached."""
 
-    def __init__(self, path: Path, wanted: Wanted) -> None:
+    def __init__(self, path: Path, options: ImportOptions) -> None:
         """Walk through the file and read the calibration.
 
         Raises:
@@ -39,7 +40,7 @@ class KinectSource:
         self._path = path
         self._file = MatroskaReader(path)
         try:
-            self.footage = self._find(wanted)
+            self.footage = self._find(options)
         except BaseException:
             self.close()
             raise
@@ -59,7 +60,7 @@ class KinectSource:
         """Let go of the file."""
         self._file.close()
 
-    def _find(self, wanted: Wanted) -> Footage:
+    def _find(self, options: ImportOptions) -> Footage:
         shots: dict[int, list[Shot]] = {}
         for block in self._file.blocks():
             shots.setdefault(block.track, []).append(Shot(block.time_ns, block))
@@ -76,13 +77,13 @@ class KinectSource:
                 "OrbbecViewer, depth switched on"
             )
         self._depth_track = depth_track
-        self._color_track = None if wanted.without_color else self._track("COLOR")
-        rig = self._rig(wanted)
+        self._color_track = None if options.without_color else self._track("COLOR")
+        rig = self._rig(options)
         color = None if self._color_track is None else shots.get(self._color_track.number, [])
         streams = {"depth": f"track {depth_track.name}"}
         if self._color_track is not None:
             streams["colour"] = f"track {self._color_track.name}"
-        if wanted.picker_topic or wanted.picker_frame or wanted.gripper_topic:
+        if options.picker_topic or options.picker_frame or options.gripper_topic:
             notes.append("a Kinect recording has no topics: the picker's path is not in it")
         return Footage(
             kind="Azure Kinect / Orbbec Femto recording (Matroska)",
@@ -107,12 +108,12 @@ class KinectSource:
                 return track
         return None
 
-    def _rig(self, wanted: Wanted) -> Rig:
+    def _rig(self, options: ImportOptions) -> Rig:
         unit, origin = 1e-3, "the format: millimetres"
-        if wanted.depth_unit_m is not None:
-            unit, origin = wanted.depth_unit_m, "given by --depth-unit-m"
-        if wanted.intrinsics is not None:
-            given = read_intrinsics(wanted.intrinsics)
+        if options.depth_unit_m is not None:
+            unit, origin = options.depth_unit_m, "given by --depth-unit-m"
+        if options.intrinsics is not None:
+            given = read_intrinsics(options.intrinsics)
             color = None if self._color_track is None else given.color
             return Rig(given.depth, color, given.color_from_depth, unit, origin)
         content = self._file.content

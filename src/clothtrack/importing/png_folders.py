@@ -12,10 +12,11 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.importing.containers import MOST_BYTES, TornError
 from clothtrack.importing.images import png_depth
+from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.intrinsics_file import Intrinsics, read_intrinsics, read_json
 from clothtrack.importing.lens import Lens
 from clothtrack.importing.packed_pictures import packed_color, packed_depth
-from clothtrack.importing.source import Content, Footage, Rig, Shot, Wanted
+from clothtrack.importing.source import Content, Footage, Rig, Shot
 
 _DEPTH_FOLDERS = ("depth",)
 _COLOR_FOLDERS = ("rgb", "color", "image", "images")
@@ -33,7 +34,7 @@ def is_picture_folder(path: Path) -> bool:
 class FolderSource:
     """A folder with depth pictures, perhaps colour pictures, and what says how to read them."""
 
-    def __init__(self, path: Path, wanted: Wanted) -> None:
+    def __init__(self, path: Path, options: ImportOptions) -> None:
         """List the pictures and read lenses, unit and times.
 
         Raises:
@@ -46,11 +47,11 @@ class FolderSource:
             depth, color, notes = self._tum()
         else:
             kind = "folder in BOP style" if (path / _BOP).is_file() else "folder in Open3D style"
-            depth, color, notes = self._numbered(wanted)
-        if wanted.without_color:
+            depth, color, notes = self._numbered(options)
+        if options.without_color:
             color = None
-        rig = self._rig(wanted, with_color=color is not None)
-        if wanted.picker_topic or wanted.picker_frame or wanted.gripper_topic:
+        rig = self._rig(options, with_color=color is not None)
+        if options.picker_topic or options.picker_frame or options.gripper_topic:
             notes.append("a folder has no topics: give the picker's path with --picker-csv")
         streams = {"depth": f"{len(depth)} files"}
         if color is not None:
@@ -107,10 +108,10 @@ class FolderSource:
             notes.append(f"{path.name}: {skipped} lines are not `seconds file`, left out")
         return shots
 
-    def _numbered(self, wanted: Wanted) -> tuple[list[Shot], list[Shot] | None, list[str]]:
+    def _numbered(self, options: ImportOptions) -> tuple[list[Shot], list[Shot] | None, list[str]]:
         depth_files = _pictures(self._path, _DEPTH_FOLDERS)
         color_files = _pictures(self._path, _COLOR_FOLDERS)
-        fps = wanted.fps or self._fps()
+        fps = options.fps or self._fps()
         if fps is None:
             raise InvalidRecordingError(
                 f"{self._path}: nothing says when the pictures were taken; give --fps"
@@ -134,9 +135,9 @@ class FolderSource:
             (self._path / name for name in _INTRINSICS if (self._path / name).is_file()), None
         )
 
-    def _rig(self, wanted: Wanted, *, with_color: bool) -> Rig:
-        unit, origin = wanted.depth_unit_m, "given by --depth-unit-m"
-        file = wanted.intrinsics or self._intrinsics_file()
+    def _rig(self, options: ImportOptions, *, with_color: bool) -> Rig:
+        unit, origin = options.depth_unit_m, "given by --depth-unit-m"
+        file = options.intrinsics or self._intrinsics_file()
         if file is not None:
             given = read_intrinsics(file)
             if unit is None and given.depth_unit_m is not None:

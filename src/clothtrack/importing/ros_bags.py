@@ -15,11 +15,12 @@ from clothtrack.importing import realsense_bag as realsense
 from clothtrack.importing.bag_pickers import bag_paths
 from clothtrack.importing.bag_walk import frame_of, open_parts, walk
 from clothtrack.importing.containers import Container, Topic, TornError
+from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.intrinsics_file import read_intrinsics
 from clothtrack.importing.lens import Lens
 from clothtrack.importing.messages import decode, lens_of, payload
 from clothtrack.importing.packed_pictures import packed_color, packed_depth
-from clothtrack.importing.source import Content, Footage, Rig, Shot, Wanted
+from clothtrack.importing.source import Content, Footage, Rig, Shot
 from clothtrack.importing.topics import (
     COMPRESSED,
     base_name,
@@ -44,7 +45,7 @@ def bag_files(path: Path) -> list[Path]:
 class BagSource:
     """A bag in one or several files."""
 
-    def __init__(self, path: Path, wanted: Wanted) -> None:
+    def __init__(self, path: Path, options: ImportOptions) -> None:
         """Walk through the bag, choose topics and read what is known of the cameras.
 
         Raises:
@@ -55,22 +56,22 @@ class BagSource:
         self._parts, words = open_parts(bag_files(path))
         try:
             self._walk = walk(
-                self._parts, pose_topic=wanted.picker_topic, grip_topic=wanted.gripper_topic
+                self._parts, pose_topic=options.picker_topic, grip_topic=options.gripper_topic
             )
             if not self._walk.topics:
                 raise InvalidRecordingError(
                     f"{path}: no topic at all{''.join(f' ({one})' for one in self._walk.lost)}; "
                     "record or copy it again"
                 )
-            self._depth_topic = choose_depth(path, self._walk.topics, wanted.depth_topic)
+            self._depth_topic = choose_depth(path, self._walk.topics, options.depth_topic)
             self._color_topic = (
                 None
-                if wanted.without_color
-                else choose_color(path, self._walk.topics, self._depth_topic, wanted.color_topic)
+                if options.without_color
+                else choose_color(path, self._walk.topics, self._depth_topic, options.color_topic)
             )
             self._encoding = self._first_encoding()
-            self._rig = self._find_rig(wanted)
-            self.footage = self._find_footage(words, wanted)
+            self._rig = self._find_rig(options)
+            self.footage = self._find_footage(words, options)
         except BaseException:
             self.close()
             raise
@@ -117,10 +118,10 @@ class BagSource:
             "topic with --depth-topic"
         )
 
-    def _find_rig(self, wanted: Wanted) -> Rig:
-        unit_m, origin = self._find_unit(wanted)
-        if wanted.intrinsics is not None:
-            given = read_intrinsics(wanted.intrinsics)
+    def _find_rig(self, options: ImportOptions) -> Rig:
+        unit_m, origin = self._find_unit(options)
+        if options.intrinsics is not None:
+            given = read_intrinsics(options.intrinsics)
             color = None if self._color_topic is None else given.color
             return Rig(given.depth, color, given.color_from_depth, unit_m, origin)
         depth = self._find_lens(self._depth_topic)
@@ -134,9 +135,9 @@ class BagSource:
             ) from error
         return Rig(depth, self._find_lens(self._color_topic), pose, unit_m, origin)
 
-    def _find_unit(self, wanted: Wanted) -> tuple[float, str]:
-        if wanted.depth_unit_m is not None:
-            return wanted.depth_unit_m, "given by --depth-unit-m"
+    def _find_unit(self, options: ImportOptions) -> tuple[float, str]:
+        if options.depth_unit_m is not None:
+            return options.depth_unit_m, "given by --depth-unit-m"
         topic = self._depth_topic
         told = realsense.depth_unit_m(self._walk.heard, topic)
         if told is not None and told > 0:
@@ -183,7 +184,7 @@ class BagSource:
         container, shot = self._first(topic)
         return frame_of(container, topic, shot.place)
 
-    def _find_footage(self, words: str, wanted: Wanted) -> Footage:
+    def _find_footage(self, words: str, options: ImportOptions) -> Footage:
         color = self._color_topic
         streams = {"depth": self._depth_topic.name}
         if color is not None:
@@ -191,9 +192,9 @@ class BagSource:
             streams["colour"] = color.name
         camera_frame = self._frame(color or self._depth_topic)
         world = None
-        if wanted.world_frame is not None:
-            world = self._world_from_camera(camera_frame, wanted.world_frame)
-        found = bag_paths(self._path, self._walk, wanted, camera_frame)
+        if options.world_frame is not None:
+            world = self._world_from_camera(camera_frame, options.world_frame)
+        found = bag_paths(self._path, self._walk, options, camera_frame)
         recorder = " of the RealSense SDK" if realsense.is_stream(self._depth_topic) else ""
         return Footage(
             kind=words + recorder,

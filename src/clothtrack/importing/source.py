@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -108,34 +107,3 @@ class Source(Protocol):
     def close(self) -> None:
         """Let go of the files."""
         ...
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a person says about a source; everything may be left to the source.
-
-    Attributes:
-        depth_topic: topic of depth.
-        color_topic: topic of colour.
-        without_color: leave colour out.
-        depth_unit_m: metres per unit of depth, where the source does not say [m].
-        intrinsics: JSON file with the lenses, where the source has none.
-        fps: pictures per second, for folders without time stamps [1/s].
-        picker_topic: topic of the gripper's pose.
-        picker_frame: TF frame of the gripper's tip.
-        gripper_topic: topic that tells whether the gripper is closed.
-        gripper_closed_below: the gripper is closed where its value (finger joints [m]) is below.
-        world_frame: TF frame that is the world.
-    """
-
-    depth_topic: str | None = None
-    color_topic: str | None = None
-    without_color: bool = False
-    depth_unit_m: float | None = None
-    intrinsics: Path | None = None
-    fps: float | None = None
-    picker_topic: str | None = None
-    picker_frame: str | None = None
-    gripper_topic: str | None = None
-    gripper_closed_below: float | None = None
-    world_frame: str | None = None
