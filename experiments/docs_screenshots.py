@@ -25,10 +25,10 @@ from figures import say, write_png
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.devices import quiet_warp
-from clothtrack.report.live import LivePage
+from clothtrack.report.live import Decisions, live_page
 from clothtrack.report.page import write_report
-from clothtrack.report.scene import local_server
 from clothtrack.tracking.artefacts import inside, load_tracked, recording_of
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 WIDTH_PX = 1000
 BROWSER = Path(__file__).parents[1] / "tests" / "report" / "chromium.py"
@@ -97,19 +97,20 @@ def shoot_report(file: Path, image: Callable[[str], Path]) -> None:
         save(page, image("curves"))
 
 
-def shoot_live(live: LivePage, image: Callable[[str], Path]) -> None:
-    """The live page at the last label, rejected."""
-    with tempfile.TemporaryDirectory() as folder, local_server() as server:
-        review = Path(folder) / f"{live.tracked.name}.review.json"
-        live.build(server, LabelReview.blank(live.tracked), review)
-        with opened(f"http://127.0.0.1:{server.get_port()}") as page:
-            page.wait_for("window.clothtrackKeys === true", limit_s=300)
+def shoot_live(tracked: TrackedTrajectory, file: Path, image: Callable[[str], Path]) -> None:
+    """The served page at the last label, rejected."""
+    review = file.with_name(f"{tracked.name}.review.json")
+    addresses: list[str] = []
+    decisions = Decisions(LabelReview.blank(tracked), review)
+    with live_page(tracked.name, decisions=decisions, opened=addresses.append) as live:
+        live.show(file)
+        with opened(addresses[0]) as page:
+            page.wait_for(READY)
             for key, code in (("a", "KeyA"), ("r", "KeyR")):
                 page.press(key, code)
-                time.sleep(3)
-            page.ask("document.querySelectorAll('.mantine-Notification-root')"
-                     ".forEach((one) => one.remove())")  # fmt: skip
-            time.sleep(8)
+            page.wait_for("document.querySelector('[data-verdict=rejected]') !== null")
+            page.ask("void document.querySelector('.stage').scrollIntoView()")
+            time.sleep(3)
             save(page, image("live"))
 
 
@@ -132,7 +133,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         page = write_report(tracked, recording, Path(folder) / "report.html", truth=truth)
         shoot_report(page, image)
-    shoot_live(LivePage(tracked, recording, truth=truth), image)
+        shoot_live(tracked, page, image)
 
 
 if __name__ == "__main__":

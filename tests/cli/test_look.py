@@ -1,5 +1,10 @@
 """What `view` and `export` are given decides what they show; one clear line where it cannot be."""
 
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
 from dataclasses import replace
 
 import numpy as np
@@ -142,3 +147,23 @@ def test_a_sheet_is_exported(world, tmp_path, capsys):
     assert cli.main([*words, "--rows", "2"]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "s.png")
     assert (tmp_path / "s.png").exists()
+
+
+@pytest.mark.parametrize("artefact", ["towel.obj", "recordings/lift", "tracked/lift.zarr"])
+def test_a_page_is_served_at_an_address_that_is_said_until_ctrl_c(world, artefact):
+    words = ["view", artefact, *(["--recordings", "recordings"] if "zarr" in artefact else [])]
+    with subprocess.Popen(
+        [sys.executable, "-m", "clothtrack.cli", *words], cwd=world,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        said = process.stdout.readline()
+        address, rest = said.split(maxsplit=1)
+        assert rest == "open this; Ctrl-C ends\n"
+        page = ""
+        while "<canvas" not in page:
+            time.sleep(0.2)
+            with urllib.request.urlopen(address, timeout=20) as answer:
+                page = answer.read().decode()
+        process.send_signal(signal.SIGINT)
+        rest, complaints = process.communicate(timeout=60)
+    assert (process.returncode, rest, complaints) == (0, "", "")

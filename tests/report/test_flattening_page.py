@@ -1,6 +1,8 @@
 """The page of an episode: offline, labelled, and true to what happened."""
 
+import json
 import re
+import urllib.request
 
 import cv2
 import numpy as np
@@ -8,12 +10,11 @@ import pytest
 
 from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
 from clothtrack.planning.flatten_config import FlattenConfig
-from clothtrack.planning.flattening import Step
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
-from clothtrack.report.flattening_live import watched_live
 from clothtrack.report.flattening_page import (
     CONTROL,
+    watched_live,
     write_film_strip,
     write_flattening_report,
 )
@@ -23,12 +24,18 @@ from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
 
 @pytest.fixture(scope="module")
-def watched():
+def shown():
+    """The pages that were served, and what was decided."""
     return []
 
 
+def get(address, path):
+    with urllib.request.urlopen(address + path, timeout=10) as answer:
+        return answer.read().decode()
+
+
 @pytest.fixture(scope="module")
-def store(tmp_path_factory, watched):
+def store(tmp_path_factory, shown):
     """One action of the control, shown live as it happens."""
     config = FlattenConfig(
         perception=PerceptionConfig(name="truth"),
@@ -37,11 +44,13 @@ def store(tmp_path_factory, watched):
         actions=1,
     )
     robot = SimulatedRobotConfig(episode=SMALL_WORLD, film=False)
-    with watched_live() as show:
+    addresses = []
+    with watched_live(opened=addresses.append) as show:
 
-        def watch(step):
-            watched.append(step)
-            show(step)
+        def watch(store, decision):
+            show(store, decision)
+            version = json.loads(get(addresses[0], "version"))["version"]
+            shown.append((version, get(addresses[0], ""), decision))
 
         return flatten_simulated(
             tmp_path_factory.mktemp("episode"), SimulatedEpisode("towel", 3), config,
@@ -49,11 +58,16 @@ def store(tmp_path_factory, watched):
         )  # fmt: skip
 
 
-def test_every_step_was_shown(store, watched):
-    assert [step.number for step in watched] == [0, 1]
-    assert all(isinstance(step, Step) for step in watched)
-    assert watched[0].decision.action is not None
-    assert watched[1].decision is None
+def test_every_step_was_served_as_it_came(store, shown):
+    (first, before, action), (last, after, nothing) = shown
+    assert (first, last) == (1, 2)
+    assert before.count("<article") == 1
+    assert after.count("<article") == len(store.steps) == 2
+    assert action.action is not None
+    assert nothing is None
+    assert "0 actions; running" in before
+    assert "1 actions; ended: " in after
+    assert 'data-version="2"' in after
 
 
 def test_the_page_says_what_it_is_and_asks_nobody(store, tmp_path):

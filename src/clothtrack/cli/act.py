@@ -1,7 +1,6 @@
 """The verbs of the command line that act: flattening, its learned dynamics, and getting better."""
 
 import json as json_module
-import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
     from clothtrack.planning.flatten_config import FlattenConfig
     from clothtrack.reconstruction.training.training_loop import TrainingOutcome
     from clothtrack.world.simulated_episodes import SimulatedEpisode
-
-logger = logging.getLogger(__name__)
 
 PerceptionChoice = Literal["network", "tracker", "truth"]
 PolicyChoice = Literal["planned", "random", "outwards", "heuristic"]
@@ -113,10 +110,12 @@ def _flatten_simulated(
     with ExitStack() as until_done:
         watch = None
         if live:
-            from clothtrack.report.flattening_live import watched_live
+            from clothtrack.report.flattening_page import watched_live
 
-            logging.getLogger("clothtrack.report").setLevel(logging.INFO)
-            watch = until_done.enter_context(watched_live(port))
+            # The result on stdout stays JSON alone.
+            write = complain if json else say
+            opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
+            watch = until_done.enter_context(opened)
         for episode in episodes:
             store = flatten_simulated(
                 output, episode, config, parts=parts, device=device, watch=watch

@@ -1,7 +1,8 @@
-"""The verbs of looking: view (a live page, or one that needs no network) and export."""
+"""The verbs of looking: view (a page, served or written to a file) and export."""
 
-import logging
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,6 +15,7 @@ from clothtrack.tracking.artefacts import inside, load_tracked, recording_of
 if TYPE_CHECKING:
     from clothtrack.evaluation.truth import Truth
     from clothtrack.report.artefact_pages import IndexEntry
+    from clothtrack.report.live import Decisions
 
 IMPORTED_SUFFIXES = (".bag", ".db3", ".mcap", ".mkv")
 VIEWED = (
@@ -32,9 +34,9 @@ def view(
 ) -> int:
     """Look at a tracked trajectory, a folder of them, a recording, or a mesh.
 
-    In a browser, or with --html as one page that needs no network. In the live page of a
-    trajectory A accepts and R rejects the label of an action; the decisions lie beside the
-    trajectory, in NAME.review.json.
+    The page is served to a browser on this machine until Ctrl-C, or with --html written to a file
+    that needs no network. In the page of a trajectory A accepts and R rejects the label of an
+    action; the served page saves that beside the trajectory, in NAME.review.json.
 
     Args:
         artefact: NAME.zarr that `track` wrote, a folder of them, a recording, or an OBJ, PLY or
@@ -47,8 +49,6 @@ def view(
     """
     from clothtrack.recordings.mesh_file import MESH_SUFFIXES
 
-    # The address is in the log, and here it is what one wants to know.
-    logging.getLogger("clothtrack.report").setLevel(logging.INFO)
     if artefact.suffix.lower() in MESH_SUFFIXES:
         _refuse_truth(truth, artefact)
         return _view_mesh(artefact, html, port)
@@ -142,6 +142,25 @@ def _truth_of(name: str, truth: Path | None) -> "Truth | None":
     return None if truth is None else Truth.load(inside(truth, f"{name}.npz"))
 
 
+def _show(
+    name: str,
+    write: Callable[[Path], Path],
+    html: Path | None,
+    port: int | None,
+    *,
+    decisions: "Decisions | None" = None,
+) -> int:
+    """Write a page to `html`, or serve it until Ctrl-C."""
+    if html is not None:
+        say(str(write(html)))
+        return 0
+    from clothtrack.report.live import serve
+
+    serve(name, write, port, decisions=decisions,
+          opened=lambda address: say(f"{address}   open this; Ctrl-C ends"))  # fmt: skip
+    return 0
+
+
 def _view_trajectory(
     artefact: Path,
     recordings: Path | None,
@@ -151,52 +170,35 @@ def _view_trajectory(
     port: int | None,
 ) -> int:
     from clothtrack.evaluation.label_review import read_review, review_path
+    from clothtrack.report.live import Decisions
+    from clothtrack.report.page import write_report
 
     tracked = load_tracked(artefact)
     recording = recording_of(tracked, _needed(recordings), artefact)
     known = _truth_of(tracked.name, truth)
-    review = read_review(review_path(artefact), tracked)
-    if html is not None:
-        from clothtrack.report.page import write_report
+    path = review_path(artefact)
+    review = read_review(path, tracked)
 
-        say(str(write_report(tracked, recording, html, truth=known, review=review)))
-        return 0
-    from clothtrack.report.live import view_live
+    def write(page: Path) -> Path:
+        return write_report(tracked, recording, page, truth=known, review=review)
 
-    view_live(
-        tracked, recording, port, truth=known, review=review, review_file=review_path(artefact)
-    )
-    return 0
+    return _show(tracked.name, write, html, port, decisions=Decisions(review, path))
 
 
 def _view_recording(artefact: Path, html: Path | None, port: int | None) -> int:
     from clothtrack.recordings.store import read_recording
+    from clothtrack.report.artefact_pages import write_recording_page
 
     recording = read_recording(artefact)
-    if html is not None:
-        from clothtrack.report.artefact_pages import write_recording_page
-
-        say(str(write_recording_page(recording, html)))
-        return 0
-    from clothtrack.report.live_artefacts import view_recording_live
-
-    view_recording_live(recording, port)
-    return 0
+    return _show(recording.name, partial(write_recording_page, recording), html, port)
 
 
 def _view_mesh(artefact: Path, html: Path | None, port: int | None) -> int:
     from clothtrack.recordings.mesh_file import read_mesh
+    from clothtrack.report.artefact_pages import write_mesh_page
 
-    mesh = read_mesh(artefact)
-    if html is not None:
-        from clothtrack.report.artefact_pages import write_mesh_page
-
-        say(str(write_mesh_page(mesh, artefact.name, html)))
-        return 0
-    from clothtrack.report.live_artefacts import view_mesh_live
-
-    view_mesh_live(mesh, artefact.name, port)
-    return 0
+    mesh, name = read_mesh(artefact), artefact.name
+    return _show(name, partial(write_mesh_page, mesh, name), html, port)
 
 
 def _view_folder(

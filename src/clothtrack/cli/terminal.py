@@ -26,6 +26,8 @@ def say(text: str) -> None:
     """Write a result."""
     end_progress()
     sys.stdout.write(text + "\n")
+    # Whoever reads a pipe wants the address of a page before the page is closed.
+    sys.stdout.flush()
 
 
 def say_result(text: str, document: object, *, json: bool) -> None:

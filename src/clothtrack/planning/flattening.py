@@ -23,7 +23,7 @@ from clothtrack.planning.perception import Estimate, Look, Perception, label_of
 from clothtrack.planning.planner import Decision, Hypothesis, Planner
 from clothtrack.planning.robots.robot import Execution, PickPlaceRobot
 from clothtrack.planning.seen import seen_area, seen_cloth
-from clothtrack.recordings.recording import ClothDescription, Recording, Table
+from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
 
@@ -46,26 +46,8 @@ class Checkpoint(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One finished step, for whoever watches.
-
-    Attributes:
-        number: 0 is the cloth before any action.
-        recording: of this step.
-        estimates: what is believed after it.
-        decision: what was chosen next; None when the episode ends here.
-        row: what `episode.json` says of it.
-    """
-
-    number: int
-    recording: Recording
-    estimates: Sequence[Estimate]
-    decision: Decision | None
-    row: dict[str, Any]
-
-
-Watch = Callable[[Step], None]
+Watch = Callable[[EpisodeStore, Decision | None], None]
+"""Told of every finished step: the episode so far, and what was decided next, if anything was."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,11 +176,12 @@ class Flattening:
                 if decision.action is None:
                     decision = self._decide(look, estimates, number, again)
             status = "" if decision.action is not None else "nothing promises a gain"
-        if watch is not None:
-            watch(Step(number, look.recording, estimates, decision, row))
-        if status or decision is None or decision.action is None:
+        if status:
             store.document["status"] = status
             store.write()
+        if watch is not None:
+            watch(store, decision)
+        if status or decision is None or decision.action is None:
             return look, estimates
         execution = self._robot.execute(decision.action)
         if not execution.error:

@@ -12,14 +12,10 @@ POLICY = (
 )
 
 
-def write_document(path: Path, title: str, body: str, *, script: bool = True) -> Path:
-    """Write a page with this body and return its path; without `script` nothing in it runs.
-
-    Raises:
-        StorageError: when the disk refuses; what was at `path` before is untouched then.
-    """
+def document(title: str, body: str, *, script: bool = True) -> str:
+    """A page with this body; without `script` nothing in it runs."""
     code = f"<script>{_resource('page_scene.js')}{_resource('page.js')}</script>" if script else ""
-    page = f"""<!doctype html>
+    return f"""<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
@@ -38,9 +34,29 @@ def write_document(path: Path, title: str, body: str, *, script: bool = True) ->
 </body>
 </html>
 """
+
+
+def write_document(path: Path, title: str, body: str, *, script: bool = True) -> Path:
+    """Write the page of `document` and return its path.
+
+    Raises:
+        StorageError: when the disk refuses; what was at `path` before is untouched then.
+    """
     with whole_file(Path(path)) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(document(title, body, script=script), encoding="utf-8")
     return Path(path)
+
+
+def served_document(page: str, version: int) -> str:
+    """The same page as a local server gives it: it may ask that server, and nobody else."""
+    code = f"<script>{_resource('page_live.js')}</script>"
+    for plain, served in (
+        (POLICY, f"{POLICY}; connect-src 'self'"),
+        ("<body>", f'<body data-version="{version}">'),
+        ("</body>", f"{code}\n</body>"),
+    ):
+        page = page.replace(plain, served, 1)
+    return page
 
 
 def _resource(name: str) -> str:

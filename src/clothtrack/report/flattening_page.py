@@ -3,10 +3,12 @@
 What came about with a control is labelled so at the top, in the title and in every figure.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from html import escape
-from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
@@ -17,64 +19,79 @@ from clothtrack.files.atomic_write import whole_file
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.arrows import draw_action, shown_depth
 from clothtrack.planning.episode_store import EpisodeStore
-from clothtrack.planning.flattening import improvement
+from clothtrack.planning.flattening import Watch, improvement
 from clothtrack.planning.perception import Estimate
+from clothtrack.planning.planner import Decision
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
+from clothtrack.report.document import write_document
 from clothtrack.report.lettering import caption
+from clothtrack.report.live import live_page
 from clothtrack.report.sections import jpeg_uri, key_figures
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.viewpoint import three_quarter_view
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 CONTROL = "control, not a result"
+FAREWELL_S = 1.5
+"""An open page asks every second whether there is a newer one."""
 
 
-def write_flattening_report(store: EpisodeStore, path: Path) -> Path:
+def write_flattening_report(
+    store: EpisodeStore, path: Path, *, coming: PickPlace | None = None
+) -> Path:
     """Write the page of an episode and return its path.
+
+    Args:
+        store: the episode, finished or not.
+        path: of the page.
+        coming: the action that is carried out next, where one is.
 
     Raises:
         InvalidRecordingError: a step cannot be read.
         StorageError: when the disk refuses.
     """
-    name, label = store.folder.name, store.document["asked"]["label"]
+    label, config = store.document["asked"]["label"], store.document["asked"]["config"]
     control = f" ({CONTROL})" if label["control"] else ""
-    title = escape(f"{name}{control}")
-    cards = "".join(_card(store, number) for number in range(len(store.steps)))
-    status = escape(str(store.document["status"]))
-    style = files("clothtrack.report").joinpath("page.css").read_text(encoding="utf-8")
-    config = store.document["asked"]["config"]
-    told = f"policy {config['policy']}, perception {label['perception']}{control}" + (
+    cards = "".join(_card(store, number, coming) for number in range(len(store.steps)))
+    method = f"policy {config['policy']}, perception {label['perception']}{control}" + (
         f", dynamics {config['dynamics']}" if config["policy"] == "planned" else ""
     )
-    page = f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title} · clothtrack</title>
-<style>{style}</style>
-</head>
-<body>
-<main>
-<h1>{title}</h1>
-<p class="lead">{escape(told)}; {len(store.steps) - 1} actions; ended: {status}</p>
+    status = f"ended: {store.document['status']}" if store.finished else "running"
+    lead = f"{method}; {len(store.steps) - 1} actions; {status}"
+    body = f"""<p class="lead">{escape(lead)}</p>
 {key_figures(_figures(store))}
 <h2>Coverage</h2>
 <div class="charts">{_curve(store.steps)}</div>
 <h2>Step by step</h2>
-{cards}
-</main>
-</body>
-</html>
-"""
-    with whole_file(Path(path)) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return Path(path)
+{cards}"""
+    return write_document(path, f"{store.folder.name}{control}", body, script=False)
+
+
+@contextmanager
+def watched_live(
+    port: int | None = None, *, opened: Callable[[str], None] | None = None
+) -> Iterator[Watch]:
+    """Serve the page of the running episode on 127.0.0.1; gives what is called after every step.
+
+    Args:
+        port: of the server; any free one by default.
+        opened: is told the address.
+
+    Raises:
+        InvalidConfigError: there is no such port, or it is taken.
+    """
+    with live_page("flattening", port, opened=opened) as page, TemporaryDirectory() as folder:
+
+        def show(store: EpisodeStore, decision: Decision | None) -> None:
+            coming = None if decision is None else decision.action
+            page.show(write_flattening_report(store, Path(folder) / "page.html", coming=coming))
+
+        yield show
+        # So that an open page loads the last step.
+        time.sleep(FAREWELL_S)
 
 
 def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Path:
@@ -156,10 +173,10 @@ def _curve(steps: Sequence[dict[str, Any]]) -> str:
     )
 
 
-def _card(store: EpisodeStore, number: int) -> str:
+def _card(store: EpisodeStore, number: int, coming: PickPlace | None) -> str:
     """One step: the picture, the belief, and what was expected of the action that led here."""
     row = store.steps[number]
-    stills = [(_picture(store, number), "What the camera saw, and the next action")]
+    stills = [(_picture(store, number, coming), "What the camera saw, and the next action")]
     recording = read_recording(store.recording_path(number))
     beliefs = store.estimates(number)
     stills.extend((_belief(one, recording), f"Believed: {one.source}") for one in beliefs)
@@ -185,7 +202,7 @@ def _card(store: EpisodeStore, number: int) -> str:
     )
 
 
-def _picture(store: EpisodeStore, number: int) -> Picture:
+def _picture(store: EpisodeStore, number: int, coming: PickPlace | None = None) -> Picture:
     """The last picture of a step, with the arrow of the action after it."""
     recording = read_recording(store.recording_path(number))
     frame = recording.frames[-1]
@@ -196,10 +213,9 @@ def _picture(store: EpisodeStore, number: int) -> Picture:
         unit = recording.depth_units_m[camera.name]
         image = shown_depth(read_depth(frame.depth[camera.name], unit))
     if number + 1 < len(store.steps):
-        told = store.steps[number + 1]["action"]
-        action = PickPlace(np.array(told["pick"]), np.array(told["place"]), told["lift_m"])
-        image = draw_action(image, camera, action)
-    return image
+        row = store.steps[number + 1]["action"]
+        coming = PickPlace(np.array(row["pick"]), np.array(row["place"]), row["lift_m"])
+    return image if coming is None else draw_action(image, camera, coming)
 
 
 def _belief(estimate: Estimate, recording: Recording) -> Picture:

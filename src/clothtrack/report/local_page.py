@@ -49,7 +49,7 @@ Ask = Callable[[str, Mapping[str, str]], Answer | None]
 Tell = Callable[[str, Mapping[str, Any]], Answer | None]
 
 
-def refusal(hosts: Sequence[str], origins: Sequence[str], port: int) -> str | None:
+def _refusal(hosts: Sequence[str], origins: Sequence[str], port: int) -> str | None:
     """Why a request is not answered; None when no other web site sent it.
 
     Args:
@@ -153,7 +153,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, find: Callable[[], Answer | None]) -> None:
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
-        refused = refusal(hosts, origins, self.connection.getsockname()[1])
+        refused = _refusal(hosts, origins, self.connection.getsockname()[1])
         if refused:
             self._send(Answer.of({"error": refused}, 403))
             return
@@ -176,6 +176,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Type", answer.kind)
             self.send_header("Content-Length", str(len(answer.body)))
             self.send_header("Cache-Control", "no-store")
+            # In a frame of another site a person could be led to press our buttons.
+            self.send_header("X-Frame-Options", "DENY")
             self.end_headers()
             self.wfile.write(answer.body)
         except (BrokenPipeError, ConnectionResetError):

@@ -15,7 +15,10 @@
     ...JSON.parse(figure.dataset.chart),
   }));
   const labels = reviewed(find("#review"));
-  let scene = null, step = 0;
+  let scene = null, step = 0, turn = Promise.resolve();
+
+  // A decision waits until it is saved; what is pressed meanwhile waits for its turn.
+  function inTurn(call) { turn = turn.catch(() => {}).then(call); }
 
   const worded = (value) => value === null ? "\u2013"
     : value !== 0 && Math.abs(value) < 1e-3 ? value.toExponential(2) : String(value);
@@ -96,7 +99,7 @@
     if (busy || (slider && event.key.startsWith("Arrow"))) return;
     if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
     event.preventDefault();
-    keys[event.key]();
+    inTurn(keys[event.key]);
   });
 
   const card = find(".scene");
@@ -104,6 +107,7 @@
     scene = await openScene(card);
     if (scene) controls(card, scene);
   }
+  await labels.load();
   show(0, { seek: false });
   document.body.dataset.ready = "yes";
 
@@ -125,12 +129,34 @@
     recolor();
   }
 
-  // Decisions about labels; this page cannot write files beside the trajectory, so it offers one.
+  // Decisions about labels: a served page sends each to its server, which saves it; one that was
+  // opened from a disk cannot write files beside the trajectory, so it offers one.
   function reviewed(section) {
-    if (!section) return { at: () => {}, decide: () => {}, undo: () => {}, step: () => {}, onJump: () => {} };
+    if (!section) return { at: () => {}, decide: () => {}, undo: () => {}, step: () => {}, onJump: () => {}, load: () => {} };
     const review = JSON.parse(section.dataset.review), rows = [...section.querySelectorAll("[data-action]")];
     const firsts = rows.map((row) => Number(row.dataset.first)), undo = section.querySelector("#undo"), past = [];
+    const served = document.body.dataset.version !== undefined, state = section.querySelector("#saved");
     let current = 0, chosen = null, go = () => {};
+    // Whether the server took this, or told the decisions so far; the page then shows what it has.
+    const synchronised = async (message) => {
+      try {
+        const sent = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(message) };
+        const answer = await (await fetch("review", message && sent)).json();
+        if (answer.error) throw new Error(answer.error);
+        review.labels = answer.labels;
+        state.textContent = message ? `Saved in ${section.dataset.file}` : `Decisions go to ${section.dataset.file}`;
+      } catch (error) {
+        const reason = error instanceof TypeError ? "the server has ended; start clothtrack view again" : error.message;
+        state.textContent = `Not saved: ${reason}`;
+      }
+      state.classList.toggle("failed", state.textContent.startsWith("Not"));
+      return !state.classList.contains("failed");
+    };
+    const put = async (which, verdict) => {
+      if (served) return synchronised({ action: which, verdict });
+      review.labels[which].verdict = verdict;
+      return true;
+    };
     const paint = () => {
       rows.forEach((row, k) => {
         row.dataset.verdict = review.labels[k].verdict;
@@ -145,22 +171,21 @@
       const which = Math.min(rows.length - 1, Math.max(0, wanted));
       go(review.labels[which].frame, which);
     };
-    const decide = (verdict, which = current) => {
-      past.push({ which, verdict: review.labels[which].verdict });
-      review.labels[which].verdict = verdict;
+    const decide = async (verdict, which = current) => {
+      const before = review.labels[which].verdict;
+      if (!(await put(which, verdict))) return;
+      past.push({ which, verdict: before });
       choose(which + 1);
     };
-    const takeBack = () => {
-      if (!past.length) return;
-      const { which, verdict } = past.pop();
-      review.labels[which].verdict = verdict;
-      choose(which);
+    const takeBack = async () => {
+      if (!past.length || !(await put(past.at(-1).which, past.at(-1).verdict))) return;
+      choose(past.pop().which);
     };
-    undo.addEventListener("click", takeBack);
+    undo.addEventListener("click", () => inTurn(takeBack));
     rows.forEach((row, k) => {
-      row.querySelector(".jump").addEventListener("click", () => choose(k));
+      row.querySelector(".jump").addEventListener("click", () => inTurn(() => choose(k)));
       for (const button of row.querySelectorAll("[data-decide]")) {
-        button.addEventListener("click", () => decide(button.dataset.decide, k));
+        button.addEventListener("click", () => inTurn(() => decide(button.dataset.decide, k)));
       }
     });
     section.querySelector("#save").addEventListener("click", () => {
@@ -169,9 +194,13 @@
       link.click();
       setTimeout(() => URL.revokeObjectURL(link.href), 1000);
     });
+    for (const part of section.querySelectorAll("[data-when]")) {
+      part.hidden = (part.dataset.when === "served") !== served;
+    }
     paint();
     return {
       decide,
+      load: async () => { if (served && (await synchronised())) paint(); },
       undo: takeBack,
       // Where two actions meet, one frame belongs to both: a label that was chosen stays chosen.
       at: (frame, label) => {

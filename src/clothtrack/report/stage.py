@@ -121,7 +121,8 @@ def review_card(
         '<span class="left"></span></header>'
         f"<table><tbody>{''.join(rows)}</tbody></table>"
         f'<p class="note"><button type="button" id="undo">Undo</button> {KEYS}</p>'
-        '<p class="note"><button type="button" id="save">Save the '
+        '<p class="note" data-when="served"><output id="saved"></output></p>'
+        '<p class="note" data-when="opened"><button type="button" id="save">Save the '
         f"review</button> as {name}; put it beside {escape(tracked.name)}.zarr, and "
         "<code>clothtrack label</code> leaves out what is rejected.</p></section>"
     )
