@@ -109,7 +109,7 @@ def shoot_live(tracked: TrackedTrajectory, file: Path, image: Callable[[str], Pa
             for key, code in (("a", "KeyA"), ("r", "KeyR")):
                 page.press(key, code)
             page.wait_for("document.querySelector('[data-verdict=rejected]') !== null")
-            page.ask("void document.querySelector('.stage').scrollIntoView()")
+            page.ask("void document.querySelector('#review').scrollIntoView({block: 'end'})")
             time.sleep(3)
             save(page, image("live"))
 
