@@ -16,19 +16,30 @@ from pathlib import Path
 
 import numpy as np
 
-from clothtrack.capture.realsense_camera import open_realsense
+from clothtrack.capture import open_realsense
 from clothtrack.errors import ClothTrackError
-from clothtrack.planning.actions import ActionSpace, Workspace
-from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
-from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area
-from clothtrack.planning.perception import PerceptionConfig, perception_of
-from clothtrack.planning.planner import PlannerConfig
-from clothtrack.planning.robots.dry_run import DryRunRobot
-from clothtrack.planning.robots.franka import FrankaConfig, FrankaRobot, FrankyArm
-from clothtrack.planning.robots.robot import MotionLimits, RgbdFrame
-from clothtrack.recordings.recording import ClothDescription, Table
-from clothtrack.recordings.store import read_recording
-from clothtrack.report.flattening_page import write_flattening_report
+from clothtrack.planning import (
+    ActionSpace,
+    EpisodeScene,
+    FlattenConfig,
+    Flattening,
+    PerceptionConfig,
+    PlannerConfig,
+    Workspace,
+    dynamics_of,
+    flat_area,
+    perception_of,
+)
+from clothtrack.planning.robots import (
+    DryRunRobot,
+    FrankaConfig,
+    FrankaRobot,
+    FrankyArm,
+    MotionLimits,
+    RgbdFrame,
+)
+from clothtrack.recordings import ClothDescription, Table, read_recording
+from clothtrack.report import write_flattening_report
 
 SETTLING_FRAMES = 5
 """Pictures that are thrown away before one is kept: the first may be from before the motion."""

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.recordings.recording import Table
-from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.recordings import RecordingWriter, Table, read_recording
 
 
 def document(folder, change):

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.files.settings import with_settings
-from clothtrack.tracking.pipeline import RunConfig, track_recordings
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.files import with_settings
+from clothtrack.tracking import RunConfig, TrackedTrajectory, track_recordings
 
 FAST = ("--set", "tracker.calibration.method=none")
 

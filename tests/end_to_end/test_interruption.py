@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.tracking import TrackedTrajectory
 
 FAST = ("--set", "tracker.calibration.method=none")
 # As the process that a terminal starts, whatever the shell above the tests has set.

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack.capture.recorder import CapturedFrame
-from clothtrack.planning.perception import Estimate
-from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.store import read_recording
-from clothtrack.simulation.garments import towel
-from clothtrack.world.episodes import SMALL_WORLD, simulate
+from clothtrack.capture import CapturedFrame
+from clothtrack.planning import Estimate
+from clothtrack.recordings import read_color, read_depth, read_recording
+from clothtrack.simulation import towel
+from clothtrack.world import SMALL_WORLD, simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 _spec = importlib.util.spec_from_file_location(

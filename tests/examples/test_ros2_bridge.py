@@ -9,9 +9,9 @@ import pytest
 from bridge_robot import BridgeRobot, encoded
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import PickPlace, Workspace
-from clothtrack.planning.robots.robot import MotionLimits, RgbdFrame
+from clothtrack.geometry import Camera
+from clothtrack.planning import PickPlace, Workspace
+from clothtrack.planning.robots import MotionLimits, RgbdFrame
 
 PATH = Path(__file__).parents[2] / "examples" / "ros2_bridge.py"
 _spec = importlib.util.spec_from_file_location("ros2_bridge", PATH)

@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.recordings.recording import Table
-from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion
-from clothtrack.simulation.garments import towel
-from clothtrack.simulation.parameters import ClothParameters, SolverConfig
-from clothtrack.simulation.solver import ClothSolver
-from clothtrack.simulation.state import Attachment
+from clothtrack.geometry import ClothMesh
+from clothtrack.recordings import Table
+from clothtrack.simulation import (
+    Attachment,
+    ClothDynamics,
+    ClothParameters,
+    ClothSolver,
+    HeldMotion,
+    SolverConfig,
+    towel,
+)
 
 FLOOR = Table(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]))
 UP = np.array([0.0, 0.0, 1.0])

@@ -4,12 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from clothtrack.geometry.quality import crossings
-from clothtrack.recordings.recording import Table
-from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion
-from clothtrack.simulation.garments import garment
-from clothtrack.simulation.parameters import ClothParameters, SolverConfig
-from clothtrack.simulation.solver import ClothSolver
+from clothtrack.geometry import crossings
+from clothtrack.recordings import Table
+from clothtrack.simulation import (
+    ClothDynamics,
+    ClothParameters,
+    ClothSolver,
+    HeldMotion,
+    SolverConfig,
+    garment,
+)
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 STEPS = 24

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
         SimulatorDynamics,
     )
     from clothtrack.planning.episode_store import EpisodeStore
-    from clothtrack.planning.flatten_config import FlattenConfig
-    from clothtrack.planning.flattening import EpisodeScene, Flattening, improvement
+    from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+    from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area, improvement
     from clothtrack.planning.perception import Estimate, Perception, PerceptionConfig, perception_of
     from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
     from clothtrack.planning.reward import coverage
@@ -48,6 +48,8 @@ __all__ = [
     "SimulatorDynamics",
     "Workspace",
     "coverage",
+    "dynamics_of",
+    "flat_area",
     "improvement",
     "perception_of",
     "sample_actions",

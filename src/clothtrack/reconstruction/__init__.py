@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
+    from clothtrack.reconstruction.data.state_store import open_states, read_shard, write_states
     from clothtrack.reconstruction.depth_input import (
         DepthInput,
         from_depth,
@@ -34,5 +35,8 @@ __all__ = [
     "from_recording",
     "load_model",
     "network_mesh",
+    "open_states",
     "pretrain",
+    "read_shard",
+    "write_states",
 ]

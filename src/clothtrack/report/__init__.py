@@ -6,6 +6,7 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.report.artefact_pages import write_index, write_mesh_page, write_recording_page
+    from clothtrack.report.flattening_page import write_flattening_report
     from clothtrack.report.for_papers import export_pictures
     from clothtrack.report.live import view_live
     from clothtrack.report.live_artefacts import view_mesh_live, view_recording_live
@@ -30,6 +31,7 @@ __all__ = [
     "view_mesh_live",
     "view_recording_live",
     "write_contact_sheet",
+    "write_flattening_report",
     "write_index",
     "write_mesh_page",
     "write_overlay_video",

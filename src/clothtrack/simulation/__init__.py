@@ -7,7 +7,7 @@ from clothtrack._lazy import lazy_names
 if TYPE_CHECKING:
     from clothtrack.simulation.dynamics import ClothDynamics, DynamicsConfig, HeldMotion, RollOut
     from clothtrack.simulation.garments import garment, towel, tshirt
-    from clothtrack.simulation.parameters import SolverConfig
+    from clothtrack.simulation.parameters import ClothParameters, SolverConfig
     from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, plan_action
     from clothtrack.simulation.picker import grasp_vertices
     from clothtrack.simulation.solver import ClothSolver
@@ -19,6 +19,7 @@ __all__ = [
     "ActionConfig",
     "Attachment",
     "ClothDynamics",
+    "ClothParameters",
     "ClothSolver",
     "ClothState",
     "DynamicsConfig",

@@ -1,1 +1,31 @@
 """What carries actions out: a protocol, and the robots behind it."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+
+if TYPE_CHECKING:
+    from clothtrack.planning.robots.dry_run import DryRunRobot, pictures_of
+    from clothtrack.planning.robots.franka import FrankaConfig, FrankaRobot, FrankyArm
+    from clothtrack.planning.robots.robot import (
+        Execution,
+        MotionLimits,
+        PickPlaceRobot,
+        Reachability,
+        RgbdFrame,
+    )
+else:
+    __getattr__, __dir__ = lazy_names(__name__)
+
+__all__ = [
+    "DryRunRobot",
+    "Execution",
+    "FrankaConfig",
+    "FrankaRobot",
+    "FrankyArm",
+    "MotionLimits",
+    "PickPlaceRobot",
+    "Reachability",
+    "RgbdFrame",
+    "pictures_of",
+]
