@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch import nn
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.errors import InvalidConfigError
 from clothtrack.reconstruction.training.batches import BatchOrder, Mixture, loader, split_by_group
 from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
 from clothtrack.reconstruction.training.processes import Processes, require_torch_device
@@ -127,7 +127,7 @@ def test_a_finished_run_is_not_done_again(line, tmp_path):
 @pytest.mark.parametrize("changed", [{"batch_size": 8}, {"seed": 1}, {"low_rate": 1e-4}])
 def test_progress_of_other_settings_is_refused(line, tmp_path, changed):
     line.train_line(tmp_path, epochs=1)
-    with pytest.raises(InvalidResultError, match=f"training.{next(iter(changed))}"):
+    with pytest.raises(InvalidConfigError, match=f"training.{next(iter(changed))}"):
         line.train_line(tmp_path, epochs=1, **changed)
 
 

@@ -5,8 +5,6 @@ it names the others. What it does not speak of stays as it was, remarks included
 """
 
 import copy
-import shutil
-import uuid
 from collections.abc import Callable, Mapping
 from json import dumps
 from pathlib import Path
@@ -16,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.files.atomic_write import storage, write_file
+from clothtrack.files.atomic_write import storage, whole_folder, write_file
 from clothtrack.recordings.document import DOCUMENT, document_violations, load_document
 from clothtrack.recordings.frame_files import PICTURE_KINDS
 from clothtrack.recordings.picker_table import picker_text
@@ -117,21 +115,16 @@ def set_masks(
         StorageError: the disk refuses.
     """
     folder, name = recording.folder, _free_name(recording.folder)
-    unfinished = folder / f".{name}.{uuid.uuid4().hex[:8]}.partial"
     single = len(recording.cameras) == 1
     files: dict[int, str] = {}
-    with storage(folder / name):
-        try:
-            (unfinished if single else unfinished / camera).mkdir(parents=True)
-            for frame in recording.frames:
-                mask = mask_of(frame)
-                if mask is not None and mask.any():
-                    file = f"{frame.index:06d}.png" if single else f"{camera}/{frame.index:06d}.png"
-                    (unfinished / file).write_bytes(encode_png(mask.astype(np.uint8) * 255))
-                    files[frame.index] = f"{name}/{file}"
-            unfinished.rename(folder / name)
-        finally:
-            shutil.rmtree(unfinished, ignore_errors=True)
+    with whole_folder(folder / name) as unfinished:
+        (unfinished if single else unfinished / camera).mkdir(exist_ok=True)
+        for frame in recording.frames:
+            mask = mask_of(frame)
+            if mask is not None and mask.any():
+                file = f"{frame.index:06d}.png" if single else f"{camera}/{frame.index:06d}.png"
+                (unfinished / file).write_bytes(encode_png(mask.astype(np.uint8) * 255))
+                files[frame.index] = f"{name}/{file}"
 
     def name_masks(document: dict[str, Any]) -> None:
         for frame, entry in zip(recording.frames, document["frames"], strict=True):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError, StorageError
+from clothtrack.files.progress import Progress
 from clothtrack.geometry.camera import Camera
 from clothtrack.importing.bag_walk import is_bag
 from clothtrack.importing.containers import TornError
@@ -75,7 +76,7 @@ def import_recording(
     options: ImportOptions | None = None,
     *,
     watcher: FrameWatcher | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> ImportReport:
     """Import a recording; it appears whole under its name, or not at all.
 
@@ -144,7 +145,7 @@ def _write_frames(
     pairs: Sequence[Pair],
     *,
     workers: int,
-    progress: Callable[[str, int, int], None] | None,
+    progress: Progress | None,
 ) -> tuple[list[float], Counter[str]]:
     """Write every pair that can be decoded; their times, and why others could not be."""
     start_ns = pairs[0].depth.time_ns

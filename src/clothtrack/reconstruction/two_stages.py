@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.reconstruction.data.examples import ExampleConfig, collate
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, PseudoLabelExamples
@@ -36,7 +37,7 @@ from clothtrack.reconstruction.training.training_config import (
     TrainingConfig,
     training_preset,
 )
-from clothtrack.reconstruction.training.training_loop import Progress, TrainingOutcome, train
+from clothtrack.reconstruction.training.training_loop import TrainingOutcome, train
 
 MODEL = "model.safetensors"
 

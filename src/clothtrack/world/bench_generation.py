@@ -10,7 +10,7 @@ import logging
 import platform
 import shutil
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
@@ -22,6 +22,7 @@ import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import content_hash, storage, whole_file
+from clothtrack.files.progress import Progress
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.version import __version__
 from clothtrack.world.bench import BenchTrajectory, trajectories
@@ -35,9 +36,6 @@ FORMAT = 1
 
 Entry = dict[str, Any]
 """One trajectory in `bench.json`."""
-
-Progress = Callable[[str, int, int], None]
-"""Called with a trajectory's name, how many are done and how many there are."""
 
 
 def generate_bench(

@@ -14,7 +14,7 @@ No truth is learned from: the score of a round is taken down and decides nothing
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ import numpy as np
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.files.atomic_write import content_hash, write_file
+from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import claim
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
 from clothtrack.planning.flattening import improvement
@@ -47,7 +48,6 @@ logger = logging.getLogger(__name__)
 
 CURVE = "improvement.json"
 ASKED = "asked.json"
-Progress = Callable[[str, int, int], None]
 
 
 def _finetune() -> "LearningConfig":

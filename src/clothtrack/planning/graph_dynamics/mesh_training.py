@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.planning.graph_dynamics.mesh_card import write_dynamics_card
 from clothtrack.planning.graph_dynamics.mesh_dynamics import springs_of
@@ -31,7 +32,7 @@ from clothtrack.reconstruction.training.batches import Draw, Subset, split_by_gr
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.reconstruction.training.training_loop import Progress, Stage, TrainingOutcome, train
+from clothtrack.reconstruction.training.training_loop import Stage, TrainingOutcome, train
 
 RESTING_HEIGHT_M = 0.0015
 WHOLE_ERROR = "whole_error_mm"

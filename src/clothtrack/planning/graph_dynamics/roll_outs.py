@@ -10,7 +10,6 @@ material points of the coarse mesh, so that the learned dynamics know what its f
 import logging
 import math
 import zipfile
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -21,6 +20,7 @@ from jaxtyping import Float32, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import claim
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.mesh import ClothMesh
@@ -40,8 +40,6 @@ logger = logging.getLogger(__name__)
 LIST_FILE = "roll_outs.json"
 _OF_ROLL_OUTS = 0x5017
 """Keeps the draws of this module apart from those of others with the same seed."""
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import logging
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -21,6 +21,7 @@ from jaxtyping import Float32
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import storage, whole_file
+from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain, require_same
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
@@ -58,8 +59,6 @@ CARD_FILE = "README.md"
 PACKAGES = ("numpy", "scipy", "warp-lang", "zarr")
 """What states depend on."""
 
-Progress = Callable[[str, int, int], None]
-"""Called with a shard's name, how many are done and how many there are."""
 
 _OF_STATES = 0x57A7E
 """Keeps the draws of this module apart from those of others with the same seed."""

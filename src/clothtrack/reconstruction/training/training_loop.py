@@ -16,6 +16,8 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, StorageError
+from clothtrack.files.progress import Progress
+from clothtrack.files.run_manifest import require_same
 from clothtrack.reconstruction.training.batches import BatchOrder, Draw, Examples, loader
 from clothtrack.reconstruction.training.checkpoint import (
     load_progress,
@@ -35,8 +37,6 @@ _MAY_CHANGE = ("epochs", "patience", "log_steps", "save_steps", "workers")
 """Settings that a resumed run may have otherwise: what was done so far does not depend on them."""
 
 Collate = Callable[[Sequence[Any]], Any]
-Progress = Callable[[str, int, int], None]
-"""Called with the stage's name, steps done and steps in all."""
 
 
 class Stage(nn.Module, ABC):
@@ -269,7 +269,8 @@ class _Run:
         if not path.exists():
             return
         document = load_progress(path)
-        self._check(document, path)
+        identity = self._identity()
+        require_same(path, {name: document.get(name) for name in identity}, identity)
         try:
             load_tensors(self.stage.trained, document["weights"], path)
             self.optimiser.load_state_dict(document["optimiser"])
@@ -294,21 +295,6 @@ class _Run:
             "training": training,
             "data": dict(self.data),
         }
-
-    def _check(self, document: Mapping[str, Any], path: Path) -> None:
-        for key, wanted in self._identity().items():
-            found = document.get(key)
-            if found == wanted:
-                continue
-            what = f"{key} is {found!r}, now {wanted!r}"
-            if isinstance(found, dict) and isinstance(wanted, dict):
-                names = sorted(set(found) | set(wanted))
-                name = next(n for n in names if found.get(n) != wanted.get(n))
-                what = f"{key}.{name} is {found.get(name)!r}, now {wanted.get(name)!r}"
-            raise InvalidResultError(
-                f"{path}: {what}: it belongs to another training; choose another --output or "
-                "remove it"
-            )
 
     def outcome(self, status: Literal["finished", "converged", "interrupted"]) -> TrainingOutcome:
         """How it ended."""
