@@ -1,0 +1,138 @@
+"""Limits of settings, declared in their annotations and checked in one place.
+
+A configuration inherits from `Checked` and says in the type of a field what the field may be:
+
+    @dataclass(frozen=True)
+    class SearchConfig(Checked):
+        decay: Fraction = 0.7
+        trials: Count = 10
+        method: Literal["grid", "descent"] = "descent"
+
+A value outside is refused in one line, such as "search.decay is 1.2; it must be above 0 and below
+1". What several fields must fulfil together is checked by hand, in a `__post_init__` that calls
+the inherited one first.
+"""
+
+import math
+import re
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from clothtrack.errors import InvalidConfigError
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Limits of a finite number; those that are None do not count.
+
+    Attributes:
+        least: smallest value that is allowed.
+        most: largest value that is allowed.
+        above: the value must be larger.
+        below: the value must be smaller.
+    """
+
+    least: int | float | None = None
+    most: int | float | None = None
+    above: int | float | None = None
+    below: int | float | None = None
+
+    def holds(self, value: int | float) -> bool:
+        """Whether a value lies inside."""
+        return (
+            math.isfinite(value)
+            and (self.least is None or value >= self.least)
+            and (self.most is None or value <= self.most)
+            and (self.above is None or value > self.above)
+            and (self.below is None or value < self.below)
+        )
+
+    def __str__(self) -> str:
+        """What a value must be, in words."""
+        if self.least is not None and self.most is not None:
+            return f"it must be from {self.least} to {self.most}"
+        words = {
+            "above": self.above,
+            "at least": self.least,
+            "below": self.below,
+            "at most": self.most,
+        }
+        said = " and ".join(f"{word} {value}" for word, value in words.items() if value is not None)
+        return f"it must be {said or 'finite'}"
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Limits of a pair of finite numbers, the smaller first.
+
+    Attributes:
+        least: smallest value of the first; None: any.
+        empty: whether both may be the same.
+    """
+
+    least: int | float | None = None
+    empty: bool = False
+
+    def holds(self, value: tuple[float, float]) -> bool:
+        """Whether a pair is such an interval."""
+        low, high = value
+        rises = low <= high if self.empty else low < high
+        return rises and Bounds(least=self.least).holds(low) and math.isfinite(high)
+
+    def __str__(self) -> str:
+        """What a pair must be, in words."""
+        from_least = "" if self.least is None else f"{self.least} <= "
+        return f"it must be (low, high) with {from_least}low {'<=' if self.empty else '<'} high"
+
+
+Count = Annotated[int, Bounds(least=1)]
+"""A whole number, 1 or more."""
+
+Natural = Annotated[int, Bounds(least=0)]
+"""A whole number, 0 or more."""
+
+Positive = Annotated[float, Bounds(above=0)]
+"""Any finite number above 0."""
+
+NotNegative = Annotated[float, Bounds(least=0)]
+"""Any finite number from 0 up."""
+
+Share = Annotated[float, Bounds(least=0, most=1)]
+"""A part of a whole, 0 and 1 included."""
+
+PositiveShare = Annotated[float, Bounds(above=0, most=1)]
+"""A part of a whole that is not nothing."""
+
+Fraction = Annotated[float, Bounds(above=0, below=1)]
+"""A part of a whole that is neither nothing nor all of it."""
+
+
+class Checked:
+    """Base of configurations: refuses values outside the limits that their types declare."""
+
+    def __post_init__(self) -> None:
+        """Check every field with a declared limit.
+
+        Raises:
+            InvalidConfigError: with the first field that is outside, its value and the limit.
+        """
+        for field in fields(self):
+            if limit := _refused(field.type, getattr(self, field.name)):
+                value = getattr(self, field.name)
+                raise InvalidConfigError(f"{_group(type(self))}.{field.name} is {value!r}; {limit}")
+
+
+def _refused(declared: Any, value: Any) -> str:
+    """What the declared type demands and the value is not, in words; empty where all is well."""
+    if get_origin(declared) is Literal and value not in get_args(declared):
+        return f"choose one of {', '.join(map(str, get_args(declared)))}"
+    for limit in getattr(declared, "__metadata__", ()):
+        if isinstance(limit, Bounds | Interval) and not limit.holds(value):
+            return str(limit)
+    return ""
+
+
+def _group(owner: type) -> str:
+    """The class as settings name it: `line_search` of a `LineSearchConfig`."""
+    words = re.findall("[A-Z][a-z0-9]*", owner.__name__.removesuffix("Config"))
+    return "_".join(words).lower()
