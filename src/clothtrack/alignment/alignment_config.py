@@ -1,15 +1,13 @@
 """The objective of test-time optimisation and how it is minimised."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-import numpy as np
-
-from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Count, Interval, NotNegative, Positive
 
 
 @dataclass(frozen=True)
-class AlignmentConfig:
+class AlignmentConfig(Checked):
     """The objective and how it is minimised. Every term is a mean of squares [m^2].
 
     Attributes:
@@ -33,40 +31,16 @@ class AlignmentConfig:
     """
 
     solver: Literal["adam", "icp"] = "adam"
-    iterations: int = 200
-    step_m: float = 1e-3
-    chamfer_weight: float = 1.0
-    rigidity_weight: float = 10.0
-    two_way_weight: float = 1.0
-    two_way_range_m: tuple[float, float] = (0.004, 0.08)
-    length_weight: float = 300.0
-    table_weight: float = 10.0
-    vertical_weight: float = 1.0
-    neighbours_every: int = 1
-    icp_outer: int = 8
-    icp_inner: int = 12
+    iterations: Count = 200
+    step_m: Positive = 1e-3
+    chamfer_weight: NotNegative = 1.0
+    rigidity_weight: NotNegative = 10.0
+    two_way_weight: NotNegative = 1.0
+    two_way_range_m: Annotated[tuple[float, float], Interval(least=0)] = (0.004, 0.08)
+    length_weight: NotNegative = 300.0
+    table_weight: NotNegative = 10.0
+    vertical_weight: NotNegative = 1.0
+    neighbours_every: Count = 1
+    icp_outer: Count = 8
+    icp_inner: Count = 12
     icp_momentum: float = 0.8
-
-    def __post_init__(self) -> None:
-        """Refuse values that cannot be meant.
-
-        Raises:
-            InvalidConfigError: with the field, its value and the limit.
-        """
-        if self.solver not in ("adam", "icp"):
-            raise InvalidConfigError(f"alignment solver is {self.solver!r}; use 'adam' or 'icp'")
-        for name in ("iterations", "neighbours_every", "icp_outer", "icp_inner"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
-        for name in ("chamfer", "rigidity", "two_way", "length", "table", "vertical"):
-            value = getattr(self, f"{name}_weight")
-            if not (np.isfinite(value) and value >= 0):
-                raise InvalidConfigError(f"{name}_weight is {value}; it must be 0 or more")
-        if not self.step_m > 0:
-            raise InvalidConfigError(f"step_m is {self.step_m}; it must be positive [m]")
-        low, high = self.two_way_range_m
-        if not 0 <= low < high < np.inf:
-            raise InvalidConfigError(
-                f"two_way_range_m is {self.two_way_range_m}; it must be (low, high) in metres with "
-                "0 <= low < high"
-            )

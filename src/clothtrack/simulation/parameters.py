@@ -1,14 +1,15 @@
 """What a cloth is made of, and how its motion is computed."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Bounds, Checked, Count, NotNegative, Positive
 from clothtrack.recordings.recording import Table
 
 
 @dataclass(frozen=True)
-class ClothParameters:
+class ClothParameters(Checked):
     """Material of one cloth: what a calibration searches, one value per environment.
 
     Attributes:
@@ -19,24 +20,14 @@ class ClothParameters:
         particle_friction: Coulomb coefficient between cloth and cloth.
     """
 
-    stretch_compliance: float = 0.0
-    bend_compliance: float = 10.0
-    table_friction: float = 0.75
-    particle_friction: float = 0.5
-
-    def __post_init__(self) -> None:
-        """Refuse negative values.
-
-        Raises:
-            InvalidConfigError: with the field and the value.
-        """
-        for name, value in vars(self).items():
-            if not value >= 0.0:
-                raise InvalidConfigError(f"ClothParameters.{name} is {value}; it must be >= 0")
+    stretch_compliance: NotNegative = 0.0
+    bend_compliance: NotNegative = 10.0
+    table_friction: NotNegative = 0.75
+    particle_friction: NotNegative = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class SolverConfig:
+class SolverConfig(Checked):
     """How the motion is computed; the same for all environments.
 
     Attributes:
@@ -69,47 +60,34 @@ class SolverConfig:
     """
 
     contact: Literal["vertex-triangle", "particle", "none"] = "vertex-triangle"
-    thickness_m: float = 0.003
-    substep_s: float = 1.1e-3
-    elastic_substeps: int = 3
-    area_density: float = 0.2
+    thickness_m: Positive = 0.003
+    substep_s: Positive = 1.1e-3
+    elastic_substeps: Count = 3
+    area_density: Positive = 0.2
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     damping: float = 1.0
     sleep_speed: float = 0.02
     speed_limit: float = 3.0
     table: Table | None = None
-    rebuild_s: float = 0.01
+    rebuild_s: Positive = 0.01
     contact_margin_m: float = 0.0025
     contact_depth_m: float = 0.007
     contact_tolerance: float = 0.15
     edge_contact: bool = True
     push_out_speed: float = 0.6
     bend_limit: float = 0.55
-    buckling: float = 1.0
+    buckling: Annotated[float, Bounds(least=1)] = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be computed.
 
         Raises:
-            InvalidConfigError: with the field and the value.
+            InvalidConfigError: with the field, its value and the limit.
         """
-        if self.contact not in ("vertex-triangle", "particle", "none"):
-            raise InvalidConfigError(
-                f'SolverConfig.contact is "{self.contact}"; '
-                'choose "vertex-triangle", "particle" or "none"'
-            )
-        for name in ("thickness_m", "substep_s", "elastic_substeps", "area_density", "rebuild_s"):
-            if not getattr(self, name) > 0:
-                raise InvalidConfigError(
-                    f"SolverConfig.{name} is {getattr(self, name)}; it must be above 0"
-                )
-        if not 1.0 <= self.buckling < float("inf"):
-            raise InvalidConfigError(
-                f"SolverConfig.buckling is {self.buckling}; give 1 (edges are struts) or more"
-            )
+        super().__post_init__()
         if self.contact_depth_m < self.thickness_m:
             raise InvalidConfigError(
-                f"SolverConfig.contact_depth_m is {self.contact_depth_m}; it must be at least "
+                f"solver.contact_depth_m is {self.contact_depth_m}; it must be at least "
                 f"thickness_m ({self.thickness_m})"
             )
 
