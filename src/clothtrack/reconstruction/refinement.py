@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 
 from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
 from clothtrack.errors import InvalidConfigError, InvalidMeshError, SimulationDivergedError
+from clothtrack.files.bounds import Checked, Count, Fraction, NotNegative, Positive
 from clothtrack.geometry.chamfer import two_way
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
@@ -48,7 +49,7 @@ def _sliding_cloth() -> ClothParameters:
 
 
 @dataclass(frozen=True)
-class RefinementConfig:
+class RefinementConfig(Checked):
     """How a reconstructed mesh is fine-tuned.
 
     Attributes:
@@ -73,45 +74,28 @@ class RefinementConfig:
         solver: the cloth simulator; the table is the recording's.
     """
 
-    rounds: int = 2
+    rounds: Count = 2
     consistency_rounds: int = 1
-    consistency_weight: float = 10.0
-    rigidity_weight: float = 10.0
-    laplacian_weight: float = 0.0
-    off_mesh_m: float = 0.02
-    outlier_m: float = 0.02
+    consistency_weight: NotNegative = 10.0
+    rigidity_weight: NotNegative = 10.0
+    laplacian_weight: NotNegative = 0.0
+    off_mesh_m: Positive = 0.02
+    outlier_m: Positive = 0.02
     alignment: AlignmentConfig = field(default_factory=_alignment)
-    visibility_width: int = 320
+    visibility_width: Count = 320
     visibility_tolerance_m: float = 0.003
-    roll_s: float = 0.1
-    strength: float = 0.999
+    roll_s: NotNegative = 0.1
+    strength: Fraction = 0.999
     cloth: ClothParameters = field(default_factory=_sliding_cloth)
     solver: SolverConfig = field(default_factory=SolverConfig)
 
     def __post_init__(self) -> None:
-        """Refuse values that cannot be meant.
+        """Refuse values that contradict each other.
 
         Raises:
             InvalidConfigError: with the field, its value and the limit.
         """
-        if self.rounds < 1 or self.visibility_width < 1:
-            raise InvalidConfigError(
-                f"rounds is {self.rounds}, visibility_width {self.visibility_width}; both must be "
-                "at least 1"
-            )
-        for name in ("consistency_weight", "rigidity_weight", "laplacian_weight", "roll_s"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise InvalidConfigError(f"refinement.{name} is {value}; it must be 0 or more")
-        for name in ("off_mesh_m", "outlier_m"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidConfigError(
-                    f"refinement.{name} is {getattr(self, name)}; it must be positive [m]"
-                )
-        if not 0.0 < self.strength < 1.0:
-            raise InvalidConfigError(
-                f"refinement.strength is {self.strength}; it must be in (0, 1)"
-            )
+        super().__post_init__()
         if self.consistency_weight > 0.0 and not self.rigidity_weight > 0.0:
             raise InvalidConfigError(
                 "refinement.rigidity_weight is 0: nothing says where hidden vertices are to go; "

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from torch import Tensor
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Count, Positive
 from clothtrack.geometry.camera import Camera, about_vertical
 from clothtrack.geometry.closest_point import closest_on_triangle
 from clothtrack.geometry.mesh import ClothMesh
@@ -24,7 +25,7 @@ from clothtrack.reconstruction.networks.network_config import NetworkConfig
 
 
 @dataclass(frozen=True)
-class ExampleConfig:
+class ExampleConfig(Checked):
     """How an example is drawn from a labelled picture.
 
     Attributes:
@@ -37,9 +38,9 @@ class ExampleConfig:
         winding: where winding numbers are known.
     """
 
-    surface_queries: int = 1024
-    volume_queries: int = 1024
-    cut_m: float = 0.02
+    surface_queries: Count = 1024
+    volume_queries: Count = 1024
+    cut_m: Positive = 0.02
     turn: bool = True
     mirror: bool = True
     winding: WindingConfig = field(default_factory=WindingConfig)
@@ -50,16 +51,12 @@ class ExampleConfig:
         Raises:
             InvalidConfigError: with the field, its value and the limit.
         """
-        for name in ("surface_queries", "volume_queries"):
-            if not getattr(self, name) >= 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        super().__post_init__()
         if self.volume_queries > self.winding.pool:
             raise InvalidConfigError(
                 f"volume_queries is {self.volume_queries}, more than winding.pool "
                 f"({self.winding.pool}); lower it"
             )
-        if not self.cut_m > 0.0:
-            raise InvalidConfigError(f"cut_m is {self.cut_m}; it must be positive")
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from jaxtyping import Float32
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import storage, whole_file
+from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain, require_same
@@ -105,7 +106,7 @@ def _fast_contact() -> SolverConfig:
 
 
 @dataclass(frozen=True)
-class StatesConfig:
+class StatesConfig(Checked):
     """What states are made, and how.
 
     Attributes:
@@ -119,8 +120,8 @@ class StatesConfig:
         solver: how their motion is computed; thickness and density are those of `cloth`.
     """
 
-    vertex_count: int = 1000
-    episodes: int = 10
+    vertex_count: Count = 1000
+    episodes: Count = 10
     shift_m: float = 0.03
     crossings_limit: float = 0.03
     crumpling: CrumplingConfig = field(default_factory=CrumplingConfig)
@@ -131,11 +132,9 @@ class StatesConfig:
         """Refuse what cannot be made.
 
         Raises:
-            InvalidConfigError: with the field and the value.
+            InvalidConfigError: with the field, its value and the limit.
         """
-        for name in ("vertex_count", "episodes"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
+        super().__post_init__()
         if self.crumpling.states < 1 or sum(self.crumpling.shares.values()) <= 0.0:
             raise InvalidConfigError(
                 "crumpling.states must be at least 1, and one of crumpling.shares above 0"

@@ -12,11 +12,11 @@ import igl
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Count, Positive, Share
 
 
 @dataclass(frozen=True)
-class WindingConfig:
+class WindingConfig(Checked):
     """Where the field of a garment is asked for, once and for all its states.
 
     Attributes:
@@ -27,22 +27,9 @@ class WindingConfig:
             [unit cube].
     """
 
-    pool: int = 32_768
-    near_share: float = 0.5
-    near_spread: float = 0.05
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be drawn.
-
-        Raises:
-            InvalidConfigError: with the field, its value and the limit.
-        """
-        if self.pool < 1:
-            raise InvalidConfigError(f"pool is {self.pool}; it must be at least 1 point")
-        if not 0.0 <= self.near_share <= 1.0:
-            raise InvalidConfigError(f"near_share is {self.near_share}; it must be in 0..1")
-        if not self.near_spread > 0.0:
-            raise InvalidConfigError(f"near_spread is {self.near_spread}; it must be positive")
+    pool: Count = 32_768
+    near_share: Share = 0.5
+    near_spread: Positive = 0.05
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,16 +1,17 @@
 """How long, how fast and on what a stage is trained."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Bounds, Checked, Count, Fraction, Natural, Positive
 
 StageName = Literal["canonicalisation", "completion"]
 STAGES: tuple[StageName, ...] = ("canonicalisation", "completion")
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
+class TrainingConfig(Checked):
     """One run of the loop.
 
     Attributes:
@@ -35,21 +36,21 @@ class TrainingConfig:
         seed: of weights, order and everything random in the examples.
     """
 
-    epochs: int = 100
-    batch_size: int = 8
-    low_rate: float = 1e-3
+    epochs: Count = 100
+    batch_size: Count = 8
+    low_rate: Positive = 1e-3
     high_rate: float = 1e-3
-    rise_epochs: float = 4.0
+    rise_epochs: Positive = 4.0
     freeze_statistics: bool = False
-    held_out_share: float = 0.1
-    evaluate_epochs: int = 1
-    patience: int = 0
-    old_share: float = 0.0
-    log_steps: int = 10
-    save_steps: int = 500
+    held_out_share: Fraction = 0.1
+    evaluate_epochs: Count = 1
+    patience: Natural = 0
+    old_share: Annotated[float, Bounds(least=0, below=1)] = 0.0
+    log_steps: Count = 10
+    save_steps: Count = 500
     bfloat16: bool = False
-    workers: int = 0
-    seed: int = 0
+    workers: Natural = 0
+    seed: Natural = 0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be trained.
@@ -57,25 +58,12 @@ class TrainingConfig:
         Raises:
             InvalidConfigError: with the field, its value and the limit.
         """
-        for name in ("epochs", "batch_size", "evaluate_epochs", "log_steps", "save_steps"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
-        for name in ("patience", "workers", "seed"):
-            if getattr(self, name) < 0:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be 0 or more")
-        if not 0.0 < self.low_rate <= self.high_rate:
+        super().__post_init__()
+        if self.low_rate > self.high_rate:
             raise InvalidConfigError(
                 f"low_rate is {self.low_rate}, high_rate {self.high_rate}; it takes "
                 "0 < low_rate <= high_rate"
             )
-        if not self.rise_epochs > 0.0:
-            raise InvalidConfigError(f"rise_epochs is {self.rise_epochs}; it must be positive")
-        if not 0.0 < self.held_out_share < 1.0:
-            raise InvalidConfigError(
-                f"held_out_share is {self.held_out_share}; it must be between 0 and 1"
-            )
-        if not 0.0 <= self.old_share < 1.0:
-            raise InvalidConfigError(f"old_share is {self.old_share}; it must be in 0..1, not 1")
 
     def rate(self, step: int, steps_per_epoch: int) -> float:
         """Learning rate at a step: constant, or up and down in a triangle (L. N. Smith, 2017).
