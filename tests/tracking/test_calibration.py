@@ -105,7 +105,7 @@ def test_unknown_and_empty_axes_are_refused() -> None:
         ("batch", 0, "at least 1"),
         ("offset_steps", 0, "at least 1"),
         ("halving_ratio", 1, "at least 2"),
-        ("rank", 1.5, "0..1"),
+        ("rank", 1.5, "from 0 to 1"),
     ],
 )
 def test_settings_that_no_search_can_have_are_refused(field, value, told) -> None:

@@ -9,12 +9,13 @@ reach the same Chamfer distance within a few percent for a fraction of the roll-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Bounds, Checked, Count, Share
 from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
 from clothtrack.tracking.tracked_trajectory import Calibration
 
@@ -36,7 +37,7 @@ def _default_axes() -> dict[str, tuple[float, ...]]:
 
 
 @dataclass(frozen=True)
-class CalibrationConfig:
+class CalibrationConfig(Checked):
     """What is searched, and how.
 
     Attributes:
@@ -62,31 +63,19 @@ class CalibrationConfig:
     method: Method = "descent"
     judge: Judge = "open_loop"
     axes: Mapping[str, tuple[float, ...]] = field(default_factory=_default_axes)
-    rank: float = 0.0
-    offset_steps: int = 5
-    batch: int = 36
-    halving_ratio: int = 3
-    sweeps: int = 2
+    rank: Share = 0.0
+    offset_steps: Count = 5
+    batch: Count = 36
+    halving_ratio: Annotated[int, Bounds(least=2)] = 3
+    sweeps: Count = 2
 
     def __post_init__(self) -> None:
-        """Refuse names that do not exist, axes that are empty and values that cannot be meant.
+        """Refuse axes that are empty and values that cannot be meant.
 
         Raises:
-            InvalidConfigError: with the field, its value and what is allowed.
+            InvalidConfigError: with the field, its value and the limit.
         """
-        for name, allowed in (("method", Method), ("judge", Judge)):
-            if getattr(self, name) not in get_args(allowed):
-                raise InvalidConfigError(
-                    f"calibration: {name} is {getattr(self, name)!r}; use one of "
-                    f"{', '.join(get_args(allowed))}"
-                )
-        for name, least in (("offset_steps", 1), ("batch", 1), ("halving_ratio", 2), ("sweeps", 1)):
-            if getattr(self, name) < least:
-                raise InvalidConfigError(
-                    f"calibration: {name} is {getattr(self, name)}; it must be at least {least}"
-                )
-        if not 0.0 <= self.rank <= 1.0:
-            raise InvalidConfigError(f"calibration: rank is {self.rank}; it must be in 0..1")
+        super().__post_init__()
         self._check_axes()
 
     def _check_axes(self) -> None:

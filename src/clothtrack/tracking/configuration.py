@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from clothtrack.alignment.aligner import AlignmentConfig
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Count, Fraction, NotNegative, Positive, PositiveShare
 from clothtrack.simulation.dynamics import DynamicsConfig
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.tracking.calibration import CalibrationConfig
@@ -47,7 +48,7 @@ def _alignment() -> AlignmentConfig:
 
 
 @dataclass(frozen=True)
-class TrackerConfig:
+class TrackerConfig(Checked):
     """Everything that decides how a recording is tracked.
 
     Attributes:
@@ -99,18 +100,18 @@ class TrackerConfig:
     use_dynamics_initialisation: bool = True
     use_action: bool = True
     use_final_alignment: bool = True
-    attachment_strength: float = 0.999
+    attachment_strength: PositiveShare = 0.999
     final_slide: bool = True
-    final_rounds: int = 2
-    final_roll_s: float = 0.1
-    final_strength: float = 1.0 - 1e-5
+    final_rounds: Count = 2
+    final_roll_s: NotNegative = 0.1
+    final_strength: Fraction = 1.0 - 1e-5
     attach_observed_only: bool = True
     attach_crossed: bool = False
-    support_m: float = 0.01
-    cloud_reach_m: float = 0.1
+    support_m: Positive = 0.01
+    cloud_reach_m: Positive = 0.1
     minimum_observed: float = 0.1
-    score_frames: int = 3
-    visibility_width: int = 320
+    score_frames: Count = 3
+    visibility_width: Count = 320
     visibility_tolerance_m: float = 0.003
     parameters: Mapping[str, float] = field(default_factory=_default_parameters)
     calibration: CalibrationConfig = field(default_factory=_calibration)
@@ -125,30 +126,9 @@ class TrackerConfig:
         """Refuse contradictions.
 
         Raises:
-            InvalidConfigError: with the field, its value and what is allowed.
+            InvalidConfigError: with the field, its value and the limit.
         """
-        if not 0.0 < self.attachment_strength <= 1.0:
-            raise InvalidConfigError(
-                f"attachment_strength is {self.attachment_strength}; it must be in (0, 1]"
-            )
-        if not 0.0 < self.final_strength < 1.0:
-            raise InvalidConfigError(
-                f"final_strength is {self.final_strength}; it must be in (0, 1): the final roll is "
-                "soft, so that layers win over the observation"
-            )
-        if self.final_rounds < 1 or self.final_roll_s < 0.0:
-            raise InvalidConfigError(
-                f"final_rounds is {self.final_rounds} and final_roll_s {self.final_roll_s}; give "
-                "at least one round, and 0 s (at once) or more"
-            )
-        for name in ("score_frames", "visibility_width"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be at least 1")
-        for name in ("support_m", "cloud_reach_m"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidConfigError(
-                    f"{name} is {getattr(self, name)}; it must be positive [m]"
-                )
+        super().__post_init__()
         missing = [name for name in PARAMETERS if name not in self.parameters]
         unknown = [name for name in self.parameters if name not in PARAMETERS]
         if missing or unknown:

@@ -8,6 +8,7 @@ towel from another: the front is taken to face up.
 """
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -16,7 +17,8 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.files.bounds import Checked
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation
@@ -25,12 +27,12 @@ from clothtrack.simulation.garments import garment
 
 FITTED_KINDS = ("towel", "tshirt")
 
-SOURCES = ("auto", "template", "network", "flat")
+Source = Literal["auto", "template", "network", "flat"]
 """Where a first mesh may come from."""
 
 
 @dataclass(frozen=True)
-class FirstMeshConfig:
+class FirstMeshConfig(Checked):
     """Where the first mesh comes from, and how it is made when the recording has no template.
 
     Attributes:
@@ -56,21 +58,10 @@ class FirstMeshConfig:
     rim_m: float = 0.001
     turns: int = 12
     doubtful_m: float = 0.01
-    source: str = "auto"
+    source: Source = "auto"
     weights: str = ""
     refined: bool = True
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
-
-    def __post_init__(self) -> None:
-        """Refuse a source that there is not.
-
-        Raises:
-            InvalidConfigError: with the sources that there are.
-        """
-        if self.source not in SOURCES:
-            raise InvalidConfigError(
-                f"first_mesh.source is {self.source!r}; choose one of {', '.join(SOURCES)}"
-            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Count, Fraction
 from clothtrack.simulation.dynamics import PickerAction
 from clothtrack.simulation.state import Attachment
 from clothtrack.tracking.seams import Corrected, Correction, Dyn, Prediction, State
 
 
 @dataclass(frozen=True)
-class LineSearchConfig:
+class LineSearchConfig(Checked):
     """Settings of the line search.
 
     Attributes:
@@ -30,22 +30,11 @@ class LineSearchConfig:
             least this many times the prediction's highest speed.
     """
 
-    decay: float = 0.7
-    trials: int = 10
+    decay: Fraction = 0.7
+    trials: Count = 10
     explosion_speed: float = 3.0
     explosion_ratio: float = 15.0
     prediction_ratio: float = 1.5
-
-    def __post_init__(self) -> None:
-        """Refuse a search that cannot end.
-
-        Raises:
-            InvalidConfigError: when decay is not inside (0, 1) or trials is not positive.
-        """
-        if not 0.0 < self.decay < 1.0:
-            raise InvalidConfigError(f"line search: decay is {self.decay}; it must be in (0, 1)")
-        if self.trials < 1:
-            raise InvalidConfigError(f"line search: trials is {self.trials}; at least 1 is needed")
 
     def threshold(self, picker_speed: float, predicted_speed: float) -> float:
         """Speed [m/s] that counts as an explosion.
