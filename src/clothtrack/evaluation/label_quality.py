@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +25,7 @@ from clothtrack.evaluation.label_evidence import (
     labels_of,
 )
 from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.bounds import Bounds, Checked, Positive
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -58,7 +59,7 @@ cross-validated rank correlation moves by 0.01.
 
 
 @dataclass(frozen=True)
-class QualityModel:
+class QualityModel(Checked):
     """The error to expect from what is observed.
 
     ln(error / 1 m) = log_error + sum of weights * ln(1 + evidence / scale), weights >= 0.
@@ -70,9 +71,9 @@ class QualityModel:
         provenance: which labels these were, of which commit, and how well it foretold others.
     """
 
-    log_error: float
+    log_error: Annotated[float, Bounds()]
     weights: Mapping[str, float]
-    typical_error_m: float
+    typical_error_m: Positive
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -81,6 +82,7 @@ class QualityModel:
         Raises:
             InvalidConfigError: with the field, its value and the limit.
         """
+        super().__post_init__()
         unknown = set(self.weights) - set(EVIDENCE_NAMES)
         if unknown:
             raise InvalidConfigError(
@@ -89,12 +91,6 @@ class QualityModel:
         for name, weight in self.weights.items():
             if not (math.isfinite(weight) and weight >= 0):
                 raise InvalidConfigError(f"weights.{name} is {weight}; it must be 0 or more")
-        if not math.isfinite(self.log_error):
-            raise InvalidConfigError(f"log_error is {self.log_error}; it must be finite")
-        if not (math.isfinite(self.typical_error_m) and self.typical_error_m > 0):
-            raise InvalidConfigError(
-                f"typical_error_m is {self.typical_error_m}; it must be positive [m]"
-            )
 
     def expected_error_m(self, evidence: LabelEvidence) -> float:
         """The mean vertex error to expect [m]; NaN where evidence that counts is missing."""

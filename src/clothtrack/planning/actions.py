@@ -6,13 +6,13 @@ direction, 5 to 20 cm. Picks near hems and corners are tried more often, since t
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Interval, Share
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, carrying_path
@@ -58,7 +58,7 @@ class PickPlace:
 
 
 @dataclass(frozen=True)
-class Workspace:
+class Workspace(Checked):
     """A box of the world that the tip may be in: what the robot reaches and nobody else needs.
 
     Attributes:
@@ -67,21 +67,9 @@ class Workspace:
         z_m: least and largest height [m].
     """
 
-    x_m: tuple[float, float] = (-0.4, 0.4)
-    y_m: tuple[float, float] = (-0.3, 0.3)
-    z_m: tuple[float, float] = (-0.005, 0.4)
-
-    def __post_init__(self) -> None:
-        """Refuse an empty box.
-
-        Raises:
-            InvalidConfigError: naming the axis.
-        """
-        for name, (low, high) in vars(self).items():
-            if not low < high:
-                raise InvalidConfigError(
-                    f"workspace.{name} is ({low}, {high}); give the smaller bound first"
-                )
+    x_m: Annotated[tuple[float, float], Interval()] = (-0.4, 0.4)
+    y_m: Annotated[tuple[float, float], Interval()] = (-0.3, 0.3)
+    z_m: Annotated[tuple[float, float], Interval()] = (-0.005, 0.4)
 
     def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
         """Which points [m] are inside."""
@@ -91,7 +79,7 @@ class Workspace:
 
 
 @dataclass(frozen=True)
-class ActionSpace:
+class ActionSpace(Checked):
     """Which pick-and-places are tried.
 
     Attributes:
@@ -108,34 +96,14 @@ class ActionSpace:
         workspace: where the tip may be.
     """
 
-    distance_m: tuple[float, float] = (0.05, 0.2)
-    lift_m: tuple[float, float] = (0.02, 0.1)
-    edges: float = 0.7
-    outwards: float = 0.5
+    distance_m: Annotated[tuple[float, float], Interval(least=0, empty=True)] = (0.05, 0.2)
+    lift_m: Annotated[tuple[float, float], Interval(least=0, empty=True)] = (0.02, 0.1)
+    edges: Share = 0.7
+    outwards: Share = 0.5
     place: Literal["anywhere", "off"] = "anywhere"
     release_height_m: float = 0.006
     picture_margin: float = 0.03
     workspace: Workspace = field(default_factory=Workspace)
-
-    def __post_init__(self) -> None:
-        """Refuse ranges that hold nothing.
-
-        Raises:
-            InvalidConfigError: with the field, its value and the limit.
-        """
-        for name in ("distance_m", "lift_m"):
-            low, high = getattr(self, name)
-            if not 0.0 <= low <= high:
-                raise InvalidConfigError(
-                    f"actions.{name} is ({low}, {high}); give the smaller bound first, from 0 up"
-                )
-        for name in ("edges", "outwards"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InvalidConfigError(
-                    f"actions.{name} is {getattr(self, name)}; it is a share, 0 to 1"
-                )
-        if self.place not in ("anywhere", "off"):
-            raise InvalidConfigError(f"actions.place is {self.place!r}; choose 'anywhere' or 'off'")
 
 
 @dataclass(frozen=True, eq=False)

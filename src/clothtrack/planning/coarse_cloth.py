@@ -1,12 +1,13 @@
 """The cloth as planning sees it: few vertices, so that a hundred futures are affordable."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Bounds, Checked, Positive
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
@@ -22,7 +23,7 @@ FEWEST = 64
 
 
 @dataclass(frozen=True)
-class CoarseConfig:
+class CoarseConfig(Checked):
     """How coarse planning is.
 
     Attributes:
@@ -30,21 +31,8 @@ class CoarseConfig:
         most_vertices: never more than this, however large the garment.
     """
 
-    spacing_m: float = 0.025
-    most_vertices: int = 400
-
-    def __post_init__(self) -> None:
-        """Refuse meshes that are none.
-
-        Raises:
-            InvalidConfigError: with the field and the value.
-        """
-        if not self.spacing_m > 0.0:
-            raise InvalidConfigError(f"spacing_m is {self.spacing_m}; it must be above 0")
-        if self.most_vertices < FEWEST:
-            raise InvalidConfigError(
-                f"most_vertices is {self.most_vertices}; give at least {FEWEST}"
-            )
+    spacing_m: Positive = 0.025
+    most_vertices: Annotated[int, Bounds(least=FEWEST)] = 400
 
 
 class Coarsener:

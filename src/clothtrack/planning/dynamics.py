@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Count, Positive
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.actions import PickPlace
 from clothtrack.recordings.recording import Table
@@ -70,7 +70,7 @@ class PlanningDynamics(Protocol):
 
 
 @dataclass(frozen=True)
-class MotionConfig:
+class MotionConfig(Checked):
     """How a planned action is carried out in the dynamics.
 
     Attributes:
@@ -79,19 +79,9 @@ class MotionConfig:
         rest_s: time after the last release until the cloth is judged [s].
     """
 
-    speed: float = 0.5
-    time_step_s: float = 0.025
+    speed: Positive = 0.5
+    time_step_s: Positive = 0.025
     rest_s: float = 0.3
-
-    def __post_init__(self) -> None:
-        """Refuse a motion that takes no time.
-
-        Raises:
-            InvalidConfigError: with the field and the value.
-        """
-        for name in ("speed", "time_step_s"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; it must be above 0")
 
 
 def held_vertex(cloth: PlannedCloth, action: PickPlace) -> int | None:
@@ -190,7 +180,7 @@ def _planning_solver() -> SolverConfig:
 
 
 @dataclass(frozen=True)
-class SimulatorConfig:
+class SimulatorConfig(Checked):
     """The solver as the dynamics of a planner.
 
     Attributes:
@@ -206,16 +196,7 @@ class SimulatorConfig:
         default_factory=lambda: ClothParameters(stretch_compliance=3e-3, bend_compliance=30.0)
     )
     solver: SolverConfig = field(default_factory=_planning_solver)
-    together: int = 26
-
-    def __post_init__(self) -> None:
-        """Refuse batches of nothing.
-
-        Raises:
-            InvalidConfigError: with the value.
-        """
-        if self.together < 1:
-            raise InvalidConfigError(f"together is {self.together}; give at least 1")
+    together: Count = 26
 
 
 def several_materials(usual: ClothParameters, count: int, seed: int) -> list[ClothParameters]:

@@ -2,10 +2,11 @@
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import content_hash
+from clothtrack.files.bounds import Checked, Count, PositiveShare
 from clothtrack.files.extras import install_command
 from clothtrack.planning.dynamics import (
     SHIPPED_WEIGHTS,
@@ -24,7 +25,7 @@ _OF_MATERIALS = 0xEF15
 
 
 @dataclass(frozen=True)
-class FlattenConfig:
+class FlattenConfig(Checked):
     """One way to flatten.
 
     Attributes:
@@ -46,30 +47,12 @@ class FlattenConfig:
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     dynamics: Literal["simulator", "mesh"] = "simulator"
     dynamics_weights: str = ""
-    materials: int = 1
+    materials: Count = 1
     simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
-    actions: int = 10
-    enough: float = 0.95
-    patience: int = 2
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be done.
-
-        Raises:
-            InvalidConfigError: with the field and the value.
-        """
-        if self.policy not in get_args(Policy):
-            raise InvalidConfigError(
-                f"policy is {self.policy!r}; choose one of {', '.join(get_args(Policy))}"
-            )
-        if self.dynamics not in ("simulator", "mesh"):
-            raise InvalidConfigError(f"dynamics is {self.dynamics!r}; choose simulator or mesh")
-        for name in ("actions", "materials", "patience"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give at least 1")
-        if not 0.0 < self.enough <= 1.0:
-            raise InvalidConfigError(f"enough is {self.enough}; it is a share, above 0 up to 1")
+    actions: Count = 10
+    enough: PositiveShare = 0.95
+    patience: Count = 2
 
 
 def weights_used(config: FlattenConfig, kind: str) -> dict[str, Path]:

@@ -8,12 +8,13 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
+from clothtrack.files.bounds import Bounds, Checked, Positive
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, distance_from_cloud
 from clothtrack.reconstruction.refinement import RefinementConfig
@@ -44,7 +45,7 @@ def _one_pass() -> TrackerConfig:
 
 
 @dataclass(frozen=True)
-class PerceptionConfig:
+class PerceptionConfig(Checked):
     """How the cloth is found.
 
     Attributes:
@@ -66,34 +67,14 @@ class PerceptionConfig:
 
     name: PerceptionName = "network"
     weights: str = ""
-    views: int = 1
+    views: Annotated[int, Bounds(least=1, most=MOST_VIEWS)] = 1
     refined: bool = True
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_count: int = 1000
     resting_height_m: float = 0.0015
-    longest_way_m: float = 0.06
-    lost_m: float = LOOSE_FIT_M
+    longest_way_m: Positive = 0.06
+    lost_m: Positive = LOOSE_FIT_M
     tracker: TrackerConfig = field(default_factory=_one_pass)
-
-    def __post_init__(self) -> None:
-        """Refuse a perception that there is not.
-
-        Raises:
-            InvalidConfigError: with those that there are.
-        """
-        if self.name not in get_args(PerceptionName):
-            raise InvalidConfigError(
-                f"perception is {self.name!r}; choose network, tracker or truth"
-            )
-        if not 1 <= self.views <= MOST_VIEWS:
-            raise InvalidConfigError(
-                f"perception.views is {self.views}; it must be from 1 to {MOST_VIEWS}"
-            )
-        for name in ("longest_way_m", "lost_m"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidConfigError(
-                    f"perception.{name} is {getattr(self, name)}; give more than 0"
-                )
 
 
 @dataclass(frozen=True, eq=False)

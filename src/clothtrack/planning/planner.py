@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Count, Natural, NotNegative
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.actions import (
     ActionSpace,
@@ -28,7 +29,7 @@ from clothtrack.planning.reward import coverage
 
 
 @dataclass(frozen=True)
-class PlannerConfig:
+class PlannerConfig(Checked):
     """How an action is chosen.
 
     Attributes:
@@ -43,25 +44,12 @@ class PlannerConfig:
         coarse: the mesh that is rolled out.
     """
 
-    candidates: int = 100
+    candidates: Count = 100
     within_picture: bool = True
-    strip_m: float = 0.06
-    finalists: int = 10
+    strip_m: NotNegative = 0.06
+    finalists: Natural = 10
     space: ActionSpace = field(default_factory=ActionSpace)
     coarse: CoarseConfig = field(default_factory=CoarseConfig)
-
-    def __post_init__(self) -> None:
-        """Refuse what chooses nothing.
-
-        Raises:
-            InvalidConfigError: with the field and the value.
-        """
-        if self.candidates < 1:
-            raise InvalidConfigError(f"candidates is {self.candidates}; give at least 1")
-        if self.finalists < 0:
-            raise InvalidConfigError(f"finalists is {self.finalists}; give 0 or more")
-        if not 0.0 <= self.strip_m < float("inf"):
-            raise InvalidConfigError(f"strip_m is {self.strip_m}; give 0 or more metres")
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ import numpy as np
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.files.atomic_write import content_hash, write_file
+from clothtrack.files.bounds import Checked, Natural
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import claim
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
@@ -57,7 +58,7 @@ def _finetune() -> "LearningConfig":
 
 
 @dataclass(frozen=True)
-class ImprovementConfig:
+class ImprovementConfig(Checked):
     """How a network gets better by flattening.
 
     Attributes:
@@ -72,7 +73,7 @@ class ImprovementConfig:
         finetune: how the network is trained on the labels.
     """
 
-    rounds: int = 1
+    rounds: Natural = 1
     episodes: int = 5
     old_share: float = 0.25
     hindsight: bool = True
@@ -85,10 +86,9 @@ class ImprovementConfig:
         """Refuse rounds that cannot end well before the first is begun.
 
         Raises:
-            InvalidConfigError: with the field and the value.
+            InvalidConfigError: with the field, its value and the limit.
         """
-        if self.rounds < 0:
-            raise InvalidConfigError(f"rounds is {self.rounds}; give at least 0")
+        super().__post_init__()
         fewest = 2 if self.rounds else 1
         if self.episodes < fewest:
             raise InvalidConfigError(

@@ -6,11 +6,12 @@ differ in where it is.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor, nn
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Bounds, Checked, NotNegative, Positive, Share
 from clothtrack.planning.graph_dynamics.mesh_prior import (
     Springs,
     above,
@@ -20,9 +21,14 @@ from clothtrack.planning.graph_dynamics.mesh_prior import (
     tethered,
 )
 
+# A weights file says how large its network is; one that was made to do harm must not take all
+# memory.
+_Steps = Annotated[int, Bounds(least=1, most=64)]
+_StepsOrNone = Annotated[int, Bounds(least=0, most=64)]
+
 
 @dataclass(frozen=True)
-class MeshNetworkConfig:
+class MeshNetworkConfig(Checked):
     """Sizes and units of the graph network.
 
     Attributes:
@@ -51,44 +57,21 @@ class MeshNetworkConfig:
             fold shortens the edges across it.
     """
 
-    width: int = 128
-    message_steps: int = 10
-    history: int = 2
-    step_s: float = 0.2
-    collision_radius_m: float = 0.03
-    length_scale_m: float = 0.025
-    velocity_scale: float = 0.25
-    acceleration_scale: float = 2.0
-    kept_velocity: float = 0.5
-    gravity: float = 3.0
-    parts: int = 12
-    dragging: int = 2
-    projections: int = 5
+    width: Annotated[int, Bounds(least=1, most=1024)] = 128
+    message_steps: _Steps = 10
+    history: _Steps = 2
+    step_s: Positive = 0.2
+    collision_radius_m: Positive = 0.03
+    length_scale_m: Positive = 0.025
+    velocity_scale: Positive = 0.25
+    acceleration_scale: Positive = 2.0
+    kept_velocity: Share = 0.5
+    gravity: NotNegative = 3.0
+    parts: _Steps = 12
+    dragging: _StepsOrNone = 2
+    projections: _StepsOrNone = 5
     tethered: bool = True
-    unfolding: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse sizes that no network has, or that would take all memory.
-
-        Raises:
-            InvalidConfigError: with the field, its value and the limits.
-        """
-        sizes = {"width": 1024, "message_steps": 64, "history": 64, "parts": 64}
-        for name, most in {**sizes, "dragging": 64, "projections": 64}.items():
-            least = 1 if name in sizes else 0
-            if not least <= getattr(self, name) <= most:
-                raise InvalidConfigError(
-                    f"{name} is {getattr(self, name)}; it must be from {least} to {most}"
-                )
-        for name in ("kept_velocity", "unfolding"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InvalidConfigError(
-                    f"{name} is {getattr(self, name)}; it is a share, from 0 to 1"
-                )
-        for name, value in vars(self).items():
-            may_be_zero = name in ("kept_velocity", "unfolding", "gravity")
-            if isinstance(value, float) and not (value > 0.0 or (may_be_zero and value == 0.0)):
-                raise InvalidConfigError(f"{name} is {value}; it must be above 0")
+    unfolding: Share = 1.0
 
 
 @dataclass(frozen=True, eq=False)

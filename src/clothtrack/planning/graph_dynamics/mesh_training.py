@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.planning.graph_dynamics.mesh_card import write_dynamics_card
@@ -41,7 +42,7 @@ _TINY = 1e-12
 
 
 @dataclass(frozen=True)
-class DynamicsTrainingConfig:
+class DynamicsTrainingConfig(Checked):
     """What the mesh dynamics learn from, and how.
 
     Attributes:
@@ -61,20 +62,10 @@ class DynamicsTrainingConfig:
             epochs=100, batch_size=1, low_rate=1e-4, high_rate=1e-4, save_steps=200
         )
     )
-    windows: int = 16
-    unrolled: int = 6
+    windows: Count = 16
+    unrolled: Count = 6
     noise_m: float = 0.003
-    examples_per_shard: int = 20
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be trained.
-
-        Raises:
-            InvalidConfigError: with the field and the value.
-        """
-        for name in ("windows", "unrolled", "examples_per_shard"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give at least 1")
+    examples_per_shard: Count = 20
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from jaxtyping import Float32, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import claim
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
@@ -43,7 +44,7 @@ _OF_ROLL_OUTS = 0x5017
 
 
 @dataclass(frozen=True)
-class RollOutConfig:
+class RollOutConfig(Checked):
     """What roll-outs are made, and how.
 
     Attributes:
@@ -58,8 +59,8 @@ class RollOutConfig:
     """
 
     vertex_count: int = 600
-    starts: int = 5
-    actions: int = 10
+    starts: Count = 5
+    actions: Count = 10
     frame_s: float = 0.05
     coarse: CoarseConfig = field(default_factory=CoarseConfig)
     motion: MotionConfig = field(
@@ -72,11 +73,9 @@ class RollOutConfig:
         """Refuse what cannot be made.
 
         Raises:
-            InvalidConfigError: with the field and the value.
+            InvalidConfigError: with the field, its value and the limit.
         """
-        for name in ("starts", "actions"):
-            if getattr(self, name) < 1:
-                raise InvalidConfigError(f"{name} is {getattr(self, name)}; give at least 1")
+        super().__post_init__()
         ratio = self.frame_s / self.motion.time_step_s
         if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9:
             raise InvalidConfigError(

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Checked, NotNegative, Positive
 from clothtrack.files.extras import install_command
 from clothtrack.planning.actions import PickPlace, Workspace
 from clothtrack.planning.robots.robot import (
@@ -58,7 +59,7 @@ class Arm(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class FrankaConfig:
+class FrankaConfig(Checked):
     """The cell around the arm.
 
     Attributes:
@@ -77,9 +78,9 @@ class FrankaConfig:
     )
     base_from_world: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     home_m: tuple[float, float, float] = (0.35, 0.0, 0.45)
-    hover_m: float = 0.12
-    leg_m: float = 0.04
-    press_m: float = 0.004
+    hover_m: NotNegative = 0.12
+    leg_m: Positive = 0.04
+    press_m: NotNegative = 0.004
 
     def __post_init__(self) -> None:
         """Refuse a cell that is not safe to begin with.
@@ -87,6 +88,7 @@ class FrankaConfig:
         Raises:
             InvalidConfigError: with the field, its value and the limit.
         """
+        super().__post_init__()
         if not 0.0 < self.limits.speed <= HIGHEST_SPEED:
             raise InvalidConfigError(
                 f"limits.speed is {self.limits.speed} m/s; it must be above 0 and at most "
@@ -96,11 +98,6 @@ class FrankaConfig:
         if np.abs(turn.T @ turn - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0.0:
             raise InvalidConfigError(
                 "base_from_world is not rigid; give the transform of the hand-eye calibration"
-            )
-        if not self.leg_m > 0.0 or self.hover_m < 0.0 or self.press_m < 0.0:
-            raise InvalidConfigError(
-                f"leg_m is {self.leg_m}, hover_m {self.hover_m}, press_m {self.press_m}; lengths "
-                "are not negative"
             )
         refusal = self.limits.refusal(np.array([self.home_m]))
         if refusal:
