@@ -176,3 +176,12 @@ def test_without_the_extra_all_but_learning_works_and_learning_says_what_it_need
     for line in lines:
         assert "learning needs torch" in line
         assert line.endswith(install_command("learn"))
+
+
+def test_track_lists_what_can_be_set_without_tracking(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["track", "--show-settings", "--set", "tracker.line_search.trials=3"]
+    assert cli.main(words) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("tracker.line_search.trials=3    ") for line in listed)
+    assert not list(tmp_path.iterdir())

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.settings import with_settings
+from clothtrack.files.settings import settings_of, with_settings
 
 
 @dataclass(frozen=True)
@@ -65,3 +65,35 @@ def test_later_settings_win():
 def test_a_wrong_setting_says_what_is_allowed(setting, told):
     with pytest.raises(InvalidConfigError, match=told):
         with_settings(Outer(), [setting])
+
+
+@dataclass(frozen=True)
+class Told:
+    """A class whose attributes are described.
+
+    Attributes:
+        rate: how often [1/s],
+            e.g. 0.5. The rest is a second thought.
+        low, high: both ends.
+        shares: of each kind.
+    """
+
+    rate: float = 0.5
+    inner: Inner = field(default_factory=Inner)
+    low: float = 0.0
+    high: float = 1.0
+    table: Inner | None = None
+    shares: Mapping[str, float] = field(default_factory=lambda: {"flat": 1.0})
+
+
+def test_settings_are_listed_with_value_and_meaning_group_by_group():
+    listed = list(settings_of(Told()))
+    assert [one.group for one in listed] == [""] * 3 + ["inner"] * 5 + ["shares"]
+    assert listed[0] == ("", "rate", "0.5", "how often [1/s], e.g. 0.5")
+    assert [one.meaning for one in listed[1:3]] == ["both ends", "both ends"]
+    assert listed[-1] == ("shares", "shares.flat", "1.0", "of each kind")
+
+
+def test_every_listed_setting_can_be_given_back_as_it_is_written():
+    words = [f"{one.name}={one.value}" for one in settings_of(Told())]
+    assert with_settings(Told(), words) == Told()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 from clothtrack.cli.learn import require_learning
-from clothtrack.cli.options import AsJson, Device, Seed, Settings
+from clothtrack.cli.options import AsJson, Device, Seed, Settings, ShowSettings, list_settings
 from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 
@@ -40,6 +40,7 @@ def flatten(
     live: bool = False,
     port: int | None = None,
     settings: Settings = (),
+    show_settings: ShowSettings = False,
     device: Device = "cpu",
     seed: Seed = 0,
     json: AsJson = False,
@@ -65,6 +66,7 @@ def flatten(
         live: show it in a browser while it happens, on this machine only.
         port: of that page; any free one by default.
         settings: changes, such as planner.candidates=300 or planner.strip_m=0.
+        show_settings: list all settings with their values and do nothing else.
         device: where to compute.
         seed: of garment, start, noise and candidates.
         json: machine-readable.
@@ -72,6 +74,8 @@ def flatten(
     config = _config(
         policy, perception, weights, dynamics, dynamics_weights, actions=actions, settings=settings
     )
+    if show_settings:
+        return list_settings(config)
     if robot == "dry-run":
         if recording is None:
             complain("a dry run plans for a picture; name its --recording")
@@ -229,6 +233,7 @@ def improve(
     episodes: int = 5,
     old: Path | None = None,
     settings: Settings = (),
+    show_settings: ShowSettings = False,
     device: Device = "cpu",
     seed: Seed = 0,
     json: AsJson = False,
@@ -246,6 +251,7 @@ def improve(
         old: folder of simulated states to mix in, against forgetting.
         settings: changes to flatten., track. and finetune., such as flatten.actions=5; or
             hindsight=False, which tracks episodes as they were filmed, not from their end.
+        show_settings: list all settings with their values and do nothing else.
         device: where to compute.
         seed: of the first episode.
         json: machine-readable.
@@ -255,6 +261,8 @@ def improve(
     from clothtrack.world.self_improvement import ImprovementConfig, improve_rounds
 
     config = with_settings(ImprovementConfig(rounds=rounds, episodes=episodes), settings)
+    if show_settings:
+        return list_settings(config)
     curve = improve_rounds(
         weights, output, garment, config, old=old, device=device, seed=seed, progress=progress
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from clothtrack.cli.options import AsJson, Device, Seed, Settings
+from clothtrack.cli.options import AsJson, Device, Seed, Settings, ShowSettings, list_settings
 from clothtrack.cli.terminal import complain, progress, say
 from clothtrack.errors import InvalidConfigError
 
@@ -65,10 +65,11 @@ def demo(
 def track(
     recordings: Positional[tuple[Path, ...]],
     *,
-    output: Path,
+    output: Path | None = None,
     mode: Mode = "default",
     weights: Path | None = None,
     settings: Settings = (),
+    show_settings: ShowSettings = False,
     workers: int = 1,
     device: Device = "cpu",
     seed: Seed = 0,
@@ -85,11 +86,17 @@ def track(
         weights: of the network that makes the first mesh of a recording without a template; the
             ones that come with clothtrack by default, and without any a flat garment is fitted.
         settings: changes to the mode, or first_mesh.source=template, network or flat.
+        show_settings: list them all with their values and do nothing else.
         workers: processes; each tracks one recording at a time.
         device: where to compute.
         seed: stored with the result.
         json: machine-readable.
     """
+    if show_settings:
+        return list_settings(_run_config(mode, settings, seed=seed))
+    if output is None:
+        complain("no place for the results; name a folder with --output")
+        return 2
     if not recordings:
         complain("no recording given; name at least one recording folder")
         return 2

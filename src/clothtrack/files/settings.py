@@ -1,13 +1,71 @@
-"""Change single settings of a nested configuration by their dotted names."""
+"""List and change single settings of a nested configuration by their dotted names."""
 
+import inspect
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar
+from textwrap import shorten
+from typing import Any, NamedTuple, TypeVar
 
 from clothtrack.errors import InvalidConfigError
 
 Config = TypeVar("Config")
+
+LINE = 120
+"""Most characters of what a setting means."""
+
+
+class Setting(NamedTuple):
+    """One value that can be changed by its name.
+
+    Attributes:
+        group: dotted name of what it belongs to; empty at the top.
+        name: its own dotted name, with the group.
+        value: as it is written in `NAME=VALUE`.
+        meaning: first sentence of its description in the docstring of its class, shortened.
+    """
+
+    group: str
+    name: str
+    value: str
+    meaning: str
+
+
+def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Setting]:
+    """All settings that `with_settings` can change, those of a group before those below it.
+
+    Args:
+        config: a dataclass, nested at will, or a mapping.
+        group: dotted name of the configuration; empty at the top.
+        meaning: what the entries of a mapping are.
+    """
+    if isinstance(config, Mapping):
+        values, meanings = dict(config), dict.fromkeys(config, meaning)
+    else:
+        values = {field.name: getattr(config, field.name) for field in fields(config)}
+        meanings = _meanings(type(config))
+    below = []
+    for key, value in values.items():
+        name = f"{group}.{key}" if group else str(key)
+        if is_dataclass(value) or isinstance(value, Mapping):
+            below.append((value, name, meanings.get(key, "")))
+        elif value is not None:  # None stands for what no text can say, such as a table
+            text = value if isinstance(value, str) else json.dumps(value)
+            yield Setting(group, name, text, meanings.get(key, ""))
+    for one in below:
+        yield from settings_of(*one)
+
+
+def _meanings(owner: type) -> dict[str, str]:
+    """The first sentence about each attribute in the docstring of a class."""
+    _, _, attributes = inspect.cleandoc(owner.__doc__ or "").partition("Attributes:\n")
+    entry = re.compile(r"^    (\w[\w, ]*): (.*(?:\n     +.*)*)", re.MULTILINE)
+    found = {}
+    for names, text in entry.findall(attributes):
+        sentence = re.split(r"\.(?: (?=[A-Z])|$)", " ".join(text.split()))[0]
+        found.update(dict.fromkeys(names.split(", "), shorten(sentence, LINE, placeholder=" ...")))
+    return found
 
 
 def with_settings(config: Config, settings: Sequence[str]) -> Config:
