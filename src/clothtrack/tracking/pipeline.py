@@ -249,8 +249,8 @@ def _refuse_other_settings(path: Path, earlier: Mapping[str, Any], config: RunCo
     found = earlier.get("config_hash")
     if found != config_hash(config):
         raise InvalidConfigError(
-            f"{path} was tracked with other settings (hash {found}, now {config_hash(config)}); "
-            "choose another --output or remove it"
+            f"{path} was tracked with other settings or by another version (hash {found}, now "
+            f"{config_hash(config)}); choose another --output, or remove it and track again"
         )
 
 
@@ -261,32 +261,13 @@ def config_hash(config: RunConfig) -> str:
 
 
 def counted_settings(config: RunConfig) -> dict[str, Any]:
-    """The settings that a kept result is known by.
-
-    Settings that came when results had already been kept count where they are not as they were, so
-    that those results stay valid; weights count by what is in their file, not by its name.
-    """
-    settings, usual = asdict(config), asdict(RunConfig())
-    for *groups, name in _CAME_LATER:
-        group, of_usual = settings, usual
-        for part in groups:
-            group, of_usual = group[part], of_usual[part]
-        if group[name] == of_usual[name]:
-            del group[name]
+    """The settings that a kept result is known by: weights by what is in their file."""
+    settings = asdict(config)
     first = settings["first_mesh"]
-    if weights := first.get("weights"):
+    if first["weights"]:
         with suppress(StorageError):
-            first["weights"] = content_hash(Path(weights))
+            first["weights"] = content_hash(Path(first["weights"]))
     return settings
-
-
-_CAME_LATER = (
-    ("first_mesh", "source"),
-    ("first_mesh", "weights"),
-    ("first_mesh", "refined"),
-    ("first_mesh", "refinement"),
-    ("tracker", "solver", "buckling"),
-)
 
 
 def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str, object]:
