@@ -9,7 +9,7 @@ the correction out, so that layers keep their sides and edges their lengths.
 """
 
 import logging
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -39,13 +39,22 @@ SETTLE_IN_S = 1e-3
 _LIFT_M = 0.05
 
 
-def _alignment() -> AlignmentConfig:
-    # Two rounds of 50 steps are the reference's 100.
-    return AlignmentConfig(iterations=50)
+ALIGNMENT = AlignmentConfig(iterations=50)
+"""Chamfer, table and length of edges of each round: two of 50 steps are the reference's 100."""
 
+CLOTH = ClothParameters(stretch_compliance=3e-3, table_friction=0.0, particle_friction=0.0)
+"""What the garment is made of while a correction is carried out: it slides freely, for a correction
+is no motion, and gives a little."""
 
-def _sliding_cloth() -> ClothParameters:
-    return ClothParameters(stretch_compliance=3e-3, table_friction=0.0, particle_friction=0.0)
+ROLL_S = 0.1
+"""Time over which the solver carries a correction out [s]: short, so that gravity has no say."""
+
+OFF_MESH_M = 0.02
+"""A canonical coordinate this far from the mesh counts 1 / e [m]."""
+
+VISIBILITY_TOLERANCE_M = 0.003
+"""How far behind the z-buffer's surface a vertex is still visible [m]: below the distance of two
+layers."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +70,10 @@ class RefinementConfig(Checked):
             alignment that follows (the paper: 10).
         laplacian_weight: of the mesh's uniform Laplacian while it is solved; smooths the mesh and
             not only its displacement (the reference: 0 when it plans, 0.01 when it is evaluated).
-        off_mesh_m: a canonical coordinate this far from the mesh counts 1 / e [m].
         outlier_m: an observed point that misses its place on the mesh by this counts a quarter [m]:
             its canonical coordinate is wrong (S. Geman, D. McClure, 1987).
-        alignment: Chamfer, table and length of edges (`length_weight`) of each round.
         visibility_width: width [pixels] of the z-buffer that decides visibility.
-        visibility_tolerance_m: how far [m] behind the z-buffer's surface a vertex is still visible.
-        roll_s: time over which the solver carries a correction out [s]; 0 displaces the vertices.
-        strength: of its pull on visible vertices over `roll_s`.
-        cloth: what the garment is made of while that lasts: it slides freely, for a correction is
-            no motion, and gives a little.
-        solver: the cloth simulator; the table is the recording's.
+        strength: of the pull on visible vertices while the solver carries a correction out.
     """
 
     rounds: Count = 2
@@ -79,15 +81,9 @@ class RefinementConfig(Checked):
     consistency_weight: NotNegative = 10.0
     rigidity_weight: NotNegative = 10.0
     laplacian_weight: NotNegative = 0.0
-    off_mesh_m: Positive = 0.02
     outlier_m: Positive = 0.02
-    alignment: AlignmentConfig = field(default_factory=_alignment)
     visibility_width: Count = 320
-    visibility_tolerance_m: float = 0.003
-    roll_s: NotNegative = 0.1
     strength: Fraction = 0.999
-    cloth: ClothParameters = field(default_factory=_sliding_cloth)
-    solver: SolverConfig = field(default_factory=SolverConfig)
 
     def __post_init__(self) -> None:
         """Refuse values that contradict each other.
@@ -155,14 +151,14 @@ class Refiner:
             )
         self._mesh, self._observation, self._config = mesh, observation, config
         self._table = table
-        self._solver_config = replace(config.solver, table=table)
+        self._solver_config = SolverConfig(table=table)
         cameras = tuple(one.resized(config.visibility_width) for one in observation.cameras)
         self._visible = VisibilityCheck(
-            mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m, device=device
+            mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M, device=device
         )
-        self._aligner = CloudAligner(rest or mesh, config.alignment, device=device)
+        self._aligner = CloudAligner(rest or mesh, ALIGNMENT, device=device)
         self._dynamics = None
-        if rest is not None and config.roll_s > 0.0:
+        if rest is not None:
             self._dynamics = self._laid_out(rest, device)
 
     def refine(self, seen: SeenPoints | None = None) -> Refinement:
@@ -212,9 +208,7 @@ class Refiner:
         point = np.zeros(3) if self._table is None else self._table.point
         above = rest.vertices - rest.vertices[:, 2].min() * np.array([0.0, 0.0, 1.0])
         flat = rest.with_vertices(above + point + (0.0, 0.0, _LIFT_M))
-        solver = ClothSolver(
-            flat, self._solver_config, parameters=self._config.cloth, device=device
-        )
+        solver = ClothSolver(flat, self._solver_config, parameters=CLOTH, device=device)
         solver.step(SETTLE_IN_S)
         return ClothDynamics(solver, DynamicsConfig(velocity_kept=0.0))
 
@@ -235,7 +229,7 @@ class Refiner:
         strength = np.where(visible, self._config.strength, 0.0).astype(np.float32)
         pull = Attachment(wanted[None].astype(np.float32), strength[None])
         try:
-            rolled = self._dynamics.roll_out(None, None, self._config.roll_s, pull)
+            rolled = self._dynamics.roll_out(None, None, ROLL_S, pull)
         except SimulationDivergedError:
             return None
         ended: Float32[np.ndarray, "vertices 3"] = rolled.positions[0]
@@ -273,7 +267,7 @@ def consistent_displacement(
     shows = sparse.coo_array(entries, (len(face), mesh.vertex_count)).tocsr()
     away = np.linalg.norm(shows @ canonical - seen.canonical, axis=1)
     miss = seen.points - shows @ mesh.vertices
-    weight = seen.confidence * np.exp(-((away / config.off_mesh_m) ** 2))
+    weight = seen.confidence * np.exp(-((away / OFF_MESH_M) ** 2))
     weight = weight / (1.0 + (np.linalg.norm(miss, axis=1) / config.outlier_m) ** 2) ** 2
     if not weight.sum() > 0.0:
         return np.zeros((mesh.vertex_count, 3))
