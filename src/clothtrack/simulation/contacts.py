@@ -17,7 +17,7 @@ from clothtrack.simulation import triangle_push_kernels as pushes
 from clothtrack.simulation.buffers import ClothBuffers
 from clothtrack.simulation.cells import CELLS_PER_ENVIRONMENT
 from clothtrack.simulation.edge_contact import EdgeContact
-from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.simulation.parameters import CONTACT_TOLERANCE, SolverConfig
 from clothtrack.simulation.triangle_contact_kernels import TRIANGLES_PER_VERTEX
 
 REACTIONS_PER_VERTEX = 48
@@ -200,7 +200,7 @@ class TriangleContact:
                 config.thickness_m,
                 config.contact_margin_m,
                 config.contact_depth_m,
-                config.contact_tolerance,
+                CONTACT_TOLERANCE,
                 buffers.faces,
                 buffers.rest,
                 buffers.positions,
@@ -226,7 +226,7 @@ class TriangleContact:
             dim=shape,
             inputs=[
                 self._cells_per_metre,
-                self._config.contact_tolerance,
+                CONTACT_TOLERANCE,
                 buffers.faces,
                 self._face_reach,
                 buffers.positions,
@@ -267,7 +267,7 @@ class TriangleContact:
         buffers, config = self.buffers, self._config
         return [
             buffers.clocks,
-            config.contact_tolerance,
+            CONTACT_TOLERANCE,
             config.push_out_speed,
             self._friction,
             buffers.faces,
@@ -393,5 +393,5 @@ def _face_reach(mesh: ClothMesh, config: SolverConfig) -> np.ndarray:
     """
     corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]
     radius = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-    flat = 1.05 * (1.0 + 3.0 * config.contact_tolerance) * radius
+    flat = 1.05 * (1.0 + 3.0 * CONTACT_TOLERANCE) * radius
     return np.hypot(flat, config.contact_depth_m)

@@ -9,6 +9,12 @@ from jaxtyping import Float, Float32, Int
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState, pull_rate, pull_strength
 
+PICKER_STEP_M = 0.005
+"""No step moves a held vertex further than this [m]."""
+
+LONGEST_STEP_S = 0.05
+"""No step lasts longer [s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeldMotion:
@@ -78,19 +84,15 @@ class RollOut:
 
 @dataclass(frozen=True)
 class DynamicsConfig:
-    """How a roll-out is cut into steps of the solver.
+    """What a roll-out keeps of the motion.
 
     Attributes:
-        picker_step_m: no step moves a held vertex further than this [m].
-        longest_step_s: no step lasts longer [s].
         velocity_kept: after a pseudo-action every vertex gets this share of its mean velocity over
             the roll-out, (x_new - x_old) / duration; the velocity of the last substep would hold
             the energy of the pull. Less than 1 also keeps the noise of the observation from
             becoming momentum.
     """
 
-    picker_step_m: float = 0.005
-    longest_step_s: float = 0.05
     velocity_kept: float = 1.0
 
 
@@ -100,7 +102,7 @@ class ClothDynamics:
 
     Attributes:
         solver: steps the cloth; its own state is overwritten by every roll-out.
-        config: how a roll-out is cut into steps.
+        config: what is kept of the motion.
     """
 
     solver: ClothSolver
@@ -160,8 +162,8 @@ class ClothDynamics:
             way = motion.longest_way_m + float(gap)
         return max(
             1,
-            math.ceil(duration_s / self.config.longest_step_s - 1e-6),
-            math.ceil(way / self.config.picker_step_m - 1e-6),
+            math.ceil(duration_s / LONGEST_STEP_S - 1e-6),
+            math.ceil(way / PICKER_STEP_M - 1e-6),
         )
 
 

@@ -4,8 +4,15 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Bounds, Checked, Count, NotNegative, Positive
+from clothtrack.files.bounds import Bounds, Checked, NotNegative, Positive
 from clothtrack.recordings.recording import Table
+
+ELASTIC_SUBSTEPS = 3
+"""Parts of a substep; stretch and bend are solved once in each. The sag of a hanging cloth falls
+with the square of their number."""
+
+CONTACT_TOLERANCE = 0.15
+"""How far outside a triangle a vertex still touches it, in barycentric units."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +43,6 @@ class SolverConfig(Checked):
             thickness; "none" lets layers pass.
         thickness_m: distance that layers keep [m]; a vertex rests half of it above the table.
         substep_s: longest substep [s]; contacts and the table are solved once per substep.
-        elastic_substeps: parts of a substep; stretch and bend are solved once in each. The sag of
-            a hanging cloth falls with the square of their number.
         area_density: mass per area [kg/m^2].
         gravity: acceleration of the whole scene [m/s^2]; add a draught or a tilted camera here.
         damping: rate at which a free vertex loses speed to the air [1/s].
@@ -48,8 +53,6 @@ class SolverConfig(Checked):
         rebuild_s: time between two searches for contact candidates [s].
         contact_margin_m: candidates are kept this far beyond the contact distance [m].
         contact_depth_m: deepest crossing that a contact still knows how to undo [m].
-        contact_tolerance: how far outside a triangle a vertex still touches it, in barycentric
-            units.
         edge_contact: let creased edges keep clear of edges too (vertex-triangle contact only).
         push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; one that is
             still on its own side is kept there whatever it takes.
@@ -62,7 +65,6 @@ class SolverConfig(Checked):
     contact: Literal["vertex-triangle", "particle", "none"] = "vertex-triangle"
     thickness_m: Positive = 0.003
     substep_s: Positive = 1.1e-3
-    elastic_substeps: Count = 3
     area_density: Positive = 0.2
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     damping: float = 1.0
@@ -72,7 +74,6 @@ class SolverConfig(Checked):
     rebuild_s: Positive = 0.01
     contact_margin_m: float = 0.0025
     contact_depth_m: float = 0.007
-    contact_tolerance: float = 0.15
     edge_contact: bool = True
     push_out_speed: float = 0.6
     bend_limit: float = 0.55

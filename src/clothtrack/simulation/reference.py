@@ -15,7 +15,12 @@ from clothtrack.simulation.constraints import (
     bend_constraints,
     stretch_constraints,
 )
-from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.parameters import (
+    CONTACT_TOLERANCE,
+    ELASTIC_SUBSTEPS,
+    ClothParameters,
+    SolverConfig,
+)
 
 
 @dataclass(eq=False)
@@ -47,7 +52,7 @@ class ReferenceCloth:
     def substep(self, substep_s: float, substeps_left: int) -> None:
         """Advance by one substep [s], of which `substeps_left` remain in the step."""
         config = self.config
-        parts = config.elastic_substeps
+        parts = ELASTIC_SUBSTEPS
         elastic_s = substep_s / parts
         masses = self.mesh.vertex_areas * config.area_density
         held = self.pull == -1.0
@@ -153,7 +158,7 @@ def _triangle_contact(cloth: ReferenceCloth, positions, start, inverse, substep_
                 np.stack([b - a, c - a], axis=1), positions[vertex] - a, rcond=None
             )[0]
             foot = np.array([1.0 - foot.sum(), *foot])
-            if height >= kept or foot.min() < -cloth.config.contact_tolerance:
+            if height >= kept or foot.min() < -CONTACT_TOLERANCE:
                 continue
             if inverse[vertex] == 0.0 and (inverse[corners] == 0.0).any():
                 continue

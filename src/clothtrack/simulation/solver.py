@@ -24,7 +24,7 @@ from clothtrack.simulation.contacts import (
     ParticleContact,
     TriangleContact,
 )
-from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.parameters import ELASTIC_SUBSTEPS, ClothParameters, SolverConfig
 from clothtrack.simulation.state import Attachment, ClothState, ContactMemory, pull_rate
 
 logger = logging.getLogger(__name__)
@@ -241,7 +241,7 @@ class ClothSolver:
         between_searches = max(1, round(self.config.rebuild_s / substep_s))
         clock = kernels.Clock()
         clock.substep_s = substep_s
-        clock.elastic_s = substep_s / self.config.elastic_substeps
+        clock.elastic_s = substep_s / ELASTIC_SUBSTEPS
         clock.inverse_square = 1.0 / clock.elastic_s**2
         clock.decay = math.exp(-self.config.damping * clock.elastic_s)
         clock.rebuild_s = substep_s * between_searches
@@ -305,7 +305,7 @@ class ClothSolver:
         inputs = [
             buffers.clocks,
             buffers.substeps_left,
-            config.elastic_substeps,
+            ELASTIC_SUBSTEPS,
             wp.vec3(*config.gravity),
             buffers.pull,
             buffers.goals,
@@ -313,7 +313,7 @@ class ClothSolver:
             buffers.velocities,
             buffers.predicted,
         ]
-        for part in range(config.elastic_substeps):
+        for part in range(ELASTIC_SUBSTEPS):
             kernel = kernels.begin_substep if part == 0 else kernels.continue_substep
             wp.launch(
                 kernel,
