@@ -69,7 +69,22 @@ def test_commands_and_options_exist(document):
             assert option in options, f"{verb} --{option}"
 
 
-def test_the_readme_shows_every_verb():
+def test_one_table_has_every_verb_once():
+    text = (ROOT / "docs" / "cli.md").read_text()
+    named = re.findall(r"^\| `clothtrack ([\w-]+)", text, re.MULTILINE)
+    assert sorted(named) == sorted(VERBS)
+
+
+def test_the_table_says_which_verbs_write_json():
+    text = (ROOT / "docs" / "cli.md").read_text()
+    told = dict(re.findall(r"^\| `clothtrack ([\w-]+).*\| (\w*) *\|$", text, re.MULTILINE))
+    for name, verb in VERBS.items():
+        writes = "json" in inspect.signature(inspect.unwrap(verb)).parameters
+        assert told[name] == ("yes" if writes else ""), name
+
+
+def test_the_readme_shows_the_first_verbs_and_leads_to_the_others():
     text = (ROOT / "README.md").read_text()
-    for name in VERBS:
+    for name in ("demo", "import", "track", "evaluate", "view"):
         assert f"`clothtrack {name}" in text
+    assert "(docs/cli.md)" in text
