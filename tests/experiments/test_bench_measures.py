@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench_measures import finite, swapped_layers, without_slip
+from shared.bench_measures import finite, swapped_layers, without_slip
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.garments import towel

@@ -3,9 +3,9 @@
 import json
 from dataclasses import replace
 
-import bench_runs
 import pytest
-from bench_runs import Task, Trajectory, Variant
+from shared import bench_runs
+from shared.bench_runs import Task, Trajectory, Variant
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.tracking.configuration import mode

@@ -1,6 +1,6 @@
 """Offline parameters are the modes of the online ones."""
 
-import calibration
+from tables import calibration
 
 from clothtrack.tracking.configuration import mode
 

@@ -1,8 +1,8 @@
 """The four questions of the figure, answered from rows."""
 
-import error_sources
 import pytest
-from error_sources import causes, contributions, drift, shape_or_place
+from figures import error_sources
+from figures.error_sources import causes, contributions, drift, shape_or_place
 
 
 def row(variant, recording="towel_0", action=1, **measures):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from first_meshes import resampled, with_first_mesh_error
+from shared.first_meshes import resampled, with_first_mesh_error
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation.truth import Truth

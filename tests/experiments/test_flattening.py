@@ -3,16 +3,18 @@
 import shutil
 
 import cv2
-import flattening
-import flattening_figure
-import network_on_heaps
 import numpy as np
-import planning_dynamics
-import planning_perception
-import planning_promises
 import pytest
-import tables
-from bench_runs import read_rows, write_rows
+from figures import flattening_figure
+from shared import tables
+from shared.bench_runs import read_rows, write_rows
+from tables import (
+    flattening,
+    network_on_heaps,
+    planning_dynamics,
+    planning_perception,
+    planning_promises,
+)
 
 from clothtrack.errors import InvalidConfigError
 

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-import label_quality
 import numpy as np
 import pytest
-from bench_runs import read_rows
-from label_quality import Judged, cross_validated
+from shared.bench_runs import read_rows
+from tables import label_quality
+from tables.label_quality import Judged, cross_validated
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation.label_evidence import LabelEvidence

@@ -10,13 +10,10 @@ import pytest
 
 pytest.importorskip("torch", reason="the extra [learn] brings it")
 
-import learning_columns
-import learning_experiment
-import real_reconstruction
-import reconstruction_figure
-import tables
-from bench_runs import trajectories
-from learning_labels import (
+from figures import real_reconstruction, reconstruction_figure
+from shared import learning_columns, learning_experiment, tables
+from shared.bench_runs import trajectories
+from shared.learning_labels import (
     digest_of,
     kept_labels,
     label_mesh,
@@ -24,7 +21,7 @@ from learning_labels import (
     tracked_labels,
     true_labels,
 )
-from learning_measures import Case, canonical_errors, vertex_errors
+from shared.learning_measures import Case, canonical_errors, vertex_errors
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation.truth import Truth, material_map, material_points
@@ -48,7 +45,7 @@ def bench(tmp_path_factory):
 
 @pytest.mark.parametrize(("name", "variants"), VARIANTS.items())
 def test_an_experiment_runs_and_a_second_call_makes_nothing(name, variants, bench, capsys):
-    module = importlib.import_module(name)
+    module = importlib.import_module(f"tables.{name}")
     assert module.main(["--smoke", "--bench", str(bench)]) == 0
     first = capsys.readouterr()
     rows = [
@@ -114,7 +111,7 @@ def test_real_recordings_are_drawn_and_absent_ones_say_why(tmp_path, capsys):
 
 
 def test_splits_that_overlap_are_refused(bench, capsys):
-    module = importlib.import_module("network_alone")
+    module = importlib.import_module("tables.network_alone")
     weights = learning_experiment.tiny_network(bench / "tiny.safetensors")
     words = ["--bench", str(bench), "--weights", str(weights), "--split", "dev"]
     assert module.main(words) == 1

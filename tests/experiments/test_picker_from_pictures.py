@@ -2,8 +2,8 @@
 
 import json
 
-import picker_from_pictures
 import pytest
+from tables import picker_from_pictures
 
 
 @pytest.mark.slow

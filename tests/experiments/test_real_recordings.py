@@ -3,8 +3,8 @@
 import json
 
 import pytest
-import real_recordings
 from real import hanging_cloth, robot_clouds, tshirt_pair
+from tables import real_recordings
 
 
 def test_absent_sets_are_skipped_with_a_reason(tmp_path, capsys):

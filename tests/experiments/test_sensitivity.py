@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
-import sensitivity
-from collision import weighted
-from experiment import Setup
+from shared.experiment import Setup
+from tables import sensitivity
+from tables.collision import weighted
 
 from clothtrack.tracking.configuration import mode
 

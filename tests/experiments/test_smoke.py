@@ -3,12 +3,11 @@
 import importlib
 import json
 
-import error_sources
-import label_quality
-import method_strip
 import pytest
-import tables
-from bench_runs import read_rows
+from figures import error_sources, method_strip
+from shared import tables
+from shared.bench_runs import read_rows
+from tables import label_quality
 
 EXPERIMENTS = {
     "table1": 7,
@@ -35,7 +34,7 @@ def bench(tmp_path_factory):
 def test_an_experiment_runs(name, variants, bench, capsys):
     if name == "model_free":
         pytest.importorskip("biocpd", reason="the extra [experiments] brings it")
-    module = importlib.import_module(name)
+    module = importlib.import_module(f"tables.{name}")
     assert module.main(["--smoke", "--bench", str(bench)]) == 0
     printed = capsys.readouterr().out
     lines = (bench / "experiments" / f"{name}.jsonl").read_text().splitlines()
@@ -65,7 +64,7 @@ def test_settings_reach_the_tracker(bench):
 
 
 def test_a_second_call_tracks_nothing(bench, capsys):
-    table1 = importlib.import_module("table1")
+    table1 = importlib.import_module("tables.table1")
     assert table1.main(["--smoke", "--bench", str(bench), "--only", "open_loop"]) == 0
     capsys.readouterr()
     assert table1.main(["--smoke", "--bench", str(bench), "--only", "open_loop"]) == 0
@@ -75,7 +74,7 @@ def test_a_second_call_tracks_nothing(bench, capsys):
 
 
 def test_pictures_are_drawn_from_the_rows(bench, tmp_path, capsys):
-    table1 = importlib.import_module("table1")
+    table1 = importlib.import_module("tables.table1")
     table1.main(["--smoke", "--bench", str(bench), "--only", "default", "open_loop"])
     strip = tmp_path / "strip.png"
     arguments = ["--bench", str(bench), "--recording", "towel_0000", "--image", str(strip)]
@@ -91,7 +90,7 @@ def test_pictures_are_drawn_from_the_rows(bench, tmp_path, capsys):
 
 
 def test_labels_are_judged_from_what_a_run_leaves(bench, tmp_path, capsys):
-    table1 = importlib.import_module("table1")
+    table1 = importlib.import_module("tables.table1")
     table1.main(["--smoke", "--bench", str(bench), "--only", "default"])
     rows = bench / "experiments"
     capsys.readouterr()

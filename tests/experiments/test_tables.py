@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-import tables
-from bench_runs import write_rows
+from shared import tables
+from shared.bench_runs import write_rows
+from tables.tables import main
 
 STAMP = {"commit": "abc1234", "clothtrack": "0.1.0"}
 
@@ -88,11 +89,11 @@ def test_garments_stand_apart(rows):
 
 def test_tables_come_from_files_and_go_to_one(rows, tmp_path, capsys):
     write_rows(rows, tmp_path / "table1.jsonl")
-    assert tables.main(["--rows", str(tmp_path), "--markdown", str(tmp_path / "t.md")]) == 0
+    assert main(["--rows", str(tmp_path), "--markdown", str(tmp_path / "t.md")]) == 0
     text = (tmp_path / "t.md").read_text()
     assert text == capsys.readouterr().out
     assert text == tables.markdown("table1", rows)
-    assert tables.main(["collision", "--rows", str(tmp_path)]) == 1
+    assert main(["collision", "--rows", str(tmp_path)]) == 1
 
 
 def test_every_experiment_of_the_paper_has_columns_and_a_title():

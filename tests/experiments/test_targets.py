@@ -1,8 +1,8 @@
 """Targets are met or missed by what the rows say."""
 
 import pytest
-import targets
-from bench_runs import write_rows
+from shared.bench_runs import write_rows
+from tables import targets
 
 
 def row(variant, recording, action, error, **measures):

@@ -2,7 +2,7 @@
 
 The logarithm of the error is a sum over the evidence, each piece as a logarithm and with a weight
 that is never negative: what looks worse can only make the expected error larger. The weights come
-with the package; `experiments/label_quality.py` fits them on the benchmark's `dev` split.
+with the package; `python experiments label_quality` fits them on the benchmark's `dev` split.
 """
 
 import json
@@ -138,12 +138,12 @@ class QualityModel(Checked):
                 return cls(**{key: document[key] for key in keys})
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InvalidResultError(
-                f"{path} is not a label quality model ({error}); experiments/label_quality.py "
-                "--fit writes one"
+                f"{path} is not a label quality model ({error}); "
+                "python experiments label_quality --fit writes one"
             ) from error
         raise InvalidResultError(
             f"{path}: format and version are {found}, expected {(FORMAT, FORMAT_VERSION)}; "
-            "fit it again with experiments/label_quality.py --fit"
+            "fit it again with python experiments label_quality --fit"
         )
 
 

@@ -17,7 +17,7 @@ _LIMITS = """\
 - It has learned from our simulator, where materials were drawn at random, and knows none of them.
 - The mesh has edges of about 25 mm; folds that are finer are not in it.
 - It predicts one gripper that takes one point, on a level table.
-- Whether to plan in it or in the simulator, `experiments/planning_dynamics.py` tells."""
+- Whether to plan in it or in the simulator, `python experiments planning_dynamics` tells."""
 
 
 def _learned_in_words(whole: Mapping[str, float]) -> str:

@@ -1,0 +1,44 @@
+"""Run one experiment, from any folder.
+
+    python experiments                      the list, which is README.md
+    python experiments NAME [OPTION ...]    a script of tables/ or figures/; NAME --help for options
+
+Python looks for imports beside this file, so that scripts share modules by their full names
+(`from shared.bench_runs import Task`) and nothing has to be installed.
+"""
+
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from shared.figures import say
+
+HERE = Path(__file__).parent
+FOLDERS = ("tables", "figures")
+
+
+def scripts() -> dict[str, str]:
+    """The module of every script by its name."""
+    return {
+        file.stem: f"{folder}.{file.stem}"
+        for folder in FOLDERS
+        for file in sorted((HERE / folder).glob("[!_]*.py"))
+    }
+
+
+def main() -> int | None:
+    """Run the script that the command line names; returns its exit code."""
+    name, *options = sys.argv[1:] or ["--help"]
+    if name in ("-h", "--help"):
+        say((HERE / "README.md").read_text(encoding="utf-8"))
+        return 0
+    known = scripts()
+    if name not in known:
+        sys.stderr.write(f"there is no experiment {name!r}; known are {', '.join(known)}\n")
+        return 2
+    sys.argv = [f"experiments {name}", *options]
+    return import_module(known[name]).main()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

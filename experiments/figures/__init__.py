@@ -1,0 +1,1 @@
+"""Scripts that draw or film what the documents show."""

@@ -1,0 +1,136 @@
+"""The screenshots of docs/report.md: each page opened in a headless Chromium, as a reader sees it.
+
+    clothtrack simulate out/world --garment tshirt --actions 2
+    clothtrack track out/world/recordings/* --output out/tracked
+    .venv/bin/python experiments docs_screenshots --tracked out/tracked/tshirt_0000.zarr \
+        --recordings out/world/recordings --truth out/world/truth
+
+writes docs/images/report_*.png. Chromium must be on the path; it draws without a graphics card.
+"""
+
+import argparse
+import importlib.util
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+from shared.figures import say, write_png
+
+from clothtrack.evaluation.label_review import LabelReview
+from clothtrack.evaluation.truth import Truth
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.report.live import Decisions, live_page
+from clothtrack.report.page import write_report
+from clothtrack.tracking.artefacts import inside, load_tracked, recording_of
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+WIDTH_PX = 1000
+BROWSER = Path(__file__).parents[2] / "tests" / "report" / "chromium.py"
+READY = "document.body.dataset.ready === 'yes'"
+TURN = """(() => {
+  const set = (name, value, event) => {
+    const one = document.querySelector(`[name=${name}]`);
+    one.value = value;
+    one.dispatchEvent(new Event(event));
+  };
+  set('mode', '%s', 'change');
+  set('gap', %s, 'input');
+  set('opacity', %s, 'input');
+  const bar = document.querySelector('#time');
+  bar.value = bar.max;
+  bar.dispatchEvent(new Event('input'));
+  document.querySelector('.stage').scrollIntoView();
+})()"""
+
+
+def browser() -> ModuleType:
+    """What drives Chromium in the tests."""
+    spec = importlib.util.spec_from_file_location("chromium", BROWSER)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextmanager
+def opened(where: Path | str) -> Iterator[Any]:
+    """A page in a browser of its own."""
+    chromium = browser()
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+        chromium.opened(chromium.find_chromium(), where, Path(profile)) as page,
+    ):
+        yield page
+
+
+def save(page: Any, image: Path) -> None:
+    """Save what is seen, as small as a document wants it."""
+    shown = cv2.imdecode(np.frombuffer(page.picture(), np.uint8), 1)[..., ::-1]
+    height = round(WIDTH_PX * shown.shape[0] / shown.shape[1])
+    small = cv2.resize(shown, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+    write_png(image, np.ascontiguousarray(small))
+    say(f"{image}: {image.stat().st_size / 1e3:.0f} kB\n")
+
+
+def shoot_report(file: Path, image: Callable[[str], Path]) -> None:
+    """The offline report: what it opens with, layers apart, the error against the truth."""
+    with opened(file) as page:
+        page.wait_for(READY)
+        for name, mode, gap, opacity in (
+            ("sides", "sides", 0, 1),
+            ("layers", "visible", 0.1, 0.7),
+            ("truth", "truth", 0, 1),
+        ):
+            page.ask(TURN % (mode, gap, opacity))
+            page.wait_for("!document.querySelector('video').seeking")
+            time.sleep(2)
+            save(page, image(name))
+        page.ask("void document.querySelector('.charts').scrollIntoView()")
+        time.sleep(1)
+        save(page, image("curves"))
+
+
+def shoot_live(tracked: TrackedTrajectory, file: Path, image: Callable[[str], Path]) -> None:
+    """The served page at the last label, rejected."""
+    review = file.with_name(f"{tracked.name}.review.json")
+    addresses: list[str] = []
+    decisions = Decisions(LabelReview.blank(tracked), review)
+    with live_page(tracked.name, decisions=decisions, opened=addresses.append) as live:
+        live.show(file)
+        with opened(addresses[0]) as page:
+            page.wait_for(READY)
+            for key, code in (("a", "KeyA"), ("r", "KeyR")):
+                page.press(key, code)
+            page.wait_for("document.querySelector('[data-verdict=rejected]') !== null")
+            page.ask("void document.querySelector('#review').scrollIntoView({block: 'end'})")
+            time.sleep(3)
+            save(page, image("live"))
+
+
+def main() -> None:
+    """Open every page and save what is seen."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tracked", type=Path, required=True)
+    parser.add_argument("--recordings", type=Path, required=True)
+    parser.add_argument("--truth", type=Path, required=True)
+    parser.add_argument("--images", type=Path, default=Path("docs/images"))
+    arguments = parser.parse_args()
+    quiet_warp()
+    tracked = load_tracked(arguments.tracked)
+    recording = recording_of(tracked, arguments.recordings, arguments.tracked)
+    truth = Truth.load(inside(arguments.truth, f"{tracked.name}.npz"))
+
+    def image(name: str) -> Path:
+        return arguments.images / f"report_{name}.png"
+
+    with tempfile.TemporaryDirectory() as folder:
+        page = write_report(tracked, recording, Path(folder) / "report.html", truth=truth)
+        shoot_report(page, image)
+        shoot_live(tracked, page, image)

@@ -1,0 +1,282 @@
+"""Runs of an experiment over a benchmark: what is tracked, how, and one row per mesh.
+
+A run is one trajectory in one variant. Its rows are kept under the hash of everything that it
+depends on, so that experiments share runs and a broken experiment goes on where it stopped.
+"""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from clothtrack.baselines.coherent_point_drift import PeerConfig, follow
+from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.evaluation.label_evidence import Label
+from clothtrack.evaluation.truth import Truth
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.initial_state import first_cloth
+from clothtrack.tracking.pipeline import RunConfig, counted_settings, observer, provenance
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.tracking.tracker import Tracker
+from shared.bench_measures import ROW_FORMAT, Row, finite, measure
+from shared.first_meshes import resampled, with_first_mesh_error
+
+BENCH_FILE = "bench.json"
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One recording of a benchmark, its truth, and the split it belongs to.
+
+    Attributes:
+        name: of the recording.
+        kind: the garment.
+        split: "dev", "test", "hard", or "" in a world without splits.
+        recording: its folder.
+        truth: the file that only the evaluation and the named controls read.
+    """
+
+    name: str
+    kind: str
+    split: str
+    recording: Path
+    truth: Path
+
+    @property
+    def digest(self) -> str:
+        """Ten hexadecimal digits that change with what is measured, and with the truth."""
+        return _content_digest(self.recording, self.truth)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to track; every field is part of the hash but the name.
+
+    Attributes:
+        name: as the tables call it.
+        config: the tracker and what feeds it.
+        vertex_count: resample the first mesh to about so many vertices; None leaves it.
+        first_mesh_error: factor on the first mesh's deviation from the truth. Anything but 1 is a
+            control that reads the truth of the first frame, and no result.
+        peer: the model-free peer instead of the tracker.
+    """
+
+    name: str
+    config: RunConfig = field(default_factory=RunConfig)
+    vertex_count: int | None = None
+    first_mesh_error: float = 1.0
+    peer: PeerConfig | None = None
+
+    @property
+    def digest(self) -> str:
+        """Twelve hexadecimal digits that change with every setting."""
+        settings = {key: value for key, value in asdict(self).items() if key != "name"}
+        settings["config"] = counted_settings(self.config)
+        text = json.dumps(settings, sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run.
+
+    Attributes:
+        trajectory: what is tracked.
+        variant: how.
+        store: folder of all runs.
+        device: "cpu" or "cuda:0".
+    """
+
+    trajectory: Trajectory
+    variant: Variant
+    store: Path
+    device: str = "cpu"
+
+    @property
+    def file(self) -> Path:
+        """The run's rows; its meshes lie beside it with the suffix .npz."""
+        key = f"{self.variant.digest}-{self.trajectory.digest}-{ROW_FORMAT}"
+        return self.store / self.trajectory.name / f"{key}.jsonl"
+
+
+@cache
+def _content_digest(recording: Path, truth: Path) -> str:
+    # The same actions filmed with another noise differ in nothing but their pictures.
+    content = hashlib.sha256(truth.read_bytes())
+    for file in sorted(each for each in recording.rglob("*") if each.is_file()):
+        if file.parent.name != "color":
+            content.update(file.name.encode())
+            content.update(file.read_bytes())
+    return content.hexdigest()[:10]
+
+
+def trajectories(
+    bench: Path, split: str | None = None, limit: int | None = None
+) -> list[Trajectory]:
+    """The recordings of a benchmark folder whose truth is there too.
+
+    Args:
+        bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.
+        split: only this one; a folder without bench.json is one split and ignores it.
+        limit: so many, garments taking turns.
+
+    Raises:
+        InvalidConfigError: when nothing is left.
+    """
+    listed = bench / BENCH_FILE
+    if listed.exists():
+        entries = json.loads(listed.read_text(encoding="utf-8"))["trajectories"]
+        labels = [(one["name"], one["kind"], one["split"]) for one in entries]
+        labels = [label for label in labels if split in (None, label[2])]
+    else:
+        names = sorted(each.name for each in (bench / "recordings").glob("[!.]*"))
+        labels = [(name, name.rpartition("_")[0], "") for name in names]
+    found = [
+        Trajectory(name, kind, of, bench / "recordings" / name, truth)
+        for name, kind, of in labels
+        if (truth := bench / "truth" / f"{name}.npz").exists()
+    ]
+    if not found:
+        raise InvalidConfigError(f"{bench} has no recordings with truth in split {split!r}")
+    turn: dict[str, int] = {}
+    order = {}
+    for each in found:
+        order[each.name] = turn.get(each.kind, 0)
+        turn[each.kind] = order[each.name] + 1
+    return sorted(found, key=lambda each: (order[each.name], each.name))[:limit]
+
+
+def run_all(
+    tasks: Sequence[Task],
+    *,
+    workers: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> list[list[Row]]:
+    """The rows of every task, in order; finished runs are read, the others are made.
+
+    A run that fails for a reason that the package can name gives one row with that `error`, which
+    is not kept.
+    """
+    # Two names may stand for one run.
+    missing = {task.file: task for task in tasks if not task.file.exists()}
+    failed: dict[Path, list[Row]] = {}
+
+    def note(task: Task, rows: list[Row]) -> None:
+        if not task.file.exists():
+            failed[task.file] = rows
+        word = rows[0].get("error") or f"{rows[0]['cpu_s']:.0f} CPU s"
+        if progress is not None:
+            progress(f"{task.variant.name}, {task.trajectory.name}: {word}\n")
+
+    if workers > 1 and len(missing) > 1:
+        with ProcessPoolExecutor(workers, get_context("spawn"), quiet_warp) as pool:
+            jobs = {pool.submit(make, task): task for task in missing.values()}
+            for job in as_completed(jobs):
+                note(jobs[job], job.result())
+    else:
+        for task in missing.values():
+            note(task, make(task))
+    return [failed[task.file] if task.file in failed else read_rows(task.file) for task in tasks]
+
+
+def make(task: Task) -> list[Row]:
+    """Track and measure; write the rows and the meshes, each whole or not at all."""
+    trajectory, variant = task.trajectory, task.variant
+    try:
+        recording = read_recording(trajectory.recording)
+        truth = Truth.load(trajectory.truth)
+        recording = prepared(recording, truth, variant)
+        clock = time.process_time()
+        tracked = track(recording, variant, device=task.device)
+        cpu_s = time.process_time() - clock
+        rows = measure(tracked, recording, truth)
+    except ClothTrackError as error:
+        return [{"error": str(error)}]
+    stamp = provenance_of(tracked, variant)
+    rows = [{**row, "cpu_s": cpu_s, "provenance": stamp} for row in rows]
+    task.file.parent.mkdir(parents=True, exist_ok=True)
+    write_meshes(tracked, task.file.with_suffix(".npz"))
+    write_rows(rows, task.file)
+    return rows
+
+
+def prepared(recording: Recording, truth: Truth, variant: Variant) -> Recording:
+    """The recording with the first mesh that the variant asks for."""
+    if variant.vertex_count is not None:
+        recording = resampled(recording, variant.vertex_count)
+    if variant.first_mesh_error != 1.0:
+        recording = with_first_mesh_error(recording, truth, variant.first_mesh_error)
+    return recording
+
+
+def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTrajectory:
+    """Follow the cloth through a recording as the variant says."""
+    config = variant.config
+    cloud = observer(recording, config.cloud_spacing_m)
+    first = first_cloth(recording, cloud(recording.frames[0]), config.first_mesh, device=device)
+    if variant.peer is not None:
+        tracked = follow(recording, first.mesh, cloud, variant.peer, device=device)
+    else:
+        tracker = Tracker(
+            recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
+        )
+        tracked = tracker.track()
+    stored = {"peer": asdict(variant.peer)} if variant.peer is not None else asdict(config)
+    return replace(tracked, config=stored, provenance=provenance(recording, config, device))
+
+
+def provenance_of(tracked: TrackedTrajectory, variant: Variant) -> dict[str, object]:
+    """Commit, versions, seed and settings; nothing that names the machine."""
+    stamp = {key: value for key, value in tracked.provenance.items() if key != "machine"}
+    return {**stamp, "config_hash": variant.digest}
+
+
+def write_rows(rows: Iterable[Row], file: Path) -> None:
+    """One JSON object per line, what is not finite as null; the file is whole or absent."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.partial")
+    lines = [json.dumps(finite(row), allow_nan=False) + "\n" for row in rows]
+    temporary.write_text("".join(lines), encoding="utf-8")
+    temporary.replace(file)
+
+
+def read_rows(file: Path) -> list[Row]:
+    """The rows of a file that `write_rows` has written."""
+    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines() if line]
+
+
+def write_meshes(tracked: TrackedTrajectory, file: Path) -> None:
+    """The meshes at the end of each action, before and after TTO2, for pictures."""
+    temporary = file.with_name(f".{file.stem}.{os.getpid()}.partial.npz")
+    np.savez_compressed(
+        temporary,
+        rest=tracked.mesh.vertices.astype(np.float32),
+        faces=tracked.mesh.faces.astype(np.int32),
+        canonical=np.asarray(tracked.mesh.canonical, np.float32),
+        frames=np.array([action.last_frame for action in tracked.actions]),
+        before=np.stack([a.positions_before_final_alignment for a in tracked.actions]),
+        after=np.stack([a.positions_after_final_alignment for a in tracked.actions]),
+    )
+    temporary.replace(file)
+
+
+def kept_labels(meshes: Path) -> tuple[ClothMesh, list[Label]]:
+    """First mesh and labels of a run, from the meshes that it left."""
+    kept = np.load(meshes)
+    mesh = ClothMesh(kept["rest"].astype(np.float64), kept["faces"], kept["canonical"])
+    after, before = kept["after"].astype(np.float64), kept["before"].astype(np.float64)
+    labels = zip(kept["frames"].tolist(), after, before, strict=True)
+    return mesh, [Label(*label) for label in labels]

@@ -1,0 +1,202 @@
+"""The command line that every experiment over the benchmark shares.
+
+    --bench FOLDER    recordings/, truth/ and, where there are splits, bench.json
+    --out FOLDER      rows, OUT/NAME.jsonl, and all runs, OUT/runs (default: BENCH/experiments)
+    --split NAME      dev, test or hard; a folder without bench.json is one split
+    --limit N         so many trajectories, garments taking turns
+    --vertices N      first mesh resampled to about N vertices on the template's own surface
+    --smoke           one small towel, one action, a short calibration: does everything run?
+
+Runs are kept by the hash of their settings: experiments share them, and a second call goes on where
+the first one stopped. What is printed is what `tables.py` rebuilds from the rows.
+"""
+
+import argparse
+import logging
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from clothtrack.errors import ClothTrackError
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking.pipeline import RunConfig
+from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate
+from shared import tables
+from shared.bench_measures import Row
+from shared.bench_runs import (
+    Task,
+    Trajectory,
+    Variant,
+    read_rows,
+    run_all,
+    trajectories,
+    write_rows,
+)
+from shared.figures import say
+
+SMOKE_AXES = {"table_friction": (0.3, 1.0, 3.0)}
+SMOKE_SUBSTEP_S = 3.3e-3
+FILMED_SEED = 5000
+"""Of the first trajectory that an experiment films itself; the benchmark's seeds lie below."""
+
+Run = tuple[Trajectory, Variant]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What an experiment plans with.
+
+    Attributes:
+        bench: folder of the benchmark.
+        out: folder of the rows.
+        split: the chosen split, None for all.
+        limit: most trajectories.
+        vertices: resample first meshes to so many vertices; None leaves them.
+        workers: processes.
+        device: "cpu" or "cuda:0".
+        smoke: whether this only shows that everything runs.
+    """
+
+    bench: Path
+    out: Path
+    split: str | None = None
+    limit: int | None = None
+    vertices: int | None = None
+    workers: int = 1
+    device: str = "cpu"
+    smoke: bool = False
+
+    def trajectories(self, split: str | None = None) -> list[Trajectory]:
+        """The trajectories of the chosen split, or of another one."""
+        return trajectories(self.bench, split or self.split, self.limit)
+
+    def variant(self, name: str, tracker: TrackerConfig | str, **changes: object) -> Variant:
+        """A variant from a mode's name or a configuration; small enough in a smoke run."""
+        config = mode(tracker) if isinstance(tracker, str) else tracker
+        if self.smoke:
+            config = _short(config)
+        return replace(
+            Variant(name, RunConfig(tracker=config), vertex_count=self.vertices), **changes
+        )
+
+    def filmed(self, label: str, config: EpisodeConfig | None = None) -> list[Trajectory]:
+        """Trajectories filmed for this experiment alone, half of them towels; made where missing.
+
+        The seeds are the same for every `label`: same cloth, same actions, another `config`.
+        """
+        folder = self.out / "filmed" / label
+        count = 1 if self.smoke else (self.limit or 8)
+        for kind, number in (("towel", (count + 1) // 2), ("tshirt", count // 2)):
+            if number:
+                simulate(
+                    folder, kind, number, seed=FILMED_SEED, config=config, processes=self.workers
+                )
+        return trajectories(folder, None, count)
+
+    @property
+    def world(self) -> EpisodeConfig:
+        """How an experiment's own trajectories are filmed, before it changes a setting."""
+        return SMALL_WORLD if self.smoke else EpisodeConfig()
+
+    def rows(self, experiment: str, runs: Sequence[Run]) -> list[Row]:
+        """Make the runs that are missing; every row with its labels."""
+        tasks = [
+            Task(trajectory, variant, self.out / "runs", self.device)
+            for trajectory, variant in runs
+        ]
+        parts = run_all(tasks, workers=self.workers, progress=_progress)
+        return [
+            {
+                "experiment": experiment,
+                "variant": task.variant.name,
+                "recording": task.trajectory.name,
+                "kind": task.trajectory.kind,
+                "split": task.trajectory.split,
+                "run": str(task.file.relative_to(self.out)),
+                **row,
+            }
+            for task, part in zip(tasks, parts, strict=True)
+            for row in part
+        ]
+
+
+Plan = Callable[[Setup], list[Run]]
+
+
+def run_experiment(
+    name: str, description: str, plan: Plan, arguments: Sequence[str] | None = None
+) -> int:
+    """Plan, track what is missing, write the rows, print the tables; returns the exit code."""
+    options = parse(description, arguments)
+    quiet_warp()
+    logging.basicConfig(level=logging.INFO if options.verbose else logging.ERROR)
+    with tempfile.TemporaryDirectory(prefix=f"{name}-") as temporary:
+        bench = options.bench or Path(temporary)
+        setup = Setup(
+            bench=bench,
+            out=options.out or bench / "experiments",
+            split=options.split,
+            limit=1 if options.smoke else options.limit,
+            vertices=options.vertices,
+            workers=options.workers,
+            device=options.device,
+            smoke=options.smoke,
+        )
+        if options.smoke:
+            simulate(bench, "towel", 1, config=SMALL_WORLD)
+        try:
+            runs = plan(setup)
+        except ClothTrackError as error:
+            sys.stderr.write(f"{error}\n")
+            return 1
+        if options.only:
+            runs = [(trajectory, variant) for trajectory, variant in runs if _wanted(
+                variant, options.only)]  # fmt: skip
+        rows = setup.rows(name, runs)
+        file = setup.out / f"{name}.jsonl"
+        write_rows(rows, file)
+        if options.smoke:
+            say("Smoke run: one small towel, one action, a short calibration; it proves nothing.\n")
+        say(f"{description.splitlines()[0]}\n\n{tables.markdown(name, read_rows(file))}")
+    return 1 if not rows or all("error" in row for row in rows) else 0
+
+
+def parse(description: str, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser.add_argument("--bench", type=Path, help="folder of the benchmark")
+    parser.add_argument("--out", type=Path, help="folder of the rows (BENCH/experiments)")
+    parser.add_argument("--split", help="dev, test or hard")
+    parser.add_argument("--limit", type=int, help="so many trajectories")
+    parser.add_argument("--vertices", type=int, help="resample first meshes to about so many")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="variants, or beginnings of them")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--smoke", action="store_true", help="one small towel, under a minute")
+    parser.add_argument("--verbose", action="store_true", help="log what happens")
+    options = parser.parse_args(arguments)
+    if options.bench is None and not options.smoke:
+        parser.error("give --bench FOLDER (clothtrack simulate FOLDER makes one), or --smoke")
+    return options
+
+
+def _wanted(variant: Variant, names: Sequence[str]) -> bool:
+    return any(variant.name.startswith(name) for name in names)
+
+
+def _short(config: TrackerConfig) -> TrackerConfig:
+    return replace(
+        config,
+        solver=replace(config.solver, substep_s=SMOKE_SUBSTEP_S),
+        calibration=replace(config.calibration, axes=SMOKE_AXES),
+        alignment=replace(config.alignment, iterations=30),
+        final_alignment=replace(config.final_alignment, iterations=30),
+    )
+
+
+def _progress(text: str) -> None:
+    sys.stderr.write(text)
+    sys.stderr.flush()

@@ -1,0 +1,121 @@
+"""What a network is fine-tuned on: tracked meshes, the truth, or as much of the old cloth."""
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.evaluation.label_evidence import label_evidence
+from clothtrack.evaluation.label_quality import SHIPPED, QualityModel
+from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.data.pseudo_labels import (
+    LabelledRecording,
+    PseudoLabel,
+    label_recording,
+)
+from clothtrack.reconstruction.data.state_examples import FilmingConfig, film
+from clothtrack.reconstruction.data.state_store import StateSet, read_shard
+from clothtrack.recordings.store import read_recording
+from shared.bench_runs import Task, Trajectory, kept_labels
+
+
+def tracked_labels(task: Task, *, weighted: bool = False) -> LabelledRecording:
+    """Pseudo-labels of a finished run: the flat first frame, and the end of every action.
+
+    Args:
+        task: a run that lies in its store.
+        weighted: by the quality that can be observed; otherwise all count alike.
+    """
+    recording = read_recording(task.trajectory.recording)
+    mesh, labels = kept_labels(task.file.with_suffix(".npz"))
+    weights = [1.0] * len(labels)
+    if weighted:
+        model = QualityModel.load(SHIPPED)
+        weights = [model.quality(one) for one in label_evidence(mesh, labels, recording)]
+    chosen = [PseudoLabel(0, mesh.vertices.astype(np.float64), 1.0)]
+    chosen += [
+        PseudoLabel(label.frame, np.asarray(label.vertices, np.float64), float(weight))
+        for label, weight in zip(labels, weights, strict=True)
+        if weight > 0.0
+    ]
+    return label_recording(recording, mesh, chosen, kind=task.trajectory.kind)
+
+
+def true_labels(task: Task) -> LabelledRecording:
+    """The same frames on the same vertices, each where its piece of cloth really is."""
+    trajectory = task.trajectory
+    recording, truth = read_recording(trajectory.recording), Truth.load(trajectory.truth)
+    mesh, labels = kept_labels(task.file.with_suffix(".npz"))
+    where = material_map(truth.canonical, truth.faces, np.asarray(mesh.canonical, np.float64))
+    chosen = [
+        PseudoLabel(frame, material_points(truth.at(frame), truth.faces, where), 1.0)
+        for frame in (0, *(label.frame for label in labels))
+    ]
+    return label_recording(recording, mesh, chosen, kind=trajectory.kind)
+
+
+def old_labels(
+    states: StateSet, like: Sequence[LabelledRecording], *, seed: int = 0
+) -> list[LabelledRecording]:
+    """As many pictures of the old cloth, in as many groups, as the labels that they stand beside.
+
+    Each group is of one simulated garment; its states are filmed once, as a recording is.
+
+    Raises:
+        InvalidConfigError: the states are of another kind, or a garment has too few.
+    """
+    kinds = {one.kind for one in like} | {states.kind}
+    if len(kinds) != 1:
+        raise InvalidConfigError(
+            f"{states.folder} has states of {states.kind}, the labels are of "
+            f"{', '.join(sorted(kinds - {states.kind}))}; give --old states of the same kind"
+        )
+    rng = np.random.default_rng(seed)
+    found = []
+    for number, one in enumerate(like):
+        shard = read_shard(states.shards[number % len(states.shards)])
+        if len(shard.positions) < len(one.pictures):
+            raise InvalidConfigError(
+                f"{states.folder}: a garment has {len(shard.positions)} states, "
+                f"{len(one.pictures)} are needed; make more with clothtrack simulate --states"
+            )
+        chosen = rng.choice(len(shard.positions), len(one.pictures), replace=False)
+        pictures = tuple(
+            film(shard.positions[state].astype(np.float64), shard.mesh, FilmingConfig(), rng)
+            for state in chosen
+        )
+        frames = tuple(int(state) for state in chosen)
+        found.append(
+            LabelledRecording(f"old_{number:03d}", states.kind, shard.mesh, frames, pictures)
+        )
+    return found
+
+
+def label_mesh(task: Task, frame: int) -> ClothMesh | None:
+    """The tracker's mesh at a frame that ended an action; None when it labelled another."""
+    mesh, labels = kept_labels(task.file.with_suffix(".npz"))
+    found = [label.vertices for label in labels if label.frame == frame]
+    return mesh.with_vertices(np.asarray(found[0], np.float64)) if found else None
+
+
+def digest_of(labels: Sequence[LabelledRecording]) -> str:
+    """Ten hexadecimal digits that change with any picture, label or weight."""
+    content = hashlib.sha256()
+    for one in labels:
+        content.update(f"{one.name} {one.kind} {one.frames}".encode())
+        content.update(np.asarray(one.mesh.canonical, np.float32).tobytes())
+        content.update(np.asarray(one.mesh.faces, np.int32).tobytes())
+        for picture in one.pictures:
+            content.update(np.float32(picture.weight).tobytes())
+            for array in (picture.depth_m, picture.positions):
+                content.update(np.asarray(array, np.float32).tobytes())
+            content.update(picture.mask.tobytes())
+            content.update(np.asarray(picture.faces, np.int32).tobytes())
+    return content.hexdigest()[:10]
+
+
+def first_of(trajectories: Sequence[Trajectory], kind: str, count: int | None) -> list[Trajectory]:
+    """The first so many of a kind."""
+    return [one for one in trajectories if one.kind == kind][:count]

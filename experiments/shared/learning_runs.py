@@ -1,0 +1,212 @@
+"""Runs of an experiment with the network: fine-tunings and reconstructions, kept and shared.
+
+A fine-tuned network is kept under the hash of what it was trained from: the weights it began with,
+every label, every setting. The rows of a reconstructed trajectory are kept under the hash of the
+weights, the trajectory and the way of reconstructing. So experiments share what they have in
+common, and a broken one goes on where it stopped, in the middle of a training too.
+"""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.evaluation.truth import Truth
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, cloth_picture
+from clothtrack.reconstruction.data.state_store import StateSet, open_states
+from clothtrack.reconstruction.depth_input import DepthInput, load_model
+from clothtrack.reconstruction.from_picture import NetworkMesh, network_mesh
+from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.refinement import RefinementConfig
+from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.reconstruction.training.processes import Processes
+from clothtrack.reconstruction.two_stages import MODEL, LearningConfig, finetune
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.pipeline import RunConfig, provenance
+from shared.bench_measures import Row
+from shared.bench_runs import Task, Trajectory, read_rows, write_rows
+from shared.learning_labels import digest_of, label_mesh
+from shared.learning_measures import LEARNING_ROW_FORMAT, Case, measure_reconstruction
+
+DIGITS = 12
+
+
+@dataclass(frozen=True)
+class Reconstructor:
+    """One way from a depth picture to a mesh; every field is part of the hash but the name.
+
+    Attributes:
+        name: as the tables call it.
+        weights: file of the network.
+        method: "template" or "implicit".
+        refinement: the fine-tuning at test time; None leaves it out.
+        vertex_count: of a template, about.
+    """
+
+    name: str
+    weights: Path
+    method: str = "template"
+    refinement: RefinementConfig | None = None
+    vertex_count: int = 1000
+
+    @property
+    def digest(self) -> str:
+        """Twelve hexadecimal digits that change with every setting and with the weights."""
+        settings = {
+            "weights": content_digest(self.weights),
+            "method": self.method,
+            "refinement": None if self.refinement is None else asdict(self.refinement),
+            "vertex_count": self.vertex_count,
+        }
+        return _digest(settings)
+
+
+@dataclass(frozen=True)
+class Tuner:
+    """How networks are fine-tuned, and where they are kept.
+
+    Attributes:
+        store: folder of all fine-tuned networks.
+        config: the training.
+        device: where it computes.
+        old: folders of simulated states by garment, mixed in where the training asks for them.
+    """
+
+    store: Path
+    config: LearningConfig = field(default_factory=lambda: LearningConfig.preset("finetune"))
+    device: str = "cpu"
+    old: Mapping[str, Path] = field(default_factory=dict)
+
+    def tuned(self, start: Path, labels: Sequence[LabelledRecording]) -> Path:
+        """The weights after fine-tuning on these labels; trained where they are not kept.
+
+        Raises:
+            InvalidConfigError: the training was interrupted.
+        """
+        folder = self.folder(start, labels)
+        if not (folder / MODEL).exists():
+            outcome = finetune(
+                start,
+                labels,
+                self.config,
+                folder,
+                old=self._old(labels[0].kind),
+                processes=Processes(device=self.device),
+            )
+            if outcome.model is None:
+                raise InvalidConfigError(
+                    f"{folder}: the fine-tuning was interrupted; the same command goes on from "
+                    "there"
+                )
+        return folder / MODEL
+
+    def folder(self, start: Path, labels: Sequence[LabelledRecording]) -> Path:
+        """Where the network is kept that begins with these weights and learns from these labels."""
+        settings: dict[str, object] = {
+            "start": content_digest(start),
+            "labels": digest_of(labels),
+            "config": asdict(self.config),
+        }
+        if old := self._old(labels[0].kind):
+            settings["old"] = [len(one.shards) for one in old]
+        return self.store / labels[0].kind / _digest(settings)
+
+    def _old(self, kind: str) -> tuple[StateSet, ...]:
+        stages = self.config.canonicalisation, self.config.completion
+        mixed = any(one.old_share > 0.0 for one in stages)
+        return (open_states(self.old[kind]),) if mixed and kind in self.old else ()
+
+
+def content_digest(path: Path) -> str:
+    """Ten hexadecimal digits of a file's content."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:10]
+
+
+def _digest(settings: object) -> str:
+    text = json.dumps(settings, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+
+
+def kind_of(weights: Path) -> str:
+    """The garment that weights are for.
+
+    Raises:
+        InvalidResultError: they are missing or damaged.
+    """
+    return load_weights(weights).kind
+
+
+def reconstruct_frame(
+    model: MeshReconstructor, recording: Recording, frame: int, kind: str, how: Reconstructor
+) -> NetworkMesh:
+    """What the network makes of one frame of a recording."""
+    depth, mask, camera = cloth_picture(recording, recording.frames[frame])
+    return network_mesh(
+        model,
+        DepthInput(depth, mask, camera, recording.table, kind),
+        kind,
+        method=how.method,
+        vertex_count=how.vertex_count,
+        refinement=how.refinement,
+    )
+
+
+def reconstruction_rows(
+    trajectory: Trajectory, how: Reconstructor, store: Path, *, label: Task | None = None
+) -> list[Row]:
+    """The rows of a trajectory's actions, each reconstructed from its last frame alone.
+
+    Args:
+        trajectory: recording and truth.
+        how: network and method.
+        store: folder of all rows.
+        label: a finished run whose meshes are the pseudo-labels that are compared with.
+
+    Returns:
+        One row per action, or one with an `error`, which is not kept.
+    """
+    judged = "" if label is None else f"-{label.variant.digest}"
+    key = f"{how.digest}-{trajectory.digest}{judged}-{LEARNING_ROW_FORMAT}"
+    file = store / trajectory.name / f"{key}.jsonl"
+    if file.exists():
+        return read_rows(file)
+    try:
+        rows = _measured(trajectory, how, label)
+    except ClothTrackError as error:
+        return [{"error": str(error)}]
+    write_rows(rows, file)
+    return rows
+
+
+def _measured(trajectory: Trajectory, how: Reconstructor, label: Task | None) -> list[Row]:
+    recording, truth = read_recording(trajectory.recording), Truth.load(trajectory.truth)
+    model = load_model(trajectory.kind, how.weights)
+    stamp = provenance(recording, RunConfig(), "cpu")
+    stamp = {key: value for key, value in stamp.items() if key != "machine"}
+    stamp = {**stamp, "config_hash": how.digest, "weights": content_digest(how.weights)}
+    rows = []
+    for number, action in enumerate(recording.actions):
+        frame = action.last_frame
+        known = None if label is None else label_mesh(label, frame)
+        clock = time.process_time()
+        found = reconstruct_frame(model, recording, frame, trajectory.kind, how)
+        cpu_s = time.process_time() - clock
+        case = Case(recording, truth, frame, trajectory.kind, known)
+        rows.append(
+            {
+                "action": number + 1,
+                "actions": len(recording.actions),
+                "stage": "after",
+                **measure_reconstruction(found, case),
+                "cpu_s": cpu_s,
+                "provenance": stamp,
+            }
+        )
+    return rows

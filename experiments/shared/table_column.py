@@ -1,0 +1,65 @@
+"""One column of a table: which measure, of which rows, how it is written."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.bench_measures import Row
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        title: its heading.
+        key: the measure in the rows.
+        scale: factor on it.
+        digits: after the point.
+        stage: "before" or "after" TTO2.
+        last: only the last action of each recording, as the paper measures.
+        spread: standard deviation and median too.
+    """
+
+    title: str
+    key: str
+    scale: float = 1.0
+    digits: int = 1
+    stage: str = "after"
+    last: bool = False
+    spread: bool = False
+
+    def values(self, rows: Iterable[Row]) -> dict[object, float]:
+        """Mean over the actions of each recording, by recording; unknown values left out."""
+        of: dict[object, list[float]] = {}
+        for row in rows:
+            value = row.get(self.key)
+            if row.get("stage") != self.stage or value is None:
+                continue
+            if self.last and row["action"] != row["actions"]:
+                continue
+            of.setdefault(row["recording"], []).append(self.scale * float(value))
+        return {name: float(np.mean(each)) for name, each in of.items()}
+
+    def cells(self, rows: Iterable[Row]) -> list[str]:
+        """The column's cells for one line: mean, and with spread also deviation and median."""
+        values = np.array(list(self.values(rows).values()))
+        if not len(values):
+            return ["-"] * (2 if self.spread else 1)
+        mean = f"{values.mean():.{self.digits}f}"
+        if not self.spread:
+            return [mean]
+        deviation = "-" if len(values) < 2 else f"{values.std(ddof=1):.{self.digits}f}"
+        return [f"{mean} ± {deviation}", f"{np.median(values):.{self.digits}f}"]
+
+    @property
+    def titles(self) -> list[str]:
+        """Headings of the cells."""
+        return [self.title, "median"] if self.spread else [self.title]
+
+
+def table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    rule = ["---", *("---:" for _ in head[1:])]
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, rule, *lines))

@@ -1,0 +1,102 @@
+"""Calibration online, per action, against offline, once for all.
+
+Claim judged: parameters found on the action that is being tracked beat parameters found before. The
+offline parameters are the most frequent choice of the online calibration, parameter by parameter,
+over the actions of the `dev` split. In a world without splits they come from the recordings
+themselves, which flatters them. Two controls read the truth, and are no results: friction as the
+world has it, in place of a search for it, and the thickness of the world's cloth. They say what a
+perfect calibration would be worth.
+
+    python experiments calibration --bench OUT --split test --workers 2
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from shared.bench_measures import Row
+from shared.bench_runs import Trajectory, Variant
+from shared.experiment import Run, Setup, run_experiment
+
+from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking.pipeline import RunConfig
+from clothtrack.world.flex import CONTACT_RADIUS_M
+
+FRICTION = {"table_friction": "table_friction", "particle_friction": "cloth_friction"}
+"""What the tracker calls it, and what the world does."""
+
+METHODS = {"paper": "full_held_paper", "default": "default"}
+
+
+def plan(setup: Setup) -> list[Run]:
+    """Online over `dev` first, for the modes; then online, offline and uncalibrated."""
+    variants = []
+    for label, name in METHODS.items():
+        online = setup.variant(f"{label}, online", name)
+        dev = setup.rows("calibration", [(each, online) for each in setup.trajectories("dev")])
+        offline = fixed(mode(name), most_frequent(dev))
+        variants += [
+            online,
+            setup.variant(f"{label}, offline", offline),
+            setup.variant(f"{label}, uncalibrated", fixed(mode(name), {})),
+        ]
+    return [
+        (each, variant)
+        for each in setup.trajectories()
+        for variant in (*variants, *controls(setup, each))
+    ]
+
+
+def controls(setup: Setup, trajectory: Trajectory) -> list[Variant]:
+    """The default with the true friction, and with the true thickness."""
+    default, fabric = mode("default"), true_fabric(trajectory)
+    kept = {axis: v for axis, v in default.calibration.axes.items() if axis not in FRICTION}
+    friction = {name: fabric[true_name] for name, true_name in FRICTION.items()}
+    known_friction = replace(
+        default,
+        parameters={**default.parameters, **friction},
+        calibration=replace(default.calibration, axes=kept),
+    )
+    thickness_m = 2.0 * fabric.get("contact_radius_m", CONTACT_RADIUS_M)
+    known_thickness = replace(default, solver=replace(default.solver, thickness_m=thickness_m))
+    control = setup.variant("default, true friction", known_friction)
+    if setup.smoke:
+        # The short calibration of a smoke run searches friction, which is given here.
+        control = replace(control, config=RunConfig(tracker=fixed(known_friction, {})))
+    return [control, setup.variant("default, true thickness", known_thickness)]
+
+
+def true_fabric(trajectory: Trajectory) -> dict[str, float]:
+    """What the world's cloth is made of, as its truth file states it."""
+    with np.load(trajectory.truth) as truth:
+        return json.loads(str(truth["fabric"]))
+
+
+def fixed(config: TrackerConfig, parameters: dict[str, float]) -> TrackerConfig:
+    """The configuration with these parameters and no search."""
+    return replace(
+        config,
+        parameters={**config.parameters, **parameters},
+        calibration=replace(config.calibration, method="none"),
+    )
+
+
+def most_frequent(rows: Iterable[Row]) -> dict[str, float]:
+    """The mode of each parameter over all actions; the smaller value of two equally frequent."""
+    counts: dict[str, Counter[float]] = {}
+    for row in rows:
+        # Two rows per action, before and after TTO2: one vote is enough.
+        if row.get("stage") == "after":
+            for name, value in row["parameters"].items():
+                counts.setdefault(name, Counter())[value] += 1
+    return {
+        name: min(values, key=lambda value: (-values[value], value))
+        for name, values in counts.items()
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the experiment; returns the exit code."""
+    return run_experiment("calibration", __doc__, plan, arguments)

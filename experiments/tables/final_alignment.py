@@ -1,0 +1,38 @@
+"""With and without TTO2, at the best, the 50 % and the 90 % ranked parameters of the grid.
+
+Claim judged: the final alignment makes up for a bad calibration. Per action every combination of
+the grid is rolled out and ranked; the tracker then takes the best, the one that half of the others
+outscore, or the one that 90 % outscore. The method is the paper's, the grid that of our calibration
+(18 combinations; the paper prints 180).
+
+    python experiments final_alignment --bench OUT --split test --workers 2
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from shared.experiment import Run, Setup, run_experiment
+
+from clothtrack.tracking.configuration import mode
+
+RANKS = {"best": 0.0, "50 %": 0.5, "90 %": 0.9}
+
+
+def plan(setup: Setup) -> list[Run]:
+    """Three ranks, with and without TTO2."""
+    paper = mode("full_held_paper")
+    grid = replace(paper.calibration, method="grid")
+    variants = [
+        setup.variant(
+            f"{label}, {'with' if aligned else 'without'} TTO2",
+            replace(paper, calibration=replace(grid, rank=rank), use_final_alignment=aligned),
+        )
+        for aligned in (True, False)
+        for label, rank in RANKS.items()
+    ]
+    return [(each, variant) for each in setup.trajectories() for variant in variants]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the experiment; returns the exit code."""
+    return run_experiment("final_alignment", __doc__, plan, arguments)

@@ -1,0 +1,379 @@
+"""Flattening column of Table 2: the same crumpled starts, ten actions each, in the stand-in world.
+
+Claims judged: fine-tuning lifts the normalised improvement by 30 % (paper, 0.23 to 0.30); the
+fine-tuned network reaches 80 % of what the truth as perception reaches; the learned dynamics are as
+good as the simulator. Random actions and the geometric heuristic say what no mesh is worth. What
+begins with "control" knows the truth, and is an upper bound and no result.
+
+    python experiments flattening --out OUT --episodes 20
+    python experiments flattening --out OUT --weights FILE --tuned FILE --dynamics FILE
+
+Episodes that are finished are kept, a broken one goes on; methods without their weights are left
+out. `--kind tshirt --kind towel` takes both garments in turn.
+"""
+
+import argparse
+import hashlib
+import json
+import logging
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from shared import tables
+from shared.bench_measures import Row
+from shared.bench_runs import read_rows, write_rows
+from shared.figures import say
+
+from clothtrack import __version__
+from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.files.provenance import commit
+from clothtrack.files.settings import with_settings
+from clothtrack.files.worker_pool import finished_in_workers
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.quality import crossings
+from clothtrack.planning.actions import in_picture
+from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig, SimulatorConfig
+from clothtrack.planning.episode_store import EpisodeStore
+from clothtrack.planning.flatten_config import FlattenConfig, episode_identity
+from clothtrack.planning.flattening import improvement
+from clothtrack.planning.perception import PerceptionConfig
+from clothtrack.planning.planner import PlannerConfig
+from clothtrack.reconstruction.availability import missing_modules
+from clothtrack.recordings.store import read_recording
+from clothtrack.report.flattening_page import write_film_strip
+from clothtrack.world.episodes import SMALL_WORLD
+from clothtrack.world.simulated_episodes import (
+    EpisodeParts,
+    SimulatedEpisode,
+    flatten_simulated,
+)
+from clothtrack.world.simulated_robot import SimulatedRobotConfig
+
+NAME = "flattening"
+FIRST_SEED = 9000
+"""Of the starts; the benchmark's seeds, and those that are learned from, lie below."""
+
+VIEWS = 3
+"""Directions from which the network is shown the cloth, in the row that asks what that is worth."""
+
+TRUTH = PerceptionConfig(name="truth")
+
+
+@dataclass(frozen=True)
+class Method:
+    """One line of the table.
+
+    Attributes:
+        name: as the table calls it.
+        config: how it flattens.
+    """
+
+    name: str
+    config: FlattenConfig
+
+
+@dataclass(frozen=True)
+class Task:
+    """One episode of one method.
+
+    Attributes:
+        method: how.
+        episode: which.
+        out: folder of all episodes and starts.
+        robot: of the stand-in world.
+        device: where to compute.
+    """
+
+    method: Method
+    episode: SimulatedEpisode
+    out: Path
+    robot: SimulatedRobotConfig
+    device: str = "cpu"
+
+    @property
+    def digest(self) -> str:
+        """Ten hexadecimal digits that change with every setting and with what is in the weights."""
+        asked = episode_identity(self.method.config, self.episode.kind), asdict(self.robot)
+        content = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode())
+        return content.hexdigest()[:10]
+
+    @property
+    def folder(self) -> Path:
+        """Where the method's episodes lie."""
+        return self.out / self.digest
+
+
+def methods(options: argparse.Namespace) -> list[Method]:
+    """What is compared: what needs no weights always, the others where their weights are given."""
+    base = FlattenConfig(actions=options.actions)
+    if options.smoke:
+        quick = SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1))
+        base = FlattenConfig(
+            actions=2, simulator=quick,
+            planner=PlannerConfig(candidates=10, finalists=3),
+        )  # fmt: skip
+    base = with_settings(base, options.settings)
+    found = [
+        Method("random", replace(base, policy="random")),
+        Method("outwards", replace(base, policy="outwards")),
+        Method("heuristic", replace(base, policy="heuristic")),
+        Method("control: truth, simulator", replace(base, perception=TRUTH)),
+        Method(
+            "control: truth, simulator, 3 materials", replace(base, perception=TRUTH, materials=3)
+        ),
+    ]
+    learned = {"dynamics": "mesh", "dynamics_weights": str(options.dynamics or SHIPPED_WEIGHTS)}
+    if not missing_modules():
+        found.append(
+            Method("control: truth, learned dynamics", replace(base, perception=TRUTH, **learned))
+        )
+    for name, weights in (("pretrained", options.weights), ("fine-tuned", options.tuned)):
+        if not weights:
+            continue
+        seen = {
+            how: replace(base, perception=PerceptionConfig(name=how, weights=str(weights)))
+            for how in ("network", "tracker")
+        }
+        found.append(Method(name, seen["network"]))
+        found.append(Method(f"{name}, tracker", seen["tracker"]))
+        found.append(
+            Method(
+                f"{name}, {VIEWS} views",
+                replace(
+                    seen["network"],
+                    perception=replace(seen["network"].perception, views=VIEWS),
+                    planner=replace(base.planner, finalists=30),
+                ),
+            )
+        )
+        found.append(Method(f"{name}, learned dynamics", replace(seen["network"], **learned)))
+    if options.only:
+        known = {one.name for one in found}
+        found = [
+            one for one in found
+            if any(one.name == name if name in known else one.name.startswith(name)
+                   for name in options.only)
+        ]  # fmt: skip
+    return found
+
+
+def filming(robot: SimulatedRobotConfig, method: Method) -> SimulatedRobotConfig:
+    """The robot, which films where somebody tracks: without pictures of an action nobody can."""
+    tracks = method.config.perception.name == "tracker"
+    return replace(robot, film=robot.film or tracks)
+
+
+def run(task: Task) -> list[Row]:
+    """One episode's rows, one per action; an episode that ended early stays where it was."""
+    quiet_warp()
+    named = {
+        "experiment": NAME,
+        "variant": task.method.name,
+        "recording": task.episode.label,
+        "kind": task.episode.kind,
+        "split": "",
+    }
+    try:
+        store = flatten_simulated(
+            task.folder,
+            task.episode,
+            task.method.config,
+            robot_config=task.robot,
+            parts=EpisodeParts(starts=task.out / "starts"),
+            device=task.device,
+        )
+    except ClothTrackError as error:
+        return [{**named, "error": str(error)}]
+    strip = task.folder / "strips" / f"{task.episode.label}.png"
+    if not strip.exists():
+        write_film_strip(store, strip)
+    return [{**named, **row} for row in rows_of(store, task)]
+
+
+def rows_of(store: EpisodeStore, task: Task) -> list[Row]:
+    """What is measured after each action."""
+    steps = store.steps
+    gained = improvement(steps)
+    asked = store.document["asked"]
+    flat, start = steps[0]["flat_m2"], steps[0]["true_m2"]
+    stamp = {
+        "clothtrack": __version__,
+        "commit": commit(),
+        "device": task.device,
+        "seed": task.episode.seed,
+        "config_hash": task.digest,
+    }
+    worlds = [true_world(task, store, number) for number in range(len(steps))]
+    rows: list[Row] = []
+    for number in range(1, task.method.config.actions + 1):
+        done = min(number, len(steps) - 1)
+        acted = number == done
+        step = steps[done]
+        rows.append(
+            {
+                "action": number,
+                "actions": task.method.config.actions,
+                "stage": "after",
+                "improvement": gained[done],
+                "share": step["true_m2"] / flat,
+                "seen_share": step["seen_m2"] / flat,
+                "start_share": start / flat,
+                "used": len(steps) - 1,
+                "missed": float(step["grasped"] is False) if acted else None,
+                "expected_m2": step["gain_m2"] if acted else None,
+                "gain_m2": step["true_m2"] - steps[done - 1]["true_m2"] if acted else None,
+                "world_crossings": worlds[done][0] if acted else None,
+                "out_of_picture": worlds[done][1],
+                "perception_cpu_s": step["perception_cpu_s"] if acted else None,
+                "decision_cpu_s": step["decision_cpu_s"] if acted else None,
+                "status": store.document["status"],
+                "control": asked["label"]["control"],
+                "perception": asked["label"]["perception"],
+                "provenance": stamp,
+            }
+        )
+    return rows
+
+
+def true_world(task: Task, store: EpisodeStore, step: int) -> tuple[int, float]:
+    """Of the true cloth after a step: edges that pass through it, and the share out of sight."""
+    path = task.folder / "worlds" / task.episode.label / f"{step:02d}.npz"
+    with np.load(path, allow_pickle=False) as file:
+        positions, faces = file["positions"], file["faces"]
+    camera = read_recording(store.recording_path(step)).cameras[0]
+    return crossings(positions, faces), 1.0 - float(in_picture(positions, camera, 0.0).mean())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the experiment; returns the exit code."""
+    options = parse(arguments)
+    quiet_warp()
+    logging.basicConfig(level=logging.INFO if options.verbose else logging.ERROR)
+    with tempfile.TemporaryDirectory(prefix=f"{NAME}-") as temporary:
+        out = options.out or Path(temporary)
+        robot = SimulatedRobotConfig(film=options.film)
+        if options.smoke:
+            robot = SimulatedRobotConfig(episode=SMALL_WORLD, film=False)
+            if not options.weights:
+                options.weights = tiny_network(out / "tiny.safetensors")
+        try:
+            chosen = methods(options)
+            seeds = range(options.first_seed, options.first_seed + options.episodes)
+            tasks = [
+                Task(
+                    method,
+                    SimulatedEpisode(kind, seed),
+                    out / NAME,
+                    filming(robot, method),
+                    options.device,
+                )
+                for seed in seeds
+                for kind in (("towel",) if options.smoke else options.kind)
+                for method in chosen
+            ]
+            make_starts(tasks, options.workers)
+            order = [one.name for one in chosen]
+            rows: list[Row] = []
+            for part in finished_in_workers(run, tasks, options.workers):
+                rows += noted(part)
+                rows.sort(key=lambda row: (order.index(row["variant"]), row["recording"]))
+                # After each episode: a run that is stopped leaves a table of what it had.
+                write_rows(rows, out / f"{NAME}.jsonl")
+        except ClothTrackError as error:
+            sys.stderr.write(f"{error}\n")
+            return 1
+        if options.smoke:
+            say("Smoke run: a napkin, two actions, a network that has learned nothing.\n\n")
+        say(f"{__doc__.splitlines()[0]}\n")
+        for kind in dict.fromkeys(task.episode.kind for task in tasks):
+            own = [row for row in read_rows(out / f"{NAME}.jsonl") if row["kind"] == kind]
+            say(f"\n{kind}\n\n{tables.markdown(NAME, own)}")
+    return 1 if not rows or all("error" in row for row in rows) else 0
+
+
+def make_starts(tasks: Sequence[Task], workers: int) -> None:
+    """The crumpled starts, once each: methods that run beside each other share them."""
+    first = {task.episode.label: task for task in reversed(tasks)}
+    missing = [
+        task for label, task in first.items()
+        if not (task.out / "starts" / f"{label}.npz").exists()
+    ]  # fmt: skip
+    for _ in finished_in_workers(partial(make_start), missing, workers):
+        pass
+
+
+def make_start(task: Task) -> None:
+    """One crumpled start."""
+    from clothtrack.world.simulated_episodes import begin
+    from clothtrack.world.simulated_robot import SimulatedRobot
+
+    robot = SimulatedRobot(task.episode.kind, task.episode.seed, task.robot)
+    begin(robot, task.out / "starts" / f"{task.episode.label}.npz")
+
+
+def noted(rows: list[Row]) -> list[Row]:
+    """The same rows; says that they are there."""
+    last = rows[-1]
+    told = last.get("error") or f"improvement {last['improvement']:.3f}"
+    sys.stderr.write(f"{last['variant']}, {last['recording']}: {told}\n")
+    sys.stderr.flush()
+    return rows
+
+
+def tiny_network(path: Path) -> Path | None:
+    """Weights of a network that has learned nothing; None where [learn] is not installed."""
+    if missing_modules():
+        return None
+    import torch
+
+    from clothtrack.reconstruction.model import MeshReconstructor
+    from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
+    from clothtrack.reconstruction.training.checkpoint import save_weights
+
+    torch.manual_seed(0)
+    model = MeshReconstructor(TINY_NETWORK, "towel")
+    save_weights(path, model.state_dict(), TINY_NETWORK, kind="towel")
+    return path
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="folder of rows, episodes and starts")
+    parser.add_argument("--episodes", type=int, default=20, help="starts of each garment")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="of the starts")
+    parser.add_argument("--kind", action="append", choices=("towel", "tshirt"))
+    parser.add_argument("--actions", type=int, default=10, help="of an episode")
+    parser.add_argument("--weights", type=Path, help="of the pretrained network")
+    parser.add_argument("--tuned", type=Path, help="of the fine-tuned network")
+    parser.add_argument(
+        "--dynamics",
+        type=Path,
+        help="of the learned mesh dynamics; those that come along by default",
+    )
+    parser.add_argument("--film", action="store_true", help="pictures all through the actions")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NAME", help="methods by name, or by how their names begin"
+    )
+    parser.add_argument(
+        "--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
+        help="of all methods, such as planner.candidates=300",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--smoke", action="store_true", help="does everything run?")
+    parser.add_argument("--verbose", action="store_true", help="log what happens")
+    options = parser.parse_args(arguments)
+    options.kind = options.kind or ["tshirt"]
+    if options.smoke:
+        options.episodes = 1
+    if options.out is None and not options.smoke:
+        parser.error("give --out FOLDER, or --smoke")
+    if options.episodes < 1 or options.actions < 1:
+        raise InvalidConfigError("--episodes and --actions are at least 1")
+    return options

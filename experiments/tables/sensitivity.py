@@ -1,0 +1,134 @@
+"""Sensitivity of the default: one setting at a time, everything else as it is.
+
+Claim judged: no number in the configuration is a lucky one, and where the tracker breaks is known.
+The axes, each of them a name for `--axes`:
+
+- rigidity: weight of the rigidity loss in both alignments.
+- explosion: speed [m/s] above which the line search takes a correction back, and nothing else does.
+- vertices: first mesh resampled to about so many.
+- thickness: distance that the tracker keeps layers apart [mm].
+- cloud: one cloud point per cube of this size [mm].
+- first mesh: its deviation from the truth times this; 0 is the truth (a control, not a result).
+- noise: the camera's noise times this; filmed anew, same cloth and same actions.
+- actions: one trajectory of six pick-and-places per garment and seed; the rows are per action.
+
+    python experiments sensitivity --bench OUT --split dev --limit 8 --axes thickness cloud
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+
+from shared.experiment import Run, Setup, run_experiment
+
+from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking.pipeline import RunConfig
+from tables.collision import weighted
+
+RIGIDITY = (0.0, 1.0, 10.0, 100.0)
+EXPLOSION_M_S = (0.3, 1.0, 3.0, 10.0)
+VERTICES = (500, 1000, 2000, 4000)
+THICKNESS_MM = (1.0, 2.0, 3.0, 5.0)
+CLOUD_MM = (2.0, 4.0, 8.0, 16.0)
+FIRST_MESH = (0.0, 1.0, 2.0, 4.0)
+NOISE = (0.0, 1.0, 2.0, 4.0)
+ACTIONS = 6
+AXES = ("rigidity", "explosion", "vertices", "thickness", "cloud", "first mesh", "noise", "actions")
+
+
+def plan(setup: Setup, axes: Sequence[str] = AXES) -> list[Run]:
+    """Every value of the chosen axes; a smoke run takes the first two of each."""
+    default = mode("default")
+    runs: list[Run] = []
+    for axis in axes:
+        if axis == "noise":
+            runs += _noise(setup)
+        elif axis == "actions":
+            runs += _actions(setup)
+        else:
+            for variant in _few(setup, _variants(setup, default, axis)):
+                runs += [(each, variant) for each in setup.trajectories()]
+    return runs
+
+
+def _variants(setup: Setup, default: TrackerConfig, axis: str) -> list:
+    solver = default.solver
+    if axis == "rigidity":
+        return [
+            setup.variant(f"rigidity={value:g}", weighted(default, rigidity_weight=value))
+            for value in _with(RIGIDITY, default.alignment.rigidity_weight)
+        ]
+    if axis == "explosion":
+        return [
+            setup.variant(f"explosion={value:g} m/s", exploding_at(default, value))
+            for value in EXPLOSION_M_S
+        ]
+    if axis == "vertices":
+        counts = (120, 200) if setup.smoke else VERTICES
+        return [setup.variant(f"vertices={count}", default, vertex_count=count) for count in counts]
+    if axis == "thickness":
+        return [
+            setup.variant(
+                f"thickness={value:g} mm",
+                replace(default, solver=replace(solver, thickness_m=1e-3 * value)),
+            )
+            for value in _with(THICKNESS_MM, 1e3 * solver.thickness_m)
+        ]
+    if axis == "cloud":
+        return [
+            _thinned(setup, default, value)
+            for value in _with(CLOUD_MM, 1e3 * RunConfig().cloud_spacing_m)
+        ]
+    return [
+        setup.variant(f"first mesh={value:g}", default, first_mesh_error=value)
+        for value in FIRST_MESH
+    ]
+
+
+def exploding_at(config: TrackerConfig, speed: float) -> TrackerConfig:
+    """The configuration whose line search knows one threshold [m/s], whatever the picker does."""
+    search = replace(
+        config.line_search, explosion_speed=speed, explosion_ratio=0.0, prediction_ratio=0.0
+    )
+    return replace(config, line_search=search)
+
+
+def _thinned(setup: Setup, config: TrackerConfig, spacing_mm: float):
+    variant = setup.variant(f"cloud={spacing_mm:g} mm", config)
+    run = RunConfig(tracker=variant.config.tracker, cloud_spacing_m=1e-3 * spacing_mm)
+    return replace(variant, config=run)
+
+
+def _noise(setup: Setup) -> list[Run]:
+    sensor = setup.world.sensor
+    runs: list[Run] = []
+    for factor in _few(setup, list(NOISE)):
+        noisy = replace(sensor, white_m=factor * sensor.white_m, wave_m=factor * sensor.wave_m)
+        filmed = setup.filmed(f"noise_{factor:g}", replace(setup.world, sensor=noisy))
+        variant = setup.variant(f"noise={factor:g}", "default")
+        runs += [(each, variant) for each in filmed]
+    return runs
+
+
+def _actions(setup: Setup) -> list[Run]:
+    count = 2 if setup.smoke else ACTIONS
+    filmed = setup.filmed(f"actions_{count}", replace(setup.world, actions=count))
+    variant = setup.variant(f"actions=1 to {count}", "default")
+    return [(each, variant) for each in filmed]
+
+
+def _with(values: Sequence[float], default: float) -> list[float]:
+    """The axis with the default on it, whatever that is by now."""
+    return sorted({*values, round(default, 6)})
+
+
+def _few(setup: Setup, values: list) -> list:
+    return values[:2] if setup.smoke else values
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the experiment; returns the exit code."""
+    own = argparse.ArgumentParser(add_help=False)
+    own.add_argument("--axes", nargs="+", choices=AXES, default=list(AXES))
+    chosen, others = own.parse_known_args(arguments)
+    return run_experiment("sensitivity", __doc__, lambda setup: plan(setup, chosen.axes), others)

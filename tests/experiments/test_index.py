@@ -1,0 +1,55 @@
+"""One command starts every experiment, and the index names them all with options that exist."""
+
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+SCRIPTS = {
+    file.stem: f"{folder}.{file.stem}"
+    for folder in ("tables", "figures")
+    for file in sorted((EXPERIMENTS / folder).glob("[!_]*.py"))
+}
+LINES = re.findall(
+    r"^\| `(\w+)`( \(s\))? \| .+ \| `(\w+) (.+)` \|$",
+    (EXPERIMENTS / "README.md").read_text("utf-8"),
+    re.MULTILINE,
+)
+
+
+def started(*words, cwd):
+    command = [sys.executable, str(EXPERIMENTS), *words]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+
+
+def test_the_index_has_a_line_for_every_script():
+    assert sorted(name for name, *_ in LINES) == sorted(SCRIPTS)
+    assert all(name == command for name, _, command, _ in LINES)
+
+
+@pytest.mark.parametrize(("name", "smoke", "options"), [(n, s, o) for n, s, _, o in LINES])
+def test_the_options_of_the_index_exist(name, smoke, options, monkeypatch, capsys):
+    module = importlib.import_module(SCRIPTS[name])
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    with pytest.raises(SystemExit, match="0"):
+        module.main()
+    text = capsys.readouterr().out
+    for option in re.findall(r"--[\w-]+", options):
+        assert option in text
+    assert ("--smoke" in text) == bool(smoke)
+
+
+def test_an_experiment_starts_from_any_folder(tmp_path):
+    done = started("targets", "--rows", "nothing", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "no rows of table1" in done.stdout + done.stderr
+    listed = started(cwd=tmp_path)
+    assert listed.returncode == 0
+    assert "`table1`" in listed.stdout
+    unknown = started("table9", cwd=tmp_path)
+    assert unknown.returncode == 2
+    assert "'table9'" in unknown.stderr
