@@ -122,27 +122,45 @@ def markdown(experiment: str, rows: Sequence[Row]) -> str:
                 f"Paired by recording, minus *{reference}* (mean ± standard error):",
                 pairs(good, chosen, reference, _PAIRED.get(experiment, PAIRED)),
             ]
-    if experiment == "flattening":
-        parts += ["Mean normalised improvement after each action:", curve(good, variants)]
-        parts += [targets(good)]
-        return _with_failures(parts, rows)
-    if experiment == "planning_dynamics":
-        parts += [
-            "Rank correlation of promised and true gains over actions chosen by (how many):",
-            promises(good, variants),
-        ]
-        return _with_failures(parts, rows)
-    if experiment == "planning_perception":
-        told = by_action(good, variants, (SYMMETRIC, SYMMETRIC_HIDDEN))
-        parts += ["Error by action [mm], up to symmetry, all vertices / hidden:", told]
-        return _with_failures(parts, rows)
-    if any(row["actions"] > 1 for row in good):
-        parts += ["Error by action [mm], all vertices / hidden:", by_action(good, variants)]
-    if len({row["kind"] for row in good}) > 1:
-        parts += ["Error by garment [mm], all vertices / visible / hidden:", by_garment(good)]
-    if experiment == "table2":
-        parts.append(gains(good))
+    parts += _BELOW.get(experiment, _by_action_and_garment)(good, variants)
     return _with_failures(parts, rows)
+
+
+def _by_action_and_garment(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
+    parts = []
+    if any(row["actions"] > 1 for row in rows):
+        parts += ["Error by action [mm], all vertices / hidden:", by_action(rows, variants)]
+    if len({row["kind"] for row in rows}) > 1:
+        parts += ["Error by garment [mm], all vertices / visible / hidden:", by_garment(rows)]
+    return parts
+
+
+def _what_was_gained(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
+    return [*_by_action_and_garment(rows, variants), gains(rows)]
+
+
+def _improvement_by_action(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
+    heading = "Mean normalised improvement after each action:"
+    return [heading, curve(rows, variants), targets(rows)]
+
+
+def _promises_by_choice(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
+    heading = "Rank correlation of promised and true gains over actions chosen by (how many):"
+    return [heading, promises(rows, variants)]
+
+
+def _error_up_to_symmetry(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
+    heading = "Error by action [mm], up to symmetry, all vertices / hidden:"
+    return [heading, by_action(rows, variants, (SYMMETRIC, SYMMETRIC_HIDDEN))]
+
+
+_BELOW: Mapping[str, Callable[[Sequence[Row], Sequence[str]], list[str]]] = {
+    "table2": _what_was_gained,
+    "flattening": _improvement_by_action,
+    "planning_dynamics": _promises_by_choice,
+    "planning_perception": _error_up_to_symmetry,
+}
+"""What stands below the means and the pairs, where it is not the error by action and garment."""
 
 
 def _with_failures(parts: list[str], rows: Sequence[Row]) -> str:
