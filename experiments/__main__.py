@@ -37,6 +37,7 @@ def main() -> int | None:
         sys.stderr.write(f"there is no experiment {name!r}; known are {', '.join(known)}\n")
         return 2
     sys.argv = [f"experiments {name}", *options]
+    sys.path.append(str(HERE / FOLDERS[0]))
     return import_module(known[name]).main()
 
 

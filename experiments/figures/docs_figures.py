@@ -10,6 +10,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
+import _path  # noqa: F401
 import cv2
 from shared.figures import say, write_png
 
@@ -48,3 +49,7 @@ def main() -> None:
     quiet_warp()
     image = draw(arguments.tracked, arguments.recording, arguments.image)
     say(f"{image}: {image.stat().st_size / 1e3:.0f} kB\n")
+
+
+if __name__ == "__main__":
+    main()

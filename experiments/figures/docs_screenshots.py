@@ -18,6 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import _path  # noqa: F401
 import cv2
 import numpy as np
 from shared.figures import say, write_png
@@ -134,3 +135,7 @@ def main() -> None:
         page = write_report(tracked, recording, Path(folder) / "report.html", truth=truth)
         shoot_report(page, image)
         shoot_live(tracked, page, image)
+
+
+if __name__ == "__main__":
+    main()

@@ -14,10 +14,12 @@ Four questions, each a panel; a panel whose rows are missing says which experime
 """
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import _path  # noqa: F401
 import numpy as np
 from shared.bench_measures import Row
 from shared.bench_runs import read_rows
@@ -237,3 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"{label}: {fall:+.2f} ± {spread:.2f} mm less (n={count})\n")
     say(f"{draw(rows, options.image)}\n")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import _path  # noqa: F401
 import cv2
 import numpy as np
 from jaxtyping import UInt8
@@ -153,3 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{error}\n")
         return 1
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -9,10 +9,12 @@ camera could not see.
 """
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import _path  # noqa: F401
 import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -191,3 +193,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     write_png(options.image, picture)
     say(f"{options.image}: {options.image.stat().st_size / 1e3:.0f} kB\n")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import _path  # noqa: F401
 import cv2
 import numpy as np
 from jaxtyping import UInt8
@@ -135,3 +136,7 @@ def pixels(
     seen = (world - pose[:3, 3]) @ pose[:3, :3]
     spots = seen[:, :2] / seen[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     return [(round(float(x)), round(float(y))) for x, y in spots]
+
+
+if __name__ == "__main__":
+    main()

@@ -9,11 +9,13 @@ recordings in clothtrack's own format (recording.json) in DIR are taken too.
 """
 
 import argparse
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from real import hanging_cloth, robot_clouds, tshirt_pair
 from shared.figures import say, write_json, write_png
@@ -172,3 +174,7 @@ def _judged(
         return reconstructed(folder, kind, weights[kind], images / f"{title}.png")
     except ClothTrackError as error:
         return {"error": str(error)}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

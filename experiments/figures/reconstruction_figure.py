@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from shared.bench_runs import Trajectory
 from shared.figures import say, write_png
@@ -143,3 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_png(options.image, np.vstack(lines))
     say(f"{options.image}: {len(lines)} states, {options.image.stat().st_size / 1e3:.0f} kB\n")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -14,6 +14,7 @@ versions of constraints.txt.
 import argparse
 from pathlib import Path
 
+import _path  # noqa: F401
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -123,3 +124,7 @@ def main() -> None:
     folder = make(parser.parse_args().output)
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     say(f"{folder}: {size / 1e6:.2f} MB\n")
+
+
+if __name__ == "__main__":
+    main()

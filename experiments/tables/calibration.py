@@ -11,10 +11,12 @@ perfect calibration would be worth.
 """
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+import _path  # noqa: F401
 import numpy as np
 from shared.bench_measures import Row
 from shared.bench_runs import Trajectory, Variant
@@ -100,3 +102,7 @@ def most_frequent(rows: Iterable[Row]) -> dict[str, float]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     return run_experiment("calibration", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -9,9 +9,11 @@ keeps shape, the edge lengths, so it loses that too in its last line.
     python experiments collision --bench OUT --split test --workers 2
 """
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
+import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
 from clothtrack.tracking.configuration import TrackerConfig, mode
@@ -45,3 +47,7 @@ def weighted(config: TrackerConfig, **weights: float) -> TrackerConfig:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     return run_experiment("collision", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

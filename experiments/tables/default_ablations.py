@@ -8,9 +8,11 @@ makes it the default. The second half takes the parts of the paper's Table 1 awa
     python experiments default_ablations --bench OUT --split test --workers 2
 """
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
+import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
 from clothtrack.tracking.configuration import TrackerConfig, mode
@@ -75,3 +77,7 @@ def ablations() -> dict[str, TrackerConfig]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     return run_experiment("default_ablations", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

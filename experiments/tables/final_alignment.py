@@ -8,9 +8,11 @@ outscore, or the one that 90 % outscore. The method is the paper's, the grid tha
     python experiments final_alignment --bench OUT --split test --workers 2
 """
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
+import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
 from clothtrack.tracking.configuration import mode
@@ -36,3 +38,7 @@ def plan(setup: Setup) -> list[Run]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     return run_experiment("final_alignment", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

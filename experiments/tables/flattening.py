@@ -23,6 +23,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from shared import tables
 from shared.bench_measures import Row
@@ -377,3 +378,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     if options.episodes < 1 or options.actions < 1:
         raise InvalidConfigError("--episodes and --actions are at least 1")
     return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

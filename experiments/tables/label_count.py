@@ -6,8 +6,10 @@ first of more. Beyond the split's own trajectories more are filmed, as the bench
     python experiments label_count --bench OUT --weights TOWEL TSHIRT --workers 2
 """
 
+import sys
 from collections.abc import Sequence
 
+import _path  # noqa: F401
 from shared.bench_measures import Row
 from shared.learning_experiment import LearningSetup, run_learning
 from shared.learning_labels import tracked_labels
@@ -33,3 +35,7 @@ def plan(setup: LearningSetup) -> list[Row]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     return run_learning("label_count", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

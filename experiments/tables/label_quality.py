@@ -16,6 +16,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import spearmanr
@@ -254,3 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say(f"## Label quality: rank correlation with the true error (target {TARGET})\n\n")
     say(f"{scores(parts)}\n\n{single_evidence(labels, model)}\n")
     return 0 if labels else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

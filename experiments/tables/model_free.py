@@ -9,9 +9,11 @@ and the same tool path; once it is told where the tool holds the cloth, as CDCPD
 """
 
 import importlib.util
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
+import _path  # noqa: F401
 from shared.bench_runs import Variant
 from shared.experiment import Run, Setup, run_experiment
 from shared.figures import say
@@ -39,3 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"the peer needs biocpd: {install_command('experiments')}\n")
         return 1
     return run_experiment("model_free", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

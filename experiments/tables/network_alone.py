@@ -6,8 +6,10 @@ at test time. Nothing is tracked: there is no TTO2, so that both of its sides sh
     python experiments network_alone --bench OUT --weights TOWEL TSHIRT --split test
 """
 
+import sys
 from collections.abc import Sequence
 
+import _path  # noqa: F401
 from shared.bench_measures import Row
 from shared.learning_experiment import LearningSetup, refined, run_learning
 from shared.learning_runs import Reconstructor
@@ -32,3 +34,7 @@ def plan(setup: LearningSetup) -> list[Row]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     return run_learning("network_alone", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

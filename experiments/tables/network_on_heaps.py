@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from shared.bench_measures import Row, finite
 from shared.bench_runs import write_rows
@@ -183,3 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     say(f"{__doc__.splitlines()[0]}\n\n{options.kind}\n\n{markdown(rows)}\n")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

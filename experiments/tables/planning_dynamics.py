@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import spearmanr
@@ -209,3 +210,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     say(f"{__doc__.splitlines()[0]}\n\n{tables.markdown(NAME, rows)}")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

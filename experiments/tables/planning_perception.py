@@ -24,6 +24,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from shared import tables
 from shared.bench_measures import Row
@@ -199,3 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     say(f"{__doc__.splitlines()[0]}\n\n{tables.markdown(NAME, rows)}")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

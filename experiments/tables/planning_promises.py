@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from scipy.spatial import cKDTree
 from shared.figures import say
@@ -110,3 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     say(f"{__doc__.splitlines()[0]}\n\n{markdown(groups)}\n")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

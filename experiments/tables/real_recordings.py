@@ -16,12 +16,15 @@ everything runs; its figures mean nothing.
 import argparse
 import logging
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+
+import _path  # noqa: F401
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -274,3 +277,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--smoke", action="store_true", help="a few frames, under a minute")
     parser.add_argument("--verbose", action="store_true", help="log what happens")
     return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -17,6 +17,7 @@ import sys
 import time
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 import zarr
 from shared.figures import say
@@ -100,3 +101,7 @@ def main() -> int:
     text = json.dumps({"made": time.strftime("%Y-%m-%d"), "rows": rows}, indent=2)
     options.json.write_text(text + "\n", encoding="utf-8")
     return 0 if all(row["same_bits"] for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -16,9 +16,11 @@ The axes, each of them a name for `--axes`:
 """
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
+import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
 from clothtrack.tracking.configuration import TrackerConfig, mode
@@ -132,3 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own.add_argument("--axes", nargs="+", choices=AXES, default=list(AXES))
     chosen, others = own.parse_known_args(arguments)
     return run_experiment("sensitivity", __doc__, lambda setup: plan(setup, chosen.axes), others)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

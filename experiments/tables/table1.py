@@ -7,8 +7,10 @@ the Chamfer distance, which hardly follows the true error; both stand here.
     python experiments table1 --bench OUT --split test --workers 2
 """
 
+import sys
 from collections.abc import Sequence
 
+import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
 METHODS = (
@@ -31,3 +33,7 @@ def plan(setup: Setup) -> list[Run]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     return run_experiment("table1", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

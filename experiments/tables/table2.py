@@ -8,8 +8,10 @@ would show too. Chamfer hardly sees wrong correspondences: the error up to symme
     python experiments table2 --bench OUT --weights TOWEL TSHIRT --old STATES STATES
 """
 
+import sys
 from collections.abc import Sequence
 
+import _path  # noqa: F401
 from shared.bench_measures import Row
 from shared.learning_experiment import LearningSetup, run_learning
 from shared.learning_labels import old_labels, tracked_labels, true_labels
@@ -87,3 +89,7 @@ def label_sets(setup: LearningSetup, kind: str) -> dict[str, list[LabelledRecord
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; returns the exit code."""
     return run_learning("table2", __doc__, plan, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

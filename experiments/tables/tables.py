@@ -5,9 +5,11 @@ python experiments tables --rows OUT/experiments table1 --markdown FILE
 """
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import _path  # noqa: F401
 from shared.bench_runs import read_rows
 from shared.figures import say
 from shared.tables import TITLES, markdown
@@ -38,3 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         temporary.write_text(text, encoding="utf-8")
         temporary.replace(options.markdown)
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -8,10 +8,12 @@ action leaves its targets out.
 
 import argparse
 import math
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import _path  # noqa: F401
 import numpy as np
 from shared.bench_measures import Row
 from shared.bench_runs import read_rows
@@ -129,3 +131,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say(f"Order of Table 1 by Chamfer: {word}.\npaper: {' < '.join(papers)}\n")
     say(f"ours:  {' < '.join(ours)}\n")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

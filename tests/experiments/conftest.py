@@ -6,3 +6,4 @@ from pathlib import Path
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 if str(EXPERIMENTS) not in sys.path:
     sys.path.insert(0, str(EXPERIMENTS))
+    sys.path.append(str(EXPERIMENTS / "tables"))

@@ -17,6 +17,8 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import _path  # noqa: F401
+
 PACKAGE = "clothtrack"
 LEAVES = """
 import json, importlib, pkgutil, sys
