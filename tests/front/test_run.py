@@ -113,3 +113,16 @@ def test_what_garment_a_depth_array_shows_must_be_said():
     depth[20:30, 20:30] = 0.55
     with pytest.raises(ct.InvalidConfigError, match="garment='towel'"):
         ct.reconstruct(depth)
+
+
+def test_a_run_is_looked_at_on_a_local_page(run, monkeypatch, tmp_path):
+    served = {}
+
+    def serve(name, write, port, opened):
+        served[name] = write(tmp_path / "page.html").read_text("utf-8")
+
+    monkeypatch.setattr("clothtrack.report.live.serve", serve)
+    ct.view(run)
+    ct.view(run.recording)
+    ct.view(run.mesh)
+    assert set(served) == {run.name, run.recording.name, "mesh"}

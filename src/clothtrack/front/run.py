@@ -1,6 +1,7 @@
 """Track a recording; measure, look at and export what came of it."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -31,6 +32,8 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 if TYPE_CHECKING:
     from clothtrack.evaluation.results import Evaluation
     from clothtrack.evaluation.truth import Truth
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +107,10 @@ class Run(TrackedTrajectory):
         Args:
             port: of the local server, which listens on this machine only; any free one by default.
         """
-        from clothtrack.report.live import view_live
+        from clothtrack.report.page import write_report as write_page
 
-        view_live(self, recording_of(self), port)
+        source = recording_of(self)
+        _serve(self.name, lambda path: write_page(self, source, path), port)
 
     def report(self, html: Path | str, *, truth: "Truth | None" = None) -> Path:
         """Write one page that needs no network, and return where it is.
@@ -115,9 +119,9 @@ class Run(TrackedTrajectory):
             html: the file.
             truth: the true meshes, where somebody knows them.
         """
-        from clothtrack.report.page import write_report as write
+        from clothtrack.report.page import write_report as write_page
 
-        return write(self, recording_of(self), Path(html), truth=truth)
+        return write_page(self, recording_of(self), Path(html), truth=truth)
 
 
 def track(
@@ -225,17 +229,26 @@ def view(
         recording: of a run, when it is not found.
         port: of the local server, which listens on this machine only; any free one by default.
     """
-    from clothtrack.report.live_artefacts import view_mesh_live, view_recording_live
+    from clothtrack.report.artefact_pages import write_mesh_page, write_recording_page
 
     if isinstance(thing, Path | str):
         is_recording = (Path(thing) / "recording.json").exists()
         thing = read_recording(Path(thing)) if is_recording else load(thing, recording)
     if isinstance(thing, Recording):
-        view_recording_live(thing, port)
+        shown = thing
+        _serve(shown.name, lambda path: write_recording_page(shown, path), port)
     elif isinstance(thing, ClothMesh):
-        view_mesh_live(thing, "mesh", port)
+        mesh = thing
+        _serve("mesh", lambda path: write_mesh_page(mesh, "mesh", path), port)
     else:
         Run.of(thing, recording_of(thing, recording)).view(port=port)
+
+
+def _serve(name: str, write: Callable[[Path], Path], port: int | None) -> None:
+    """Serve a page until Ctrl-C is pressed; its address goes to standard error."""
+    from clothtrack.report.live import serve
+
+    serve(name, write, port, opened=lambda at: logger.warning("open %s; Ctrl-C ends", at))
 
 
 def write_report(run: Run, html: Path | str, *, truth: "Truth | None" = None) -> Path:

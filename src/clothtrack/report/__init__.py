@@ -8,8 +8,7 @@ if TYPE_CHECKING:
     from clothtrack.report.artefact_pages import write_index, write_mesh_page, write_recording_page
     from clothtrack.report.flattening_page import write_flattening_report
     from clothtrack.report.for_papers import export_pictures
-    from clothtrack.report.live import view_live
-    from clothtrack.report.live_artefacts import view_mesh_live, view_recording_live
+    from clothtrack.report.live import serve
     from clothtrack.report.mesh_export import export
     from clothtrack.report.overlay import (
         Overlay,
@@ -27,9 +26,7 @@ __all__ = [
     "ReportConfig",
     "export",
     "export_pictures",
-    "view_live",
-    "view_mesh_live",
-    "view_recording_live",
+    "serve",
     "write_contact_sheet",
     "write_flattening_report",
     "write_index",
