@@ -14,11 +14,11 @@ from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.data.winding import WindingConfig
 from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack.reconstruction.observation import observe_pictures
 from clothtrack.reconstruction.stages import (
     canonicalisation_stage,
     completion_stage,
     nearest_labelling,
-    observe_batch,
 )
 from clothtrack.reconstruction.training.batches import Subset
 from clothtrack.reconstruction.training.training_config import TrainingConfig
@@ -144,7 +144,10 @@ def test_the_labelling_is_the_one_that_the_network_has_chosen(tmp_path, kind):
     batch = collate([examples[index, 0] for index in range(2)])
     signs = canonicalisation_stage(TINY, kind).signs
     for number, one in enumerate(signs.tolist()):
-        seen, alignments = observe_batch(Learned(batch.unit, one), batch, canonical_frame(kind))
+        seen, _, alignments = observe_pictures(
+            Learned(batch.unit, one), canonical_frame(kind), batch.depth, batch.pixels,
+            batch.points.double().numpy(),
+        )  # fmt: skip
         assert nearest_labelling(seen, batch, signs).tolist() == [number] * 2
         # Aligned, the unfolded part of the cloth lies where its labels say.
         gap = (seen.aligned + 0.5 - seen.unit)[:, :2].norm(dim=1)

@@ -22,25 +22,25 @@ INFLATION = 0.12
 class CanonicalFrame:
     """How canonical coordinates in metres map to the unit cube, for one category.
 
+    The origin becomes the middle of the cube.
+
     Attributes:
         kind: the category.
-        centre_m: canonical position that becomes the middle of the cube [m].
         scale: edges of the cube per metre [1/m].
         half_m: half extent along each axis of the largest garment of the category [m].
     """
 
     kind: str
-    centre_m: tuple[float, float, float]
     scale: float
     half_m: tuple[float, float, float]
 
     def to_unit(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
         """Canonical positions [m] in the unit cube."""
-        return (points - np.asarray(self.centre_m)) * self.scale + 0.5
+        return points * self.scale + 0.5
 
     def to_metres(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
         """Positions in the unit cube as canonical positions [m]."""
-        return (points - 0.5) / self.scale + np.asarray(self.centre_m)
+        return (points - 0.5) / self.scale
 
 
 LARGEST_SIZE_M: dict[str, tuple[float, float]] = {"towel": (0.4, 0.4), "tshirt": (0.6, 0.55)}
@@ -74,7 +74,7 @@ def canonical_frame(kind: str) -> CanonicalFrame:
     width, length = LARGEST_SIZE_M[kind]
     depth = INFLATION * width if kind == "tshirt" else 0.0
     scale = 1.0 / (max(width, length) + MARGIN_M)
-    return CanonicalFrame(kind, (0.0, 0.0, 0.0), scale, (width / 2.0, length / 2.0, depth))
+    return CanonicalFrame(kind, scale, (width / 2.0, length / 2.0, depth))
 
 
 def conventional(

@@ -6,13 +6,13 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor, nn
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera, about_vertical
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.alignment_frame import Alignment, align
+from clothtrack.reconstruction.alignment_frame import Alignment
 from clothtrack.reconstruction.canonical_frame import CanonicalFrame, canonical_frame, conventional
 from clothtrack.reconstruction.data.view import (
     ClothPixels,
@@ -21,11 +21,12 @@ from clothtrack.reconstruction.data.view import (
     crop,
     points_of,
 )
-from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser, coordinates
-from clothtrack.reconstruction.networks.completion import Completion, ObservedPoints
+from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
+from clothtrack.reconstruction.networks.completion import Completion
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.networks.surface import extract_surface, field_grid
 from clothtrack.reconstruction.networks.warp_field import WarpField
+from clothtrack.reconstruction.observation import observe_pictures
 from clothtrack.reconstruction.template_fit import (
     NO_CANONICAL,
     SeenPoints,
@@ -83,23 +84,6 @@ class Reconstruction:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Canonicalised:
-    """What the canonicaliser says about a batch of pictures, pixel after pixel.
-
-    Attributes:
-        pixels: picture, row and column in the canonical picture.
-        features: of each pixel.
-        unit: canonical coordinates in the unit cube.
-        confidence: of each coordinate.
-    """
-
-    pixels: Int[Tensor, "pixels 3"]
-    features: Float[Tensor, "pixels channels"]
-    unit: Float[Tensor, "pixels 3"]
-    confidence: Float[Tensor, "pixels 3"]
-
-
 class MeshReconstructor(nn.Module):
     """Canonicaliser, completion and warp field, and the two ways from them to a mesh.
 
@@ -125,40 +109,6 @@ class MeshReconstructor(nn.Module):
     def device(self) -> torch.device:
         """Where the weights are."""
         return next(self.parameters()).device
-
-    def canonicalise(
-        self, depth: Float[Tensor, "batch 1 h w"], pixels: Int[Tensor, "pixels 3"]
-    ) -> Canonicalised:
-        """Canonical coordinates of chosen pixels of a batch of pictures.
-
-        Args:
-            depth: the networks' pictures [m]; 0 is background.
-            pixels: picture, row and column in the canonical picture.
-        """
-        maps = self.canonicaliser(depth)
-        features = self.canonicaliser.pixel_features(maps, pixels)
-        unit, confidence = coordinates(self.canonicaliser.logits(maps, pixels), self.config.window)
-        return Canonicalised(pixels, features, unit, confidence)
-
-    def volume(
-        self, seen: Canonicalised, aligned: Float[Tensor, "pixels 3"], images: int
-    ) -> Float[Tensor, "images channels x y z"]:
-        """The completed feature volume of each picture.
-
-        Args:
-            seen: from `canonicalise`.
-            aligned: where each pixel was seen, in the canonical frame [m] (`alignment_frame`).
-            images: number of pictures.
-        """
-        points = ObservedPoints(
-            seen.features,
-            seen.unit,
-            seen.confidence,
-            aligned * self.frame.scale,
-            seen.pixels[:, 0],
-            images,
-        )
-        return self.completion(points)
 
     def reconstruct(
         self,
@@ -224,31 +174,23 @@ class MeshReconstructor(nn.Module):
         depth = torch.from_numpy(np.stack([view.depth for view in views])[:, None])
         picture = np.repeat(np.arange(len(views)), [len(each.pixels) for each in found])
         pixels = np.column_stack([picture, np.concatenate([each.pixels for each in found])])
-        seen = self.canonicalise(
-            depth.to(self.device), torch.from_numpy(pixels.astype(np.int64)).to(self.device)
+        observed = observe_pictures(
+            self.canonicaliser,
+            self.frame,
+            depth.to(self.device),
+            torch.from_numpy(pixels.astype(np.int64)).to(self.device),
+            np.concatenate(points),
         )
-        canonical = self.frame.to_metres(seen.unit.double().cpu().numpy())
-        confidence = seen.confidence.double().cpu().numpy()
-        starts = np.flatnonzero(np.diff(picture)) + 1
-        parts = [
-            SeenPoints(*each)
-            for each in zip(
-                points,
-                np.split(canonical, starts),
-                np.split(confidence.prod(axis=1), starts),
-                strict=True,
-            )
-        ]
-        frames = [align(one.points, one.canonical, one.confidence) for one in parts]
-        aligned = np.concatenate(
-            [frame.to_canonical(one.points) for frame, one in zip(frames, parts, strict=True)]
-        )
-        volume = self.volume(seen, torch.from_numpy(aligned).float().to(self.device), len(views))
-        least = np.split(confidence.min(axis=1), starts)
+        volume = self.completion(observed.points)
+        least = observed.points.confidence.double().cpu().numpy().min(axis=1)
+        least = np.split(least, np.flatnonzero(np.diff(picture)) + 1)
         return [
             ObservedCloth(*each)
-            for each in zip(views, found, parts, least, frames, volume.split(1), strict=True)
-        ]
+            for each in zip(
+                views, found, observed.seen, least, observed.alignments, volume.split(1),
+                strict=True,
+            )
+        ]  # fmt: skip
 
     @torch.inference_mode()
     def carried(

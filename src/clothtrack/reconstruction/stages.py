@@ -12,10 +12,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from clothtrack.reconstruction.alignment_frame import Alignment, align
+from clothtrack.reconstruction.alignment_frame import Alignment
 from clothtrack.reconstruction.canonical_frame import (
     SHEETS,
-    CanonicalFrame,
     canonical_frame,
     symmetries,
 )
@@ -28,6 +27,7 @@ from clothtrack.reconstruction.networks.canonicalisation import (
 from clothtrack.reconstruction.networks.completion import Completion, ObservedPoints
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.networks.warp_field import RESIDUAL_M, WarpField
+from clothtrack.reconstruction.observation import observe_pictures
 from clothtrack.reconstruction.training.training_loop import Stage
 
 CLOSE = 0.05
@@ -129,7 +129,7 @@ class CompletionStage(Stage):
 
     def forward(self, batch: Batch) -> Mapping[str, Tensor]:
         """The loss of a batch and its two parts."""
-        seen, alignments = observe_batch(self.canonicaliser, batch, self._frame)
+        seen, alignments = self._observed(batch)
         chosen = nearest_labelling(seen, batch, self.signs)
         volume = self.completion(seen)
         signs = self.signs[chosen][:, None]
@@ -151,7 +151,7 @@ class CompletionStage(Stage):
 
     def measure(self, batch: Batch) -> Mapping[str, Tensor]:
         """Distance [mm] of the material points to the truth, and error (RMS) of the field."""
-        seen, alignments = observe_batch(self.canonicaliser, batch, self._frame)
+        seen, alignments = self._observed(batch)
         volume = self.completion(seen)
         positions = self._aligned_positions(batch, alignments)
         errors, fields = [], []
@@ -171,6 +171,17 @@ class CompletionStage(Stage):
             "winding_error": torch.stack(fields).gather(0, best)[0],
         }
 
+    def _observed(self, batch: Batch) -> tuple[ObservedPoints, list[Alignment]]:
+        """The seen points as completion takes them, and each picture's alignment."""
+        observed = observe_pictures(
+            self.canonicaliser,
+            self._frame,
+            batch.depth,
+            batch.pixels,
+            batch.points.double().cpu().numpy(),
+        )
+        return observed.points, observed.alignments
+
     def _aligned_positions(
         self, batch: Batch, alignments: list[Alignment]
     ) -> Float[Tensor, "batch surface 3"]:
@@ -185,46 +196,7 @@ class CompletionStage(Stage):
 
     def _metres(self, unit: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
         """Places in the unit cube as canonical positions [m]."""
-        return (unit - 0.5) / self._frame.scale + unit.new_tensor(self._frame.centre_m)
-
-
-def observe_batch(
-    canonicaliser: Canonicaliser, batch: Batch, frame: CanonicalFrame
-) -> tuple[ObservedPoints, list[Alignment]]:
-    """What the frozen canonicaliser makes of a batch: the seen points as completion takes them.
-
-    Args:
-        canonicaliser: in evaluation mode.
-        batch: the pictures.
-        frame: the canonical cube.
-
-    Returns:
-        The points, and for each picture how its world is aligned with the canonical frame.
-    """
-    with torch.no_grad():
-        features = canonicaliser(batch.depth)
-        of_pixel = canonicaliser.pixel_features(features, batch.pixels)
-        logits = canonicaliser.logits(features, batch.pixels)
-        unit, confidence = coordinates(logits, canonicaliser.config.window)
-    metres = frame.to_metres(unit.double().cpu().numpy())
-    sure = confidence.double().prod(dim=1).cpu().numpy()
-    points = batch.points.double().cpu().numpy()
-    owner = batch.pixels[:, 0].cpu().numpy()
-    alignments, aligned = [], np.empty_like(points)
-    for image in range(len(batch.depth)):
-        own = owner == image
-        found = align(points[own], metres[own], sure[own])
-        aligned[own] = frame.to_unit(found.to_canonical(points[own])) - 0.5
-        alignments.append(found)
-    seen = ObservedPoints(
-        features=of_pixel,
-        unit=unit,
-        confidence=confidence,
-        aligned=torch.from_numpy(aligned).to(unit),
-        image=batch.pixels[:, 0],
-        images=len(batch.depth),
-    )
-    return seen, alignments
+        return (unit - 0.5) / self._frame.scale
 
 
 def nearest_labelling(

@@ -77,7 +77,7 @@ def field_grid(frame: CanonicalFrame, config: NetworkConfig) -> FieldGrid:
         config: nodes per edge and margin.
     """
     half = np.asarray(frame.half_m)
-    box = frame.to_unit(np.stack([-half, half]) + np.asarray(frame.centre_m))
+    box = frame.to_unit(np.stack([-half, half]))
     low, high = box * (config.grid - 1)
     first = np.maximum(np.floor(low).astype(int) - config.grid_margin, 0)
     last = np.minimum(np.ceil(high).astype(int) + config.grid_margin, config.grid - 1)

@@ -1,0 +1,75 @@
+"""What the canonicaliser sees in a batch of pictures: one path for training and for use.
+
+Each pixel gets a canonical position, and each picture's points are turned into the canonical frame:
+that is what the completion takes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from clothtrack.reconstruction.alignment_frame import Alignment, align
+from clothtrack.reconstruction.canonical_frame import CanonicalFrame
+from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser, coordinates
+from clothtrack.reconstruction.networks.completion import ObservedPoints
+from clothtrack.reconstruction.template_fit import SeenPoints
+
+
+class ObservedPictures(NamedTuple):
+    """A batch of pictures as the canonicaliser sees them.
+
+    Attributes:
+        points: of all pictures, as the completion takes them.
+        seen: of each picture, in metres.
+        alignments: of each picture, between the world and the canonical frame.
+    """
+
+    points: ObservedPoints
+    seen: list[SeenPoints]
+    alignments: list[Alignment]
+
+
+@torch.no_grad()
+def observe_pictures(
+    canonicaliser: Canonicaliser,
+    frame: CanonicalFrame,
+    depth: Float[Tensor, "batch 1 h w"],
+    pixels: Int[Tensor, "pixels 3"],
+    points: Float[np.ndarray, "pixels 3"],
+) -> ObservedPictures:
+    """Canonical positions of chosen pixels, and how each picture's world is aligned with them.
+
+    Args:
+        canonicaliser: in evaluation mode; it gets no gradients.
+        frame: the canonical cube.
+        depth: the networks' pictures [m]; 0 is background.
+        pixels: picture, row and column in the canonical picture.
+        points: where each pixel was seen [m], world, z up.
+    """
+    maps = canonicaliser(depth)
+    features = canonicaliser.pixel_features(maps, pixels)
+    unit, confidence = coordinates(canonicaliser.logits(maps, pixels), canonicaliser.config.window)
+    canonical = frame.to_metres(unit.double().cpu().numpy())
+    sure = confidence.double().cpu().numpy().prod(axis=1)
+    picture = pixels[:, 0].cpu().numpy()
+    aligned = np.empty_like(points)
+    seen, alignments = [], []
+    for number in range(len(depth)):
+        own = picture == number
+        one = SeenPoints(points[own], canonical[own], sure[own])
+        alignment = align(one.points, one.canonical, one.confidence)
+        aligned[own] = alignment.to_canonical(one.points)
+        seen.append(one)
+        alignments.append(alignment)
+    of_batch = ObservedPoints(
+        features=features,
+        unit=unit,
+        confidence=confidence,
+        aligned=torch.from_numpy(aligned).to(unit) * frame.scale,
+        image=pixels[:, 0],
+        images=len(depth),
+    )
+    return ObservedPictures(of_batch, seen, alignments)
