@@ -31,6 +31,7 @@ from shared.bench_runs import read_rows, write_rows
 from shared.figures import say
 
 from clothtrack import __version__
+from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files.provenance import commit
 from clothtrack.files.settings import with_settings
@@ -185,7 +186,9 @@ def run(task: Task) -> list[Row]:
             task.episode,
             task.method.config,
             robot_config=task.robot,
-            parts=EpisodeParts(starts=task.out / "starts"),
+            parts=EpisodeParts(
+                starts=task.out / "starts", propose=POLICIES.get(task.method.config.policy)
+            ),
             device=task.device,
         )
     except ClothTrackError as error:

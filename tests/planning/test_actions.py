@@ -13,7 +13,6 @@ from clothtrack.planning.actions import (
     SeenCloth,
     Workspace,
     edge_measure,
-    farthest_corner,
     in_picture,
     off_cloth,
     pick_weights,
@@ -115,7 +114,6 @@ def test_a_hem_that_lies_on_other_cloth_is_an_edge_too():
 def test_nothing_in_reach_gives_no_action():
     space = ActionSpace(workspace=Workspace(x_m=(1.0, 2.0)))
     assert sample_actions(SEEN, 10, space, np.random.default_rng(0)) == []
-    assert farthest_corner(SEEN, space) is None
 
 
 def test_a_place_is_as_far_off_the_cloth_as_it_lies_beside_it_whatever_its_height():
@@ -126,13 +124,6 @@ def test_a_place_is_as_far_off_the_cloth_as_it_lies_beside_it_whatever_its_heigh
     assert off_cloth(SEEN, []).shape == (0,)
 
 
-def test_the_heuristic_pulls_a_corner_outwards():
-    action = farthest_corner(SEEN, ActionSpace())
-    assert np.abs(action.pick[:2]).min() > 0.08
-    assert np.linalg.norm(action.place[:2]) > np.linalg.norm(action.pick[:2]) + 0.04
-    assert (action.place - action.pick)[:2] @ action.pick[:2] > 0.0
-
-
 def test_no_pick_is_below_the_table_however_noisy_the_cloud_is(rng):
     noisy = SEEN.cloud.copy()
     noisy[:, 2] += rng.normal(scale=0.004, size=len(noisy))
@@ -140,7 +131,6 @@ def test_no_pick_is_below_the_table_however_noisy_the_cloud_is(rng):
     assert noisy[:, 2].min() < seen.table_height_m
     tried = sample_actions(seen, 200, ActionSpace(), rng)
     assert min(one.pick[2] for one in tried) >= seen.table_height_m
-    assert farthest_corner(seen, ActionSpace()).pick[2] >= seen.table_height_m
 
 
 def test_a_path_starts_at_the_pick_rises_and_ends_at_the_place():

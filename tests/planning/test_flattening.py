@@ -7,6 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 
+from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.camera import Camera
@@ -24,7 +25,7 @@ from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import towel
 from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.simulated_episodes import SimulatedEpisode, flatten_simulated
+from clothtrack.world.simulated_episodes import EpisodeParts, SimulatedEpisode, flatten_simulated
 from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
@@ -196,7 +197,8 @@ def test_a_pixel_of_the_table_is_as_large_as_it_is():
 @pytest.mark.parametrize("policy", ["random", "outwards", "heuristic"])
 def test_policies_without_a_mesh_need_no_weights(tmp_path, policy):
     config = FlattenConfig(policy=policy, actions=2)
-    store = flatten_simulated(tmp_path, SimulatedEpisode("towel", 3), config, robot_config=SMALL)
+    episode, parts = SimulatedEpisode("towel", 3), EpisodeParts(propose=POLICIES[policy])
+    store = flatten_simulated(tmp_path, episode, config, robot_config=SMALL, parts=parts)
     assert len(store.steps) == 3
     assert not store.document["asked"]["label"]["control"]
     assert not list((tmp_path / "episodes" / "towel_0003").glob("estimates/*"))
@@ -228,20 +230,17 @@ def test_the_control_plans_is_labelled_and_leaves_a_normal_recording(tmp_path):
 
 def test_a_killed_simulated_episode_ends_like_one_that_was_not(tmp_path):
     config = FlattenConfig(policy="heuristic", actions=2)
-    whole = flatten_simulated(
-        tmp_path / "whole", SimulatedEpisode("towel", 4), config, robot_config=SMALL
-    )
+    options = {"robot_config": SMALL, "parts": EpisodeParts(propose=POLICIES["heuristic"])}
+    whole = flatten_simulated(tmp_path / "whole", SimulatedEpisode("towel", 4), config, **options)
 
-    def stop(step):
-        if step.number == 1:
+    def stop(store, decision):
+        if len(store.document["steps"]) == 2:
             raise KeyboardInterrupt
 
     broken = tmp_path / "broken"
     with pytest.raises(KeyboardInterrupt):
-        flatten_simulated(
-            broken, SimulatedEpisode("towel", 4), config, robot_config=SMALL, watch=stop
-        )
-    store = flatten_simulated(broken, SimulatedEpisode("towel", 4), config, robot_config=SMALL)
+        flatten_simulated(broken, SimulatedEpisode("towel", 4), config, **options, watch=stop)
+    store = flatten_simulated(broken, SimulatedEpisode("towel", 4), config, **options)
     assert len(store.steps) == len(whole.steps)
     assert store.steps[1]["true_m2"] == pytest.approx(whole.steps[1]["true_m2"], rel=1e-9)
 
@@ -249,6 +248,13 @@ def test_a_killed_simulated_episode_ends_like_one_that_was_not(tmp_path):
 def test_settings_that_cannot_be_are_refused():
     with pytest.raises(InvalidConfigError, match="actions"):
         FlattenConfig(actions=0)
+    with pytest.raises(InvalidConfigError, match="policy is random; hand in"):
+        Flattening(
+            PaperRobot(),
+            EpisodeScene(CLOTH, TABLE),
+            FlattenConfig(policy="random"),
+            perception=None,
+        )
     with pytest.raises(InvalidResultError, match="no such weights"):
         dynamics_of(FlattenConfig(dynamics="mesh", dynamics_weights="nowhere.safetensors"))
     assert len(dynamics_of(FlattenConfig(materials=3))) == 3

@@ -104,12 +104,14 @@ def _flatten_simulated(
     port: int | None,
     json: bool,
 ) -> int:
+    from clothtrack.baselines.flattening_policies import POLICIES
     from clothtrack.planning.flattening import improvement
     from clothtrack.report.flattening_page import write_flattening_report
     from clothtrack.world.simulated_episodes import flatten_simulated, shared_parts
 
     # Before the first start is made and the page is served: weights may be missing.
     parts = shared_parts(episodes[0].kind, config, device=device)
+    parts = replace(parts, propose=POLICIES.get(config.policy))
     told = []
     with ExitStack() as until_done:
         watch = None
@@ -322,6 +324,7 @@ def _dry_run(
     output: Path, recording: Path, config: "FlattenConfig", *, device: str, seed: int
 ) -> int:
     """Plan one action for the last picture of a recording."""
+    from clothtrack.baselines.flattening_policies import POLICIES
     from clothtrack.planning.flatten_config import dynamics_of
     from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area
     from clothtrack.planning.perception import perception_of
@@ -346,6 +349,7 @@ def _dry_run(
         replace(config, actions=1),
         perception=perception_of(kind, config.perception, device=device) if planned else None,
         dynamics=dynamics_of(config, device=device) if planned else (),
+        propose=POLICIES.get(config.policy),
         seed=seed,
     )
     store = flattening.run(output / "episode")

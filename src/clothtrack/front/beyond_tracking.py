@@ -144,13 +144,19 @@ def flatten(
     Returns:
         The episode on disk: its steps and its status.
     """
+    from clothtrack.baselines.flattening_policies import POLICIES
     from clothtrack.planning.flatten_config import FlattenConfig
-    from clothtrack.world.simulated_episodes import SimulatedEpisode, flatten_simulated
+    from clothtrack.world.simulated_episodes import (
+        EpisodeParts,
+        SimulatedEpisode,
+        flatten_simulated,
+    )
 
     quiet_warp()
     changed = with_settings(config or FlattenConfig(), settings)
+    parts = EpisodeParts(propose=POLICIES.get(changed.policy))
     episode = SimulatedEpisode(garment, seed)
-    return flatten_simulated(Path(output), episode, changed, device=device)
+    return flatten_simulated(Path(output), episode, changed, parts=parts, device=device)
 
 
 def simulate(

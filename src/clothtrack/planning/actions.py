@@ -275,29 +275,3 @@ def off_cloth(seen: SeenCloth, actions: Sequence[PickPlace]) -> Float[np.ndarray
     """How far each place is from the nearest cloth that is seen, from above [m]."""
     places = np.array([one.place[:2] for one in actions]).reshape(-1, 2)
     return cKDTree(seen.cloud[:, :2]).query(places)[0]
-
-
-def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
-    """The geometric heuristic: pull the corner that is farthest from the middle outwards.
-
-    No mesh, no dynamics: what a planner must beat. The longest allowed way is taken; corners are
-    tried from the farthest on until one may be pulled.
-
-    Args:
-        seen: the cloth as it is seen.
-        space: the limits.
-    """
-    cloud = seen.cloud
-    off = cloud[:, :2] - cloud[:, :2].mean(axis=0)
-    far = np.linalg.norm(off, axis=1)
-    corner = np.argsort(-far * (edge_measure(cloud) > 0.3), kind="stable")
-    for one in corner[:: max(1, len(corner) // 100)]:
-        for share in (1.0, 0.75, 0.5, 0.25):
-            low, high = space.distance_m
-            way = (low + share * (high - low)) * off[one] / max(far[one], 1e-9)
-            lift = np.array([0.5 * sum(space.lift_m)])
-            pick = cloud[one].astype(np.float64)[None]
-            found = within_limits(seen, pick, pick[:, :2] + way, lift, space)
-            if found:
-                return found[0]
-    return None

@@ -29,9 +29,8 @@ class FlattenConfig(Checked):
     """One way to flatten.
 
     Attributes:
-        policy: "planned"; or, without any mesh, "random" actions, "outwards": of as many as the
-            planner tries the one that is placed farthest off the cloth, or the "heuristic" that
-            pulls the farthest corner outwards.
+        policy: "planned"; or the name of a policy without any mesh
+            (`baselines.flattening_policies`).
         perception: where the cloth is.
         dynamics: "simulator", or "mesh": the learned ones.
         dynamics_weights: file with the weights of the learned dynamics; "": those that come along.

@@ -15,12 +15,12 @@ import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.coverage import projected_area
-from clothtrack.planning.actions import PickPlace, farthest_corner, off_cloth, sample_actions
+from clothtrack.planning.actions import PickPlace, SeenCloth
 from clothtrack.planning.dynamics import PlanningDynamics
 from clothtrack.planning.episode_store import EpisodeStore, write_step
 from clothtrack.planning.flatten_config import FlattenConfig, episode_identity, weights_used
 from clothtrack.planning.perception import Estimate, Look, Perception, label_of
-from clothtrack.planning.planner import Decision, Hypothesis, Planner
+from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
 from clothtrack.planning.robots.robot import Execution, PickPlaceRobot
 from clothtrack.planning.seen import seen_area, seen_cloth
 from clothtrack.recordings.recording import ClothDescription, Table
@@ -31,6 +31,10 @@ logger = logging.getLogger(__name__)
 
 _OF_EPISODES = 0xEF15
 """Keeps the draws of this module apart from those of others with the same seed."""
+
+
+Propose = Callable[[SeenCloth, PlannerConfig, np.random.Generator], Sequence[PickPlace]]
+"""A policy without a mesh: actions for what is seen, the best first."""
 
 
 @runtime_checkable
@@ -84,6 +88,7 @@ class Flattening:
         *,
         perception: Perception | None,
         dynamics: Sequence[PlanningDynamics] = (),
+        propose: Propose | None = None,
         seed: int = 0,
         score: Callable[[], float] | None = None,
         checkpoint: Checkpoint | None = None,
@@ -96,18 +101,25 @@ class Flattening:
             config: how.
             perception: finds the cloth; a policy without a mesh needs none.
             dynamics: of the planner.
+            propose: any other policy than "planned".
             seed: of the actions that are tried.
             score: true coverage [m^2], taken down and never used; simulated robots have it.
             checkpoint: keeps the world for a resumed episode.
 
         Raises:
-            InvalidConfigError: planning is asked for without perception or dynamics.
+            InvalidConfigError: planning is asked for without perception or dynamics, or another
+                policy that is not given.
         """
         if config.policy == "planned" and (perception is None or not dynamics):
             raise InvalidConfigError("policy is planned; it needs a perception and dynamics")
+        if config.policy != "planned" and propose is None:
+            raise InvalidConfigError(
+                f"policy is {config.policy}; hand in what it proposes (clothtrack.baselines)"
+            )
         self._robot, self._scene, self._config = robot, scene, config
         self._perception = perception if config.policy == "planned" else None
-        self._planner = Planner(dynamics, config.planner) if dynamics else None
+        self._planner = Planner(dynamics, config.planner) if config.policy == "planned" else None
+        self._propose = propose
         self._seed, self._score, self._checkpoint = seed, score, checkpoint
 
     def run(self, folder: Path, *, watch: Watch | None = None) -> EpisodeStore:
@@ -202,16 +214,10 @@ class Flattening:
         """The next action that the robot can carry out."""
         rng = np.random.default_rng([_OF_EPISODES, self._seed, number, again])
         seen = seen_cloth(look.recording, look.observation())
-        space = self._config.planner.space
-        if self._config.policy == "heuristic":
-            action = farthest_corner(seen, space)
-            return Decision(self._reachable([] if action is None else [action]), 0.0)
-        if self._config.policy == "outwards":
-            tried = sample_actions(seen, self._config.planner.candidates, space, rng)
-            order = np.argsort(-off_cloth(seen, tried), kind="stable")
-            return Decision(self._reachable([tried[k] for k in order]), 0.0)
-        if self._config.policy == "random" or self._planner is None:
-            return Decision(self._reachable(sample_actions(seen, 20, space, rng)), 0.0)
+        if self._planner is None:
+            assert self._propose is not None  # __init__ refuses neither
+            proposed = self._propose(seen, self._config.planner, rng)
+            return Decision(self._reachable(proposed), 0.0)
         kind = self._scene.cloth.kind
         beliefs = [Hypothesis(one.flat, one.positions, kind) for one in estimates]
         decision = self._planner.decide(beliefs, seen, rng)

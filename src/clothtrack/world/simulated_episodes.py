@@ -20,7 +20,7 @@ from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.dynamics import PlanningDynamics
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
-from clothtrack.planning.flattening import EpisodeScene, Flattening, Watch
+from clothtrack.planning.flattening import EpisodeScene, Flattening, Propose, Watch
 from clothtrack.planning.perception import Perception, perception_of
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
@@ -57,11 +57,13 @@ class EpisodeParts:
         perception: finds the cloth; made from the configuration when None.
         dynamics: of the planner; likewise.
         starts: folder where crumpled starts are kept, shared by all ways of flattening.
+        propose: any other policy than "planned".
     """
 
     perception: Perception | None = None
     dynamics: Sequence[PlanningDynamics] = field(default_factory=tuple)
     starts: Path | None = None
+    propose: Propose | None = None
 
 
 def flatten_simulated(
@@ -120,6 +122,7 @@ def flatten_simulated(
         config,
         perception=perception,
         dynamics=dynamics,
+        propose=parts.propose,
         seed=episode.seed,
         score=score,
         checkpoint=worlds,

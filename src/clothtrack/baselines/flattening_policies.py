@@ -1,0 +1,79 @@
+"""Flattening without a mesh: what a planner must beat.
+
+Each policy proposes actions for what is seen, the best first (`planning.flattening.Propose`).
+"""
+
+import numpy as np
+
+from clothtrack.planning.actions import (
+    ActionSpace,
+    PickPlace,
+    SeenCloth,
+    edge_measure,
+    off_cloth,
+    sample_actions,
+    within_limits,
+)
+from clothtrack.planning.flattening import Propose
+from clothtrack.planning.planner import PlannerConfig
+
+_RANDOM_TRIES = 20
+"""Random actions that a robot may refuse, one after the other, before a policy gives up."""
+
+
+def random_actions(
+    seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
+) -> list[PickPlace]:
+    """Random actions of those that the planner tries."""
+    return sample_actions(seen, _RANDOM_TRIES, config.space, rng)
+
+
+def farthest_off_cloth(
+    seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
+) -> list[PickPlace]:
+    """As many actions as the planner tries, the one that is placed farthest off the cloth first."""
+    tried = sample_actions(seen, config.candidates, config.space, rng)
+    return [tried[k] for k in np.argsort(-off_cloth(seen, tried), kind="stable")]
+
+
+def corner_outwards(
+    seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
+) -> list[PickPlace]:
+    """The geometric heuristic (`farthest_corner`); nothing is drawn."""
+    del rng
+    action = farthest_corner(seen, config.space)
+    return [] if action is None else [action]
+
+
+POLICIES: dict[str, Propose] = {
+    "random": random_actions,
+    "outwards": farthest_off_cloth,
+    "heuristic": corner_outwards,
+}
+"""The policies by their names in `FlattenConfig.policy`."""
+
+
+def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
+    """The pull of the corner that is farthest from the middle, straight outwards.
+
+    The longest allowed way is taken; corners are
+    tried from the farthest on until one may be pulled.
+
+    Args:
+        seen: the cloth as it is seen.
+        space: the limits.
+    """
+    cloud = seen.cloud
+    off = cloud[:, :2] - cloud[:, :2].mean(axis=0)
+    far = np.linalg.norm(off, axis=1)
+    corner = np.argsort(-far * (edge_measure(cloud) > 0.3), kind="stable")
+    for one in corner[:: max(1, len(corner) // 100)]:
+        for share in (1.0, 0.75, 0.5, 0.25):
+            low, high = space.distance_m
+            way = (low + share * (high - low)) * off[one] / max(far[one], 1e-9)
+            lift = np.array([0.5 * sum(space.lift_m)])
+            pick = cloud[one].astype(np.float64)[None]
+            found = within_limits(seen, pick, pick[:, :2] + way, lift, space)
+            if found:
+                return found[0]
+    return None
