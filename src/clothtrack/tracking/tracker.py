@@ -35,7 +35,7 @@ class Tracker:
     def __init__(
         self,
         recording: Recording,
-        first_mesh: ClothMesh,
+        mesh: ClothMesh,
         config: TrackerConfig,
         observe: Observe,
         *,
@@ -46,16 +46,16 @@ class Tracker:
 
         Args:
             recording: what was recorded.
-            first_mesh: the flat cloth in the world [m]; its edges are the rest lengths for good.
+            mesh: the flat cloth in the world [m]; its edges are the rest lengths for good.
             config: the whole configuration.
             observe: turns a frame into a cloud.
             start: where its vertices are at the first frame [m], when the cloth does not lie flat
                 there.
             device: "cpu" or "cuda:0".
         """
-        self._recording, self._mesh, self._theta = recording, first_mesh, config.parameters
+        self._recording, self._mesh, self._theta = recording, mesh, config.parameters
         config = replace(config, solver=replace(config.solver, table=recording.table))
-        solver = ClothSolver(first_mesh, config.solver, device=device)
+        solver = ClothSolver(mesh, config.solver, device=device)
         if start is not None:
             # Flat, the layers have a side of each other, and a place to remember it.
             solver.step(SETTLE_IN_S)
@@ -64,10 +64,10 @@ class Tracker:
         self._state = solver.save()
         cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
         self._visible = VisibilityCheck(
-            first_mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m, device=device
+            mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m, device=device
         )
         self.parts = _parts(
-            recording, first_mesh, config, observe, self._visible,
+            recording, mesh, config, observe, self._visible,
             dynamics=ClothDynamics(solver, config.dynamics), device=device,
         )  # fmt: skip
 
