@@ -18,7 +18,7 @@ from clothtrack.planning.robots.robot import (
     MotionLimits,
     Reachability,
     RgbdFrame,
-    way_points,
+    waypoints,
 )
 from clothtrack.recordings.recording import PickerPath
 
@@ -74,7 +74,7 @@ class BridgeRobot:
 
     def check(self, action: PickPlace) -> Reachability:
         """Our limits first, then the other side's."""
-        refusal = self._limits.refusal(way_points(action))
+        refusal = self._limits.refusal(waypoints(action))
         if refusal:
             return Reachability(False, refusal)
         answer = self._ask("check", action=action.as_dict())

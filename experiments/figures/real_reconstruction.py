@@ -156,8 +156,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report = {}
         for title, found in recordings_in(data, temporary / "converted").items():
             report[title] = _judged(title, found, weights, images)
-            told = report[title].get("skipped") or report[title].get("error")
-            say(f"{title}: {f'skipped, {told}' if told else images / report[title]['image']}\n")
+            text = report[title].get("skipped") or report[title].get("error")
+            say(f"{title}: {f'skipped, {text}' if text else images / report[title]['image']}\n")
         write_json(images / "real_reconstruction.json", report)
     return 1 if any("error" in one for one in report.values()) else 0
 

@@ -79,7 +79,7 @@ def drawn(state: State, ways: Sequence[Reconstructor]) -> Picture:
     surface = ClothMesh(truth.at(frame), truth.faces)
     camera = three_quarter_view(surface.vertices, width=WIDTH, height=HEIGHT)
     depth, mask, _ = cloth_picture(recording, recording.frames[frame])
-    pictures, told = [depth_picture(depth, mask)], []
+    pictures, text = [depth_picture(depth, mask)], []
     for how in ways:
         model = load_model(trajectory.kind, how.weights)
         found = reconstruct_frame(model, recording, frame, trajectory.kind, how)
@@ -88,9 +88,9 @@ def drawn(state: State, ways: Sequence[Reconstructor]) -> Picture:
             canonical_picture(found.reconstruction, trajectory.kind),
             mesh_picture(found.mesh, camera, recording.table, status),
         ]
-        told.append(f"{how.name} {_error(found, case)}")
+        text.append(f"{how.name} {_error(found, case)}")
     pictures.append(mesh_picture(surface, camera, recording.table, ""))
-    words = f"{trajectory.name}, action {state.action + 1}: depth; {'; '.join(told)}"
+    words = f"{trajectory.name}, action {state.action + 1}: depth; {'; '.join(text)}"
     return line(pictures, (words, "truth"))
 
 

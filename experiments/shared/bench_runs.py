@@ -27,7 +27,7 @@ from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.initial_state import first_cloth
+from clothtrack.tracking.initial_state import find_initial_state
 from clothtrack.tracking.pipeline import RunConfig, counted_settings, observer, provenance
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
@@ -226,7 +226,9 @@ def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTraj
     """Follow the cloth through a recording as the variant says."""
     config = variant.config
     cloud = observer(recording, config.cloud_spacing_m)
-    first = first_cloth(recording, cloud(recording.frames[0]), config.first_mesh, device=device)
+    first = find_initial_state(
+        recording, cloud(recording.frames[0]), config.initial_state, device=device
+    )
     if variant.peer is not None:
         tracked = follow(recording, first.mesh, cloud, variant.peer, device=device)
     else:

@@ -98,7 +98,7 @@ def targets(rows: Sequence[Row]) -> str:
         name: IMPROVEMENT.values(row for row in rows if row["variant"] == name)
         for name in (PRETRAINED, TUNED, BOUND)
     }
-    told = []
+    text = []
     for ours, theirs, words, target in (
         (TUNED, PRETRAINED, "fine-tuned over pretrained", "1.30 or more (paper: 0.30 / 0.23)"),
         (TUNED, BOUND, "fine-tuned over the upper bound", "0.80 or more"),
@@ -109,11 +109,11 @@ def targets(rows: Sequence[Row]) -> str:
             continue
         gap = pairs[:, 0] - pairs[:, 1]
         spread = f" ± {gap.std(ddof=1) / np.sqrt(len(gap)):.3f}" if len(gap) > 1 else ""
-        told.append(
+        text.append(
             f"- {words}: {pairs[:, 0].mean() / pairs[:, 1].mean():.2f} (target: {target}); "
             f"{gap.mean():+.3f}{spread} over {len(gap)} shared starts"
         )
     if values[TUNED]:
         mean = float(np.mean(list(values[TUNED].values())))
-        told.append(f"- fine-tuned: {mean:.3f} (target: 0.45 or more)")
-    return "\n".join(told)
+        text.append(f"- fine-tuned: {mean:.3f} (target: 0.45 or more)")
+    return "\n".join(text)

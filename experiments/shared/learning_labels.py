@@ -15,7 +15,7 @@ from clothtrack.reconstruction.data.pseudo_labels import (
     PseudoLabel,
     label_recording,
 )
-from clothtrack.reconstruction.data.state_examples import FilmingConfig, film
+from clothtrack.reconstruction.data.state_examples import RenderConfig, render
 from clothtrack.reconstruction.data.state_store import StateSet, read_shard
 from clothtrack.recordings.store import read_recording
 from shared.bench_runs import Task, Trajectory, kept_labels
@@ -83,7 +83,7 @@ def old_labels(
             )
         chosen = rng.choice(len(shard.positions), len(one.pictures), replace=False)
         pictures = tuple(
-            film(shard.positions[state].astype(np.float64), shard.mesh, FilmingConfig(), rng)
+            render(shard.positions[state].astype(np.float64), shard.mesh, RenderConfig(), rng)
             for state in chosen
         )
         frames = tuple(int(state) for state in chosen)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.tracking.configuration import MODES, mode
-from clothtrack.tracking.flat_fit import FirstMeshConfig
+from clothtrack.tracking.flat_fit import InitialStateConfig
 from clothtrack.tracking.pipeline import RunConfig, track_recordings
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -42,7 +42,7 @@ def track(
     tracker = mode(mode_name)
     if not calibrated:
         tracker = replace(tracker, calibration=replace(tracker.calibration, method="none"))
-    config = RunConfig(tracker=tracker, first_mesh=FirstMeshConfig(vertex_count=vertex_count))
+    config = RunConfig(tracker=tracker, initial_state=InitialStateConfig(vertex_count=vertex_count))
     (outcome,) = track_recordings([recording], output / mode_name, config, device=device)
     if outcome.result is None:
         raise ClothTrackError(outcome.error)

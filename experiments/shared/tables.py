@@ -166,8 +166,8 @@ _BELOW: Mapping[str, Callable[[Sequence[Row], Sequence[str]], list[str]]] = {
 def _with_failures(parts: list[str], rows: Sequence[Row]) -> str:
     """The parts of a text, and what failed."""
     failed = [row for row in rows if "error" in row]
-    told = [f"- failed: {r['variant']}, {r['recording']}: {r['error']}" for r in failed]
-    return "\n\n".join(part for part in (*parts, *told) if part) + "\n"
+    text = [f"- failed: {r['variant']}, {r['recording']}: {r['error']}" for r in failed]
+    return "\n\n".join(part for part in (*parts, *text) if part) + "\n"
 
 
 def about(rows: Sequence[Row]) -> str:

@@ -323,8 +323,8 @@ def make_start(task: Task) -> None:
 def noted(rows: list[Row]) -> list[Row]:
     """The same rows; says that they are there."""
     last = rows[-1]
-    told = last.get("error") or f"improvement {last['improvement']:.3f}"
-    sys.stderr.write(f"{last['variant']}, {last['recording']}: {told}\n")
+    text = last.get("error") or f"improvement {last['improvement']:.3f}"
+    sys.stderr.write(f"{last['variant']}, {last['recording']}: {text}\n")
     sys.stderr.flush()
     return rows
 

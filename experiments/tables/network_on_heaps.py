@@ -155,8 +155,8 @@ def markdown(rows: Sequence[Row]) -> str:
             line.append(f"{np.mean(inside):.1f} ({len(inside)})" if inside else "-")
         lines.append(line)
     failed = [row for row in rows if "error" in row]
-    told = [f"- {row['variant']}, {row['recording']}: {row['error']}" for row in failed]
-    return "\n".join([table(head, lines), "", *told])
+    text = [f"- {row['variant']}, {row['recording']}: {row['error']}" for row in failed]
+    return "\n".join([table(head, lines), "", *text])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -86,8 +86,8 @@ def measured(folder: Path, truth: Path, tip: str) -> dict[str, Any]:
     right = 0
     for number, place in zip(found.picks, picks, strict=False):
         cloth = ClothMesh(positions[place], faces)
-        told = found.path.position_at(recording.frames[number].time_s)
-        vertex = nearest_visible_vertex(cloth, told, [camera])
+        text = found.path.position_at(recording.frames[number].time_s)
+        vertex = nearest_visible_vertex(cloth, text, [camera])
         right += vertex == nearest_visible_vertex(cloth, path.positions[place], [camera])
     return {
         "film": folder.name,

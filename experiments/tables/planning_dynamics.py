@@ -93,10 +93,10 @@ def episodes(out: Path, kind: str) -> Mapping[int, list[Done]]:
         strip_m = float(asked["config"]["planner"].get("strip_m", 0.0))
         for row in episode["steps"][1:]:
             number = int(row["step"])
-            told = row["action"]
+            text = row["action"]
             done = Done(
                 flat, policy, number,
-                PickPlace(np.array(told["pick"]), np.array(told["place"]), float(told["lift_m"])),
+                PickPlace(np.array(text["pick"]), np.array(text["place"]), float(text["lift_m"])),
                 _positions(worlds, number - 1), _positions(worlds, number),
                 asked["label"]["perception"], float(row["gain_m2"]), strip_m,
             )  # fmt: skip

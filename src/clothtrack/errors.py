@@ -17,7 +17,7 @@ class InvalidRecordingError(ClothTrackError):
     """A recording on disk cannot be used as it is."""
 
 
-class TornError(ClothTrackError):
+class TruncatedError(ClothTrackError):
     """A part of a source is missing or damaged; the rest may be whole, so importing goes on."""
 
 
@@ -44,8 +44,8 @@ class StorageError(ClothTrackError):
     def of(cls, error: OSError, path: Path | None = None) -> "StorageError":
         """What the system refused, at `path` or where it says itself, and what to do."""
         where = path or error.filename or "the output"
-        told = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
-        return cls(f"{where}: {told}")
+        text = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
+        return cls(f"{where}: {text}")
 
 
 _REMEDIES = {

@@ -86,7 +86,7 @@ def test_a_dry_run_without_a_mesh_needs_a_recording_only(tmp_path, capsys):
     assert cli.main([*words, "--recording", str(recording)]) == 0
     assert "action_00.png" in capsys.readouterr().out
     told = json.loads((tmp_path / "plan" / "action_00.json").read_text())
-    assert len(told["way_points"]) == 6
+    assert len(told["waypoints"]) == 6
 
 
 def test_the_truth_is_not_to_be_had_in_a_dry_run(tmp_path, capsys):

@@ -63,14 +63,14 @@ def test_methods_without_their_weights_are_left_out_and_some_can_be_chosen():
 
 
 def test_the_table_tells_pairs_the_curve_and_the_targets(rows):
-    told = tables.markdown("flattening", rows)
-    assert "Paired by recording, minus *random*" in told
+    text = tables.markdown("flattening", rows)
+    assert "Paired by recording, minus *random*" in text
     # Means of the three episodes: gained + 0.1.
-    assert "fine-tuned over pretrained: 1.38" in told
-    assert "+0.150 ± 0.000 over 3 shared starts" in told
-    assert "fine-tuned over the upper bound: 0.92" in told
-    assert "fine-tuned: 0.550 (target: 0.45 or more)" in told
-    (line,) = [line for line in told.splitlines() if line.startswith("| pretrained | 0.2")]
+    assert "fine-tuned over pretrained: 1.38" in text
+    assert "+0.150 ± 0.000 over 3 shared starts" in text
+    assert "fine-tuned over the upper bound: 0.92" in text
+    assert "fine-tuned: 0.550 (target: 0.45 or more)" in text
+    (line,) = [line for line in text.splitlines() if line.startswith("| pretrained | 0.2")]
     assert line == "| pretrained | 0.200 | 0.400 |"
 
 
@@ -118,10 +118,10 @@ def test_what_the_dynamics_promise_is_ranked_against_what_came():
     gains = (0.001, 0.002, 0.003, 0.004)
     rows = [row("simulator", n, gain, gain) for n, gain in enumerate(gains, start=1)]
     rows += [row("learned mesh dynamics", n, -gain, gain) for n, gain in enumerate(gains, start=1)]
-    told = tables.markdown("planning_dynamics", rows)
-    assert "| simulator | 1.00 (4) |" in told
-    assert "| learned mesh dynamics | -1.00 (4) |" in told
-    assert "| simulator | 1 | 25.0 ± - | 25.0 | 50.0 |" in told
+    text = tables.markdown("planning_dynamics", rows)
+    assert "| simulator | 1.00 (4) |" in text
+    assert "| learned mesh dynamics | -1.00 (4) |" in text
+    assert "| simulator | 1 | 25.0 ± - | 25.0 | 50.0 |" in text
 
 
 def test_what_a_promise_and_a_metre_are_worth_is_found_again():
@@ -134,9 +134,9 @@ def test_what_a_promise_and_a_metre_are_worth_is_found_again():
         assert abs(value - true) < 4.0 * error
     blind = planning_promises.fitted(np.stack([0.0 * promise, gain, off], axis=1))
     assert "promise" not in blind
-    told = planning_promises.markdown({"planned": np.stack([promise, gain, off], axis=1)})
-    assert "| planned | over 10 |" in told
-    strip_m = float(told.splitlines()[-1].split("|")[-2])
+    text = planning_promises.markdown({"planned": np.stack([promise, gain, off], axis=1)})
+    assert "| planned | over 10 |" in text
+    strip_m = float(text.splitlines()[-1].split("|")[-2])
     assert strip_m == pytest.approx(300.0 / 0.5 / 1e4, rel=0.1)
 
 

@@ -61,13 +61,13 @@ def test_the_model_sees_no_label_but_those_of_dev():
 
 
 def test_the_table_tells_a_relation_from_none():
-    told, untold = judged("test"), judged("test", noise=4.0, seed=2)
+    report, untold = judged("test"), judged("test", noise=4.0, seed=2)
     model = label_quality.fitted([*judged("dev", seed=3)], "default")
-    for labels, low, high in ((told, 0.95, 1.0), (untold, -0.6, 0.6)):
+    for labels, low, high in ((report, 0.95, 1.0), (untold, -0.6, 0.6)):
         ((own, expected),) = label_quality.expectations(labels, model).values()
         rank = label_quality.rank_correlation(expected, [one.error_m for one in own])
         assert low <= rank <= high
-    text = label_quality.scores(label_quality.expectations(told, model))
+    text = label_quality.scores(label_quality.expectations(report, model))
     assert "| test | 24 | 1.00 | 1.00 | 1.00 |" in text
 
 

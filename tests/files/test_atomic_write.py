@@ -6,10 +6,10 @@ import pytest
 
 from clothtrack.errors import StorageError
 from clothtrack.files.atomic_write import (
+    atomic_file,
+    atomic_folder,
     name_problem,
     storage,
-    whole_file,
-    whole_folder,
     write_file,
 )
 
@@ -21,7 +21,7 @@ def _break_off(opened, path):
         raise RuntimeError("power cut")
 
 
-@pytest.mark.parametrize("opened", [whole_file, whole_folder])
+@pytest.mark.parametrize("opened", [atomic_file, atomic_folder])
 def test_nothing_appears_when_the_writer_fails(opened, tmp_path):
     with pytest.raises(RuntimeError):
         _break_off(opened, tmp_path / "result")
@@ -32,20 +32,20 @@ def test_what_was_there_stays_when_the_writer_fails(tmp_path):
     path = tmp_path / "page.html"
     path.write_text("yesterday")
     with pytest.raises(RuntimeError):
-        _break_off(whole_file, path)
+        _break_off(atomic_file, path)
     assert path.read_text() == "yesterday"
 
 
 def test_a_finished_file_replaces_the_one_before(tmp_path):
     path = tmp_path / "deep" / "page.html"
     for words in ("yesterday", "today"):
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             temporary.write_text(words)
     assert path.read_text() == "today"
     assert [found.name for found in path.parent.iterdir()] == ["page.html"]
 
 
-@pytest.mark.parametrize("opened", [whole_file, whole_folder])
+@pytest.mark.parametrize("opened", [atomic_file, atomic_folder])
 def test_a_place_that_cannot_be_written_to_is_named(opened, tmp_path):
     (tmp_path / "file").write_text("not a folder")
     path = tmp_path / "file" / "result"
@@ -56,7 +56,7 @@ def test_a_place_that_cannot_be_written_to_is_named(opened, tmp_path):
 def test_a_finished_folder_replaces_the_one_before_when_it_is_to(tmp_path):
     path = tmp_path / "states.zarr"
     for words in ("yesterday", "today"):
-        with whole_folder(path, replace=True) as temporary:
+        with atomic_folder(path, replace=True) as temporary:
             (temporary / words).touch()
     assert [found.name for found in path.iterdir()] == ["today"]
     assert [found.name for found in tmp_path.iterdir()] == ["states.zarr"]
@@ -64,7 +64,7 @@ def test_a_finished_folder_replaces_the_one_before_when_it_is_to(tmp_path):
 
 def test_the_folder_before_stays_when_the_new_one_cannot_take_its_place(tmp_path, monkeypatch):
     path = tmp_path / "states.zarr"
-    with whole_folder(path) as temporary:
+    with atomic_folder(path) as temporary:
         (temporary / "yesterday").touch()
     rename = os.replace
 
@@ -76,7 +76,7 @@ def test_the_folder_before_stays_when_the_new_one_cannot_take_its_place(tmp_path
     monkeypatch.setattr(os, "replace", refused)
     with (
         pytest.raises(StorageError, match="the disk is full"),
-        whole_folder(path, replace=True) as temporary,
+        atomic_folder(path, replace=True) as temporary,
     ):
         (temporary / "today").touch()
     assert [found.name for found in path.iterdir()] == ["yesterday"]
@@ -94,7 +94,7 @@ def test_no_folder_is_half_removed_under_its_name(tmp_path, monkeypatch):
 
     monkeypatch.setattr(shutil, "rmtree", watched)
     for words in ("yesterday", "today"):
-        with whole_folder(path, replace=True) as temporary:
+        with atomic_folder(path, replace=True) as temporary:
             (temporary / words).touch()
     assert all(folder.name.startswith(".") for folder in removed)
 
@@ -103,7 +103,7 @@ def test_a_file_gives_way_to_no_folder(tmp_path):
     (tmp_path / "states.zarr").write_text("mine")
     with (
         pytest.raises(StorageError, match="a file is where a folder belongs"),
-        whole_folder(tmp_path / "states.zarr", replace=True),
+        atomic_folder(tmp_path / "states.zarr", replace=True),
     ):
         pass
     assert (tmp_path / "states.zarr").read_text() == "mine"
@@ -120,7 +120,7 @@ def test_what_late_writers_keep_alive_is_removed_too(tmp_path, monkeypatch):
 
     monkeypatch.setattr(shutil, "rmtree", fails_twice)
     with pytest.raises(RuntimeError):
-        _break_off(whole_folder, tmp_path / "result")
+        _break_off(atomic_folder, tmp_path / "result")
     assert len(calls) == 3
     assert list(tmp_path.iterdir()) == []
 

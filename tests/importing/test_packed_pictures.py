@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from import_makers import Film, color_of, depth_of, png, write_folder
 
-from clothtrack.errors import TornError
+from clothtrack.errors import TruncatedError
 from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.import_recording import import_recording
 from clothtrack.importing.packed_pictures import packed_color, packed_depth
@@ -57,7 +57,7 @@ def test_what_changes_the_pixels_is_decoded(film):
 def test_pixels_that_contradict_the_header_are_refused(rows):
     """Every checksum is right; a 2 x 2 picture has two rows of a filter and two samples."""
     assert packed_depth(grey16(bytes(10), 2, 2)).plain_png() is not None
-    with pytest.raises(TornError):
+    with pytest.raises(TruncatedError):
         packed_depth(grey16(rows, 2, 2)).plain_png()
 
 
@@ -67,7 +67,7 @@ def test_a_broken_file_is_refused(share, film):
     flipped = bytearray(data)
     flipped[int(share * len(data))] ^= 1
     for broken in (data[: int(share * len(data))], bytes(flipped)):
-        with pytest.raises(TornError):
+        with pytest.raises(TruncatedError):
             packed_depth(broken).plain_png()
 
 
@@ -75,7 +75,7 @@ def test_a_wrong_checksum_of_the_pixels_is_refused():
     data = grey16(bytes(10), 2, 2)
     pixels = zlib.compress(bytes(10))
     other = pixels[:-1] + bytes([pixels[-1] ^ 1])
-    with pytest.raises(TornError):
+    with pytest.raises(TruncatedError):
         packed_depth(data.replace(chunk(b"IDAT", pixels), chunk(b"IDAT", other))).plain_png()
 
 

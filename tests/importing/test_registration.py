@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.containers import TornError
+from clothtrack.importing.containers import TruncatedError
 from clothtrack.importing.lens import Lens
 from clothtrack.importing.registration import Registration
 from clothtrack.importing.source import Rig
@@ -145,7 +145,7 @@ def test_a_colour_picture_is_straightened():
 
 
 def test_another_size_than_the_lens_is_refused():
-    with pytest.raises(TornError, match="48 x 36"):
+    with pytest.raises(TruncatedError, match="48 x 36"):
         Registration(rig(None, np.eye(4))).depth(np.zeros((10, 10), np.uint16))
 
 

@@ -43,7 +43,7 @@ def test_the_plan_is_on_disk_and_nothing_moved(tmp_path):
     assert done.grasped is None
     told = json.loads((tmp_path / "action_00.json").read_text())
     assert told["pick"] == ACTION.pick.tolist()
-    assert len(told["way_points"]) == 6
+    assert len(told["waypoints"]) == 6
     assert cv2.imread(str(tmp_path / "action_00.png")).shape == (120, 160, 3)
     robot.execute(ACTION)
     assert (tmp_path / "action_01.json").exists()

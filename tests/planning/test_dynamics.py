@@ -7,7 +7,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.dynamics import (
-    HeldWays,
+    HeldPaths,
     MotionConfig,
     PlannedCloth,
     PlanningDynamics,
@@ -83,7 +83,7 @@ def test_the_topmost_vertex_under_the_pick_is_held():
 
 def test_ways_end_at_the_place_and_wait_there():
     motion = MotionConfig()
-    held = HeldWays.of(LYING, [INWARDS, None, ASIDE], motion)
+    held = HeldPaths.of(LYING, [INWARDS, None, ASIDE], motion)
     assert held.vertices[1] == -1
     assert held.steps[1] == 0
     assert held.steps[0] > held.steps[2] > 0

@@ -16,7 +16,7 @@ from clothtrack.planning.perception import (
     NetworkPerception,
     PerceptionConfig,
     TrackerPerception,
-    unseen_way_m,
+    unseen_path_m,
 )
 from clothtrack.planning.robots.robot import Execution, RgbdFrame
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
@@ -99,12 +99,12 @@ def test_cloth_that_was_carried_unseen_is_perceived_anew(tmp_path, caplog):
     before = [Estimate(flat, lying, "network")]
 
     unseen = acted(tmp_path / "unseen", [0.0, 3.5, 4.0])
-    assert unseen_way_m(unseen) == pytest.approx(0.2)
+    assert unseen_path_m(unseen) == pytest.approx(0.2)
     assert perception.perceive(Look(unseen, acted=True, before=before)) == [fresh]
     assert "carried 0.20 m between two pictures (limit 0.06 m)" in caplog.text
 
     filmed = acted(tmp_path / "filmed", np.linspace(0.0, 4.0, 17))
-    assert unseen_way_m(filmed) == pytest.approx(0.025)
+    assert unseen_path_m(filmed) == pytest.approx(0.025)
     look = Look(filmed, acted=True, before=before)
     config = PerceptionConfig(name="tracker", lost_m=1.0)
     (tracked,) = TrackerPerception(Anew(fresh), config).perceive(look)
@@ -115,7 +115,7 @@ def test_cloth_that_was_carried_unseen_is_perceived_anew(tmp_path, caplog):
     assert "mm from its cloud (limit 0 mm): perceived anew" in caplog.text
 
 
-@pytest.mark.parametrize("name", ["longest_way_m", "lost_m"])
+@pytest.mark.parametrize("name", ["longest_path_m", "lost_m"])
 def test_a_limit_that_nothing_keeps_is_refused(name):
     with pytest.raises(InvalidConfigError, match=f"{name} is 0"):
         PerceptionConfig(**{name: 0.0})

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clothtrack.planning.actions import PickPlace, Workspace
-from clothtrack.planning.robots.robot import MotionLimits, way_points
+from clothtrack.planning.robots.robot import MotionLimits, waypoints
 
 LIMITS = MotionLimits(Workspace((-0.2, 0.2), (-0.1, 0.1), (0.0, 0.3)), 0.05, clearance_m=0.01)
 
@@ -27,7 +27,7 @@ def test_a_refusal_names_value_and_limit(point, told):
 
 def test_way_points_come_from_above_and_go_up_again():
     action = PickPlace(np.array([0.0, 0.0, 0.06]), np.array([0.1, 0.0, 0.07]), 0.05)
-    points = way_points(action, 0.12)
+    points = waypoints(action, 0.12)
     np.testing.assert_allclose(points[1], action.pick)
     np.testing.assert_allclose(points[4], action.place)
     np.testing.assert_allclose(points[[0, 5], 2], [0.18, 0.19])

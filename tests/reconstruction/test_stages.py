@@ -9,7 +9,7 @@ import torch
 from clothtrack.reconstruction.canonical_frame import canonical_frame
 from clothtrack.reconstruction.data.examples import ExampleConfig, collate
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.reconstruction.data.state_examples import FilmingConfig, StateExamples
+from clothtrack.reconstruction.data.state_examples import RenderConfig, StateExamples
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.data.winding import WindingConfig
 from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
@@ -58,8 +58,8 @@ def examples_of(folder, kind, *, count=4, turn=False):
         mirror=False,
         winding=WindingConfig(pool=2048),
     )
-    filming = FilmingConfig(sensor=SensorConfig.perfect(), mask_jitter=0.0)
-    return StateExamples([write_states(folder, kind, [shard], {})], TINY, config, filming=filming)
+    filming = RenderConfig(sensor=SensorConfig.perfect(), mask_jitter=0.0)
+    return StateExamples([write_states(folder, kind, [shard], {})], TINY, config, rendering=filming)
 
 
 class Learned(Canonicaliser):

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from clothtrack.errors import InvalidConfigError
 from clothtrack.reconstruction.data.examples import ExampleConfig, Garment, collate, draw_example
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.reconstruction.data.state_examples import FilmingConfig, StateExamples, film
+from clothtrack.reconstruction.data.state_examples import RenderConfig, StateExamples, render
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.data.winding import WindingConfig, winding_numbers
@@ -19,7 +19,7 @@ from clothtrack.reconstruction.training.batches import loader
 from clothtrack.simulation.garments import garment
 
 NETWORK = NetworkConfig()
-PERFECT = FilmingConfig(sensor=SensorConfig.perfect(), mask_jitter=0.0)
+PERFECT = RenderConfig(sensor=SensorConfig.perfect(), mask_jitter=0.0)
 CONFIG = ExampleConfig(surface_queries=4096, winding=WindingConfig(pool=4096))
 
 
@@ -57,7 +57,7 @@ def shirts(tmp_path):
 def test_pixels_points_and_labels_agree(tmp_path, kind):
     """A pixel's canonical coordinate leads to the material point that was measured there."""
     examples = StateExamples(
-        [states(tmp_path, kind, shards=1)], NETWORK, CONFIG, filming=PERFECT, seed=4
+        [states(tmp_path, kind, shards=1)], NETWORK, CONFIG, rendering=PERFECT, seed=4
     )
     for index in range(4):
         example = examples[index, 7 * index]
@@ -71,7 +71,7 @@ def test_pixels_points_and_labels_agree(tmp_path, kind):
 
 
 def test_the_picture_shows_the_points(shirts):
-    example = StateExamples([shirts], NETWORK, CONFIG, filming=PERFECT)[0, 0]
+    example = StateExamples([shirts], NETWORK, CONFIG, rendering=PERFECT)[0, 0]
     assert example.depth.shape == (NETWORK.image_size, NETWORK.image_size)
     shown = np.zeros((NETWORK.output_size,) * 2, bool)
     shown[tuple(example.pixels.T)] = True
@@ -85,7 +85,7 @@ def test_the_picture_shows_the_points(shirts):
 
 def drawn_picture(angle=0.0, mirror=False, seed=2):
     mesh = garment("tshirt", vertex_count=600)
-    picture = film(crumpled(mesh), mesh, PERFECT, np.random.default_rng(seed))
+    picture = render(crumpled(mesh), mesh, PERFECT, np.random.default_rng(seed))
     picture = picture.mirrored() if mirror else picture
     return picture.turned(angle)
 
@@ -130,7 +130,7 @@ def test_the_camera_still_sees_its_cloth(mirror, angle):
 def test_winding_numbers_are_those_of_the_labelled_garment():
     mesh = garment("tshirt", vertex_count=600)
     labels = Garment.of(mesh, "tshirt", CONFIG.winding, seed=0)
-    picture = film(crumpled(mesh), mesh, PERFECT, np.random.default_rng(0))
+    picture = render(crumpled(mesh), mesh, PERFECT, np.random.default_rng(0))
     for seed in range(4):
         example = draw_example(picture, labels, NETWORK, CONFIG, np.random.default_rng(seed))
         mirror = np.random.default_rng(seed).random() < 0.5
@@ -154,7 +154,7 @@ def test_an_example_is_a_function_of_index_epoch_and_seed(shirts):
 
 def test_rotations_are_even(shirts):
     """The label's direction in the picture takes all directions as epochs pass."""
-    examples = StateExamples([shirts], NETWORK, CONFIG, filming=PERFECT)
+    examples = StateExamples([shirts], NETWORK, CONFIG, rendering=PERFECT)
     angles = []
     for epoch in range(24):
         example = examples[0, epoch]
@@ -176,7 +176,7 @@ def test_a_label_far_from_the_mesh_is_cut():
     mesh = garment("towel", vertex_count=600)
     labels = Garment.of(mesh, "towel", CONFIG.winding, seed=0)
     flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
-    picture = film(flat, mesh, PERFECT, np.random.default_rng(1))
+    picture = render(flat, mesh, PERFECT, np.random.default_rng(1))
     half = np.zeros_like(picture.mask)
     half[: len(half) // 2] = True
     raised = picture.depth_m - np.where(half, 0.03, 0.0)

@@ -50,11 +50,11 @@ def towels(tmp_path, monkeypatch):
 
 def labels_of(folder, count=3):
     mesh = garment("towel", vertex_count=150)
-    from clothtrack.reconstruction.data.state_examples import FilmingConfig, film
+    from clothtrack.reconstruction.data.state_examples import RenderConfig, render
 
     flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
     for number in range(count):
-        picture = film(flat, mesh, FilmingConfig(), np.random.default_rng(number))
+        picture = render(flat, mesh, RenderConfig(), np.random.default_rng(number))
         assert isinstance(picture, LabelledPicture)
         one = LabelledRecording(f"t{number}", "towel", mesh, (0,), (picture,))
         write_labels(one, folder / f"t{number}.labels.npz")

@@ -89,7 +89,7 @@ def test_a_cloud_stands_for_the_whole_frame(tmp_path):
     seen = observe(recording, recording.frames[0], spacing_m=None)
     np.testing.assert_array_equal(seen.points, cloud)
     assert seen.hidden == {}
-    assert not seen.silent(cloud).any()
+    assert not seen.unobservable(cloud).any()
 
 
 def test_thinning_leaves_one_mean_point_per_cube():
@@ -226,10 +226,10 @@ def test_silence_means_nothing_only_where_nothing_could_be_seen():
         [on_hidden, in_view, [5.0, 0, 0], [0, 0, 0.9], [0.02, 0, 0.025], in_view - [0, 0, 0.09]]
     )
     expected = [True, False, True, True, True, True]
-    np.testing.assert_array_equal(seen.silent(vertices), expected)
+    np.testing.assert_array_equal(seen.unobservable(vertices), expected)
     other = looking_at_origin("b", [0.1, 0.1, 0.6])
     both = Observation(seen.points, (camera, other), {"a": hidden}, None, np.zeros((0, 3)), 0.0)
-    np.testing.assert_array_equal(both.silent(np.stack([on_hidden, in_view])), [False, False])
+    np.testing.assert_array_equal(both.unobservable(np.stack([on_hidden, in_view])), [False, False])
 
 
 def test_tool_positions_are_those_of_the_frame(tmp_path):

@@ -133,4 +133,6 @@ def test_the_chart_and_the_table_of_evaluate_show_the_same_number():
     (shown,) = evidence_of(placed, recording).rms_mm
     np.testing.assert_allclose(shown, row.chamfer_pc_rms_mm, rtol=1e-6)
     everything = root_mean_square_mm(chamfer_pc(vertices.astype(float), seen, points))
-    assert abs(shown - everything) > 0.01  # leaving silent vertices out makes a difference here
+    assert (
+        abs(shown - everything) > 0.01
+    )  # leaving unobservable vertices out makes a difference here

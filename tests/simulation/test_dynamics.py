@@ -33,7 +33,7 @@ def test_way_points_are_linear_between_knots():
     np.testing.assert_allclose(motion.at(0.25)[0, 0], [0.5, 0, 0])
     np.testing.assert_allclose(motion.at(0.75)[0, 0], [1.0, 1.0, 0])
     np.testing.assert_allclose(motion.at(1.0)[0, 0], [1.0, 2.0, 0])
-    assert motion.longest_way_m == pytest.approx(2 * 2.0)
+    assert motion.longest_path_m == pytest.approx(2 * 2.0)
 
 
 def test_each_environment_follows_its_own_way():

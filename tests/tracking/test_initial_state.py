@@ -18,17 +18,17 @@ from clothtrack.recordings.recording import Recording, Table
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import garment
-from clothtrack.tracking.flat_fit import FirstMeshConfig
-from clothtrack.tracking.initial_state import first_cloth
+from clothtrack.tracking.flat_fit import InitialStateConfig
+from clothtrack.tracking.initial_state import find_initial_state
 from clothtrack.tracking.pipeline import RunConfig, config_hash, counted_settings
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.world.episodes import SMALL_WORLD, simulate
 
 SHORT = (
     "tracker.calibration.method=none", "tracker.final_alignment.iterations=20",
-    "tracker.solver.substep_s=3.3e-3", "first_mesh.vertex_count=200",
+    "tracker.solver.substep_s=3.3e-3", "initial_state.vertex_count=200",
 )  # fmt: skip
-FEW = FirstMeshConfig(vertex_count=200)
+FEW = InitialStateConfig(vertex_count=200)
 NEVER_FLAT = replace(FEW, doubtful_m=0.0)
 """Takes every cloth for a crumpled one."""
 
@@ -87,18 +87,18 @@ def with_cloth(recording: Recording, **changes: object) -> Recording:
 def test_the_template_wins_and_says_that_weights_are_not_used(towels, cloud, weights, caplog):
     template = garment("towel", vertex_count=120)
     recording = with_cloth(towels, template=template)
-    first = first_cloth(recording, cloud, replace(FEW, weights=str(weights)))
+    first = find_initial_state(recording, cloud, replace(FEW, weights=str(weights)))
     assert first.mesh is template
     assert first.positions is None
     assert first.origin == {"source": "template"}
-    assert "first_mesh.source=network would ask it" in caplog.text
+    assert "initial_state.source=network would ask it" in caplog.text
 
 
 def test_without_weights_the_garment_is_fitted_flat_and_one_line_says_so(
     towels, cloud, none_shipped, caplog
 ):
     with caplog.at_level(logging.INFO):
-        first = first_cloth(towels, cloud, FEW)
+        first = find_initial_state(towels, cloud, FEW)
     assert first.origin == {"source": "flat"}
     assert first.positions is None
     assert caplog.text.count("\n") == 1
@@ -108,15 +108,15 @@ def test_without_weights_the_garment_is_fitted_flat_and_one_line_says_so(
 def test_a_crumpled_cloth_without_weights_is_fitted_flat_with_a_warning(
     towels, cloud, none_shipped, caplog
 ):
-    assert first_cloth(towels, cloud, NEVER_FLAT).origin == {"source": "flat"}
+    assert find_initial_state(towels, cloud, NEVER_FLAT).origin == {"source": "flat"}
     assert "does not match the first cloud" in caplog.text
 
 
 def test_shipped_weights_are_used_when_they_are_there(towels, cloud, none_shipped, weights):
     (none_shipped / "towel.safetensors").write_bytes(weights.read_bytes())
     # A cloth that lies flat is fitted: nothing of it is hidden.
-    assert first_cloth(towels, cloud, FEW).origin == {"source": "flat"}
-    first = first_cloth(towels, cloud, NEVER_FLAT)
+    assert find_initial_state(towels, cloud, FEW).origin == {"source": "flat"}
+    first = find_initial_state(towels, cloud, NEVER_FLAT)
     assert first.origin["source"] == "network"
     assert first.positions is not None
     # The rest shape is a flat towel and not the network's first guess at one.
@@ -143,7 +143,7 @@ def test_a_source_that_is_asked_for_is_the_source(towels, cloud, none_shipped, w
     template = garment("towel", vertex_count=120)
     recording = with_cloth(towels, template=template)
     sources = {
-        source: first_cloth(recording, cloud, replace(FEW, source=source)).origin["source"]
+        source: find_initial_state(recording, cloud, replace(FEW, source=source)).origin["source"]
         for source in ("auto", "template", "network", "flat")
     }
     assert sources == {
@@ -163,45 +163,45 @@ def test_a_source_that_is_asked_for_is_the_source(towels, cloud, none_shipped, w
 def test_what_is_missing_is_named(seen, none_shipped, change, config, told):
     towels, cloud = seen
     with pytest.raises((InvalidRecordingError, InvalidConfigError), match=told):
-        first_cloth(with_cloth(towels, **change), cloud, replace(FEW, **config))
+        find_initial_state(with_cloth(towels, **change), cloud, replace(FEW, **config))
 
 
 def test_a_table_or_depth_that_the_network_cannot_use(towels, cloud, weights, caplog):
     tilted = Table(towels.table.point, np.array([0.0, 0.5, 0.866]))
     asked = replace(FEW, weights=str(weights))
     with pytest.raises(InvalidRecordingError, match="tilts by 30 degrees"):
-        first_cloth(replace(towels, table=tilted), cloud, asked)
+        find_initial_state(replace(towels, table=tilted), cloud, asked)
     with pytest.raises(InvalidRecordingError, match="has no table"):
-        first_cloth(replace(towels, table=None), cloud, asked)
+        find_initial_state(replace(towels, table=None), cloud, asked)
     bare = replace(towels.frames[0], depth={})
     blind = replace(towels, frames=(bare, *towels.frames[1:]))
     with pytest.raises(InvalidRecordingError, match="no depth picture"):
-        first_cloth(blind, cloud, asked)
+        find_initial_state(blind, cloud, asked)
 
 
 def test_weights_that_are_named_are_not_passed_over(towels, cloud, tmp_path):
     with pytest.raises(InvalidResultError, match="no such weights file"):
-        first_cloth(towels, cloud, replace(FEW, weights=str(tmp_path / "none.safetensors")))
+        find_initial_state(towels, cloud, replace(FEW, weights=str(tmp_path / "none.safetensors")))
     broken = tmp_path / "broken.safetensors"
     broken.write_bytes(b"nothing")
     with pytest.raises(InvalidResultError, match="not a whole"):
-        first_cloth(towels, cloud, replace(FEW, weights=str(broken)))
+        find_initial_state(towels, cloud, replace(FEW, weights=str(broken)))
 
 
 def test_a_missing_extra_is_named_or_passed_over(seen, none_shipped, weights, monkeypatch, caplog):
     towels, cloud = seen
     monkeypatch.setattr(availability, "EXTRA", ("no_such_module",))
     with pytest.raises(InvalidConfigError, match=r"no_such_module; install with: pip install"):
-        first_cloth(towels, cloud, replace(FEW, weights=str(weights)))
+        find_initial_state(towels, cloud, replace(FEW, weights=str(weights)))
     (none_shipped / "towel.safetensors").write_bytes(weights.read_bytes())
     with caplog.at_level(logging.INFO):
-        assert first_cloth(towels, cloud, FEW).origin == {"source": "flat"}
+        assert find_initial_state(towels, cloud, FEW).origin == {"source": "flat"}
     assert "no_such_module is not installed" in caplog.text
 
 
 def test_a_source_that_there_is_not_is_refused():
     # The type checks of the tests would refuse a wrong word before the configuration itself does.
-    config = FirstMeshConfig()
+    config = InitialStateConfig()
     object.__setattr__(config, "source", "guess")
     with pytest.raises(InvalidConfigError, match="choose one of auto, template, network, flat"):
         config.__post_init__()
@@ -213,11 +213,11 @@ def test_tracking_starts_where_the_network_saw_the_cloth(filmed, weights, tmp_pa
     assert cli.main([*words, "--json"]) == 0
     (outcome,) = json.loads(capsys.readouterr().out)
     tracked = TrackedTrajectory.load(Path(outcome["result"]))
-    assert tracked.provenance["first_mesh"]["source"] == "network"
-    assert tracked.provenance["first_mesh"]["weights"] == "towel.safetensors"
+    assert tracked.provenance["initial_state"]["source"] == "network"
+    assert tracked.provenance["initial_state"]["weights"] == "towel.safetensors"
     recording = read_recording(filmed)
-    config = RunConfig().first_mesh
-    first = first_cloth(
+    config = RunConfig().initial_state
+    first = find_initial_state(
         recording,
         observe(recording, recording.frames[0]),
         replace(config, vertex_count=200, weights=str(weights)),
@@ -260,14 +260,14 @@ def test_every_setting_counts_and_weights_count_by_their_content(tmp_path):
     for path, content in ((one, b"1"), (same, b"1"), (other, b"2")):
         path.write_bytes(content)
     hashes = {
-        path.name: config_hash(RunConfig(first_mesh=FirstMeshConfig(weights=str(path))))
+        path.name: config_hash(RunConfig(initial_state=InitialStateConfig(weights=str(path))))
         for path in (one, same, other)
     }
     assert hashes["one"] == hashes["same"] != hashes["other"]
     assert len({*hashes.values(), config_hash(RunConfig())}) == 3
-    flat = RunConfig(first_mesh=FirstMeshConfig(source="flat"))
+    flat = RunConfig(initial_state=InitialStateConfig(source="flat"))
     assert config_hash(flat) != config_hash(RunConfig())
-    assert asdict(flat)["first_mesh"]["source"] == "flat"
+    assert asdict(flat)["initial_state"]["source"] == "flat"
 
 
 WITHOUT_TORCH = """

@@ -1,4 +1,4 @@
-"""The line search takes the largest calm part of a correction, or says that there is none."""
+"""The line search takes the largest stable part of a correction, or says that there is none."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from clothtrack.errors import InvalidConfigError
 from clothtrack.simulation.dynamics import PickerAction, RollOut
 from clothtrack.simulation.state import ClothState, ContactMemory
-from clothtrack.tracking.line_search import LineSearchConfig, PseudoActionSearch, is_calm
+from clothtrack.tracking.line_search import LineSearchConfig, PseudoActionSearch, is_stable
 from clothtrack.tracking.seams import Correction
 
 
@@ -26,7 +26,7 @@ SEARCH = PseudoActionSearch(LineSearchConfig(explosion_speed=2.0), strength=0.5)
 
 
 @pytest.mark.parametrize(("limit", "trials"), [(1.0, 1), (0.7, 2), (0.69, 3), (0.05, 10)])
-def test_takes_the_largest_power_of_the_decay_that_is_calm(limit: float, trials: int) -> None:
+def test_takes_the_largest_power_of_the_decay_that_is_stable(limit: float, trials: int) -> None:
     tried = []
 
     def dyn(state, action, pseudo_action):
@@ -57,10 +57,10 @@ def test_without_a_correction_the_prediction_stands() -> None:
     assert (result.trials, result.gave_up) == (0, False)
 
 
-def test_non_finite_is_never_calm() -> None:
-    assert not is_calm(roll_out(np.nan), 2.0)
-    assert not is_calm(roll_out(0.0, np.nan), 2.0)
-    assert is_calm(roll_out(2.0), 2.0)
+def test_non_finite_is_never_stable() -> None:
+    assert not is_stable(roll_out(np.nan), 2.0)
+    assert not is_stable(roll_out(0.0, np.nan), 2.0)
+    assert is_stable(roll_out(2.0), 2.0)
 
 
 def test_threshold_grows_with_the_picker_and_with_what_the_cloth_does_by_itself() -> None:

@@ -20,7 +20,7 @@ from clothtrack.reconstruction.two_stages import LearningConfig
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.flat_fit import FirstMeshConfig
+from clothtrack.tracking.flat_fit import InitialStateConfig
 from clothtrack.tracking.pipeline import RunConfig
 from clothtrack.world import self_improvement
 from clothtrack.world.episodes import SMALL_WORLD
@@ -56,7 +56,7 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
             actions=1,
         ),
         robot=SimulatedRobotConfig(episode=SMALL_WORLD),
-        track=RunConfig(tracker=tracker, first_mesh=FirstMeshConfig(vertex_count=200)),
+        track=RunConfig(tracker=tracker, initial_state=InitialStateConfig(vertex_count=200)),
         finetune=LEARNING,
     )
     curve = improve_rounds(weights, tmp_path / "out", "towel", config)

@@ -43,7 +43,7 @@ def _share_a_cube(
 def masked_chamfer(
     positions: Float[np.ndarray, "vertices 3"], visible: np.ndarray, observation: Observation
 ) -> float:
-    """Two-way Chamfer [m^2] of visible vertices against a cloud, silent vertices left out.
+    """Two-way Chamfer [m^2] of visible vertices against a cloud, unobservable vertices left out.
 
     A vertex counts towards vertex-to-cloud only where the sensor could have answered.
     """
@@ -51,6 +51,6 @@ def masked_chamfer(
         return np.inf
     seen = positions[visible]
     from_cloud = cKDTree(seen).query(observation.points)[0]
-    answered = seen[~observation.silent(seen)]
+    answered = seen[~observation.unobservable(seen)]
     from_mesh = cKDTree(observation.points).query(answered)[0] if len(answered) else np.zeros(1)
     return float(np.mean(from_cloud**2) + np.mean(from_mesh**2))

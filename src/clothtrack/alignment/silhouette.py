@@ -60,11 +60,11 @@ class _Outline:
         """What `silhouette_gap` returns for the mesh with these vertices [m]."""
         both = either = 0
         # The cloud may have been cut away there, so that its absence says nothing.
-        silent = self._observation.silent(vertices)[self._faces].any(axis=1)
-        silent_face = np.append(silent, False)
+        silent = self._observation.unobservable(vertices)[self._faces].any(axis=1)
+        unobservable_face = np.append(silent, False)
         for rasteriser, seen, hidden in self._views:
             faces = rasteriser.render(vertices).faces
-            drawn, shown = (faces >= 0) & (seen | ~silent_face[faces]), seen
+            drawn, shown = (faces >= 0) & (seen | ~unobservable_face[faces]), seen
             if hidden is not None:
                 drawn, shown = drawn & ~hidden, seen & ~hidden
             both += int((drawn & shown).sum())

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.files.atomic_write import storage, whole_folder, write_file
+from clothtrack.files.atomic_write import atomic_folder, storage, write_file
 from clothtrack.recordings.document import DOCUMENT, document_violations, load_document
 from clothtrack.recordings.frame_files import PICTURE_KINDS
 from clothtrack.recordings.picker_table import picker_text
@@ -117,7 +117,7 @@ def set_masks(
     folder, name = recording.folder, _free_name(recording.folder)
     single = len(recording.cameras) == 1
     files: dict[int, str] = {}
-    with whole_folder(folder / name) as unfinished:
+    with atomic_folder(folder / name) as unfinished:
         (unfinished if single else unfinished / camera).mkdir(exist_ok=True)
         for frame in recording.frames:
             mask = mask_of(frame)

@@ -110,7 +110,7 @@ def place_by_board(
     found = locate_board([read_color(frames[n].color[camera.name]) for n in places], board, camera)
     pose = np.linalg.inv(found.camera_from_board)
     pose[2, 3] += thickness_m
-    told = {
+    text = {
         "by": "board",
         "corners": found.corners,
         "residual_px": round(found.residual_px, 3),
@@ -118,8 +118,8 @@ def place_by_board(
     }
     deeper = _depth_behind_board(recording, camera, board, found)
     if deeper is not None:
-        told["depth_beyond_board_mm"] = round(1e3 * deeper, 1)
-    return CameraPlacement(camera.name, pose, _ground(), told)
+        text["depth_beyond_board_mm"] = round(1e3 * deeper, 1)
+    return CameraPlacement(camera.name, pose, _ground(), text)
 
 
 def place_by_robot(
@@ -159,7 +159,7 @@ def place_by_robot(
         [one.camera_from_board for one in seen if one is not None],
         camera_on_hand=camera_on_hand,
     )
-    told: dict[str, Any] = {
+    text: dict[str, Any] = {
         "by": "camera on hand" if camera_on_hand else "robot",
         "pictures": len(poses),
         "pictures_used": len(used),
@@ -177,8 +177,8 @@ def place_by_robot(
     table = None
     if not camera_on_hand:
         table, said = _table_in(recording, camera, found.pose)
-        told["table"] = said
-    return CameraPlacement(camera.name, found.pose, table, told), found
+        text["table"] = said
+    return CameraPlacement(camera.name, found.pose, table, text), found
 
 
 def save_placement(path: Path, placement: CameraPlacement) -> None:

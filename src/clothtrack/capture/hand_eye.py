@@ -158,9 +158,9 @@ def _disagreement(
     board: Float[np.ndarray, "4 4"],
 ) -> tuple[Float[np.ndarray, "poses 3"], Float[np.ndarray, "poses 3"]]:
     """Per picture, from the board's place to where the poses put it: shift [m] and turn [rad]."""
-    told = moves @ pose @ boards
-    turns = Rotation.from_matrix(board[:3, :3].T @ told[:, :3, :3]).as_rotvec()
-    return told[:, :3, 3] - board[:3, 3], turns
+    text = moves @ pose @ boards
+    turns = Rotation.from_matrix(board[:3, :3].T @ text[:, :3, :3]).as_rotvec()
+    return text[:, :3, 3] - board[:3, 3], turns
 
 
 def _mean_pose(poses: Float[np.ndarray, "poses 4 4"]) -> Float[np.ndarray, "4 4"]:

@@ -159,8 +159,8 @@ def keep_picker(recording: Recording, found: FoundPicker, name: str, tip: str) -
             f"{recording.folder}: the tip is seen in {int(found.seen.sum())} frames, but never "
             "picks and places: it must come down to the cloth, rise by 2 cm and come down again"
         )
-    told = {"by": found.by, "tip": tip, "seen": int(found.seen.sum())}
-    set_actions(recording, {name: found.path}, found.actions, provenance={"picker_found": told})
+    text = {"by": found.by, "tip": tip, "seen": int(found.seen.sum())}
+    set_actions(recording, {name: found.path}, found.actions, provenance={"picker_found": text})
     if recording.cloth.template is None:
         return None
     grasp = found.path.position_at(recording.frames[found.picks[0]].time_s)

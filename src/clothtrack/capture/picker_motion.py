@@ -1,4 +1,4 @@
-"""Reading pick-and-places from the way a tip moves: where it is low and rests, or its gap.
+"""Reading pick-and-places from the path of a tip: where it is low and rests, or its gap.
 
 Heights are over the table; frames without the tip are NaN and belong to no visit.
 """

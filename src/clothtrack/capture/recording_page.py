@@ -179,21 +179,21 @@ def warnings_of(frame: CapturedFrame | None, error: str = "") -> list[str]:
         return [f"nothing is written any more: {error}"]
     if frame is None:
         return ["no picture yet"]
-    told = []
+    text = []
     measured = frame.depth_m[frame.depth_m > 0]
     share = measured.size / frame.depth_m.size
     if share < LEAST_MEASURED:
-        told.append(
+        text.append(
             f"depth in {100 * share:.0f} % of the picture only: more light, less shine, or "
             "another distance"
         )
     if measured.size:
         middle = float(np.median(measured))
         if not NEAREST_M < middle < FARTHEST_M:
-            told.append(f"the scene is {middle:.2f} m away: 0.5 to 1 m is best")
+            text.append(f"the scene is {middle:.2f} m away: 0.5 to 1 m is best")
     if frame.color is None:
-        told.append("no colour: the cloth can only be told apart by its height")
-    return told
+        text.append("no colour: the cloth can only be told apart by its height")
+    return text
 
 
 def preview_of(frame: CapturedFrame) -> Picture:

@@ -112,7 +112,7 @@ def _flatten_simulated(
     # Before the first start is made and the page is served: weights may be missing.
     parts = shared_parts(episodes[0].kind, config, device=device)
     parts = replace(parts, propose=POLICIES.get(config.policy))
-    told = []
+    text = []
     with ExitStack() as until_done:
         watch = None
         if live:
@@ -128,13 +128,13 @@ def _flatten_simulated(
             )
             page = write_flattening_report(store, output / f"{episode.label}.html")
             gained = improvement(store.steps)
-            told.append({**_summary(store), "improvement": gained, "report": str(page)})
+            text.append({**_summary(store), "improvement": gained, "report": str(page)})
             if not json:
-                control = "   CONTROL" if told[-1]["control"] else ""
+                control = "   CONTROL" if text[-1]["control"] else ""
                 say(f"{page}   improvement {gained[-1]:.2f} after {len(gained) - 1} actions; "
-                    f"{told[-1]['status']}{control}")  # fmt: skip
+                    f"{text[-1]['status']}{control}")  # fmt: skip
     if json:
-        say(json_module.dumps(told, indent=2))
+        say(json_module.dumps(text, indent=2))
     return 0
 
 

@@ -143,7 +143,7 @@ def find_picker(
     require_unmeasured(source, force=force)
     found = find(source, chosen, tip_members(source, chosen, tip_color or tip_click), name=name)
     vertex = keep_picker(source, found, name, tip_color or "clicked")
-    told = {
+    text = {
         "picker": name,
         "seen": int(found.seen.sum()),
         "frames": len(found.seen),
@@ -156,16 +156,16 @@ def find_picker(
         ],
     }  # fmt: skip
     lines = [
-        f"the tip is seen in {told['seen']} of {told['frames']} frames; closed by {found.by}",
+        f"the tip is seen in {text['seen']} of {text['frames']} frames; closed by {found.by}",
         *(
             f"action {number}: frames {one['first_frame']} to {one['last_frame']}, picks in "
             f"{one['pick']}, has let go in {one['release']}"
-            for number, one in enumerate(told["actions"], start=1)
+            for number, one in enumerate(text["actions"], start=1)
         ),
         *([] if vertex is None else [f"the first pick takes vertex {vertex} of the template"]),
         f"written to {recording / 'picker.csv'} and {recording / 'recording.json'}",
     ]
-    say_result("\n".join(lines), told, json=json)
+    say_result("\n".join(lines), text, json=json)
     return 0
 
 
@@ -257,8 +257,8 @@ def record(
         source = ReplayedCamera(read_recording(replay))
     else:
         source = open_realsense(width=width, height=height, rate=rate, serial=serial)
-    told = "a replayed recording" if replay is not None else "RealSense"
-    session = Session(source, output, {"recorded_with": f"clothtrack record, {told}"})
+    text = "a replayed recording" if replay is not None else "RealSense"
+    session = Session(source, output, {"recorded_with": f"clothtrack record, {text}"})
     if seconds is not None:
         session.start()
         with suppress(KeyboardInterrupt):

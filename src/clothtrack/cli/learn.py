@@ -89,9 +89,9 @@ def label(
         row = {"labels": str(file), "frames": labelled.frames, "weights": weights}
         rows.append({**row, "rejected": len(rejected)})
         if not json:
-            told = " ".join(f"{weight:.2f}" for weight in weights)
+            text = " ".join(f"{weight:.2f}" for weight in weights)
             left_out = f"; {len(rejected)} rejected in review left out" if rejected else ""
-            say(f"{file}   {len(weights)} labels, weights {told}{left_out}")
+            say(f"{file}   {len(weights)} labels, weights {text}{left_out}")
     if json:
         say(json_module.dumps(rows, indent=2))
     return 0
@@ -261,13 +261,13 @@ def reconstruct(
         "mask": mask, "depth_unit_m": depth_unit,
         "focal": focal, "table_distance_m": table_distance,
     }  # fmt: skip
-    told = {name: value for name, value in of_picture.items() if value is not None}
+    text = {name: value for name, value in of_picture.items() if value is not None}
     if depth.is_dir():
-        _refuse(told, f"{depth} is a recording, which says itself")
+        _refuse(text, f"{depth} is a recording, which says itself")
         given = depth_input.from_recording(depth, frame or 0)
     else:
         _refuse({} if frame is None else {"frame": frame}, f"{depth} is not a recording")
-        given = depth_input.from_picture(depth, **told)
+        given = depth_input.from_picture(depth, **text)
     kind = _kind(garment, given.kind, depth)
     model = depth_input.load_model(kind, weights, device=device)
     refinement = RefinementConfig() if refined else None

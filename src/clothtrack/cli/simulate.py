@@ -50,8 +50,8 @@ def simulate(
         say(f"{made.folder / 'README.md'}   ({len(made.shards)} garments)")
         return 0
     wanted = 1 if trajectories is None else trajectories
-    told = {} if actions is None else {"actions": actions}
-    config = with_settings(episodes.EpisodeConfig(**told), settings)
+    text = {} if actions is None else {"actions": actions}
+    config = with_settings(episodes.EpisodeConfig(**text), settings)
     folders = episodes.simulate(
         output, garment, wanted, seed=seed, config=config, processes=workers
     )
@@ -83,8 +83,8 @@ def bench(
     if verify:
         for line in (wrong := generation.verify_bench(output, wanted)):
             complain(line)
-        told = f"{len(wanted) - len(wrong)} of {len(wanted)} trajectories are as listed"
-        say_result(told, {"trajectories": len(wanted), "wrong": wrong}, json=json)
+        text = f"{len(wanted) - len(wrong)} of {len(wanted)} trajectories are as listed"
+        say_result(text, {"trajectories": len(wanted), "wrong": wrong}, json=json)
         return 1 if wrong else 0
     entries = generation.generate_bench(output, wanted, processes=workers, progress=progress)
     say_result(generation.table(entries), entries, json=json)

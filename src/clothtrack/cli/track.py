@@ -85,7 +85,7 @@ def track(
         mode: the tracker's default, the paper's method, or an ablation of it.
         weights: of the network that makes the first mesh of a recording without a template; the
             ones that come with clothtrack by default, and without any a flat garment is fitted.
-        settings: changes to the mode, or first_mesh.source=template, network or flat.
+        settings: changes to the mode, or initial_state.source=template, network or flat.
         show_settings: list them all with their values and do nothing else.
         workers: processes; each tracks one recording at a time.
         device: where to compute.
@@ -103,7 +103,7 @@ def track(
     if weights is not None:
         if not weights.is_file():
             raise InvalidConfigError(f"{weights}: there is no such weights file; check the name")
-        settings = (f"first_mesh.weights={json_module.dumps(str(weights))}", *settings)
+        settings = (f"initial_state.weights={json_module.dumps(str(weights))}", *settings)
     outcomes = _track(
         recordings, output, _run_config(mode, settings, seed=seed), device=device, workers=workers
     )

@@ -122,7 +122,7 @@ def label_evidence(
         dense = observe(recording, recording.frames[label.frame], segmenter, spacing_m=None)
         cloud = thin(dense.points, CLOUD_SPACING_M)
         seen = visible_vertices(label.vertices, mesh.faces, recording.cameras, device=device)
-        judged = seen & ~dense.silent(label.vertices)
+        judged = seen & ~dense.unobservable(label.vertices)
         found.append(
             LabelEvidence(
                 silhouette_gap=silhouette_gap(mesh, label.vertices, dense, device=device),

@@ -24,7 +24,7 @@ from clothtrack.evaluation.label_evidence import (
     label_evidence,
     labels_of,
 )
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Bounds, Checked, Positive
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
@@ -120,7 +120,7 @@ class QualityModel(Checked):
             "typical_error_m": self.typical_error_m,
             "provenance": dict(self.provenance),
         }
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             temporary.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
 
     @classmethod

@@ -16,7 +16,7 @@ import numpy as np
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_evidence import labels_of
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 FORMAT = "clothtrack-label-review"
@@ -92,7 +92,7 @@ class LabelReview:
         Raises:
             StorageError: when the disk refuses; what was there before is untouched then.
         """
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             text = json.dumps(self.as_document(), indent=2)
             temporary.write_text(text + "\n", encoding="utf-8")
 
@@ -133,7 +133,7 @@ def read_review(path: Path, tracked: TrackedTrajectory) -> LabelReview:
             "since, or the file belongs elsewhere); remove it, and review the labels again"
         )
     labels = zip(blank.labels, verdicts.values(), strict=True)
-    return replace(blank, labels=tuple(replace(one, verdict=told) for one, told in labels))
+    return replace(blank, labels=tuple(replace(one, verdict=text) for one, text in labels))
 
 
 def _key(label: Mapping[str, Any]) -> tuple[int, int, str]:

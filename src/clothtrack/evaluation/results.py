@@ -22,7 +22,7 @@ from clothtrack.evaluation.metrics import (
     vertex_error_mm,
 )
 from clothtrack.evaluation.truth import Truth, material_map, material_points
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording
@@ -154,7 +154,7 @@ def observed_chamfer(
 ) -> float:
     """Visible vertices against what was observed [m^2], both directions, summed.
 
-    A vertex that lies where nothing could be measured (`Observation.silent`) is left out: that the
+    A vertex where nothing could be measured (`Observation.unobservable`) is left out: that the
     cloud has no point beside it is not its fault. NaN when nothing is seen or observed.
 
     Args:
@@ -162,7 +162,7 @@ def observed_chamfer(
         seen: whether a camera sees the vertex.
         observation: of the same frame.
     """
-    return chamfer_pc(vertices, seen & ~observation.silent(vertices), observation.points)
+    return chamfer_pc(vertices, seen & ~observation.unobservable(vertices), observation.points)
 
 
 def method_name(config: Mapping[str, Any]) -> str:
@@ -257,7 +257,7 @@ def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
     Raises:
         StorageError: when the disk refuses.
     """
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(as_json(evaluations) + "\n", encoding="utf-8")
 
 

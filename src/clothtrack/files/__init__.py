@@ -6,22 +6,24 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.files.atomic_write import (
+        atomic_file,
+        atomic_folder,
         content_hash,
         name_problem,
         storage,
-        whole_file,
-        whole_folder,
         write_file,
     )
     from clothtrack.files.provenance import made_with
-    from clothtrack.files.run_manifest import claim, require_same
+    from clothtrack.files.run_manifest import begin_run, require_same
     from clothtrack.files.settings import with_settings
     from clothtrack.files.worker_pool import finished_in_workers, require_workers
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
 __all__ = [
-    "claim",
+    "atomic_file",
+    "atomic_folder",
+    "begin_run",
     "content_hash",
     "finished_in_workers",
     "made_with",
@@ -29,8 +31,6 @@ __all__ = [
     "require_same",
     "require_workers",
     "storage",
-    "whole_file",
-    "whole_folder",
     "with_settings",
     "write_file",
 ]

@@ -58,7 +58,7 @@ def content_hash(path: Path) -> str:
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Iterator[Path]:
     """A temporary file beside `path` to write to; it takes the name `path` when all went well.
 
     The temporary name keeps the suffix, from which writers guess the format.
@@ -92,12 +92,12 @@ def write_file(path: Path, data: bytes) -> None:
     Raises:
         StorageError: when the disk refuses; what was at `path` before is untouched then.
     """
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         unfinished.write_bytes(data)
 
 
 @contextmanager
-def whole_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
+def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """A temporary folder beside `path` to fill; it takes the name `path` when all went well.
 
     Args:

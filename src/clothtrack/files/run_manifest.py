@@ -17,7 +17,7 @@ def as_plain(asked: Mapping[str, Any]) -> dict[str, Any]:
     return json.loads(json.dumps(asked, default=str))
 
 
-def claim(path: Path, asked: Mapping[str, Any]) -> None:
+def begin_run(path: Path, asked: Mapping[str, Any]) -> None:
     """Note in a file what its folder is for, or refuse a folder that is for something else.
 
     Args:
@@ -72,5 +72,5 @@ def _differing(found: Any, asked: Any, name: str = "") -> Iterator[tuple[str, st
 
 
 def _in_short(value: Any) -> str:
-    told = json.dumps(value)
-    return told if len(told) <= LONGEST else f"{told[:LONGEST]}..."
+    text = json.dumps(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."

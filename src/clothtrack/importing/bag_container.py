@@ -12,7 +12,7 @@ from clothtrack.importing.containers import (
     Message,
     Place,
     Topic,
-    TornError,
+    TruncatedError,
     unpack,
 )
 
@@ -46,12 +46,12 @@ class BagContainer(ChunkedContainer):
                     yield from self._chunk(position, header, start, stop)
                 elif kind == _MESSAGE:
                     if stop > self._file.size:
-                        raise TornError("the last message")
+                        raise TruncatedError("the last message")
                     yield from self._message(header, Place(-1, start, stop - start))
                 if stop > self._file.size:
-                    raise TornError("the last record")
+                    raise TruncatedError("the last record")
                 position = stop
-        except TornError:
+        except TruncatedError:
             self.damage = f"the bag breaks off or is damaged at byte {position}"
 
     def _chunk(
@@ -78,7 +78,7 @@ class BagContainer(ChunkedContainer):
         while position < end:
             header, start, stop = self._record(read, position)
             if stop > end:
-                raise TornError("a record is longer than its chunk")
+                raise TruncatedError("a record is longer than its chunk")
             kind = _byte(header, "op")
             if kind == _CONNECTION:
                 self._learn(header, read(start, stop - start))
@@ -98,7 +98,7 @@ class BagContainer(ChunkedContainer):
         name = header.get("topic", b"").decode("utf-8", "replace")
         kind = about.get("type", b"").decode("utf-8", "replace")
         if len(self._topics) >= MOST_TOPICS:
-            raise TornError("more topics than anybody records")
+            raise TruncatedError("more topics than anybody records")
         self._topics[number] = Topic(name, normalize_msgtype(kind) if "/" in kind else kind, False)
 
     def _record(
@@ -106,7 +106,7 @@ class BagContainer(ChunkedContainer):
     ) -> tuple[dict[str, bytes], int, int]:
         length = struct.unpack("<I", read(position, 4))[0]
         if length > _MOST_HEADER:
-            raise TornError(f"a header of {length} bytes")
+            raise TruncatedError(f"a header of {length} bytes")
         header = _fields(read(position + 4, length))
         start = position + 8 + length
         size = struct.unpack("<I", read(start - 4, 4))[0]
@@ -116,7 +116,7 @@ class BagContainer(ChunkedContainer):
 def _reader(data: bytes) -> Callable[[int, int], bytes]:
     def read(position: int, size: int) -> bytes:
         if position + size > len(data):
-            raise TornError("a chunk breaks off")
+            raise TruncatedError("a chunk breaks off")
         return data[position : position + size]
 
     return read
@@ -127,11 +127,11 @@ def _fields(data: bytes) -> dict[str, bytes]:
     position = 0
     while position < len(data):
         if position + 4 > len(data):
-            raise TornError("a header breaks off")
+            raise TruncatedError("a header breaks off")
         size = struct.unpack_from("<I", data, position)[0]
         name, equals, value = data[position + 4 : position + 4 + size].partition(b"=")
         if not equals or position + 4 + size > len(data):
-            raise TornError("a header field is damaged")
+            raise TruncatedError("a header field is damaged")
         fields[name.decode("latin-1")] = value
         position += 4 + size
     return fields
@@ -140,7 +140,7 @@ def _fields(data: bytes) -> dict[str, bytes]:
 def _field(header: dict[str, bytes], name: str, size: int) -> bytes:
     value = header.get(name, b"")
     if len(value) != size:
-        raise TornError(f"the header field {name} has {len(value)} bytes, not {size}")
+        raise TruncatedError(f"the header field {name} has {len(value)} bytes, not {size}")
     return value
 
 

@@ -113,9 +113,9 @@ def _closed(
         )
     unstamped = not hasattr(found.grips[0][1], "header")
     gap = found.clock_gap_ns if unstamped and abs(found.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
-    told = sorted((time - gap, _is_closed(path, one, options)) for time, one in found.grips)
-    when = np.array([time for time, _ in told])
-    what = np.array([closed for _, closed in told])
+    text = sorted((time - gap, _is_closed(path, one, options)) for time, one in found.grips)
+    when = np.array([time for time, _ in text])
+    what = np.array([closed for _, closed in text])
     # Before the first message the gripper is taken to be as that message says.
     last = np.clip(np.searchsorted(when, times, side="right") - 1, 0, None)
     notes = []

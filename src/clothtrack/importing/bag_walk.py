@@ -10,7 +10,7 @@ from typing import Any
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.importing import bag_container, mcap_container, sqlite_container
 from clothtrack.importing import realsense_bag as realsense
-from clothtrack.importing.containers import Container, Message, Place, Topic, TornError
+from clothtrack.importing.containers import Container, Message, Place, Topic, TruncatedError
 from clothtrack.importing.messages import decode, payload, stamp_ns
 from clothtrack.importing.source import Shot
 from clothtrack.importing.topics import CAMERA_INFO, COMPRESSED, IMAGE
@@ -112,7 +112,7 @@ def walk(
         for message in container.messages():
             try:
                 _note(found, container, message, part)
-            except TornError:
+            except TruncatedError:
                 torn[message.topic.name] = torn.get(message.topic.name, 0) + 1
         known = {one.name for one in found.topics}
         found.topics += [one for one in container.topics() if one.name not in known]
@@ -163,7 +163,7 @@ def _pose(found: Walk, container: Container, message: Message, place: Place) -> 
         inner = getattr(inner, name, inner)
     position = tuple(float(getattr(inner, axis, float("nan"))) for axis in "xyz")
     if not all(math.isfinite(value) for value in position):
-        raise TornError(f"{topic.name}: {topic.kind} holds no position")
+        raise TruncatedError(f"{topic.name}: {topic.kind} holds no position")
     header = getattr(content, "header", None)
     frame = "" if header is None else str(header.frame_id).lstrip("/")
     found.poses.append((time_ns, frame, (position[0], position[1], position[2])))
@@ -171,7 +171,7 @@ def _pose(found: Walk, container: Container, message: Message, place: Place) -> 
 
 def frame_of(container: Container, topic: Topic, place: Place) -> str:
     """The frame in the header of a picture, "" when it has none."""
-    with suppress(TornError):
+    with suppress(TruncatedError):
         data = payload(container, place)[:512]
         order = "little" if not topic.cdr or data[1:2] == b"\x01" else "big"
         length = int.from_bytes(data[12:16], order)

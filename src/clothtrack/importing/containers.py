@@ -18,7 +18,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import lz4.frame
 import zstandard
 
-from clothtrack.errors import InvalidRecordingError, TornError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
 
 # Larger than any picture and any chunk that a recorder writes; what claims more is damaged.
 MOST_BYTES = 96 * 2**20
@@ -84,7 +84,7 @@ class Container(Protocol):
         """The bytes of a message, or only the first `most`.
 
         Raises:
-            TornError: they are not there.
+            TruncatedError: they are not there.
         """
         ...
 
@@ -132,13 +132,13 @@ class BagFile:
         """Bytes of the file, all of them.
 
         Raises:
-            TornError: the file ends before, or nobody writes so many at once.
+            TruncatedError: the file ends before, or nobody writes so many at once.
         """
         if not 0 <= size <= MOST_BYTES or position + size > self.size:
-            raise TornError(f"{size} bytes at {position} of {self.size}")
+            raise TruncatedError(f"{size} bytes at {position} of {self.size}")
         data = os.pread(self._file.fileno(), size, position)
         if len(data) < size:
-            raise TornError(f"{size} bytes at {position} of {self.size}")
+            raise TruncatedError(f"{size} bytes at {position} of {self.size}")
         return data
 
     def keep(self, position: int, unpacked: bytes) -> bytes:
@@ -171,7 +171,7 @@ class ChunkedContainer(ABC):
         """The bytes of a message, or only the first `most`.
 
         Raises:
-            TornError: they are not there.
+            TruncatedError: they are not there.
         """
         size = place.size if most is None else min(most, place.size)
         if place.chunk < 0:
@@ -190,7 +190,7 @@ class ChunkedContainer(ABC):
         """The chunk at a position of the file, unpacked and remembered.
 
         Raises:
-            TornError: it is not there, or damaged.
+            TruncatedError: it is not there, or damaged.
         """
 
 
@@ -203,11 +203,11 @@ def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
         size: how many bytes it must give, when known.
 
     Raises:
-        TornError: damaged, larger than the limit or of an unknown kind.
+        TruncatedError: damaged, larger than the limit or of an unknown kind.
     """
     most = MOST_BYTES if size is None else size
     if most > MOST_BYTES:
-        raise TornError(f"a chunk of {most} bytes; at most {MOST_BYTES}")
+        raise TruncatedError(f"a chunk of {most} bytes; at most {MOST_BYTES}")
     try:
         if compression == "zstd":
             decoder = zstandard.ZstdDecompressor(max_window_size=2**27)
@@ -220,9 +220,9 @@ def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
         elif compression in ("", "none"):
             unpacked = data
         else:
-            raise TornError(f"compression {compression[:20]!r} is unknown")
+            raise TruncatedError(f"compression {compression[:20]!r} is unknown")
     except (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError) as error:
-        raise TornError(f"{compression}: {error}") from error
+        raise TruncatedError(f"{compression}: {error}") from error
     if len(unpacked) > most or (size is not None and len(unpacked) < size):
-        raise TornError(f"{compression}: {len(unpacked)} bytes where {most} belong")
+        raise TruncatedError(f"{compression}: {len(unpacked)} bytes where {most} belong")
     return unpacked

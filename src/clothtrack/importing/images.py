@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8, UInt16
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.containers import TornError
+from clothtrack.importing.containers import TruncatedError
 from clothtrack.importing.lens import MOST_PIXELS
 from clothtrack.recordings.pictures import SIGNATURE, check_chunks
 
@@ -43,13 +43,13 @@ def raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height byte
     """The rows of a sensor_msgs Image without their padding.
 
     Raises:
-        TornError: its sizes contradict each other.
+        TruncatedError: its sizes contradict each other.
     """
     width, height, step = int(image.width), int(image.height), int(image.step)
     row = width * bytes_per_pixel
     data = np.asarray(image.data, dtype=np.uint8)
     if not 0 < width * height <= MOST_PIXELS or step < row or data.size < step * height:
-        raise TornError(f"an image of {width} x {height} pixels in {data.size} bytes")
+        raise TruncatedError(f"an image of {width} x {height} pixels in {data.size} bytes")
     return data[: step * height].reshape(height, step)[:, :row]
 
 
@@ -57,11 +57,11 @@ def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
     """Depth of a sensor_msgs Image in whole units; 0 where there is none or it is out of range.
 
     Raises:
-        TornError: it is no depth picture.
+        TruncatedError: it is no depth picture.
     """
     encoding = str(image.encoding).lower()
     if encoding not in DEPTH_ENCODINGS:
-        raise TornError(
+        raise TruncatedError(
             f"encoding {image.encoding!r}; depth is one of {', '.join(DEPTH_ENCODINGS)}"
         )
     order = ">" if image.is_bigendian else "<"
@@ -84,11 +84,11 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
     """Red, green and blue of a sensor_msgs Image.
 
     Raises:
-        TornError: its encoding is unknown.
+        TruncatedError: its encoding is unknown.
     """
     encoding = str(image.encoding).lower()
     if encoding not in _TO_RGB:
-        raise TornError(f"encoding {image.encoding!r}; known are {', '.join(_TO_RGB)}")
+        raise TruncatedError(f"encoding {image.encoding!r}; known are {', '.join(_TO_RGB)}")
     channels, conversion = _TO_RGB[encoding]
     rows = np.ascontiguousarray(raw_rows(image, channels))
     shape = (rows.shape[0], rows.shape[1] // channels, channels)
@@ -100,7 +100,7 @@ def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     """Red, green and blue of a whole JPEG or PNG.
 
     Raises:
-        TornError: it breaks off, is too large or something else.
+        TruncatedError: it breaks off, is too large or something else.
     """
     encoded_size(data)
     try:
@@ -108,9 +108,9 @@ def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
             np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         )
     except cv2.error as error:
-        raise TornError(f"a picture that cannot be decoded ({error.err})") from error
+        raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
     if picture is None:
-        raise TornError("a picture that cannot be decoded")
+        raise TruncatedError("a picture that cannot be decoded")
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
 
 
@@ -121,19 +121,19 @@ def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
     measured in floats; else they are counts.
 
     Raises:
-        TornError: compressed otherwise.
+        TruncatedError: compressed otherwise.
     """
     form, data = str(message.format).lower(), bytes(message.data)
     start = data.find(SIGNATURE, 0, 64)
     if "compresseddepth" not in form or "rvl" in form or start < 0:
-        raise TornError(
+        raise TruncatedError(
             f"depth in the format {message.format!r}; only compressedDepth as PNG keeps what was "
             "measured: record image_raw or image_raw/compressedDepth"
         )
     if not form.startswith("32fc1"):
         return data[start:], None
     if start < _HEAD_BYTES:
-        raise TornError("compressedDepth of floats without its head")
+        raise TruncatedError("compressedDepth of floats without its head")
     return data[start:], struct.unpack_from("<ff", data, start - 8)
 
 
@@ -148,7 +148,7 @@ def inverse_depth(
         unit_m: metres per unit of the result.
 
     Raises:
-        TornError: the PNG is damaged.
+        TruncatedError: the PNG is damaged.
     """
     counts, (scale, shift) = png_depth(png), curve
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -160,19 +160,19 @@ def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
     """Counts of a whole 16-bit grey PNG.
 
     Raises:
-        TornError: it breaks off, is too large or has other bits.
+        TruncatedError: it breaks off, is too large or has other bits.
     """
     encoded_size(data)
     if data[24:26] != b"\x10\x00":
-        raise TornError(
+        raise TruncatedError(
             f"a depth PNG of {data[24]} bits and colour type {data[25]}; 16-bit grey is depth"
         )
     try:
         counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise TornError(f"a picture that cannot be decoded ({error.err})") from error
+        raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
     if counts is None or counts.dtype != np.uint16 or counts.ndim != 2:
-        raise TornError("a depth picture that cannot be decoded")
+        raise TruncatedError("a depth picture that cannot be decoded")
     return counts
 
 
@@ -180,23 +180,25 @@ def encoded_size(data: bytes) -> tuple[int, int]:
     """Width and height that a PNG or JPEG announces.
 
     Raises:
-        TornError: it is neither, breaks off or is larger than any camera's picture.
+        TruncatedError: it is neither, breaks off or is larger than any camera's picture.
     """
     if data.startswith(SIGNATURE):
         try:
             header = check_chunks(Path("a PNG"), data)
         except InvalidRecordingError as error:
-            raise TornError(str(error)) from error
+            raise TruncatedError(str(error)) from error
         whole, width, height = True, header.width, header.height
     elif data.startswith(_JPEG_START):
         whole = _JPEG_END in data[-64:]
         width, height = _jpeg_size(data)
     else:
-        raise TornError("a picture that is neither PNG nor JPEG")
+        raise TruncatedError("a picture that is neither PNG nor JPEG")
     if not whole:
-        raise TornError("a picture that breaks off")
+        raise TruncatedError("a picture that breaks off")
     if not 0 < width * height <= MOST_PIXELS:
-        raise TornError(f"a picture of {width} x {height} pixels; at most {MOST_PIXELS} in all")
+        raise TruncatedError(
+            f"a picture of {width} x {height} pixels; at most {MOST_PIXELS} in all"
+        )
     return width, height
 
 
@@ -211,11 +213,11 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
             height, width = struct.unpack_from(">HH", data, position + 5)
             return width, height
         position += 2 + length if marker != 0xFF else 1
-    raise TornError("a JPEG without a size")
+    raise TruncatedError("a JPEG without a size")
 
 
 def _converted(picture: np.ndarray, conversion: int) -> np.ndarray:
     try:
         return cv2.cvtColor(picture, conversion)
     except cv2.error as error:
-        raise TornError(f"a picture that cannot be converted ({error.err})") from error
+        raise TruncatedError(f"a picture that cannot be converted ({error.err})") from error

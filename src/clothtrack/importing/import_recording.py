@@ -14,7 +14,7 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError, Storage
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.camera import Camera
 from clothtrack.importing.bag_walk import is_bag
-from clothtrack.importing.containers import TornError
+from clothtrack.importing.containers import TruncatedError
 from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.import_report import ImportReport
 from clothtrack.importing.intrinsics_file import read_json, rigid_matrix
@@ -102,7 +102,7 @@ def import_recording(
         pose, table = _world(options, footage)
         known = pose is not None
         pose = np.eye(4) if pose is None else pose
-        paths, told = placed_paths(
+        paths, text = placed_paths(
             source, footage, options.picker_csv, options.picker_clock, pose=pose, start_ns=start_ns,
             posed=known,
         )  # fmt: skip
@@ -134,7 +134,7 @@ def import_recording(
     return report_of(
         source, folder, footage, pairing, registration,
         camera=camera, times=times, damaged=damaged, paths=paths, actions=actions,
-        notes=[*told, *notes], posed=known, table=table is not None,
+        notes=[*text, *notes], posed=known, table=table is not None,
         color_named=options.cloth_color is not None,
     )  # fmt: skip
 
@@ -153,7 +153,7 @@ def _write_frames(
     times: list[float] = []
     damaged: Counter[str] = Counter()
     for done, (moment, result) in enumerate(_in_order(job, pairs, workers), start=1):
-        if isinstance(result, TornError):
+        if isinstance(result, TruncatedError):
             damaged[str(result)] += 1
         else:
             time_s = (moment.depth.time_ns - start_ns) / 1e9
@@ -193,12 +193,12 @@ class _Job:
             depth_m = frame.counts * np.float32(self._source.footage.rig.depth_unit_m)
             self._watcher.see(time_s, frame.picture, depth_m, self.camera)
 
-    def start(self, pool: ThreadPoolExecutor, moment: Pair) -> "Future[_Encoded] | TornError":
+    def start(self, pool: ThreadPoolExecutor, moment: Pair) -> "Future[_Encoded] | TruncatedError":
         """Read the bytes here, where the file's order is kept; the rest in the pool."""
         try:
             depth = self._source.depth(moment.depth)
             color = None if moment.color is None else self._source.color(moment.color)
-        except TornError as error:
+        except TruncatedError as error:
             return error
         return pool.submit(self._run, depth, color)
 
@@ -231,9 +231,9 @@ class _Job:
 
 def _in_order(
     job: _Job, pairs: Sequence[Pair], workers: int
-) -> Iterator[tuple[Pair, _Encoded | TornError]]:
+) -> Iterator[tuple[Pair, _Encoded | TruncatedError]]:
     """Every pair with its result, in order; only a few are in memory at any time."""
-    waiting: deque[tuple[Pair, Future[_Encoded] | TornError]] = deque()
+    waiting: deque[tuple[Pair, Future[_Encoded] | TruncatedError]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
             for moment in pairs:
@@ -247,13 +247,13 @@ def _in_order(
 
 
 def _finished(
-    moment: Pair, started: "Future[_Encoded] | TornError"
-) -> tuple[Pair, _Encoded | TornError]:
-    if isinstance(started, TornError):
+    moment: Pair, started: "Future[_Encoded] | TruncatedError"
+) -> tuple[Pair, _Encoded | TruncatedError]:
+    if isinstance(started, TruncatedError):
         return moment, started
     try:
         return moment, started.result()
-    except TornError as error:
+    except TruncatedError as error:
         return moment, error
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.containers import TornError
+from clothtrack.importing.containers import TruncatedError
 from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.intrinsics_file import read_intrinsics
 from clothtrack.importing.kinect_calibration import kinect_lenses
@@ -143,7 +143,7 @@ def _four_letters(track: Track) -> str:
 
 def _depth(data: bytes, width: int, height: int) -> np.ndarray:
     if len(data) != 2 * width * height:
-        raise TornError(f"a depth picture of {len(data)} bytes for {width} x {height} pixels")
+        raise TruncatedError(f"a depth picture of {len(data)} bytes for {width} x {height} pixels")
     return np.frombuffer(data, ">u2").reshape(height, width).astype(np.uint16)
 
 
@@ -151,14 +151,16 @@ def _color(data: bytes, track: Track, letters: str) -> Content:
     if letters in ("MJPG", "JPEG"):
         return packed_color(data)
     if letters not in _RAW_COLOR:
-        raise TornError(f"colour of the kind {letters!r}; known are MJPG, {', '.join(_RAW_COLOR)}")
+        raise TruncatedError(
+            f"colour of the kind {letters!r}; known are MJPG, {', '.join(_RAW_COLOR)}"
+        )
     share, conversion = _RAW_COLOR[letters]
     width, height = track.width, track.height
     if len(data) != int(share * width * height):
-        raise TornError(f"a colour picture of {len(data)} bytes for {width} x {height} pixels")
+        raise TruncatedError(f"a colour picture of {len(data)} bytes for {width} x {height} pixels")
     pixels = np.frombuffer(data, np.uint8)
     shape = (height * 3 // 2, width) if letters == "NV12" else (height, width, int(share))
     try:
         return cv2.cvtColor(pixels.reshape(shape), conversion)
     except (cv2.error, ValueError) as error:
-        raise TornError("a colour picture that cannot be converted") from error
+        raise TruncatedError("a colour picture that cannot be converted") from error

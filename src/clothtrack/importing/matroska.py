@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from clothtrack.importing.containers import BagFile, TornError
+from clothtrack.importing.containers import BagFile, TruncatedError
 
 MAGIC = b"\x1a\x45\xdf\xa3"
 _UNKNOWN = -1
@@ -92,7 +92,7 @@ class MatroskaReader:
         """The bytes of a block.
 
         Raises:
-            TornError: they are not there.
+            TruncatedError: they are not there.
         """
         return self._file.read(block.offset, block.size)
 
@@ -121,7 +121,7 @@ class MatroskaReader:
                 else:
                     self._learn(kind, start, stop)
                 position = stop
-        except TornError:
+        except TruncatedError:
             self.damage = f"the file breaks off or is damaged at byte {position}"
 
     def _learn(self, kind: int, start: int, stop: int) -> None:
@@ -160,7 +160,7 @@ class MatroskaReader:
                 name = self._text(begin, end)
             elif kind == 0x465C:
                 if end - begin > _MOST_ATTACHMENT:
-                    raise TornError(f"an attachment of {end - begin} bytes")
+                    raise TruncatedError(f"an attachment of {end - begin} bytes")
                 data = self._file.read(begin, end - begin)
         self.content.attachments[name] = data
 
@@ -184,13 +184,13 @@ class MatroskaReader:
         head = self._file.read(start, min(stop - start, 12))
         track, width = _vint(head, marked=False)
         if len(head) < width + 3:
-            raise TornError("a block breaks off")
+            raise TruncatedError("a block breaks off")
         ticks, flags = struct.unpack_from(">hB", head, width)
         if flags & 0x06:
-            raise TornError("laced blocks are for sound, not for pictures")
+            raise TruncatedError("laced blocks are for sound, not for pictures")
         time = (self._cluster_time + ticks) * self.content.tick_ns
         if not abs(time) < 2**62:
-            raise TornError("a time beyond all times")
+            raise TruncatedError("a time beyond all times")
         return Block(track, time, start + width + 3, stop - start - width - 3)
 
     def _elements(self, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
@@ -198,7 +198,7 @@ class MatroskaReader:
         while position < stop:
             kind, begin, end = self._element(position)
             if end > stop:
-                raise TornError("an element is longer than the one around it")
+                raise TruncatedError("an element is longer than the one around it")
             yield kind, begin, end
             position = end
 
@@ -210,12 +210,12 @@ class MatroskaReader:
         if kind in (_SEGMENT, _CLUSTER):
             return kind, start, start
         if size == _UNKNOWN or start + size > self._file.size:
-            raise TornError("an element without a size, or longer than the file")
+            raise TruncatedError("an element without a size, or longer than the file")
         return kind, start, start + size
 
     def _number(self, start: int, stop: int) -> int:
         if stop - start > 8:
-            raise TornError("a number of more than eight bytes")
+            raise TruncatedError("a number of more than eight bytes")
         return int.from_bytes(self._file.read(start, stop - start), "big")
 
     def _text(self, start: int, stop: int) -> str:
@@ -226,10 +226,10 @@ class MatroskaReader:
 def _vint(data: bytes, *, marked: bool) -> tuple[int, int]:
     """A number of variable length and its width; the mark of the width stays in identifiers."""
     if not data or not data[0]:
-        raise TornError("a number of unknown length")
+        raise TruncatedError("a number of unknown length")
     width = 9 - data[0].bit_length()
     if len(data) < width:
-        raise TornError("a number breaks off")
+        raise TruncatedError("a number breaks off")
     value = int.from_bytes(data[:width], "big")
     if marked:
         return value, width

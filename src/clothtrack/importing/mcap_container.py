@@ -18,7 +18,7 @@ from clothtrack.importing.containers import (
     Message,
     Place,
     Topic,
-    TornError,
+    TruncatedError,
     unpack,
 )
 
@@ -50,13 +50,13 @@ class McapContainer(ChunkedContainer):
                 if kind == Opcode.CHUNK:
                     yield from self._chunk(start, size)
                 elif start + size > self._file.size:
-                    raise TornError("the last record")
+                    raise TruncatedError("the last record")
                 elif kind == Opcode.MESSAGE:
                     yield from self._message(self._file.read(start, min(size, 22)), start, size, -1)
                 elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._learn(kind, self._file.read(start, size))
                 position, whole = start + size, kind in (Opcode.DATA_END, Opcode.FOOTER)
-        except TornError:
+        except TruncatedError:
             pass
         if not whole:
             self.damage = f"the file breaks off or is damaged at byte {position}"
@@ -73,22 +73,22 @@ class McapContainer(ChunkedContainer):
     def _chunk(self, start: int, size: int) -> Iterator[Message]:
         compression, inside, _, data, packed = self._chunk_head(start)
         if data + packed > start + size:
-            raise TornError("a chunk's data is longer than its record")
+            raise TruncatedError("a chunk's data is longer than its record")
         if compression == "":
             # An open chunk that breaks off still gives the messages before the break.
             yield from self._inside(data, data + packed)
             return
         if inside > MOST_BYTES:
-            raise TornError(f"a chunk of {inside} bytes")
+            raise TruncatedError(f"a chunk of {inside} bytes")
         chunk = self._unpacked(start)
         position = 0
         while position < len(chunk):
             if position + 9 > len(chunk):
-                raise TornError("a chunk breaks off")
+                raise TruncatedError("a chunk breaks off")
             kind, length = struct.unpack_from("<BQ", chunk, position)
             begin = position + 9
             if begin + length > len(chunk):
-                raise TornError("a record is longer than its chunk")
+                raise TruncatedError("a record is longer than its chunk")
             if kind == Opcode.MESSAGE:
                 yield from self._message(chunk[begin : begin + 22], begin, length, start)
             elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -100,7 +100,7 @@ class McapContainer(ChunkedContainer):
             kind, length = struct.unpack("<BQ", self._file.read(position, 9))
             begin = position + 9
             if begin + length > min(end, self._file.size):
-                raise TornError("a record is longer than its chunk or the file")
+                raise TruncatedError("a record is longer than its chunk or the file")
             if kind == Opcode.MESSAGE:
                 yield from self._message(self._file.read(begin, min(length, 22)), begin, length, -1)
             elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -111,12 +111,12 @@ class McapContainer(ChunkedContainer):
         compression, inside, crc, data, packed = self._chunk_head(position)
         chunk = unpack(self._file.read(data, packed), compression, inside)
         if crc and zlib.crc32(chunk) != crc:
-            raise TornError("a chunk's checksum differs")
+            raise TruncatedError("a chunk's checksum differs")
         return self._file.keep(position, chunk)
 
     def _message(self, head: bytes, start: int, length: int, chunk: int) -> Iterator[Message]:
         if len(head) < _MESSAGE_HEAD.size:
-            raise TornError("a message without its head")
+            raise TruncatedError("a message without its head")
         channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(head)
         topic = self._topics.get(channel)
         if topic is not None:
@@ -132,9 +132,9 @@ class McapContainer(ChunkedContainer):
                 return
             channel = Channel.read(stream)
         except (McapError, struct.error, ValueError) as error:
-            raise TornError(f"a schema or channel is damaged: {error}") from error
+            raise TruncatedError(f"a schema or channel is damaged: {error}") from error
         if len(self._topics) >= MOST_TOPICS:
-            raise TornError("more topics than anybody records")
+            raise TruncatedError("more topics than anybody records")
         name = self._schemas.get(channel.schema_id, "")
         package, _, short = name.rpartition("/")
         kind_name = f"{package.removesuffix('/msg')}/msg/{short}" if package else name

@@ -21,7 +21,7 @@ from clothtrack.importing.containers import (
     Container,
     Place,
     Topic,
-    TornError,
+    TruncatedError,
     unpack,
 )
 from clothtrack.importing.lens import Lens
@@ -47,7 +47,7 @@ def payload(container: Container, place: Place) -> bytes:
     """The bytes of a message, decompressed where each message was compressed on its own.
 
     Raises:
-        TornError: they are not there.
+        TruncatedError: they are not there.
     """
     data = container.fetch(place)
     return unpack(data, "zstd") if data.startswith(ZSTD_MAGIC) else data
@@ -57,12 +57,12 @@ def decode(topic: Topic, data: bytes) -> Any:
     """A message as an object with the fields of its definition.
 
     Raises:
-        TornError: the bytes are not such a message.
+        TruncatedError: the bytes are not such a message.
     """
     kind = _TF if topic.kind == "tf/msg/tfMessage" else topic.kind
     store = _store(cdr=topic.cdr)
     if kind not in store.types:
-        raise TornError(f"{topic.name}: {topic.kind} is no message type that is read here")
+        raise TruncatedError(f"{topic.name}: {topic.kind} is no message type that is read here")
     try:
         read = store.deserialize_cdr if topic.cdr else store.deserialize_ros1
         return read(data, kind)
@@ -70,14 +70,14 @@ def decode(topic: Topic, data: bytes) -> Any:
         SerdeError, struct.error, ValueError, IndexError, AssertionError, OverflowError, KeyError,
         TypeError,
     ) as error:  # fmt: skip
-        raise TornError(f"{topic.name}: not a {topic.kind}") from error
+        raise TruncatedError(f"{topic.name}: not a {topic.kind}") from error
 
 
 def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> int:
     """Time in the header of a stamped message [ns]; the time of writing where it has none.
 
     Raises:
-        TornError: the message is not there.
+        TruncatedError: the message is not there.
     """
     if not STAMPED.match(topic.kind):
         return log_ns
@@ -85,7 +85,7 @@ def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> i
     if data.startswith(ZSTD_MAGIC):
         data = payload(container, place)[:16]
     if len(data) < _STAMP_BYTES:
-        raise TornError(f"{topic.name}: a message without a header")
+        raise TruncatedError(f"{topic.name}: a message without a header")
     order = "<" if not topic.cdr or data[1] & 1 else ">"
     seconds, nanoseconds = struct.unpack(order + "II", data[4:12])
     if nanoseconds >= 10**9 or not (seconds or nanoseconds):
@@ -143,12 +143,12 @@ def rigid(
     """Rigid transform of a quaternion (x, y, z, w) and a translation [m].
 
     Raises:
-        TornError: not finite, or the quaternion has no length.
+        TruncatedError: not finite, or the quaternion has no length.
     """
     x, y, z, w = quaternion
     length = np.sqrt(x * x + y * y + z * z + w * w)
     if not (np.isfinite([*quaternion, *translation]).all() and 0.5 < length < 2.0):
-        raise TornError("a transform that is none")
+        raise TruncatedError("a transform that is none")
     x, y, z, w = (value / length for value in quaternion)
     result = np.eye(4)
     result[:3, :3] = [
@@ -164,7 +164,7 @@ def rigid_of(transform: Any) -> Float[np.ndarray, "4 4"]:
     """The transform of a geometry_msgs Transform or Pose.
 
     Raises:
-        TornError: it is none.
+        TruncatedError: it is none.
     """
     q = transform.rotation if hasattr(transform, "rotation") else transform.orientation
     t = transform.translation if hasattr(transform, "translation") else transform.position

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
-from clothtrack.errors import TornError
+from clothtrack.errors import TruncatedError
 from clothtrack.importing.images import compressed_color, encoded_size, png_depth
 from clothtrack.recordings.pictures import SIGNATURE, png_chunks
 
@@ -41,7 +41,7 @@ class PackedPicture:
         """Width and height [pixels]; the whole file is checked for breaks once.
 
         Raises:
-            TornError: the file breaks off, a byte was changed, or it announces too much.
+            TruncatedError: the file breaks off, a byte was changed, or it announces too much.
         """
         return encoded_size(self.data)
 
@@ -49,7 +49,7 @@ class PackedPicture:
         """The pixels.
 
         Raises:
-            TornError: the file breaks off, is too large or something else.
+            TruncatedError: the file breaks off, is too large or something else.
         """
         return self.unpack(self.data)
 
@@ -60,7 +60,7 @@ class PackedPicture:
         (and their checksum right), and that each row names a filter that exists.
 
         Raises:
-            TornError: it is such a file, but damaged.
+            TruncatedError: it is such a file, but damaged.
         """
         if not self.data.startswith(SIGNATURE) or self.data[24:29] != self.form:
             return None
@@ -75,11 +75,11 @@ class PackedPicture:
         try:
             rows = unpacker.decompress(packed, height * row + 1)
         except zlib.error as error:
-            raise TornError(f"a PNG whose pixels are damaged ({error})") from error
+            raise TruncatedError(f"a PNG whose pixels are damaged ({error})") from error
         if len(rows) != height * row or not unpacker.eof:
-            raise TornError(f"a PNG with {len(rows)} bytes of pixels, not {height * row}")
+            raise TruncatedError(f"a PNG with {len(rows)} bytes of pixels, not {height * row}")
         if np.frombuffer(rows, np.uint8)[::row].max() > _MOST_FILTER:
-            raise TornError("a PNG whose pixels are damaged (an unknown filter)")
+            raise TruncatedError("a PNG whose pixels are damaged (an unknown filter)")
         if kinds[0] == b"IHDR" and not any(kind in _REMARKS for kind in kinds):
             return self.data
         kept = (self.data[span.start - 8 : span.stop + 4] for kind, span in chunks

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.containers import MOST_BYTES, TornError
+from clothtrack.importing.containers import MOST_BYTES, TruncatedError
 from clothtrack.importing.images import png_depth
 from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.intrinsics_file import Intrinsics, read_intrinsics, read_json
@@ -73,10 +73,10 @@ class FolderSource:
         path: Path = shot.place
         try:
             if not path.is_file() or path.stat().st_size > self._size_limit:
-                raise TornError(f"{path.name} is missing or too large")
+                raise TruncatedError(f"{path.name} is missing or too large")
             return path.read_bytes()
         except OSError as error:
-            raise TornError(f"{path.name}: {error.strerror}") from error
+            raise TruncatedError(f"{path.name}: {error.strerror}") from error
 
     def _tum(self) -> tuple[list[Shot], list[Shot] | None, list[str]]:
         notes: list[str] = []
@@ -185,7 +185,7 @@ class FolderSource:
         for file in _pictures(self._path, _DEPTH_FOLDERS):
             try:
                 height, width = png_depth(self._bytes(Shot(0, file))).shape
-            except TornError:
+            except TruncatedError:
                 continue
             return width, height
         raise InvalidRecordingError(f"{self._path}: no 16-bit PNG of depth can be read")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.importing.containers import Topic, TornError
+from clothtrack.importing.containers import Topic, TruncatedError
 from clothtrack.importing.messages import rigid_of
 from clothtrack.importing.topics import base_name
 
@@ -52,17 +52,17 @@ def color_from_depth(
     """Rigid transform, depth camera to colour camera [m]; None when the file does not say.
 
     Raises:
-        TornError: what it says is no transform.
+        TruncatedError: what it says is no transform.
     """
     poses = []
     for topic in (depth, color):
         stream = base_name(topic.name).removesuffix("/image/data")
-        told = {
+        text = {
             name.rpartition("/")[2]: message
             for name, message in heard.items()
             if name.startswith(f"{stream}/tf/")
         }
-        poses.append({reference: _pose(message) for reference, message in told.items()})
+        poses.append({reference: _pose(message) for reference, message in text.items()})
     shared = sorted(poses[0].keys() & poses[1].keys())
     if not shared:
         return None
@@ -81,8 +81,8 @@ def _pose(message: Any) -> Float[np.ndarray, "4 4"]:
         result[:3, :3] = rotation.reshape(3, 3).T  # the SDK writes columns
         result[:3, 3] = translation
     except (KeyError, ValueError) as error:
-        raise TornError("a stream's pose that is none") from error
+        raise TruncatedError("a stream's pose that is none") from error
     off = np.abs(result[:3, :3] @ result[:3, :3].T - np.eye(3)).max()
     if not (np.isfinite(result).all() and off < 1e-3):
-        raise TornError("a stream's pose that is not rigid")
+        raise TruncatedError("a stream's pose that is not rigid")
     return result

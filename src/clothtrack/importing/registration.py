@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import UInt8, UInt16
 
-from clothtrack.importing.containers import TornError
+from clothtrack.importing.containers import TruncatedError
 from clothtrack.importing.lens import Lens
 from clothtrack.importing.registration_kernels import FARTHEST, splat
 from clothtrack.importing.source import Rig
@@ -45,7 +45,7 @@ class Registration:
         """Whether depth pictures of this width and height pass through.
 
         Raises:
-            TornError: they have another size than their lens.
+            TruncatedError: they have another size than their lens.
         """
         _check_size(size, self._rig.depth)
         return not self.carried and self._rig.depth.straight
@@ -54,7 +54,7 @@ class Registration:
         """Whether colour pictures of this width and height pass through.
 
         Raises:
-            TornError: they have another size than their lens.
+            TruncatedError: they have another size than their lens.
         """
         lens = self._rig.color or self._rig.depth
         _check_size(size, lens)
@@ -64,7 +64,7 @@ class Registration:
         """The depth picture of the recording's camera, in the same units.
 
         Raises:
-            TornError: the picture has another size than its lens.
+            TruncatedError: the picture has another size than its lens.
         """
         lens = self._rig.depth
         _check_size(counts.shape[1::-1], lens)
@@ -93,7 +93,7 @@ class Registration:
         """The colour picture without distortion.
 
         Raises:
-            TornError: the picture has another size than its lens.
+            TruncatedError: the picture has another size than its lens.
         """
         lens = self._rig.color or self._rig.depth
         _check_size(picture.shape[1::-1], lens)
@@ -102,7 +102,7 @@ class Registration:
 
 def _check_size(size: tuple[int, ...], lens: Lens) -> None:
     if size != lens.size:
-        raise TornError(
+        raise TruncatedError(
             f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are for {lens.width} x "
             f"{lens.height}; give those of this size with --intrinsics FILE"
         )

@@ -14,7 +14,7 @@ from clothtrack.importing import images
 from clothtrack.importing import realsense_bag as realsense
 from clothtrack.importing.bag_pickers import bag_paths
 from clothtrack.importing.bag_walk import frame_of, open_parts, walk
-from clothtrack.importing.containers import Container, Topic, TornError
+from clothtrack.importing.containers import Container, Topic, TruncatedError
 from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.intrinsics_file import read_intrinsics
 from clothtrack.importing.lens import Lens
@@ -109,7 +109,7 @@ class BagSource:
             try:
                 data = payload(self._parts[shot.place.part], shot.place)
                 message = decode(self._depth_topic, data)
-            except TornError:
+            except TruncatedError:
                 continue
             packed = self._depth_topic.kind == COMPRESSED
             return str(message.format if packed else message.encoding).lower()
@@ -129,7 +129,7 @@ class BagSource:
             return Rig(depth, None, np.eye(4), unit_m, origin)
         try:
             pose = self._find_pose(self._depth_topic, self._color_topic)
-        except TornError as error:
+        except TruncatedError as error:
             raise InvalidRecordingError(
                 f"{self._path}: {error}; give the pose with --intrinsics FILE"
             ) from error
@@ -139,9 +139,9 @@ class BagSource:
         if options.depth_unit_m is not None:
             return options.depth_unit_m, "given by --depth-unit-m"
         topic = self._depth_topic
-        told = realsense.depth_unit_m(self._walk.heard, topic)
-        if told is not None and told > 0:
-            return told, "the sensor's option Depth Units in the recording"
+        text = realsense.depth_unit_m(self._walk.heard, topic)
+        if text is not None and text > 0:
+            return text, "the sensor's option Depth Units in the recording"
         if self._encoding.startswith("32fc1"):
             return (
                 _FLOAT_UNIT_M,
@@ -167,16 +167,16 @@ class BagSource:
         return lens_of(topic.name, self._walk.infos[topic.name], rectified=rectified)
 
     def _find_pose(self, depth: Topic, color: Topic) -> Float[np.ndarray, "4 4"]:
-        told = realsense.color_from_depth(self._walk.heard, depth, color)
-        if told is not None:
-            return told
+        text = realsense.color_from_depth(self._walk.heard, depth, color)
+        if text is not None:
+            return text
         here, there = self._frame(depth), self._frame(color)
         if here == there and not realsense.is_stream(depth):
             return np.eye(4)
         if here and there and self._walk.tree.connects(there, here):
             _, shot = self._first(depth)
             return self._walk.tree.lookup(there, here, np.array([shot.time_ns]))[0]
-        raise TornError(
+        raise TruncatedError(
             f"depth is in frame {here!r} and colour in frame {there!r}, and no TF ties them"
         )
 

@@ -92,7 +92,7 @@ class Source(Protocol):
         """A function that gives the counts of a depth picture; may be called in another thread.
 
         Raises:
-            TornError: the bytes are not there (or, by the function, no picture).
+            TruncatedError: the bytes are not there (or, by the function, no picture).
         """
         ...
 
@@ -100,7 +100,7 @@ class Source(Protocol):
         """A function that gives red, green and blue; may be called in another thread.
 
         Raises:
-            TornError: the bytes are not there (or, by the function, no picture).
+            TruncatedError: the bytes are not there (or, by the function, no picture).
         """
         ...
 

@@ -13,7 +13,7 @@ from clothtrack.importing.containers import (
     Message,
     Place,
     Topic,
-    TornError,
+    TruncatedError,
 )
 
 MAGIC = b"SQLite format 3\x00"
@@ -73,11 +73,11 @@ class SqliteContainer:
             for row, topic, time, size in rows:
                 self._steps = 0
                 if not (isinstance(row, int) and row > last):
-                    raise TornError("the rows run in circles")
+                    raise TruncatedError("the rows run in circles")
                 last = row
                 if topic in self._topics and isinstance(time, int) and isinstance(size, int):
                     yield Message(self._topics[topic], time, Place(-1, row, size))
-        except (sqlite3.Error, TornError, ValueError, OverflowError) as error:
+        except (sqlite3.Error, TruncatedError, ValueError, OverflowError) as error:
             self.damage = f"the data base breaks off or is damaged after row {last} ({error})"
         if (wal := self._path.with_name(self._path.name + "-wal")).exists() and wal.stat().st_size:
             self.damage = (
@@ -89,14 +89,14 @@ class SqliteContainer:
         """The bytes of a message, or only the first `most`.
 
         Raises:
-            TornError: they are not there.
+            TruncatedError: they are not there.
         """
         self._steps = 0
         try:
             with self._base.blobopen("messages", "data", place.offset, readonly=True) as blob:
                 return blob.read(min(len(blob), most if most is not None else MOST_BYTES))
         except (sqlite3.Error, ValueError, OverflowError, TypeError) as error:
-            raise TornError(f"row {place.offset}: {error}") from error
+            raise TruncatedError(f"row {place.offset}: {error}") from error
 
     def close(self) -> None:
         """Let go of the file."""

@@ -85,16 +85,16 @@ class TransformTree:
 
     def moments(self, target: str, source: str) -> Int64[np.ndarray, " times"]:
         """When the transform between two frames was told [ns]; one moment if it never changes."""
-        told = [
+        text = [
             np.frombuffer(self._edges[name].times, dtype=np.int64)
             for name in self._between(target, source)
             if not self._edges[name].static
         ]
-        if not told:
+        if not text:
             return np.zeros(1, dtype=np.int64)
         # Beyond the shortest of the moving links nothing is known.
-        first, last = max(one.min() for one in told), min(one.max() for one in told)
-        every = np.unique(np.concatenate(told))
+        first, last = max(one.min() for one in text), min(one.max() for one in text)
+        every = np.unique(np.concatenate(text))
         return every[(every >= first) & (every <= last)]
 
     def lookup(

@@ -64,7 +64,7 @@ class PlanningDynamics(Protocol):
     ) -> Float[np.ndarray, "actions vertices 3"]:
         """The vertices [m] at rest after each of the actions, each begun from the same cloth.
 
-        None is no action. A cloth that bursts is not finite.
+        None is no action. A cloth that diverges is not finite.
         """
         ...
 
@@ -107,7 +107,7 @@ def held_vertex(cloth: PlannedCloth, action: PickPlace) -> int | None:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldWays:
+class HeldPaths:
     """Which vertex each candidate holds, and where it takes it.
 
     Attributes:
@@ -123,7 +123,7 @@ class HeldWays:
     @classmethod
     def of(
         cls, cloth: PlannedCloth, actions: Sequence[PickPlace | None], motion: MotionConfig
-    ) -> "HeldWays":
+    ) -> "HeldPaths":
         """The held vertices' ways: they keep their place beside the tip."""
         held = [None if one is None else held_vertex(cloth, one) for one in actions]
         paths = [
@@ -149,10 +149,10 @@ class HeldWays:
         order = np.argsort(lasts, kind="stable")
         return np.array_split(order, math.ceil(len(order) / size))
 
-    def of_candidates(self, chosen: Int[np.ndarray, " chosen"]) -> "HeldWays":
+    def of_candidates(self, chosen: Int[np.ndarray, " chosen"]) -> "HeldPaths":
         """Those of some candidates, as long as the longest of them."""
         steps = self.steps[chosen]
-        return HeldWays(
+        return HeldPaths(
             self.vertices[chosen], self.ways[chosen, : int(steps.max(initial=0))], steps
         )
 
@@ -236,13 +236,13 @@ class SimulatorDynamics:
             return np.zeros((0, cloth.flat.vertex_count, 3))
         start = self._start(cloth)
         rested = replace(cloth, positions=start.positions[0].astype(np.float64))
-        held = HeldWays.of(rested, actions, self.config.motion)
+        held = HeldPaths.of(rested, actions, self.config.motion)
         ends = np.zeros((len(actions), cloth.flat.vertex_count, 3))
         for group in held.batches(self.config.together):
             ends[group] = self._rolled(cloth, start, held.of_candidates(group))
         return ends
 
-    def _rolled(self, cloth: PlannedCloth, start: ClothState, held: HeldWays) -> np.ndarray:
+    def _rolled(self, cloth: PlannedCloth, start: ClothState, held: HeldPaths) -> np.ndarray:
         """Some of the candidates, one environment each."""
         motion, candidates = self.config.motion, len(held.vertices)
         solver, _ = self._solver(cloth, candidates)

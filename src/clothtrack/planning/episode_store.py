@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from clothtrack.errors import InvalidResultError
-from clothtrack.files.atomic_write import storage, whole_file, write_file
+from clothtrack.files.atomic_write import atomic_file, storage, write_file
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain, require_same
 from clothtrack.geometry.mesh import ClothMesh
@@ -127,7 +127,7 @@ class EpisodeStore:
             arrays[f"positions_{number}"] = one.positions
             if one.flat.canonical is not None:
                 arrays[f"canonical_{number}"] = one.flat.canonical
-        with whole_file(path) as unfinished:
+        with atomic_file(path) as unfinished:
             np.savez_compressed(unfinished, **arrays)
 
     def estimates(self, step: int) -> list[Estimate]:

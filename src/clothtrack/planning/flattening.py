@@ -205,8 +205,8 @@ class Flattening:
             table=self._scene.table, execution=execution,
         )  # fmt: skip
         look = Look(recording, acted=True, before=estimates)
-        told = _told(number + 1, decision, decision.action, execution)
-        return look, self._finish_step(store, look, told)
+        text = _told(number + 1, decision, decision.action, execution)
+        return look, self._finish_step(store, look, text)
 
     def _decide(
         self, look: Look, estimates: Sequence[Estimate], number: int, again: int = 0

@@ -58,7 +58,7 @@ class PerceptionConfig(Checked):
         refinement: how.
         vertex_count: of the network's mesh, about.
         resting_height_m: of a vertex on the table [m].
-        longest_way_m: cloth that was carried farther than this between two pictures is perceived
+        longest_path_m: cloth that was carried farther than this between two pictures is perceived
             anew: a tracker that is shown the end alone loses it [m].
         lost_m: a tracked mesh that is farther from its cloud than this is lost, and the cloth is
             perceived anew (root mean square, cloud to mesh) [m].
@@ -72,7 +72,7 @@ class PerceptionConfig(Checked):
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_count: int = 1000
     resting_height_m: float = 0.0015
-    longest_way_m: Positive = 0.06
+    longest_path_m: Positive = 0.06
     lost_m: Positive = LOOSE_FIT_M
     tracker: TrackerConfig = field(default_factory=_one_pass)
 
@@ -208,11 +208,11 @@ class TrackerPerception:
         if not look.acted or not before or not look.recording.actions:
             return self._first.perceive(look)
         recording, start = look.recording, before[0]
-        way_m, limit_m = unseen_way_m(recording), self._config.longest_way_m
-        if way_m > limit_m:
+        path_m, limit_m = unseen_path_m(recording), self._config.longest_path_m
+        if path_m > limit_m:
             logger.warning(
                 "%s: cloth is carried %.2f m between two pictures (limit %.2f m); take pictures "
-                "all through an action to track it: perceived anew", recording.folder, way_m,
+                "all through an action to track it: perceived anew", recording.folder, path_m,
                 limit_m,
             )  # fmt: skip
             return self._first.perceive(look)
@@ -231,7 +231,7 @@ class TrackerPerception:
             return self._first.perceive(look)
         positions = tracked.actions[-1].positions_after_final_alignment.astype(np.float64)
         if not np.isfinite(positions).all():
-            logger.warning("%s: tracking burst: perceived anew", recording.folder)
+            logger.warning("%s: tracking diverged: perceived anew", recording.folder)
             return self._first.perceive(look)
         tracked_mesh = start.flat.with_vertices(positions)
         apart_m = distance_from_cloud(tracked_mesh, look.observation().points)
@@ -244,7 +244,7 @@ class TrackerPerception:
         return [Estimate(start.flat, positions, "tracker")]
 
 
-def unseen_way_m(recording: Recording) -> float:
+def unseen_path_m(recording: Recording) -> float:
     """How far a picker carries cloth between two pictures of an action, at most [m]."""
     longest = 0.0
     for action in recording.actions:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.reconstruction.training.checkpoint import Weights
 from clothtrack.reconstruction.training.training_config import STAGES
 from clothtrack.simulation.garments import DEFAULT_SIZES_M
@@ -32,7 +32,7 @@ def model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, 
     Args:
         weights: of both stages, as they were written.
         cpu_s: CPU time of each stage [s], by name.
-        made: versions and machine (`origin.made_with`).
+        made: versions and machine (`provenance.made_with`).
     """
     name = NAMES.get(weights.kind, weights.kind)
     content = weights.path.read_bytes()
@@ -101,7 +101,7 @@ def _training(weights: Weights, cpu_s: Mapping[str, float]) -> str:
 
 
 def made_in_words(made: Mapping[str, Any]) -> str:
-    """Versions and machine in a sentence (`origin.made_with` and the device)."""
+    """Versions and machine in a sentence (`provenance.made_with` and the device)."""
     packages = ", ".join(f"{name} {version}" for name, version in made["packages"].items())
     commit = f" (`{made['commit']}`)" if made["commit"] else ""
     return (
@@ -123,6 +123,6 @@ def write_model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping
         StorageError: when the disk refuses.
     """
     path = weights.path.with_name(CARD)
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         unfinished.write_text(model_card(weights, cpu_s, made), encoding="utf-8")
     return path

@@ -182,14 +182,14 @@ class Refiner:
                 wanted,
                 self._observation.points,
                 visible,
-                trusted=visible & ~self._observation.silent(wanted),
+                trusted=visible & ~self._observation.unobservable(wanted),
                 table=self._table,
                 rest_height_m=self._solver_config.resting_height_m,
             )
             wanted = wanted + alignment.corrections
             carried = self._carried_out(positions, wanted, visible)
             if carried is None:
-                logger.warning("round %d of the fine-tuning bursts; it is left out", number + 1)
+                logger.warning("round %d of the fine-tuning diverges; it is left out", number + 1)
                 break
             positions = carried
             tried.append(positions)
@@ -218,7 +218,7 @@ class Refiner:
         wanted: Float[np.ndarray, "vertices 3"],
         visible: Bool[np.ndarray, " vertices"],
     ) -> Float[np.ndarray, "vertices 3"] | None:
-        """Where the vertices come to when visible ones are pulled; None when the cloth bursts."""
+        """Where the vertices come to when visible ones are pulled; None when the cloth diverges."""
         if self._dynamics is None:
             return wanted if np.isfinite(wanted).all() else None
         solver = self._dynamics.solver

@@ -12,7 +12,7 @@ from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.reconstruction.data.examples import ExampleConfig, collate
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, PseudoLabelExamples
-from clothtrack.reconstruction.data.state_examples import FilmingConfig, StateExamples
+from clothtrack.reconstruction.data.state_examples import RenderConfig, StateExamples
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.model_card import PACKAGES, write_model_card
@@ -50,7 +50,7 @@ class LearningConfig:
         canonicalisation: the loop of stage 1.
         completion: the loop of stage 2.
         examples: augmentation and numbers of queries.
-        filming: the cameras that see simulated states.
+        rendering: the cameras that see simulated states.
     """
 
     canonicalisation: TrainingConfig = field(
@@ -60,7 +60,7 @@ class LearningConfig:
         default_factory=lambda: training_preset("pretrain", "completion")
     )
     examples: ExampleConfig = field(default_factory=ExampleConfig)
-    filming: FilmingConfig = field(default_factory=FilmingConfig)
+    rendering: RenderConfig = field(default_factory=RenderConfig)
 
     @classmethod
     def preset(cls, name: str, *, seed: int = 0) -> "LearningConfig":
@@ -114,12 +114,14 @@ def pretrain(
         StorageError: when the disk refuses.
     """
     seed = config.canonicalisation.seed
-    examples = StateExamples(states, network, config.examples, filming=config.filming, seed=seed)
+    examples = StateExamples(
+        states, network, config.examples, rendering=config.rendering, seed=seed
+    )
     data = {
         "states": len(examples),
         "sets": [one.folder.name for one in states],
         "examples": asdict(config.examples),
-        "filming": _plain(asdict(config.filming)),
+        "rendering": _plain(asdict(config.rendering)),
     }
     weights = None if start is None else load_weights(start)
     if weights is not None:
@@ -167,7 +169,7 @@ def finetune(
     _require_kind(weights, examples.kind, "labels")
     others = None
     if old:
-        others = StateExamples(old, network, config.examples, filming=config.filming, seed=seed)
+        others = StateExamples(old, network, config.examples, rendering=config.rendering, seed=seed)
         if others.kind != examples.kind:
             raise InvalidConfigError(f"old states are of {others.kind!r}, not {examples.kind!r}")
     elif config.canonicalisation.old_share or config.completion.old_share:

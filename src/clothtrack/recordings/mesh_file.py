@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from clothtrack.errors import InvalidConfigError, InvalidMeshError
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template import read_obj
 
@@ -31,7 +31,7 @@ def write_mesh(mesh: ClothMesh, path: Path) -> None:
         StorageError: when the disk refuses.
     """
     require_mesh_format(path)
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
 
 

@@ -60,7 +60,9 @@ class Observation:
     tool_positions: Float[np.ndarray, "tools 3"]
     tool_clearance_m: float
 
-    def silent(self, vertices: Float[np.ndarray, "vertices 3"]) -> Bool[np.ndarray, " vertices"]:
+    def unobservable(
+        self, vertices: Float[np.ndarray, "vertices 3"]
+    ) -> Bool[np.ndarray, " vertices"]:
         """True where a visible vertex may lack a point nearby without being in the wrong place.
 
         So it is outside every picture or on a hidden pixel of those that it falls in, under the

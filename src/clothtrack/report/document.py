@@ -4,7 +4,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -42,7 +42,7 @@ def write_document(path: Path, title: str, body: str, *, script: bool = True) ->
     Raises:
         StorageError: when the disk refuses; what was at `path` before is untouched then.
     """
-    with whole_file(Path(path)) as temporary:
+    with atomic_file(Path(path)) as temporary:
         temporary.write_text(document(title, body, script=script), encoding="utf-8")
     return Path(path)
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.arrows import draw_action, shown_depth
 from clothtrack.planning.episode_store import EpisodeStore
@@ -114,7 +114,7 @@ def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Pa
     blank = np.full_like(tiles[0], 255)
     tiles += [blank] * (-len(tiles) % columns)
     rows = [np.hstack(tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         cv2.imwrite(str(temporary), cv2.cvtColor(np.vstack(rows), cv2.COLOR_RGB2BGR))
     return path
 
@@ -185,19 +185,19 @@ def _card(store: EpisodeStore, number: int, coming: PickPlace | None) -> str:
         f"<figcaption>{escape(words)}</figcaption></figure>"
         for image, words in stills
     )
-    told = [f"coverage {_share(row)}"]
+    text = [f"coverage {_share(row)}"]
     if row["action"] is not None and number:
         before = store.steps[number - 1]
         key = "seen_m2" if row["true_m2"] is None else "true_m2"
-        told.append(
+        text.append(
             f"gain {1e4 * (row[key] - before[key]):+.0f} cm², "
             f"expected {1e4 * row['gain_m2']:+.0f} cm²"
         )
         if row["grasped"] is False:
-            told.append("nothing was grasped")
+            text.append("nothing was grasped")
     return (
         f'<article class="card action"><h3>After {number} action{"s" if number != 1 else ""}'
-        f"<span>{escape('; '.join(told))}</span></h3>"
+        f"<span>{escape('; '.join(text))}</span></h3>"
         f'<div class="stills">{pictures}</div></article>'
     )
 

@@ -166,8 +166,8 @@ class _Handler(BaseHTTPRequestHandler):
         except Exception as error:
             # The page must hear of a defect too: a broken connection says nothing.
             logger.exception("no answer to %s", self.path)
-            told = f"{type(error).__name__}: {error}; the terminal says more"
-            answer = Answer.of({"error": told}, 500)
+            text = f"{type(error).__name__}: {error}; the terminal says more"
+            answer = Answer.of({"error": text}, 500)
         self._send(answer or Answer.of({"error": "no such page"}, 404))
 
     def _send(self, answer: Answer) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.atomic_write import whole_file, whole_folder
+from clothtrack.files.atomic_write import atomic_file, atomic_folder
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 ExportFormat = Literal["npz", "obj", "ply"]
@@ -33,11 +33,11 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
         )
     out = Path(out)
     if format == "npz":
-        with whole_file(out if out.suffix == ".npz" else Path(f"{out}.npz")) as temporary:
+        with atomic_file(out if out.suffix == ".npz" else Path(f"{out}.npz")) as temporary:
             np.savez_compressed(temporary, allow_pickle=False, **_arrays(tracked))
         return out if out.suffix == ".npz" else Path(f"{out}.npz")
     write = _write_obj if format == "obj" else _write_ply
-    with whole_folder(out) as folder:
+    with atomic_folder(out) as folder:
         for name, positions in _named_meshes(tracked):
             write(folder / f"{name}.{format}", positions, tracked.mesh.faces)
     return out

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.evidence import (
@@ -225,7 +225,7 @@ def write_contact_sheet(overlay: Overlay, path: Path, *, rows: int = 6) -> Path:
     count = len(overlay.tracked.frames)
     steps = np.unique(np.linspace(0, count - 1, min(rows, count)).round().astype(int))
     sheet = np.vstack(list(_sheet_rows(overlay, steps.tolist())))
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         cv2.imwrite(str(temporary), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
     return path
 

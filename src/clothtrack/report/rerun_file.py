@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.extras import install_command
 from clothtrack.recordings.pictures import read_color
 from clothtrack.recordings.recording import Frame, Recording
@@ -49,7 +49,7 @@ def write_rerun(
         StorageError: when the disk refuses.
     """
     rr = _rerun()
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         stream = rr.RecordingStream("clothtrack", recording_id=tracked.name)
         stream.save(str(temporary))
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

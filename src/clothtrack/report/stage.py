@@ -75,7 +75,7 @@ def scene_card(contents: SceneContents, config: SceneConfig | None = None) -> st
         f'<option value="{key}" data-note="{escape(note, quote=True)}">{escape(title)}</option>'
         for key, title, note, _ in modes
     )
-    legends = "".join(f'<template data-mode="{key}">{told}</template>' for key, *_, told in modes)
+    legends = "".join(f'<template data-mode="{key}">{text}</template>' for key, *_, text in modes)
     hidden = "" if cloth else " hidden"
     points = _check("cloud", "observed points") if contents.clouds else ""
     return (
@@ -103,11 +103,11 @@ def review_card(
         return ""
     rows = []
     for label, action in zip(review.labels, tracked.actions, strict=True):
-        told = quality_words(judged[label.action]) if judged else "not judged"
+        text = quality_words(judged[label.action]) if judged else "not judged"
         rows.append(
             f'<tr data-action="{label.action}" data-first="{action.first_frame}">'
             f'<th><button type="button" class="jump">Label {label.action + 1}</button></th>'
-            f"<td>frame {label.frame}</td><td>{escape(told)}</td>"
+            f"<td>frame {label.frame}</td><td>{escape(text)}</td>"
             '<td class="verdict"></td><td>'
             '<button type="button" data-decide="accepted">Accept</button> '
             '<button type="button" data-decide="rejected">Reject</button> '

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 
 
 def write_video(
@@ -35,7 +35,7 @@ def write_video(
         raise InvalidConfigError(f"{path}: there is no frame to show; track at least one frame")
     height, width = (side + side % 2 for side in first.shape[:2])
     count = 0
-    with whole_file(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+    with atomic_file(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         stream = container.add_stream(
             "libx264", rate=Fraction(frames_per_second).limit_denominator(1000)
         )

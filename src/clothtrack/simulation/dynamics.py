@@ -18,20 +18,20 @@ LONGEST_STEP_S = 0.05
 
 @dataclass(frozen=True, eq=False)
 class HeldMotion:
-    """The way of held vertices during a roll-out.
+    """The path of held vertices during a roll-out.
 
     Attributes:
         vertices: which vertices are held.
-        way_points: where they are to be [m], at times equally spaced over the roll-out, the first
+        waypoints: where they are to be [m], at times equally spaced over the roll-out, the first
             at its start; with an environments axis when the ways differ.
     """
 
     vertices: Int[np.ndarray, " held"]
-    way_points: Float[np.ndarray, "knots held 3"] | Float[np.ndarray, "environments knots held 3"]
+    waypoints: Float[np.ndarray, "knots held 3"] | Float[np.ndarray, "environments knots held 3"]
 
     def at(self, share: float) -> Float[np.ndarray, "environments held 3"]:
         """Where the vertices are after this share of the roll-out (0 to 1), linear between."""
-        points = np.asarray(self.way_points, dtype=np.float64)
+        points = np.asarray(self.waypoints, dtype=np.float64)
         if points.ndim == 3:
             points = points[None]
         place = share * (points.shape[1] - 1)
@@ -41,9 +41,9 @@ class HeldMotion:
         return (1.0 - blend) * points[:, knot] + blend * points[:, after]
 
     @property
-    def longest_way_m(self) -> float:
+    def longest_path_m(self) -> float:
         """Way of a vertex that keeps the pace of the fastest leg throughout [m]."""
-        points = np.asarray(self.way_points, dtype=np.float64)
+        points = np.asarray(self.waypoints, dtype=np.float64)
         if points.size == 0 or points.shape[-3] < 2:
             return 0.0
         legs = np.linalg.norm(np.diff(points, axis=-3), axis=-1)
@@ -120,7 +120,7 @@ class ClothDynamics:
         Args:
             state: where to start; one environment is given to all. None goes on from where the last
                 roll-out ended.
-            motion: held vertices and their way; None holds none.
+            motion: held vertices and their path; None holds none.
             duration_s: how long [s].
             pseudo: where the observation wants vertices at the end. Targets of held vertices
                 (strength 1) are approached in a straight line, softer ones pull from the start.
@@ -159,7 +159,7 @@ class ClothDynamics:
         if motion is not None and len(motion.vertices):
             # A held vertex may first have to come to where its way starts.
             gap = np.linalg.norm(before[:, motion.vertices] - motion.at(0.0), axis=-1).max()
-            way = motion.longest_way_m + float(gap)
+            way = motion.longest_path_m + float(gap)
         return max(
             1,
             math.ceil(duration_s / LONGEST_STEP_S - 1e-6),

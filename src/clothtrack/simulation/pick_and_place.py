@@ -212,7 +212,7 @@ def carrying_path(
 def free_path(
     start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"], config: ActionConfig
 ) -> Float[np.ndarray, "frames 3"]:
-    """Tip positions [m] at each picture on the straight way between two points, without cloth.
+    """Tip positions [m] at each picture on the straight path between two points, without cloth.
 
     The start itself is left out; the last position is the end.
     """

@@ -6,7 +6,7 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
-    from clothtrack.tracking.initial_state import first_cloth
+    from clothtrack.tracking.initial_state import find_initial_state
     from clothtrack.tracking.pipeline import (
         Outcome,
         RunConfig,
@@ -60,7 +60,7 @@ __all__ = [
     "TrackedTrajectory",
     "Tracker",
     "TrackerConfig",
-    "first_cloth",
+    "find_initial_state",
     "mode",
     "result_path",
     "track_recording",

@@ -32,7 +32,7 @@ Source = Literal["auto", "template", "network", "flat"]
 
 
 @dataclass(frozen=True)
-class FirstMeshConfig(Checked):
+class InitialStateConfig(Checked):
     """Where the first mesh comes from, and how it is made when the recording has no template.
 
     Attributes:
@@ -77,7 +77,7 @@ class FlatFit:
     misfit_m: float
 
 
-def flat_fit(recording: Recording, observation: Observation, config: FirstMeshConfig) -> FlatFit:
+def flat_fit(recording: Recording, observation: Observation, config: InitialStateConfig) -> FlatFit:
     """A flat garment fitted to the first cloud, whether or not the recording has a template.
 
     Args:
@@ -109,7 +109,7 @@ def _fitted(
     recording: Recording,
     table: Table,
     points: Float[np.ndarray, "points 3"],
-    config: FirstMeshConfig,
+    config: InitialStateConfig,
 ) -> FlatFit:
     axes = _plane_axes(table)
     covered = CoveredRegion((points - table.point) @ axes[:2].T, config.rim_m)

@@ -21,7 +21,7 @@ from clothtrack.reconstruction.from_picture import front_up, laid_flat, network_
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
-from clothtrack.tracking.flat_fit import FITTED_KINDS, FirstMeshConfig, flat_fit
+from clothtrack.tracking.flat_fit import FITTED_KINDS, InitialStateConfig, flat_fit
 
 logger = logging.getLogger(__name__)
 
@@ -30,7 +30,7 @@ LEVEL_DEG = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class FirstCloth:
+class InitialState:
     """The cloth at the first frame.
 
     Attributes:
@@ -44,14 +44,14 @@ class FirstCloth:
     origin: Mapping[str, object]
 
 
-def first_cloth(
+def find_initial_state(
     recording: Recording,
     observation: Observation,
-    config: FirstMeshConfig,
+    config: InitialStateConfig,
     *,
     segmenter: Segmenter | None = None,
     device: str = "cpu",
-) -> FirstCloth:
+) -> InitialState:
     """The cloth that tracking starts from.
 
     Args:
@@ -69,22 +69,22 @@ def first_cloth(
     template = recording.cloth.template
     if config.source == "template" and template is None:
         raise InvalidRecordingError(
-            f"{recording.folder}: first_mesh.source is template, and the recording has none; give "
-            "cloth.template, or first_mesh.source=auto"
+            f"{recording.folder}: initial_state.source is template, and the recording has none; "
+            "give cloth.template, or initial_state.source=auto"
         )
     if template is not None and config.source in ("auto", "template"):
         if config.weights:
             logger.warning(
                 "%s: the first mesh is the recording's template, and the network of %s is not "
-                "asked; first_mesh.source=network would ask it",
+                "asked; initial_state.source=network would ask it",
                 recording.folder, config.weights,
             )  # fmt: skip
-        return FirstCloth(template, None, {"source": "template"})
+        return InitialState(template, None, {"source": "template"})
     if recording.cloth.held_vertices:
         raise InvalidRecordingError(
             f"{recording.folder}: cloth.held_vertices are numbers of the template's vertices, and "
-            f"first_mesh.source is {config.source}; use first_mesh.source=template, or take them "
-            "out"
+            f"initial_state.source is {config.source}; use initial_state.source=template, or take "
+            "them out"
         )
     weights = None if config.source == "flat" else _weights(recording, config)
     if weights is None or not (config.source == "network" or config.weights):
@@ -94,7 +94,7 @@ def first_cloth(
         if lies_flat or weights is None:
             if not lies_flat:
                 _doubt(recording, flat.misfit_m)
-            return FirstCloth(flat.mesh, None, {"source": "flat"})
+            return InitialState(flat.mesh, None, {"source": "flat"})
         logger.info(
             "%s: the first cloud is not that of a flat %s, outlines differ by %.1f mm: the first "
             "mesh is the network's",
@@ -113,7 +113,7 @@ def _doubt(recording: Recording, misfit_m: float) -> None:
     )  # fmt: skip
 
 
-def _weights(recording: Recording, config: FirstMeshConfig) -> Path | None:
+def _weights(recording: Recording, config: InitialStateConfig) -> Path | None:
     """The weights to ask, or None for the flat fit; what was asked for by name is not left out."""
     kind = recording.cloth.kind
     given = Path(config.weights) if config.weights else None
@@ -122,19 +122,19 @@ def _weights(recording: Recording, config: FirstMeshConfig) -> Path | None:
     if wanted and obstacle:
         raise InvalidRecordingError(
             f"{recording.folder}: {obstacle}, so that the network cannot be asked for the first "
-            "mesh; use first_mesh.source=flat, or give cloth.template"
+            "mesh; use initial_state.source=flat, or give cloth.template"
         )
     missing = missing_modules()
     if wanted and missing:
         raise InvalidConfigError(
             f"the first mesh is to come from the network, which needs {', '.join(missing)}; "
-            f"install with: {install_command('learn')}, or use first_mesh.source=flat"
+            f"install with: {install_command('learn')}, or use initial_state.source=flat"
         )
     weights = given or shipped_weights(kind)
     if weights is None and wanted:
         raise InvalidConfigError(
-            f"first_mesh.source is network, and no weights for {kind!r} come with this "
-            "installation; name some with --weights, or use first_mesh.source=flat"
+            f"initial_state.source is network, and no weights for {kind!r} come with this "
+            "installation; name some with --weights, or use initial_state.source=flat"
         )
     if weights is None:
         obstacle = f"no weights for {kind!r} come with this installation"
@@ -164,12 +164,12 @@ def _obstacle(recording: Recording) -> str:
 def _from_network(
     recording: Recording,
     observation: Observation,
-    config: FirstMeshConfig,
+    config: InitialStateConfig,
     weights: Path,
     *,
     segmenter: Segmenter | None,
     device: str,
-) -> FirstCloth:
+) -> InitialState:
     from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
     from clothtrack.reconstruction.depth_input import DepthInput, load_model
 
@@ -189,7 +189,7 @@ def _from_network(
     if found.mesh is None or rest is None or table is None:
         raise InvalidRecordingError(
             f"{recording.folder}: the network makes no mesh of the first frame "
-            f"({found.reconstruction.status}); use first_mesh.source=flat"
+            f"({found.reconstruction.status}); use initial_state.source=flat"
         )
     positions = front_up(rest, found.mesh.vertices.astype(np.float64), kind)
     origin = {
@@ -199,4 +199,4 @@ def _from_network(
         "refined": found.refinement is not None and found.refinement.chosen > 0,
     }
     mesh = laid_flat(rest, positions, table, config.resting_height_m)
-    return FirstCloth(mesh, positions, origin)
+    return InitialState(mesh, positions, origin)

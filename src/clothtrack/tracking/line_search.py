@@ -1,8 +1,8 @@
 """How much of a correction the simulation can take (paper, Sec. III-B.3).
 
-A correction that pushes layers into each other makes the simulated cloth burst. The search rolls
+A correction that pushes layers into each other makes the simulated cloth diverge. The search rolls
 the dynamics with the whole correction, then with ever smaller parts of it, and takes the first
-roll-out that stays calm. When none does, the pseudo-action is dropped for this frame: that is a
+roll-out that stays stable. When none does, the pseudo-action is dropped for this frame: that is a
 recorded result, not an error.
 """
 
@@ -82,7 +82,7 @@ class PseudoActionSearch:
         threshold = config.threshold(action.speed, float(predicted.highest_speed.max()))
         for trial in range(1, config.trials + 1):
             rolled = dyn(state, action, self._pseudo_action(correction, scale))
-            if is_calm(rolled, threshold):
+            if is_stable(rolled, threshold):
                 return Corrected(rolled, scale, trial)
             scale *= config.decay
         return Corrected(predicted, 0.0, config.trials, gave_up=True)
@@ -94,7 +94,7 @@ class PseudoActionSearch:
         return Attachment(targets, strength[None])
 
 
-def is_calm(roll_out: Prediction, threshold: float) -> bool:
+def is_stable(roll_out: Prediction, threshold: float) -> bool:
     """Whether every vertex stayed finite and slower than the threshold [m/s]."""
     fastest = float(np.max(roll_out.highest_speed))
     return bool(np.isfinite(fastest) and fastest <= threshold and _finite(roll_out))

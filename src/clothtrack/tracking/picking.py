@@ -23,7 +23,7 @@ COLUMN_M = 0.01
 """Reach of a tip sideways, in which layers are told apart [m]."""
 
 KNOTS_PER_FRAME = 5
-"""Way points at which the recorded path is read inside one frame; linear between them."""
+"""Waypoints at which the recorded path is read inside one frame; linear between them."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Grasp:
         """Whether the tip goes anywhere at all while it is closed."""
         return bool(np.ptp(self.path.positions[self.path.closed], axis=0).max() > 1e-3)
 
-    def way_points(
+    def waypoints(
         self, start_s: float, end_s: float, offset: Float[np.ndarray, "*environments 3"]
     ) -> Float[np.ndarray, "*environments knots held 3"]:
         """Where the held vertices are to be between two times [m], shifted by a grasp offset."""
@@ -240,8 +240,8 @@ def held_motion(
         return None
     return HeldMotion(
         vertices=np.concatenate([grasp.vertices for grasp in closed]).astype(np.int32),
-        way_points=np.concatenate(
-            [grasp.way_points(start_s, end_s, offset) for grasp in closed], axis=-2
+        waypoints=np.concatenate(
+            [grasp.waypoints(start_s, end_s, offset) for grasp in closed], axis=-2
         ),
     )
 

@@ -21,8 +21,8 @@ from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.flat_fit import FirstMeshConfig
-from clothtrack.tracking.initial_state import first_cloth
+from clothtrack.tracking.flat_fit import InitialStateConfig
+from clothtrack.tracking.initial_state import find_initial_state
 from clothtrack.tracking.seams import Parts
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
@@ -45,13 +45,13 @@ class RunConfig:
 
     Attributes:
         tracker: Algorithm 1 and all that it uses.
-        first_mesh: where the mesh that it starts from comes from.
+        initial_state: where the mesh that it starts from comes from.
         cloud_spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
         seed: stored with the result; nothing in tracking draws random numbers so far.
     """
 
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
-    first_mesh: FirstMeshConfig = field(default_factory=FirstMeshConfig)
+    initial_state: InitialStateConfig = field(default_factory=InitialStateConfig)
     cloud_spacing_m: float = 0.004
     seed: int = 0
 
@@ -127,8 +127,12 @@ def track_recording(
     clock = time.process_time()
     stamp = provenance(recording, config, device)
     cloud = observer(recording, config.cloud_spacing_m, segmenter)
-    first = first_cloth(
-        recording, cloud(recording.frames[0]), config.first_mesh, segmenter=segmenter, device=device
+    first = find_initial_state(
+        recording,
+        cloud(recording.frames[0]),
+        config.initial_state,
+        segmenter=segmenter,
+        device=device,
     )
     tracker = Tracker(
         recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
@@ -138,7 +142,7 @@ def track_recording(
         stamp["replaced_parts"] = sorted(parts)
     tracked = tracker.track(progress)
     stamp |= {
-        "first_mesh": dict(first.origin),
+        "initial_state": dict(first.origin),
         "cpu_s": round(time.process_time() - clock, 2),
     }
     return replace(tracked, config=asdict(config), provenance=stamp)
@@ -263,7 +267,7 @@ def config_hash(config: RunConfig) -> str:
 def counted_settings(config: RunConfig) -> dict[str, Any]:
     """The settings that a kept result is known by: weights by what is in their file."""
     settings = asdict(config)
-    first = settings["first_mesh"]
+    first = settings["initial_state"]
     if first["weights"]:
         with suppress(StorageError):
             first["weights"] = content_hash(Path(first["weights"]))

@@ -15,7 +15,7 @@ import zarr
 from jaxtyping import Bool, Float, Int
 
 from clothtrack.errors import InvalidMeshError, InvalidResultError
-from clothtrack.files.atomic_write import name_problem, whole_folder
+from clothtrack.files.atomic_write import atomic_folder, name_problem
 from clothtrack.files.sealed_zarr import DAMAGE, put_array, seal, sealed_attributes, take_array
 from clothtrack.geometry.mesh import ClothMesh
 
@@ -161,7 +161,7 @@ class TrackedTrajectory:
         Raises:
             StorageError: when the disk refuses; nothing is left under `path` then.
         """
-        with whole_folder(Path(path), replace=True) as temporary:
+        with atomic_folder(Path(path), replace=True) as temporary:
             _write(zarr.open_group(temporary, mode="w"), self)
 
     @classmethod
@@ -180,9 +180,9 @@ class TrackedTrajectory:
             return _read(zarr.open_group(path, mode="r", zarr_format=3))
         except (InvalidResultError, InvalidMeshError, *DAMAGE) as error:
             # What Zarr and its codecs say may have several lines.
-            told = " ".join(str(error).split())
+            text = " ".join(str(error).split())
             raise InvalidResultError(
-                f"{path}: not a whole tracked trajectory ({told}); remove it and track the "
+                f"{path}: not a whole tracked trajectory ({text}); remove it and track the "
                 "recording again"
             ) from error
 

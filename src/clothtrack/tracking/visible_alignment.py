@@ -56,7 +56,7 @@ class VisibleAlignment:
         points = within_reach(observation.points, positions[visible], config.cloud_reach_m)
         if len(points) < config.minimum_observed * len(positions):
             return None
-        observed = visible & ~observation.silent(positions)
+        observed = visible & ~observation.unobservable(positions)
         alignment = self._aligner.align(
             positions,
             points,

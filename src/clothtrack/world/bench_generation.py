@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.atomic_write import content_hash, storage, whole_file
+from clothtrack.files.atomic_write import atomic_file, content_hash, storage
 from clothtrack.files.progress import Progress
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.version import __version__
@@ -290,5 +290,5 @@ def _write_list(out: Path, listed: Mapping[str, Entry]) -> None:
         "trajectories": entries,
     }
     path = Path(out) / LIST_FILE
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         unfinished.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

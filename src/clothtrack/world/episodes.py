@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
@@ -31,7 +31,7 @@ from clothtrack.world.appearance import Appearance
 from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, misplaced, top_down_camera
-from clothtrack.world.template import TemplateConfig, first_mesh, laid_down, random_pose
+from clothtrack.world.template import TemplateConfig, laid_down, random_pose, template_mesh
 from clothtrack.world.tool import Tool
 
 logger = logging.getLogger(__name__)
@@ -194,7 +194,7 @@ def simulate_trajectory(
             size_m=config.size_m or DEFAULT_SIZES_M[kind],
             template=None
             if wrong is None
-            else first_mesh(kind, seed, wrong, size_m=config.size_m, laid=laid, rng=of_template),
+            else template_mesh(kind, seed, wrong, size_m=config.size_m, laid=laid, rng=of_template),
         ),
         provenance=_provenance(seed, config),
     ) as writer:
@@ -246,8 +246,8 @@ class _Film:
             if tip is None:
                 tip = self._scene.out_of_picture(plan.pick)
                 self._take(tip)
-            for way_point in free_path(tip, plan.pick, config.action)[:-1]:
-                self._take(way_point)
+            for waypoint in free_path(tip, plan.pick, config.action)[:-1]:
+                self._take(waypoint)
             self._take(plan.pick, closed=True)
             self._world.grasp(plan.held, plan.pick)
             path = carrying_path(plan, config.action, TIME_STEP_S)
@@ -335,7 +335,7 @@ def _provenance(seed: int, config: EpisodeConfig) -> dict[str, object]:
 
 def _write_truth(path: Path, film: _Film, flat: ClothMesh, fabric: Fabric) -> None:
     """Write what the camera could not see, under a temporary name first."""
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         np.savez_compressed(
             unfinished,
             positions=np.stack(film.positions),

@@ -26,7 +26,7 @@ from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.files.atomic_write import content_hash, write_file
 from clothtrack.files.bounds import Checked, Natural
 from clothtrack.files.progress import Progress
-from clothtrack.files.run_manifest import claim
+from clothtrack.files.run_manifest import begin_run
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
 from clothtrack.planning.flattening import improvement
 from clothtrack.reconstruction.data.state_store import LIST_FILE
@@ -206,7 +206,7 @@ def _take_up(
         "garment": kind, "seed": seed, "settings": settings,
         "old": None if old is None else content_hash(old / LIST_FILE),
     }  # fmt: skip
-    claim(path, asked)
+    begin_run(path, asked)
 
 
 def _flattened(
@@ -258,9 +258,9 @@ def _labelled(
             reversed_recording(read_recording(one), folder / "recordings" / one.name).folder
             for one in recordings
         ]
-    first = replace(config.track.first_mesh, source="network", weights=str(weights))
+    first = replace(config.track.initial_state, source="network", weights=str(weights))
     outcomes = track_recordings(
-        recordings, folder / "tracked", replace(config.track, first_mesh=first), device=device,
+        recordings, folder / "tracked", replace(config.track, initial_state=first), device=device,
         progress=progress,
     )  # fmt: skip
     written = []

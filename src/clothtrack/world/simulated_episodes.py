@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.dynamics import PlanningDynamics
 from clothtrack.planning.episode_store import EpisodeStore
@@ -210,7 +210,7 @@ def _write_truth(path: Path, robot: SimulatedRobot, store: EpisodeStore, worlds:
         total += len(read_recording(store.recording_path(step)).frames)
         frames.append(total - 1)
     positions = np.stack([worlds.positions(step) for step in range(len(frames))])
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         np.savez_compressed(
             unfinished,
             positions=positions.astype(np.float32),

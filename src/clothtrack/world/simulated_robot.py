@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.actions import PickPlace, Workspace
@@ -122,7 +122,7 @@ class SimulatedRobot:
         return self.picture(None)
 
     def check(self, action: PickPlace) -> Reachability:
-        """Whether the way of the tip is within the limits."""
+        """Whether the path of the tip is within the limits."""
         path = np.vstack([action.pick, self._carried(action)])
         reason = self.config.limits.refusal(path)
         return Reachability(not reason, reason)
@@ -133,7 +133,7 @@ class SimulatedRobot:
         if not found.reachable:
             raise InvalidConfigError(f"refused before moving: {found.reason}")
         episode = self._episode
-        way = _Way(self)
+        way = _Path(self)
         away = self._scene.out_of_picture(action.pick)
         held = self._under(action.pick)
         tip = action.pick.copy()
@@ -196,7 +196,7 @@ class SimulatedRobot:
         Raises:
             StorageError: the disk refuses.
         """
-        with whole_file(path) as unfinished:
+        with atomic_file(path) as unfinished:
             np.savez_compressed(
                 unfinished,
                 state=self._world.save(),
@@ -266,7 +266,7 @@ class SimulatedRobot:
                 held.append(int(vertex))
         return np.array(held, dtype=np.int64)
 
-    def _retreat(self, way: "_Way", tip: Float[np.ndarray, " 3"]) -> None:
+    def _retreat(self, way: "_Path", tip: Float[np.ndarray, " 3"]) -> None:
         """Draw the tool back while the cloth comes to rest; the last picture shows no tool."""
         episode = self._episode
         away = self._scene.out_of_picture(tip)
@@ -295,8 +295,8 @@ class SimulatedRobot:
         )
 
 
-class _Way:
-    """The tip's way through one action, and the pictures taken on it."""
+class _Path:
+    """The tip's path through one action, and the pictures taken on it."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
         self._robot = robot

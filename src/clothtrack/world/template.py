@@ -52,7 +52,7 @@ def laid_down(
     return mesh.with_vertices(vertices)
 
 
-def first_mesh(
+def template_mesh(
     kind: GarmentKind,
     seed: int,
     wrong: TemplateConfig,

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.reconstruction.model_card import CARD, made_in_words, markdown_table
 from clothtrack.reconstruction.training.checkpoint import Weights
 
@@ -40,13 +40,13 @@ def write_dynamics_card(
         weights: as they were written.
         whole: measures of whole roll-outs that training never saw, by name.
         cpu_s: CPU time of the training [s].
-        made: versions and machine (`origin.made_with`, and the device).
+        made: versions and machine (`provenance.made_with`, and the device).
 
     Raises:
         StorageError: the disk refuses.
     """
     path = weights.path.with_name(CARD)
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         unfinished.write_text(dynamics_card(weights, whole, cpu_s, made), encoding="utf-8")
     return path
 

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.actions import PickPlace
-from clothtrack.planning.dynamics import HeldWays, MotionConfig, PlannedCloth
+from clothtrack.planning.dynamics import HeldPaths, MotionConfig, PlannedCloth
 from clothtrack.planning.graph_dynamics.mesh_network import (
     MeshNetwork,
     MeshNetworkConfig,
@@ -81,7 +81,7 @@ class MeshDynamics:
         if not actions:
             return np.zeros((0, cloth.flat.vertex_count, 3))
         ends = np.repeat(self._placed(cloth)[None], len(actions), axis=0)
-        held = HeldWays.of(cloth, actions, self.config.motion)
+        held = HeldPaths.of(cloth, actions, self.config.motion)
         taken = np.flatnonzero(held.vertices >= 0)
         if len(taken):
             moved = held.of_candidates(taken)
@@ -97,7 +97,7 @@ class MeshDynamics:
         placed[:, 2] = np.maximum(placed[:, 2], lowest)
         return placed
 
-    def _rolled(self, cloth: PlannedCloth, held: HeldWays) -> np.ndarray:
+    def _rolled(self, cloth: PlannedCloth, held: HeldPaths) -> np.ndarray:
         """Some of the candidates."""
         config, device = self.config, self._device
         lowest = cloth.table_height_m + config.resting_height_m

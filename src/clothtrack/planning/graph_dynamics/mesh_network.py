@@ -89,10 +89,10 @@ class Ways:
     steps: Tensor
 
 
-def mlp(inputs: int, width: int, outputs: int, *, silent: bool = False) -> nn.Sequential:
-    """Two hidden layers, ReLU, no normalisation (reference); a silent one begins with zeros."""
+def mlp(inputs: int, width: int, outputs: int, *, zero_output: bool = False) -> nn.Sequential:
+    """Two hidden layers, ReLU, no normalisation (reference); with zero output it begins with 0."""
     last = nn.Linear(width, outputs)
-    if silent:
+    if zero_output:
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
     return nn.Sequential(
@@ -111,9 +111,9 @@ class MessageStep(nn.Module):
         self.of_receiver = nn.Linear(width, width, bias=False)
         self.of_whole = nn.Linear(width, width, bias=False)
         # What is added begins with nothing: deep sums of many edges would drown the start.
-        self.edge = nn.Sequential(nn.ReLU(), *list(mlp(width, width, width, silent=True))[2:])
-        self.node = mlp(3 * width, width, width, silent=True)
-        self.whole = mlp(3 * width, width, width, silent=True)
+        self.edge = nn.Sequential(nn.ReLU(), *list(mlp(width, width, width, zero_output=True))[2:])
+        self.node = mlp(3 * width, width, width, zero_output=True)
+        self.whole = mlp(3 * width, width, width, zero_output=True)
 
     def forward(
         self, nodes: Tensor, edges: Tensor, whole: Tensor, links: tuple[Tensor, Tensor, Tensor]
@@ -150,7 +150,7 @@ class MeshNetwork(nn.Module):
         self.encode_edge = mlp(7, width, width)
         self.steps = nn.ModuleList(MessageStep(width) for _ in range(config.message_steps))
         # Before it has learned anything, nothing accelerates.
-        self.decode = mlp(width, width, 3, silent=True)
+        self.decode = mlp(width, width, 3, zero_output=True)
 
     def forward(
         self,
@@ -245,8 +245,8 @@ def advance(
     height = positions[..., 2] - lowest_m
     # The network is told where held vertices are about to go, not only where they came from.
     coming = torch.where(held[..., None], (targets - positions) / step_s, velocities[:, :, -1])
-    told = torch.cat([velocities[:, :, :-1], coming[:, :, None]], dim=2)
-    change = network(positions, told, height, held, near, springs=springs)
+    text = torch.cat([velocities[:, :, :-1], coming[:, :, None]], dim=2)
+    change = network(positions, text, height, held, near, springs=springs)
     down = positions.new_tensor([0.0, 0.0, -config.gravity])
     kept = config.kept_velocity * velocities[:, :, -1]
     after = above(positions + step_s * (kept + step_s * (change + down)), lowest_m)

@@ -19,15 +19,15 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
-from clothtrack.files.run_manifest import claim
+from clothtrack.files.run_manifest import begin_run
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.actions import ActionSpace, SeenCloth, pick_weights, sample_actions
 from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
-from clothtrack.planning.dynamics import HeldWays, MotionConfig, PlannedCloth
+from clothtrack.planning.dynamics import HeldPaths, MotionConfig, PlannedCloth
 from clothtrack.reconstruction.data.crumpling import Crumpler
 from clothtrack.reconstruction.data.states import StatesConfig, draw_garment, draw_parameters
 from clothtrack.recordings.recording import Table
@@ -162,7 +162,7 @@ def generate_roll_outs(
         raise InvalidConfigError(f"the number of roll-outs is {count}; give at least 1")
     config = config or RollOutConfig()
     shards = math.ceil(count / (config.starts * config.actions))
-    claim(out / LIST_FILE, {"kind": kind, "seed": seed, "config": asdict(config)})
+    begin_run(out / LIST_FILE, {"kind": kind, "seed": seed, "config": asdict(config)})
     paths = [out / "shards" / f"{number:04d}.npz" for number in range(shards)]
     missing = [number for number, path in enumerate(paths) if not path.exists()]
     work = partial(_make_and_write, out=out, kind=kind, seed=seed, config=config)
@@ -190,7 +190,7 @@ def make_roll_outs(
     table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     solver_config = SolverConfig(**{**vars(states.solver), "table": table})
     crumpler = Crumpler(fine, states.crumpling, solver_config)
-    parts: list[tuple[np.ndarray, HeldWays]] = []
+    parts: list[tuple[np.ndarray, HeldPaths]] = []
     while len(parts) < config.starts:
         parameters = draw_parameters(states.cloth, rng)
         begun = len(parts)
@@ -216,7 +216,7 @@ def _rolled(
     start: Float32[np.ndarray, "vertices 3"],
     config: RollOutConfig,
     rng: np.random.Generator,
-) -> tuple[np.ndarray, HeldWays]:
+) -> tuple[np.ndarray, HeldPaths]:
     """All actions from one crumpled state; coarse vertices at every kept moment."""
     fine, coarse = solver.mesh, coarsen(start)
     cloth = PlannedCloth(coarsen.flat, coarse)
@@ -224,7 +224,7 @@ def _rolled(
     seen = SeenCloth(coarse, None)
     weights = pick_weights(flat_on_table, [(coarsen.flat, flat_on_table)])
     actions = sample_actions(seen, config.actions, config.space, rng, weights=weights)
-    held = HeldWays.of(cloth, [*actions, *[None] * (config.actions - len(actions))], config.motion)
+    held = HeldPaths.of(cloth, [*actions, *[None] * (config.actions - len(actions))], config.motion)
     every = np.arange(config.actions)
     # The fine vertex nearest to the coarse one is what the gripper takes.
     gaps = np.linalg.norm(start[None] - coarse[held.vertices][:, None], axis=2)
@@ -251,7 +251,7 @@ def _rolled(
 
 
 def _joined(
-    parts: list[tuple[np.ndarray, HeldWays]], mesh: ClothMesh, config: RollOutConfig
+    parts: list[tuple[np.ndarray, HeldPaths]], mesh: ClothMesh, config: RollOutConfig
 ) -> RollOutShard:
     """One shard; shorter roll-outs stay at rest to the end of the longest."""
     longest = max(frames.shape[1] for frames, _ in parts)
@@ -280,7 +280,7 @@ def write_roll_outs(shard: RollOutShard, path: Path) -> None:
     Raises:
         StorageError: the disk refuses.
     """
-    with whole_file(path) as unfinished:
+    with atomic_file(path) as unfinished:
         np.savez_compressed(
             unfinished,
             flat=shard.mesh.vertices,

@@ -15,7 +15,7 @@ from clothtrack.planning.robots.robot import (
     MotionLimits,
     Reachability,
     RgbdFrame,
-    way_points,
+    waypoints,
 )
 from clothtrack.recordings.pictures import encode_png, read_color, read_depth
 from clothtrack.recordings.recording import PickerPath, Recording
@@ -55,8 +55,8 @@ class DryRunRobot:
         return self._latest
 
     def check(self, action: PickPlace) -> Reachability:
-        """Whether the way of the tip is within the limits."""
-        reason = self.limits.refusal(way_points(action))
+        """Whether the path of the tip is within the limits."""
+        reason = self.limits.refusal(waypoints(action))
         return Reachability(not reason, reason)
 
     def execute(self, action: PickPlace) -> Execution:
@@ -71,11 +71,11 @@ class DryRunRobot:
             raise InvalidConfigError(f"refused: {found.reason}")
         frame = self._latest or self.observe()
         number = len(list(self.folder.glob("action_*.json")))
-        points = way_points(action)
-        told = {**action.as_dict(), "frame": "world", "unit": "m", "way_points": points.tolist()}
+        points = waypoints(action)
+        text = {**action.as_dict(), "frame": "world", "unit": "m", "waypoints": points.tolist()}
         shown = shown_depth(frame.depth_m) if frame.color is None else frame.color
         drawn = draw_action(shown, frame.camera, action)
-        self._write(f"action_{number:02d}.json", json.dumps(told, indent=1).encode())
+        self._write(f"action_{number:02d}.json", json.dumps(text, indent=1).encode())
         self._write(f"action_{number:02d}.png", encode_png(drawn))
         times = frame.time_s + 0.5 * np.arange(1, len(points) + 1)
         closed = np.array([False, True, True, True, False, False])

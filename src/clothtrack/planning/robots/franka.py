@@ -24,7 +24,7 @@ from clothtrack.planning.robots.robot import (
     MotionLimits,
     Reachability,
     RgbdFrame,
-    way_points,
+    waypoints,
 )
 from clothtrack.recordings.recording import PickerPath
 
@@ -152,7 +152,7 @@ class FrankaRobot:
         if not found.reachable:
             raise InvalidConfigError(f"refused before moving: {found.reason}")
         self._require_motion()
-        way = _MeasuredWay(self)
+        way = _MeasuredPath(self)
         points = self._points(action)
         grasped: bool | None = None
         error = ""
@@ -196,13 +196,13 @@ class FrankaRobot:
         self._go(np.array(config.home_m))
 
     def _points(self, action: PickPlace) -> Float[np.ndarray, "points 3"]:
-        """The way points, fingers a little below the seen surface but never in the table."""
+        """The waypoints, fingers a little below the seen surface but never in the table."""
         config = self.config
         lowest = config.limits.table_height_m + config.limits.clearance_m
         # A pick that is itself below the limit stays there and is refused.
         pressed = min(action.pick[2], max(action.pick[2] - config.press_m, lowest))
         pick = np.array([action.pick[0], action.pick[1], pressed])
-        return way_points(PickPlace(pick, action.place, action.lift_m), config.hover_m)
+        return waypoints(PickPlace(pick, action.place, action.lift_m), config.hover_m)
 
     def _leg(self, carrying: bool) -> float:
         return self.config.leg_m if carrying else np.inf
@@ -233,7 +233,7 @@ class FrankaRobot:
         return self._clock() - self._begun, self._here()
 
 
-class _MeasuredWay:
+class _MeasuredPath:
     """What an arm measured at its stops."""
 
     def __init__(self, robot: FrankaRobot) -> None:

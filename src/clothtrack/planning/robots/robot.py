@@ -80,7 +80,7 @@ class PickPlaceRobot(Protocol):
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What a robot never exceeds. Checked before it moves, over the whole way of the tip.
+    """What a robot never exceeds. Checked before it moves, over the whole path of the tip.
 
     Attributes:
         workspace: where the tip may be.
@@ -99,7 +99,7 @@ class MotionLimits:
         points = np.atleast_2d(np.asarray(points, dtype=np.float64))
         bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
         if len(bad):
-            return f"way point {bad[0]} is {points[bad[0]].tolist()}: not finite"
+            return f"waypoint {bad[0]} is {points[bad[0]].tolist()}: not finite"
         lowest = self.table_height_m + self.clearance_m
         low = int(np.argmin(points[:, 2]))
         if points[low, 2] < lowest:
@@ -120,7 +120,7 @@ class MotionLimits:
         return ""
 
 
-def way_points(action: PickPlace, hover_m: float = 0.0) -> Float[np.ndarray, "points 3"]:
+def waypoints(action: PickPlace, hover_m: float = 0.0) -> Float[np.ndarray, "points 3"]:
     """The way of an arm with straight legs: over the pick, down, up, across, down, up (VCD) [m].
 
     Args:

@@ -20,7 +20,7 @@ from clothtrack.errors import (
     InvalidRecordingError,
     InvalidResultError,
 )
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
@@ -260,7 +260,7 @@ def write_labels(labelled: LabelledRecording, path: Path) -> None:
         arrays[f"{number}/depth_m"] = np.where(picture.mask, picture.depth_m, 0).astype(np.float32)
         arrays[f"{number}/faces"] = picture.faces.astype(np.int32)
         arrays[f"{number}/positions"] = picture.positions.astype(np.float32)
-    with whole_file(path) as temporary, temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
 

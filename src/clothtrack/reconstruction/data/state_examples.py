@@ -31,7 +31,7 @@ _ATTEMPTS = 4
 
 
 @dataclass(frozen=True)
-class FilmingConfig:
+class RenderConfig:
     """The cameras that a simulated state is seen by.
 
     Attributes:
@@ -64,7 +64,7 @@ class StateExamples:
         sets: folders of states, all of one kind of garment.
         network: what the pictures are for.
         config: augmentation and numbers of queries.
-        filming: the cameras.
+        rendering: the cameras.
         seed: of everything random.
 
     Raises:
@@ -78,7 +78,7 @@ class StateExamples:
         network: NetworkConfig,
         config: ExampleConfig | None = None,
         *,
-        filming: FilmingConfig | None = None,
+        rendering: RenderConfig | None = None,
         seed: int = 0,
     ) -> None:
         kinds = sorted({one.kind for one in sets})
@@ -90,7 +90,7 @@ class StateExamples:
         self.kind = kinds[0]
         self.network = network
         self.config = config or ExampleConfig()
-        self.filming = filming or FilmingConfig()
+        self.rendering = rendering or RenderConfig()
         self.seed = seed
         self._paths = [path for one in sets for path in one.shards]
         self._shards: dict[int, StateShard] = {}
@@ -115,7 +115,7 @@ class StateExamples:
         positions = shard.positions[state].astype(np.float64)
 
         def drawn() -> Example:
-            picture = film(positions, shard.mesh, self.filming, rng)
+            picture = render(positions, shard.mesh, self.rendering, rng)
             return draw_example(picture, garment, self.network, self.config, rng)
 
         for _ in range(_ATTEMPTS - 1):
@@ -144,10 +144,10 @@ class StateExamples:
         return self._garments[number]
 
 
-def film(
+def render(
     positions: Float[np.ndarray, "vertices 3"],
     mesh: ClothMesh,
-    config: FilmingConfig,
+    config: RenderConfig,
     rng: np.random.Generator,
 ) -> LabelledPicture:
     """A picture of a cloth on the table z = 0, by a camera above it that measures badly.
@@ -171,7 +171,7 @@ def film(
 
 
 def _camera_above(
-    positions: Float[np.ndarray, "vertices 3"], config: FilmingConfig, rng: np.random.Generator
+    positions: Float[np.ndarray, "vertices 3"], config: RenderConfig, rng: np.random.Generator
 ) -> Camera:
     """A camera that looks down on the cloth; its picture is cut to what lies around it."""
     middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
@@ -220,7 +220,7 @@ def _wave(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray,
     return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
 
 
-def _sensor(config: FilmingConfig, rng: np.random.Generator) -> SensorConfig:
+def _sensor(config: RenderConfig, rng: np.random.Generator) -> SensorConfig:
     """The sensor on a better or a worse day."""
     scale = rng.uniform(*config.noise_range)
     mean = config.sensor

@@ -19,7 +19,7 @@ import zarr
 from jaxtyping import Float, Float32, Int
 
 from clothtrack.errors import InvalidMeshError, InvalidResultError
-from clothtrack.files.atomic_write import whole_file, whole_folder
+from clothtrack.files.atomic_write import atomic_file, atomic_folder
 from clothtrack.files.sealed_zarr import DAMAGE, put_array, take_array
 from clothtrack.geometry.mesh import ClothMesh
 
@@ -124,7 +124,7 @@ def write_shard(shard: StateShard, path: Path) -> None:
     Raises:
         StorageError: when the disk refuses; nothing is left under `path` then.
     """
-    with whole_folder(path, replace=True) as temporary:
+    with atomic_folder(path, replace=True) as temporary:
         _write(zarr.open_group(temporary, mode="w", zarr_format=3), shard)
 
 
@@ -203,7 +203,7 @@ def write_list(folder: Path, document: Mapping[str, Any]) -> None:
         StorageError: when the disk refuses.
     """
     text = json.dumps({"format": FORMAT, "version": VERSION, **document}, indent=1)
-    with whole_file(Path(folder) / LIST_FILE) as unfinished:
+    with atomic_file(Path(folder) / LIST_FILE) as unfinished:
         unfinished.write_text(text + "\n", encoding="utf-8")
 
 

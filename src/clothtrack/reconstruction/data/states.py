@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.atomic_write import storage, whole_file
+from clothtrack.files.atomic_write import atomic_file, storage
 from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
@@ -141,8 +141,8 @@ class StatesConfig(Checked):
             )
         kinds = {name: getattr(self.crumpling, name) for name in ("folded", "middle", "pulled")}
         if min(kinds.values()) < 0.0 or sum(kinds.values()) > 1.0:
-            told = ", ".join(f"crumpling.{name} {share:g}" for name, share in kinds.items())
-            raise InvalidConfigError(f"{told}: none may be below 0, nor their sum above 1")
+            text = ", ".join(f"crumpling.{name} {share:g}" for name, share in kinds.items())
+            raise InvalidConfigError(f"{text}: none may be below 0, nor their sum above 1")
 
     @property
     def shard_states(self) -> int:
@@ -204,7 +204,7 @@ def generate_states(
         for number in missing:
             _clear(shard_path(out, number))
     found = open_states(out)
-    with whole_file(out / CARD_FILE) as unfinished:
+    with atomic_file(out / CARD_FILE) as unfinished:
         unfinished.write_text(dataset_card(found), encoding="utf-8")
     return found
 

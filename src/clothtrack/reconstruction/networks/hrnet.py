@@ -135,8 +135,8 @@ class _Exchange(nn.Module):
         mixed = []
         for target, paths in enumerate(self.paths):
             size = own[target].shape[-2:]
-            told = [_resized(path(x), size) for path, x in zip(paths, own, strict=True)]
-            mixed.append(functional.relu(torch.stack(told).sum(dim=0)))
+            text = [_resized(path(x), size) for path, x in zip(paths, own, strict=True)]
+            mixed.append(functional.relu(torch.stack(text).sum(dim=0)))
         return mixed
 
 

@@ -19,7 +19,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from clothtrack.errors import InvalidResultError, StorageError
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 
 FORMAT = "clothtrack-weights"
 PROGRESS_FORMAT = "clothtrack-training-progress"
@@ -92,7 +92,7 @@ def save_weights(
         "provenance": json.dumps(provenance or {}, default=str),
     }
     try:
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             save_file(copies, temporary, metadata)
     except SafetensorError as error:
         raise StorageError(
@@ -187,7 +187,7 @@ def save_progress(path: Path, document: Mapping[str, Any]) -> None:
         StorageError: when the disk refuses.
     """
     content = {"format": PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
-    with whole_file(path) as temporary, temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         torch.save(content, file)
 
 

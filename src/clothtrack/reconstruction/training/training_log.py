@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Any
 
 from clothtrack.errors import StorageError
-from clothtrack.files.atomic_write import whole_file
+from clothtrack.files.atomic_write import atomic_file
 
 SCALARS = "scalars.jsonl"
 
@@ -80,7 +80,7 @@ def _cut(path: Path, last_step: int) -> None:
     if not path.exists():
         return
     kept = [line for line in read_scalars(path.parent) if line["step"] <= last_step]
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text("".join(json.dumps(line) + "\n" for line in kept), encoding="utf-8")
 
 
