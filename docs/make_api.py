@@ -1,6 +1,7 @@
 """Write docs/api.md from the docstrings of the front: `python docs/make_api.py [FILE]`."""
 
 import inspect
+import json
 import re
 import sys
 from pathlib import Path
@@ -108,7 +109,8 @@ def signature(name: str, thing: object) -> str:
 
 def shown(value: object) -> str:
     """A default as one would write it; `...` for one that is made anew."""
-    text = repr(value)
+    # As the formatter writes texts, so that it leaves the page alone.
+    text = json.dumps(value) if isinstance(value, str) else repr(value)
     return "..." if text.startswith("<") or "\n" in text or len(text) > 60 else text
 
 

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import PickPlace
-from clothtrack.planning.robots.robot import (
+from clothtrack.geometry import Camera
+from clothtrack.planning import PickPlace
+from clothtrack.planning.robots import (
     Execution,
     MotionLimits,
     Reachability,
     RgbdFrame,
     waypoints,
 )
-from clothtrack.recordings.recording import PickerPath
+from clothtrack.recordings import PickerPath
 
 LONGEST_LINE = 64 << 20
 """Most bytes of an answer: a line that never ends must not take all memory."""

@@ -10,9 +10,9 @@ import pytest
 from bridge_robot import BridgeRobot, encoded
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import PickPlace, Workspace
-from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
+from clothtrack.geometry import Camera
+from clothtrack.planning import PickPlace, Workspace
+from clothtrack.planning.robots import MotionLimits, PickPlaceRobot, RgbdFrame
 
 CAMERA = Camera("top", 8, 6, 7.0, 7.0, 3.5, 2.5)
 FRAME = RgbdFrame(

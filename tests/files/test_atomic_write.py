@@ -1,6 +1,7 @@
 import errno
 import os
 import shutil
+import signal
 
 import pytest
 
@@ -170,3 +171,30 @@ def test_a_plain_name_names_one_entry_of_a_folder(name):
 )
 def test_what_is_wrong_with_another_name_is_said(name, told):
     assert told in name_problem(name)
+
+
+def ended_in_the_middle(path):
+    with atomic_folder(path) as unfinished:
+        (unfinished / "part").write_text("x")
+        raise SystemExit(1)
+
+
+def test_a_signal_does_not_break_off_the_removal_of_what_is_half_written(tmp_path, monkeypatch):
+    """A worker that is ended is told so more than once, also while it clears away."""
+    remove = shutil.rmtree
+
+    def told_again(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGTERM)
+        remove(*arguments, **options)
+
+    def leave(number, frame):
+        raise SystemExit(1)
+
+    monkeypatch.setattr(shutil, "rmtree", told_again)
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        with pytest.raises(SystemExit):
+            ended_in_the_middle(tmp_path / "result")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert not list(tmp_path.iterdir())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.errors import InvalidConfigError
 from clothtrack.planning.actions import PickPlace
 from clothtrack.planning.dynamics import MotionConfig, PlannedCloth, PlanningDynamics
 from clothtrack.planning.graph_dynamics.mesh_dynamics import (
@@ -72,7 +72,7 @@ def test_an_interrupted_training_arrives_at_the_same_weights(trained, roll_outs,
 
 def test_another_training_is_not_gone_on_with(trained, roll_outs):
     folder, _ = trained
-    with pytest.raises(InvalidResultError, match="noise_m"):
+    with pytest.raises(InvalidConfigError, match="noise_m"):
         train_mesh_dynamics(roll_outs, "towel", replace(TINY, noise_m=0.5), folder)
 
 

@@ -4,7 +4,9 @@ import errno
 import hashlib
 import os
 import shutil
+import signal
 import tempfile
+import threading
 import time
 import unicodedata
 from collections.abc import Iterator
@@ -147,8 +149,26 @@ def _is_empty_folder(path: Path) -> bool:
 
 def _remove(folder: Path) -> None:
     """Remove a folder, if it is still there, into which late writers may still write."""
-    deadline = time.monotonic() + LATE_WRITERS_S
-    shutil.rmtree(folder, ignore_errors=True)
-    while folder.exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
+    with _undisturbed():
+        deadline = time.monotonic() + LATE_WRITERS_S
         shutil.rmtree(folder, ignore_errors=True)
+        while folder.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """SIGTERM waits until the block is done: who ends a worker tells it again and again."""
+    if threading.current_thread() is not threading.main_thread():
+        # Python runs handlers of signals in the main thread alone.
+        yield
+        return
+    told: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: told.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        if told:
+            signal.raise_signal(signal.SIGTERM)

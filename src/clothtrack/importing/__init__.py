@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.importing.import_recording import ImportConfig, open_source
+    from clothtrack.importing.import_options import ImportOptions
+    from clothtrack.importing.import_recording import open_source
     from clothtrack.importing.import_report import ImportReport
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
 __all__ = [
-    "ImportConfig",
+    "ImportOptions",
     "ImportReport",
     "open_source",
 ]

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         PickPlaceRobot,
         Reachability,
         RgbdFrame,
+        waypoints,
     )
 else:
     __getattr__, __dir__ = lazy_names(__name__)
@@ -28,4 +29,5 @@ __all__ = [
     "Reachability",
     "RgbdFrame",
     "pictures_of",
+    "waypoints",
 ]
