@@ -22,7 +22,12 @@ from clothtrack.tracking.recorder import Progress, Recorder
 from clothtrack.tracking.seams import Dyn, Observe, Parts
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-from clothtrack.tracking.visible_alignment import VisibleAlignment, from_last_mesh, no_alignment
+from clothtrack.tracking.visible_alignment import (
+    VisibleAlignment,
+    from_last_mesh,
+    no_alignment,
+    only_at,
+)
 
 
 class Tracker:
@@ -108,9 +113,12 @@ def _parts(
         dynamics.solver.set_parameters(cloth_parameters(theta))
         return dynamics
 
-    align = aligned(alignment=config.alignment) if config.use_pseudo_action else no_alignment
+    align, seen = aligned(alignment=config.alignment), observe
+    if not config.use_pseudo_action:
+        ends = {action.last_frame for action in recording.actions}
+        align, seen = no_alignment, only_at(ends, observe, recording)
     return Parts(
-        observe=observe,
+        observe=seen,
         pick=take_hold if config.use_action else without_motion(take_hold),
         calibrate=(
             Calibrator(recording, mesh, config, observe, visible, pick=take_hold, device=device)
