@@ -13,6 +13,7 @@ from typing import Any
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, StorageError
 from clothtrack.files.atomic_write import content_hash, name_problem
+from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
@@ -34,9 +35,6 @@ CLOUDS_KEPT = 128
 
 PARTS = tuple(one.name for one in fields(Parts))
 """The parts of Algorithm 1 that a caller may replace (`tracking.seams.Parts`)."""
-
-Progress = Callable[[str, int, int], None]
-"""Called with a recording's name, frames done and frames in all."""
 
 
 @dataclass(frozen=True)

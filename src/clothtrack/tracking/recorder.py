@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from clothtrack.files.progress import Progress
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
 from clothtrack.tracking.seams import (
@@ -27,7 +28,6 @@ from clothtrack.tracking.tracked_trajectory import (
     TrackedTrajectory,
 )
 
-Progress = Callable[[str, int, int], None]
 Visible = Callable[[Float[np.ndarray, "vertices 3"]], Bool[np.ndarray, " vertices"]]
 
 
