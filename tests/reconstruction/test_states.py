@@ -28,7 +28,6 @@ from clothtrack.reconstruction.data.states import (
 )
 from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
-from clothtrack.world.bench import Ranges
 
 CRUMPLING = CrumplingConfig(states=2, rest_limit_s=0.3)
 TINY = StatesConfig(vertex_count=120, episodes=2, crumpling=CRUMPLING)
@@ -52,8 +51,10 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
 
 
 def only(recipe: str, **changes: object) -> CrumplingConfig:
-    shares = {"flat": 0.0, "drop": 0.0, "lift": 0.0, "pick_and_place": 0.0, recipe: 1.0}
-    return CrumplingConfig(**{"states": 1, "shares": shares, **changes})
+    follow = {"pick_and_place": 1.0}
+    return CrumplingConfig(
+        **{"states": 1, "shares": {recipe: 1.0}, "next_shares": follow, **changes}
+    )
 
 
 def one_state(kind: str, crumpling: CrumplingConfig, seed: int = 0) -> tuple[Crumpler, np.ndarray]:
@@ -70,12 +71,13 @@ def test_there_are_at_least_as_many_as_asked_in_whole_shards(made: Path) -> None
     shards = [read_shard(path) for path in found.shards]
     assert [len(shard.positions) for shard in shards] == [4, 4]
     assert found.document["config"]["vertex_count"] == 120
-    low, high = Ranges().towel_side_m
+    longest = TINY.garments.towel_side_m
+    least = TINY.garments.towel_aspect[0]
     for shard in shards:
         size = np.ptp(shard.mesh.vertices, axis=0)
-        assert low <= size[:2].min() <= size[:2].max() <= high
+        assert longest[0] <= size[:2].max() <= longest[1] + 1e-9
+        assert size[:2].min() >= least * size[:2].max() - 1e-9
         assert len(np.unique(shard.episodes)) >= 2
-        assert shard.recipes[1] == "pick_and_place"
     assert not np.array_equal(shards[0].mesh.vertices[-1], shards[1].mesh.vertices[-1])
 
 
@@ -163,7 +165,56 @@ def test_a_smoothed_cloth_is_flat_and_a_dropped_one_is_not() -> None:
     assert flat[:, 2].max() < 0.02
     _, dropped = one_state("towel", only("drop"))
     assert dropped[:, 2].max() > 0.02
-    assert np.ptp(dropped[:, :2], axis=0).prod() < 0.9 * size.prod()
+    assert projected_area(dropped, crumpler.mesh.faces) < 0.9 * size.prod()
+
+
+def test_a_fold_halves_a_towel_and_keeps_its_layers_in_order() -> None:
+    for seed in range(4):
+        crumpler, folded = one_state("towel", only("fold"), seed)
+        mesh = crumpler.mesh
+        covered = projected_area(folded, mesh.faces) / projected_area(mesh.vertices, mesh.faces)
+        assert 0.45 < covered < 0.93
+        assert folded[:, 2].max() < 0.05
+        assert crossings(folded, mesh.faces) <= 0.01 * len(mesh.edges)
+        assert edge_strain(mesh, folded) < 0.01
+
+
+def test_a_shirt_is_folded_three_times() -> None:
+    mesh = garment("tshirt", vertex_count=500)
+    crumpler = Crumpler(mesh, only("fold", states=3), SolverConfig(edge_contact=False, damping=4.0))
+    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
+    areas, recipes = [], []
+    for seed in range(6):
+        for state in crumpler.episode(softness, np.random.default_rng(seed)):
+            recipes.append(state.recipe)
+            areas.append(projected_area(state.positions, mesh.faces))
+    thrice = [k for k in range(0, 18, 3) if recipes[k : k + 3] == ["fold"] * 3]
+    assert thrice
+    for k in thrice:
+        assert areas[k] > areas[k + 1] > areas[k + 2]
+
+
+def test_held_cloth_hangs_in_the_air_and_falls_when_it_is_let_go() -> None:
+    mesh = garment("towel", vertex_count=300, pattern="random")
+    crumpler = Crumpler(mesh, only("held", states=2), SolverConfig(edge_contact=False, damping=4.0))
+    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
+    heights = []
+    for seed in range(6):
+        held, released = crumpler.episode(softness, np.random.default_rng(seed))
+        assert (held.recipe, released.recipe) == ("held", "release")
+        top = int(held.positions[:, 2].argmax())
+        heights.append(held.positions[top, 2])
+        assert released.positions[top, 2] < 0.6 * held.positions[top, 2] + 0.03
+    assert max(heights) > 0.2
+
+
+def test_a_push_moves_cloth_over_the_table_and_wrinkles_it() -> None:
+    moved = []
+    for seed in range(4):
+        crumpler, pushed = one_state("towel", only("push", turned_over=0.0), seed)
+        moved.append(np.linalg.norm((pushed - crumpler.mesh.vertices)[:, :2], axis=1).max())
+        assert pushed[:, 2].min() > 0.0
+    assert min(moved) > 0.02
 
 
 def test_pulling_opens_a_heap() -> None:

@@ -4,7 +4,8 @@ Canonical coordinates do not depend on the triangulation: two meshes of one garm
 material point is which, however many vertices each of them has.
 """
 
-from itertools import pairwise
+import math
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation.outlines import ShirtOutline, shirt_spans, tshirt_corners
 from clothtrack.simulation.triangulation import (
     Piece,
     Span,
@@ -107,18 +109,66 @@ def tshirt(
         InvalidConfigError: when the spacing does not fit the size.
     """
     _check_size(width_m, length_m, spacing_m)
-    outline_front = _tshirt_outline(width_m, length_m, neck_depth=0.10)
-    outline_back = _tshirt_outline(width_m, length_m, neck_depth=0.03)
-    front = triangulate(outline_front, spacing_m, 2 * seed)
-    back = triangulate(outline_back, spacing_m, 2 * seed + 1)
+    corners = tshirt_corners(width_m, length_m)
+    front, back = (shirt_spans(corners, neck_depth_m=depth * length_m) for depth in (0.10, 0.03))
+    return two_layers(front, back, spacing_m, layer_gap_m=layer_gap_m, seed=seed)
 
-    points, faces, side = _sewn_together(front, back)
-    seams = [span.points for span in outline_front if span.sewn]
+
+def two_layers(
+    front: list[Span],
+    back: list[Span],
+    spacing_m: float,
+    *,
+    layer_gap_m: float = 0.004,
+    seed: int = 0,
+) -> ClothMesh:
+    """A garment of a front that lies on a back, sewn together where both outlines are seams.
+
+    Canonical coordinates are the flat (x, y) and an inflated height that is positive on the front,
+    negative on the back and zero on the seams.
+
+    Args:
+        front: outline [m] of the front, counter-clockwise; open edges may differ from the back's.
+        back: outline of the back; its seams are those of the front.
+        spacing_m: length of an edge [m].
+        layer_gap_m: distance of the layers [m] away from the seams.
+        seed: turns and shifts the lattice of each layer.
+    """
+    pieces = triangulate(front, spacing_m, 2 * seed), triangulate(back, spacing_m, 2 * seed + 1)
+    points, faces, side = _sewn_together(*pieces)
+    seams = [span.points for span in front if span.sewn]
     from_seam = np.min([distance_to_polyline(points, seam) for seam in seams], axis=0)
     gap = 0.5 * layer_gap_m * _rounded(from_seam / SEAM_TAPER_M)
+    width_m = float(np.ptp(points[:, 0]))
     inflated = 0.12 * width_m * _rounded(from_seam / (0.25 * width_m))
     return ClothMesh(
         np.column_stack([points, side * gap]), faces, np.column_stack([points, side * inflated])
+    )
+
+
+def shirt(
+    outline: ShirtOutline, length_m: float, *, vertex_count: int = 1000, seed: int = 0
+) -> ClothMesh:
+    """A shirt of any cut, lying flat as `tshirt` does.
+
+    Args:
+        outline: its proportions.
+        length_m: from the hem to the neck [m].
+        vertex_count: wanted number of vertices.
+        seed: turns and shifts the lattice of each layer.
+
+    Raises:
+        InvalidConfigError: the outline crosses itself.
+    """
+    front = outline.spans(length_m, depth=outline.front_depth)
+    back = outline.spans(length_m, depth=outline.back_depth)
+    corners = np.concatenate([span.points[:-1] for span in front])
+    x, y = corners.T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    # Equilateral triangles: a vertex for every sqrt(3)/2 of a squared edge, on two layers.
+    spacing = math.sqrt(4.0 / math.sqrt(3.0) * area / vertex_count)
+    return with_vertices(
+        lambda edge_m: two_layers(front, back, edge_m, seed=seed), vertex_count, spacing
     )
 
 
@@ -155,7 +205,19 @@ def garment(
         return tshirt(width, length, spacing, seed=seed)
 
     layers = 1.0 if is_towel else 1.2
-    spacing = float(np.sqrt(layers * width * length / vertex_count))
+    return with_vertices(make, vertex_count, float(np.sqrt(layers * width * length / vertex_count)))
+
+
+def with_vertices(
+    make: Callable[[float], ClothMesh], vertex_count: int, spacing: float
+) -> ClothMesh:
+    """The mesh that comes nearest to a number of vertices.
+
+    Args:
+        make: a mesh of edges of a length [m].
+        vertex_count: wanted number of vertices.
+        spacing: length of an edge [m] to begin with.
+    """
     best = make(spacing)
     for _ in range(6):
         candidate = make(spacing)
@@ -179,37 +241,6 @@ def _rounded(share: Float[np.ndarray, " vertices"]) -> Float[np.ndarray, " verti
     """A quarter circle: 0 at 0, upright there, level at 1 and beyond."""
     rest = 1.0 - np.minimum(share, 1.0)
     return np.sqrt(1.0 - rest**2)
-
-
-def _tshirt_outline(width: float, length: float, neck_depth: float) -> list[Span]:
-    """The outline of one layer, counter-clockwise from the left end of the hem.
-
-    Proportions are those of an ordinary shirt: body three fifths of the width from cuff to cuff,
-    sleeves sloping downwards.
-    """
-    top = length / 2.0
-    right = {
-        "hem": (0.30 * width, -top),
-        "armpit": (0.30 * width, top - 0.32 * length),
-        "cuff_below": (0.42 * width, top - 0.42 * length),
-        "cuff_above": (0.50 * width, top - 0.22 * length),
-        "shoulder": (0.27 * width, top - 0.06 * length),
-        "neck": (0.11 * width, top),
-    }
-    left = {name: (-x, y) for name, (x, y) in right.items()}
-    turn = np.linspace(0.0, np.pi, 65)
-    neck = np.stack(
-        [right["neck"][0] * np.cos(turn), top - neck_depth * length * np.sin(turn)], axis=1
-    )
-
-    def line(start: tuple[float, float], end: tuple[float, float], *, sewn: bool = True) -> Span:
-        return Span(np.array([start, end]), sewn=sewn)
-
-    climb = list(right)
-    is_cuff = ("cuff_below", "cuff_above")
-    up = [line(right[a], right[b], sewn=(a, b) != is_cuff) for a, b in pairwise(climb)]
-    down = [line(left[b], left[a], sewn=(a, b) != is_cuff) for a, b in pairwise(climb)]
-    return [line(left["hem"], right["hem"], sewn=False), *up, Span(neck), *down[::-1]]
 
 
 def _sewn_together(

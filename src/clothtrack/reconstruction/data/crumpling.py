@@ -1,11 +1,12 @@
-"""Crumples a garment on a table: lifts it, drops it, picks it up and places it elsewhere.
+"""Crumples a garment on a table: folds, lifts, drops and pushes it, picks it up and places it.
 
-Recipes of the published data generators (MEDOR's `collect_data_bimanual2.py`, SoftGym's random
-drop), with our own solver: an episode is a few states of one garment, each of which starts from the
-one before. A state is taken when the cloth has come to rest.
+Two recipes are those of the published data generators (MEDOR's `collect_data_bimanual2.py`,
+SoftGym's random drop); the others are what hands and grippers do to cloth. An episode is a few
+states of one garment, each of which starts from the one before. A state is taken when the cloth has
+come to rest, on the table or in the gripper.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -26,13 +27,42 @@ from clothtrack.simulation.pick_and_place import (
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
 
-Recipe = Literal["flat", "drop", "lift", "pick_and_place"]
+Recipe = Literal["flat", "fold", "drop", "lift", "held", "push", "pick_and_place", "release"]
 
 STEP_S = 0.025
 """Length of a step of the solver while the cloth is moved [s]."""
 
 PULL_REACH = 0.7
 """No pull leads farther from where the garment lay flat than this, over its longer side."""
+
+REFERENCE_SIZE_M = 0.4
+"""Longer side of a garment for which lengths of `CrumplingConfig` hold as they are [m]; those of a
+larger garment grow with it, and speeds with the root of it, as free fall does."""
+
+RIGHT_ANGLES, DIAGONALS = 0.45, 0.25
+"""Shares of folds along the garment's own axes, and along its diagonals; others lie anywhere."""
+
+FOLD_WOBBLE_RAD = np.radians(4.0)
+"""Standard deviation of a hand's fold from the direction that it aims at [rad]."""
+
+FOLDED_PART = (0.12, 0.5)
+"""Least and largest share of the vertices that are folded over."""
+
+MOST_FOLDS = 3
+
+HELD_SHARE = (0.15, 1.15)
+"""How high a held vertex is lifted, over its distance from the farthest vertex of the flat garment:
+above 1 all the cloth hangs in the air."""
+
+HELD_BY_CORNER = 0.7
+"""Share of held vertices that are extreme points of the outline."""
+
+HELD_TWICE = 0.35
+"""Share of held states in which two vertices are held."""
+
+PUSH_RADIUS = 0.12
+PUSH_WAY = (0.1, 0.4)
+"""A hand presses on all cloth within this of a point and pushes it so far, over the longer side."""
 
 WINDOW_STEPS = 4
 """Steps of the solver over which the way of a vertex is measured while waiting for rest."""
@@ -42,9 +72,13 @@ WINDOW_STEPS = 4
 class CrumplingConfig:
     """How states of a garment come about. Pairs of numbers are bounds of an even draw.
 
+    Lengths and speeds are those for a garment of `REFERENCE_SIZE_M`.
+
     Attributes:
         states: states per episode.
-        shares: how often an episode begins with each recipe; what follows are pick-and-places.
+        shares: how often an episode begins with each recipe.
+        next_shares: how often each recipe follows; a fold is followed by the garment's next folds,
+            what was held in the air is let go first.
         turned_over: share of episodes that begin with the garment's other side up.
         smoothing_m: how far a hand that laid the cloth flat may have pulled it last [m].
         lift_m: how high a vertex is lifted when the cloth stays on the table in part [m].
@@ -66,7 +100,13 @@ class CrumplingConfig:
 
     states: int = 5
     shares: dict[str, float] = field(
-        default_factory=lambda: {"flat": 0.15, "drop": 0.55, "lift": 0.1, "pick_and_place": 0.2}
+        default_factory=lambda: {
+            "flat": 0.15, "fold": 0.3, "drop": 0.2, "lift": 0.05, "held": 0.1, "push": 0.05,
+            "pick_and_place": 0.15,
+        }
+    )  # fmt: skip
+    next_shares: dict[str, float] = field(
+        default_factory=lambda: {"pick_and_place": 0.7, "held": 0.2, "push": 0.1}
     )
     turned_over: float = 0.5
     smoothing_m: float = 0.02
@@ -121,13 +161,21 @@ class Crumpler:
         self._solver = ClothSolver(mesh, replace(solver, table=table), device=device)
         self._fresh = self._solver.save()
         size = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
+        self._size_m, self._scale = size, size / REFERENCE_SIZE_M
         self._pull_reach_m = PULL_REACH * size
         layers = 2 if np.ptp(mesh.vertices[:, 2]) == 0.0 else 4
+        action = config.action
         self._action = replace(
-            config.action,
-            reach_m=min(config.action.reach_m, 0.65 * size),
+            action,
+            distance_m=self._scaled(action.distance_m),
+            lift_m=self._scaled(action.lift_m),
+            grasp_radius_m=action.grasp_radius_m * self._scale,
+            speed=self._speed(action.speed),
+            reach_m=min(action.reach_m * self._scale, 0.65 * size),
             release_height_m=0.002 + layers * solver.thickness_m,
         )
+        self._attached: Attachment | None = None
+        self._folds_left = 0
 
     def episode(
         self, parameters: ClothParameters, rng: np.random.Generator
@@ -140,16 +188,20 @@ class Crumpler:
         """
         self._solver.set_parameters(parameters)
         self._lay_down(turned_over=rng.random() < self.config.turned_over)
-        names = get_args(Recipe)
-        shares = np.array([self.config.shares[name] for name in names])
-        recipe: Recipe = names[int(rng.choice(len(names), p=shares / shares.sum()))]
+        self._folds_left = int(rng.integers(1, MOST_FOLDS + 1))
+        recipe = _drawn(self.config.shares, rng)
         for _ in range(self.config.states):
             getattr(self, f"_{recipe}")(rng)
             state = self._rest(recipe)
             yield state
             if state.exploded:
                 return
-            recipe = "pick_and_place"
+            if recipe == "held":
+                recipe = "release"
+            elif recipe == "fold" and self._folds_left:
+                recipe = "fold"
+            else:
+                recipe = _drawn(self.config.next_shares, rng)
 
     def _lay_down(self, *, turned_over: bool) -> None:
         """Lay the flat garment on the table, at rest."""
@@ -159,34 +211,112 @@ class Crumpler:
         vertices[:, 2] += self._rest_height_m - vertices[:, 2].min()
         self._solver.restore(self._fresh)
         self._solver.place(vertices)
+        self._attached = None
+
+    def _scaled(self, bounds: tuple[float, float]) -> tuple[float, float]:
+        """Bounds of a length [m] for a garment of this size."""
+        return bounds[0] * self._scale, bounds[1] * self._scale
+
+    def _speed(self, speed: float) -> float:
+        """A speed [m/s] for a garment of this size."""
+        return speed * float(np.sqrt(self._scale))
 
     # Recipes
 
     def _flat(self, rng: np.random.Generator) -> None:
         """Pull at one vertex a little, as a hand does that smooths the cloth."""
         vertex = int(rng.integers(self.mesh.vertex_count))
-        way = _aside(rng.uniform(0.0, self.config.smoothing_m), rng)
+        way = _aside(rng.uniform(0.0, self.config.smoothing_m * self._scale), rng)
         self._carry(np.array([vertex]), way * np.linspace(0.0, 1.0, 5)[1:, None])
 
     def _lift(self, rng: np.random.Generator) -> None:
         """Lift one vertex so far that part of the cloth stays on the table, and let it go."""
         vertex = int(rng.integers(self.mesh.vertex_count))
-        self._raise_and_release(vertex, rng.uniform(*self.config.lift_m), rng)
+        self._raise(vertex, rng.uniform(*self._scaled(self.config.lift_m)), rng)
 
     def _drop(self, rng: np.random.Generator) -> None:
         """Lift one vertex until the cloth hangs clear of the table, and let it go."""
         vertex = int(rng.integers(self.mesh.vertex_count))
-        flat = self.mesh.vertices
-        length = float(np.linalg.norm(flat - flat[vertex], axis=1).max())
-        self._raise_and_release(vertex, length + rng.uniform(*self.config.hang_m), rng)
+        clear_m = rng.uniform(*self._scaled(self.config.hang_m))
+        self._raise(vertex, self._hanging_m(vertex) + clear_m, rng)
 
-    def _raise_and_release(self, vertex: int, height_m: float, rng: np.random.Generator) -> None:
+    def _held(self, rng: np.random.Generator) -> None:
+        """Lift one vertex, or two, and keep hold: the state is taken in the air."""
+        first = self._grasped(rng)
+        vertices = [first]
+        if rng.random() < HELD_TWICE:
+            vertices.append(self._grasped(rng))
+        height_m = rng.uniform(*HELD_SHARE) * self._hanging_m(first)
+        self._attached = self._raise(np.unique(vertices), height_m, rng)
+
+    def _release(self, rng: np.random.Generator) -> None:
+        """Let go of what was held; the wait for rest does the falling."""
+
+    def _fold(self, rng: np.random.Generator) -> None:
+        """Fold the smaller part of the cloth over the larger one, as two hands do.
+
+        Each layer is wrapped around the line by its own radius, the lowest farthest out, so that
+        layers keep their order and their lengths.
+        """
+        self._folds_left -= 1
+        points = self._solver.positions[0].astype(np.float64)
+        kind = rng.random()
+        if kind < RIGHT_ANGLES:
+            angle = 0.5 * np.pi * rng.integers(4)
+        elif kind < RIGHT_ANGLES + DIAGONALS:
+            angle = 0.5 * np.pi * (rng.integers(4) + 0.5)
+        else:
+            angle = rng.uniform(0.0, 2.0 * np.pi)
+        angle += FOLD_WOBBLE_RAD * rng.standard_normal()
+        across = np.array([np.cos(angle), np.sin(angle), 0.0])
+        along = points @ across
+        line = np.quantile(along, 1.0 - rng.uniform(*FOLDED_PART))
+        beyond = np.maximum(along - line, 0.0)
+        radius = points[:, 2].max() + self._rest_height_m - points[:, 2]
+        angle = np.minimum(beyond / radius, np.pi)
+        ahead = radius * np.sin(angle) - np.maximum(beyond - np.pi * radius, 0.0)
+        points += (ahead - beyond)[:, None] * across
+        points[:, 2] += radius * (1.0 - np.cos(angle))
+        self._solver.place(points)
+        self._flat(rng)
+
+    def _push(self, rng: np.random.Generator) -> None:
+        """Press a hand on the cloth and push it over the table, mostly towards the middle."""
+        points = self._solver.positions[0].astype(np.float64)
+        start = points[self._grasped(rng)]
+        under = np.linalg.norm(points[:, :2] - start[:2], axis=1) < PUSH_RADIUS * self._size_m
+        inwards = np.arctan2(*(points[:, :2].mean(axis=0) - start[:2])[::-1])
+        heading = inwards + rng.normal(0.0, 0.5)
+        length_m = self._size_m * rng.uniform(*PUSH_WAY)
+        way = length_m * np.array([np.cos(heading), np.sin(heading), 0.0])
+        steps = max(2, round(length_m / self._speed(self._action.speed) / STEP_S))
+        self._carry(np.flatnonzero(under), way * np.linspace(0.0, 1.0, steps + 1)[1:, None])
+
+    def _grasped(self, rng: np.random.Generator) -> int:
+        """A vertex that a hand would take: mostly an extreme point of the outline."""
+        points = self._solver.positions[0]
+        if rng.random() >= HELD_BY_CORNER:
+            return int(rng.integers(len(points)))
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        return int(np.argmax(points[:, :2] @ np.array([np.cos(angle), np.sin(angle)])))
+
+    def _hanging_m(self, vertex: int) -> float:
+        """Length of the garment as it hangs from a vertex [m]."""
+        flat = self.mesh.vertices
+        return float(np.linalg.norm(flat - flat[vertex], axis=1).max())
+
+    def _raise(
+        self, vertices: int | np.ndarray, height_m: float, rng: np.random.Generator
+    ) -> Attachment:
+        """Lift vertices that move alike, and wait a moment; what holds them at the end."""
         config = self.config
-        way = _aside(rng.uniform(0.0, config.drift_m), rng) + [0.0, 0.0, height_m]
-        steps = max(2, round(float(np.linalg.norm(way)) / config.lift_speed / STEP_S))
+        drift_m = rng.uniform(0.0, config.drift_m * self._scale)
+        way = _aside(drift_m, rng) + [0.0, 0.0, height_m]
+        speed = self._speed(config.lift_speed)
+        steps = max(2, round(float(np.linalg.norm(way)) / speed / STEP_S))
         still = np.ones(round(config.hang_s / STEP_S))
         share = np.concatenate([np.linspace(0.0, 1.0, steps + 1)[1:], still])
-        self._carry(np.array([vertex]), way * share[:, None])
+        return self._carry(np.atleast_1d(vertices), way * share[:, None])
 
     def _pick_and_place(self, rng: np.random.Generator) -> None:
         """Carry what one gripper, or two that move alike, took hold of."""
@@ -208,24 +338,30 @@ class Crumpler:
 
     # Motion
 
-    def _carry(self, held: np.ndarray, ways: Float[np.ndarray, "steps 3"]) -> None:
-        """Move vertices along a way [m] from where they are, a step of the solver per point."""
+    def _carry(self, held: np.ndarray, ways: Float[np.ndarray, "steps 3"]) -> Attachment:
+        """Move vertices along a path [m] from where they are, a step of the solver per point.
+
+        Returns:
+            What held them at the last point.
+        """
         start = self._solver.positions[:, held].astype(np.float64)
         targets = np.zeros((1, self.mesh.vertex_count, 3))
         strength = np.zeros((1, self.mesh.vertex_count))
         strength[:, held] = 1.0
         for way in ways:
             targets[:, held] = start + way
-            self._solver.step(STEP_S, Attachment(targets, strength))
+            self._solver.step(STEP_S, Attachment(targets.copy(), strength))
+        return Attachment(targets, strength)
 
     def _rest(self, recipe: Recipe) -> CrumpledState:
-        """Wait for the cloth to come to rest."""
+        """Wait for the cloth to come to rest, in the air where it is held."""
         solver, config = self._solver, self.config
+        attached, self._attached = self._attached, None
         before, speed, used = solver.positions[0], np.inf, 0.0
         window_s = WINDOW_STEPS * STEP_S
         while used < config.rest_limit_s - 1e-9:
             for _ in range(WINDOW_STEPS):
-                solver.step(STEP_S)
+                solver.step(STEP_S, attached)
             used += window_s
             after = solver.positions[0]
             if not np.isfinite(after).all():
@@ -239,6 +375,13 @@ class Crumpler:
     def _exploded(self, positions: Float32[np.ndarray, "vertices 3"]) -> bool:
         under: Bool[np.ndarray, " vertices"] = positions[:, 2] < -0.5 * self._rest_height_m
         return bool(under.any()) or edge_strain(self.mesh, positions) > self.config.strain_limit
+
+
+def _drawn(shares: Mapping[str, float], rng: np.random.Generator) -> Recipe:
+    """A recipe, each as often as its share says."""
+    names = [name for name in get_args(Recipe) if shares.get(name, 0.0) > 0.0]
+    share = np.array([shares[name] for name in names])
+    return names[int(rng.choice(len(names), p=share / share.sum()))]
 
 
 def _aside(distance_m: float, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:

@@ -28,7 +28,9 @@ VERSION = 1
 LIST_FILE = "states.json"
 SHARD_FOLDER = "shards"
 
-RECIPES = ("flat", "drop", "lift", "pick_and_place", "imported")
+RECIPES = (
+    "flat", "fold", "drop", "lift", "held", "push", "pick_and_place", "release", "imported",
+)  # fmt: skip
 """How a state can have come about; the last one is for states of other data sets."""
 
 MEASURES: Mapping[str, str] = {

@@ -11,7 +11,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,12 @@ from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
-from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler, CrumplingConfig
+from clothtrack.reconstruction.data.crumpling import (
+    REFERENCE_SIZE_M,
+    CrumpledState,
+    Crumpler,
+    CrumplingConfig,
+)
 from clothtrack.reconstruction.data.state_store import (
     LIST_FILE,
     SHARD_FOLDER,
@@ -45,12 +50,11 @@ from clothtrack.reconstruction.data.state_store import (
 from clothtrack.reconstruction.data.states_card import dataset_card
 from clothtrack.simulation.garments import (
     DEFAULT_SIZES_M,
-    TOWEL_SIDES_M,
-    TSHIRT_LENGTHS_M,
-    TSHIRT_WIDTHS_M,
     GarmentKind,
     garment,
+    shirt,
 )
+from clothtrack.simulation.outlines import draw_shirt
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 
 logger = logging.getLogger(__name__)
@@ -65,16 +69,44 @@ _OF_STATES = 0x57A7E
 """Keeps the draws of this module apart from those of others with the same seed."""
 
 
+BEND_LENGTH_M = 0.016
+"""Length of an edge [m] for which a bend compliance is drawn. Between vertices that are farther
+apart the same cloth gives more, by the square of their distance."""
+
+THICKEST_M = 0.008
+"""Largest distance of layers [m]."""
+
+
 @dataclass(frozen=True)
-class ClothRanges:
-    """What garments are made of: bounds of an even draw. Sizes are those of the benchmark.
+class GarmentRanges:
+    """How large garments are, and how they are cut: bounds of an even draw.
 
     Attributes:
-        thickness_m: distance that layers keep [m]; a little more than the benchmark's cloth, which
-            halves the crossings.
+        towel_side_m: longer side of a towel [m]; its logarithm is drawn evenly.
+        towel_aspect: shorter side over the longer one.
+        square: share of towels whose sides are equal.
+        shirt_length_m: from the hem to the neck [m]; its logarithm is drawn evenly.
+        long_sleeves: share of shirts with long sleeves (`simulation.outlines.draw_shirt`).
+    """
+
+    towel_side_m: tuple[float, float] = (0.2, 1.5)
+    towel_aspect: tuple[float, float] = (0.5, 1.0)
+    square: float = 0.3
+    shirt_length_m: tuple[float, float] = (0.3, 0.85)
+    long_sleeves: float = 0.35
+
+
+@dataclass(frozen=True)
+class ClothRanges:
+    """What garments are made of: bounds of an even draw.
+
+    Attributes:
+        thickness_m: distance that layers keep [m] in a garment of `REFERENCE_SIZE_M`; it grows with
+            the root of the size. A little more than the benchmark's cloth, which halves the
+            crossings.
         area_density: mass per area [kg/m^2].
-        bend_compliance: inverse stiffness between vertices that face each other across an edge
-            [m/N]; its logarithm is drawn evenly.
+        bend_compliance: inverse stiffness between vertices that face each other across an edge of
+            `BEND_LENGTH_M` [m/N]; its logarithm is drawn evenly.
         stretch_compliance: inverse stiffness of an edge [m/N]; its logarithm is drawn evenly. At 0
             a sheet of 16 mm edges is too stiff to wrinkle: a dropped T-shirt may spring out flat.
         table_friction: Coulomb coefficient between cloth and table.
@@ -116,15 +148,17 @@ class StatesConfig(Checked):
         crossings_limit: states in which more than this share of the edges passes through a
             triangle are left out, and what would have followed from them.
         crumpling: the episodes.
-        cloth: what garments are made of.
+        garments: how large they are, and how they are cut.
+        cloth: what they are made of.
         solver: how their motion is computed; thickness and density are those of `cloth`.
     """
 
     vertex_count: Count = 1000
-    episodes: Count = 10
+    episodes: Count = 5
     shift_m: float = 0.03
     crossings_limit: float = 0.03
     crumpling: CrumplingConfig = field(default_factory=CrumplingConfig)
+    garments: GarmentRanges = field(default_factory=GarmentRanges)
     cloth: ClothRanges = field(default_factory=ClothRanges)
     solver: SolverConfig = field(default_factory=_fast_contact)
 
@@ -135,9 +169,14 @@ class StatesConfig(Checked):
             InvalidConfigError: with the field, its value and the limit.
         """
         super().__post_init__()
-        if self.crumpling.states < 1 or sum(self.crumpling.shares.values()) <= 0.0:
+        crumpling = self.crumpling
+        if (
+            crumpling.states < 1
+            or min(sum(crumpling.shares.values()), sum(crumpling.next_shares.values())) <= 0.0
+        ):
             raise InvalidConfigError(
-                "crumpling.states must be at least 1, and one of crumpling.shares above 0"
+                "crumpling.states must be at least 1, and one of crumpling.shares and of "
+                "crumpling.next_shares above 0"
             )
         kinds = {name: getattr(self.crumpling, name) for name in ("folded", "middle", "pulled")}
         if min(kinds.values()) < 0.0 or sum(kinds.values()) > 1.0:
@@ -220,10 +259,10 @@ def make_shard(kind: GarmentKind, number: int, seed: int, config: StatesConfig) 
     """
     rng = np.random.default_rng([_OF_STATES, seed, number, list(DEFAULT_SIZES_M).index(kind)])
     mesh = draw_garment(kind, config, rng)
-    thickness, density = (
-        float(rng.uniform(*bounds))
-        for bounds in (config.cloth.thickness_m, config.cloth.area_density)
-    )
+    size_m = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
+    thickness = float(rng.uniform(*config.cloth.thickness_m))
+    thickness = min(THICKEST_M, thickness * max(1.0, math.sqrt(size_m / REFERENCE_SIZE_M)))
+    density = float(rng.uniform(*config.cloth.area_density))
     solver = _with_cloth(config.solver, thickness, density)
     crumpler = Crumpler(mesh, config.crumpling, solver)
     flat_area = projected_area(mesh.vertices, mesh.faces)
@@ -256,14 +295,20 @@ def _sound_states(
     """As many states as a shard has, each with its episode and how many edges cross something."""
     wanted, found = config.shard_states, 0
     limit = config.crossings_limit * len(crumpler.mesh.edges)
+    edge_m = float(np.mean(crumpler.mesh.edge_lengths))
     for episode in range(4 * config.episodes):
-        for state in crumpler.episode(draw_parameters(config.cloth, rng), rng.spawn(1)[0]):
+        parameters = draw_parameters(config.cloth, rng)
+        parameters = replace(
+            parameters,
+            bend_compliance=parameters.bend_compliance * (edge_m / BEND_LENGTH_M) ** 2,
+        )
+        for state in crumpler.episode(parameters, rng.spawn(1)[0]):
             if state.exploded:
-                logger.info("episode %d: exploded", episode)
+                logger.info("episode %d: %s exploded", episode, state.recipe)
                 break
             crossed = crossings(state.positions, crumpler.mesh.faces)
             if crossed > limit:
-                logger.info("episode %d: %d edges cross the cloth", episode, crossed)
+                logger.info("episode %d: %s: %d edges cross", episode, state.recipe, crossed)
                 break
             yield episode, state, crossed
             found += 1
@@ -276,26 +321,30 @@ def _sound_states(
 
 
 def draw_garment(kind: GarmentKind, config: StatesConfig, rng: np.random.Generator) -> ClothMesh:
-    """A flat garment of a size that the benchmark's may have; a towel's width is its longer side.
+    """A flat garment of any size; a towel's width is its longer side.
 
     Args:
-        kind: the garment.
-        config: how many vertices.
-        rng: of its size and triangulation.
+        kind: "towel", or "tshirt" for shirts with sleeves of any length.
+        config: how many vertices, and the ranges of sizes.
+        rng: of its size, outline and triangulation.
     """
-    sides = (
-        (TOWEL_SIDES_M, TOWEL_SIDES_M) if kind == "towel" else (TSHIRT_WIDTHS_M, TSHIRT_LENGTHS_M)
-    )
-    width, length = (float(rng.uniform(*side)) for side in sides)
-    if kind == "towel":
-        # Which side is the width means nothing; by convention the longer one, as to the networks.
-        width, length = max(width, length), min(width, length)
-    return garment(
-        kind,
-        vertex_count=config.vertex_count,
-        size_m=(width, length),
-        pattern="random",
-        seed=int(rng.integers(1 << 31)),
+    ranges = config.garments
+    towel = kind == "towel"
+    bounds = ranges.towel_side_m if towel else ranges.shirt_length_m
+    length_m = float(np.exp(rng.uniform(*np.log(bounds))))
+    if towel:
+        square = rng.random() < ranges.square
+        aspect = 1.0 if square else float(rng.uniform(*ranges.towel_aspect))
+        return garment(
+            "towel",
+            vertex_count=config.vertex_count,
+            size_m=(length_m, aspect * length_m),
+            pattern="random",
+            seed=int(rng.integers(1 << 31)),
+        )
+    outline = draw_shirt(rng, long_sleeves=ranges.long_sleeves)
+    return shirt(
+        outline, length_m, vertex_count=config.vertex_count, seed=int(rng.integers(1 << 31))
     )
 
 

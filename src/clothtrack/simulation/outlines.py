@@ -1,0 +1,154 @@
+"""Outlines of garments that lie flat: what a front and a back are cut from.
+
+An outline is a list of spans, counter-clockwise from the left end of the hem; sewn spans are
+seams between front and back, the others are openings.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.simulation.triangulation import Span
+
+NECK_POINTS = 65
+"""Corners of a neckline's half ellipse."""
+
+
+@dataclass(frozen=True)
+class ShirtOutline:
+    """Proportions of a shirt, with sleeves of any length, over its length from hem to neck.
+
+    Attributes:
+        body: width under the arms.
+        waist: width at the hem over that under the arms.
+        shoulder: where the sleeve begins, out from the middle, over half the width under the arms.
+        slope: how far the shoulder falls from the neck to the sleeve.
+        armhole: from the shoulder's end down to the armpit.
+        sleeve: length of the sleeve's upper edge.
+        sleeve_angle_rad: how far that edge points below the horizontal [rad].
+        cuff: width of the sleeve's end.
+        neck: half the width of the neck.
+        front_depth, back_depth: how deep the neck is cut.
+    """
+
+    body: float = 0.74
+    waist: float = 1.0
+    shoulder: float = 0.9
+    slope: float = 0.05
+    armhole: float = 0.3
+    sleeve: float = 0.3
+    sleeve_angle_rad: float = 0.6
+    cuff: float = 0.22
+    neck: float = 0.13
+    front_depth: float = 0.10
+    back_depth: float = 0.03
+
+    def spans(self, length_m: float, *, depth: float) -> list[Span]:
+        """The outline of one layer of a shirt of this length [m], the neck cut to `depth`.
+
+        Raises:
+            InvalidConfigError: the outline crosses itself.
+        """
+        top, half = 0.5 * length_m, 0.5 * self.body * length_m
+        x, y = self.shoulder * half, top - self.slope * length_m
+        out = np.array([np.cos(self.sleeve_angle_rad), -np.sin(self.sleeve_angle_rad)])
+        across = np.array([-np.sin(self.sleeve_angle_rad), -np.cos(self.sleeve_angle_rad)])
+        cuff = np.array([x, y]) + self.sleeve * length_m * out
+        corners = np.array(
+            [
+                (half * self.waist, -top),
+                (half, y - self.armhole * length_m),
+                cuff + self.cuff * length_m * across,
+                cuff,
+                (x, y),
+                (self.neck * length_m, top),
+            ]
+        )
+        if not (corners[:, 0] > 0.0).all() or _crosses_itself(corners):
+            raise InvalidConfigError(
+                f"the outline of {self} crosses itself; give a shorter or a higher sleeve, or a "
+                "smaller cuff"
+            )
+        return shirt_spans(corners, neck_depth_m=depth * length_m)
+
+
+def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> ShirtOutline:
+    """Proportions of a shirt, a polo or a sweater.
+
+    Args:
+        rng: of the draw.
+        long_sleeves: share of those with long sleeves.
+    """
+    while True:
+        long = rng.random() < long_sleeves
+        outline = ShirtOutline(
+            body=rng.uniform(0.6, 0.95),
+            waist=rng.uniform(0.85, 1.1),
+            shoulder=rng.uniform(0.78, 0.98),
+            slope=rng.uniform(0.03, 0.09),
+            armhole=rng.uniform(0.24, 0.36),
+            sleeve=rng.uniform(0.55, 0.95) if long else rng.uniform(0.12, 0.4),
+            sleeve_angle_rad=rng.uniform(0.3, 1.1) if long else rng.uniform(0.15, 1.1),
+            cuff=rng.uniform(0.1, 0.17) if long else rng.uniform(0.17, 0.28),
+            neck=rng.uniform(0.09, 0.16),
+            front_depth=rng.uniform(0.04, 0.14),
+            back_depth=rng.uniform(0.015, 0.04),
+        )
+        try:
+            outline.spans(1.0, depth=outline.front_depth)
+        except InvalidConfigError:
+            continue
+        return outline
+
+
+def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
+    """Right half of the usual T-shirt [m], from the hem up to the neck.
+
+    The body takes three fifths of the width from cuff to cuff; sleeves slope downwards.
+    """
+    top = length_m / 2.0
+    return np.array(
+        [
+            (0.30 * width_m, -top),
+            (0.30 * width_m, top - 0.32 * length_m),
+            (0.42 * width_m, top - 0.42 * length_m),
+            (0.50 * width_m, top - 0.22 * length_m),
+            (0.27 * width_m, top - 0.06 * length_m),
+            (0.11 * width_m, top),
+        ]
+    )
+
+
+def shirt_spans(right: Float[np.ndarray, "6 2"], *, neck_depth_m: float) -> list[Span]:
+    """The outline of one layer of a shirt that is its own mirror image.
+
+    Args:
+        right: its right half [m]: hem, armpit, lower and upper end of the cuff, shoulder, neck.
+        neck_depth_m: how deep the neck is cut [m].
+    """
+    left = right * (-1.0, 1.0)
+    turn = np.linspace(0.0, np.pi, NECK_POINTS)
+    (neck, top) = right[-1]
+    curve = np.stack([neck * np.cos(turn), top - neck_depth_m * np.sin(turn)], axis=1)
+    cuff = 2
+    steps = list(enumerate(pairwise(range(len(right)))))
+    up = [Span(right[[a, b]], sewn=number != cuff) for number, (a, b) in steps]
+    down = [Span(left[[b, a]], sewn=number != cuff) for number, (a, b) in steps]
+    return [Span(np.stack([left[0], right[0]])), *up, Span(curve), *down[::-1]]
+
+
+def _crosses_itself(corners: Float[np.ndarray, "corners 2"]) -> bool:
+    """Whether two stretches of an open polyline that do not meet cross each other."""
+
+    def turns(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+        return float((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+
+    stretches = list(pairwise(corners))
+    for first, (a, b) in enumerate(stretches):
+        for c, d in stretches[first + 2 :]:
+            if turns(a, b, c) * turns(a, b, d) < 0.0 and turns(c, d, a) * turns(c, d, b) < 0.0:
+                return True
+    return False
