@@ -253,6 +253,26 @@ def canonical_of_points(
     Returns:
         The coordinates, and where they are known.
     """
+    face, weights, near = faces_of_points(points, picture, garment.faces, cut_m=cut_m)
+    unit = np.einsum("pc,pcx->px", weights, garment.unit[garment.faces[face]])
+    return unit, near
+
+
+def faces_of_points(
+    points: Float[np.ndarray, "points 3"],
+    picture: LabelledPicture,
+    faces: Int[np.ndarray, "faces 3"],
+    *,
+    cut_m: float,
+) -> tuple[Int[np.ndarray, " points"], Float[np.ndarray, "points 3"], Bool[np.ndarray, " points"]]:
+    """Where on the mesh measured points lie: face, weights of its corners, and whether near.
+
+    Args:
+        points: as for `canonical_of_points`, and so are the others.
+        picture: what shows which face.
+        faces: of the mesh.
+        cut_m: points further from the mesh [m] are not on it.
+    """
     pixels, depth = picture.camera.project(points)
     height, width = picture.depth_m.shape
     corner = np.floor(pixels).astype(np.int64)
@@ -263,12 +283,11 @@ def canonical_of_points(
     gaps = np.where(found > 0, np.abs(found - depth[:, None]), np.inf)
     nearest = gaps.argmin(axis=1)
     face = np.take_along_axis(picture.faces[rows, columns], nearest[:, None], axis=1)[:, 0]
-    corners = garment.faces[face]
+    corners = faces[face]
     weights = closest_on_triangle(points, picture.positions[corners])
     on_mesh = np.einsum("pc,pcx->px", weights, picture.positions[corners])
     near = np.linalg.norm(on_mesh - points, axis=1) <= cut_m
-    unit = np.einsum("pc,pcx->px", weights, garment.unit[corners])
-    return unit, near & (face >= 0)
+    return face, weights, near & (face >= 0)
 
 
 @dataclass(frozen=True, eq=False)

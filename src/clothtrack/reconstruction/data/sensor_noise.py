@@ -26,6 +26,8 @@ class SensorConfig:
         white_m: standard deviation of independent noise [m] at 0.75 m.
         wave_m: standard deviation of slowly varying error [m], the same all through a recording.
         step_m: quantisation of depth [m]; also the unit of the depth files.
+        disparity_step_m: further quantisation of depth at 0.75 m [m], which grows with the square
+            of the depth, as of a camera that measures whole steps of disparity; 0: none.
         dropout: share of pixels without a measurement on a surface seen from the front.
         grazing_dropout: additional share on a surface seen edge-on.
         edge_step_m: jump of depth [m] between neighbours that counts as a silhouette.
@@ -44,6 +46,7 @@ class SensorConfig:
     white_m: float = 0.001
     wave_m: float = 0.0005
     step_m: float = 0.0005
+    disparity_step_m: float = 0.0
     dropout: float = 0.02
     grazing_dropout: float = 0.6
     edge_step_m: float = 0.01
@@ -92,5 +95,9 @@ def depth_noise(
     grazing = np.clip((0.4 - facing) / 0.4, 0.0, 1.0)
     lost = uniform() < config.dropout + config.grazing_dropout * grazing
     lost |= edge & (uniform() < config.edge_dropout)
+    if config.disparity_step_m > 0.0:
+        disparity = 1.0 / np.maximum(measured, 1e-3)
+        step = np.float32(config.disparity_step_m / REFERENCE_DEPTH_M**2)
+        measured = 1.0 / np.maximum(np.round(disparity / step) * step, step)
     quantised = np.round(measured / config.step_m) * config.step_m
     return np.where(lost, 0.0, np.maximum(quantised, 0.0))

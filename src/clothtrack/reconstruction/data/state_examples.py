@@ -30,28 +30,55 @@ _MARGIN_PIXELS = 6
 _ATTEMPTS = 4
 
 
+def _structured_light() -> SensorConfig:
+    """A camera of the Kinect v1 and Xtion kind: steps of 3 mm at 1 m, wide shadows, no wave."""
+    return SensorConfig(
+        white_m=0.0005, wave_m=0.001, disparity_step_m=0.0017, edge_dropout=0.8, edge_mixing=0.1
+    )
+
+
+def _time_of_flight() -> SensorConfig:
+    """A camera of the Kinect v2 and Azure kind: fine steps, and edges that mix both depths."""
+    return SensorConfig(
+        white_m=0.0015, wave_m=0.002, edge_dropout=0.1, edge_mixing=0.9, grazing_dropout=0.3
+    )
+
+
 @dataclass(frozen=True)
 class RenderConfig:
-    """The cameras that a simulated state is seen by.
+    """The cameras that a simulated state is seen by. Pairs of numbers are bounds of an even draw.
 
     Attributes:
-        height_m: lowest and highest camera [m] above the table.
-        focal: shortest and longest focal length [pixels].
-        offset_m: the camera stands up to this far [m] beside the middle of the cloth, along x and
-            along y.
+        distance: from the camera to the middle of the cloth, over the cloth's extent.
+        least_distance_m, usual_m: no camera is nearer than the one, nor farther than the other
+            unless the cloth is too large for it [m].
+        focal: focal length [pixels].
+        offset: the optical axis passes the middle of the cloth by up to this, over its extent.
         tilt_deg: standard deviation of the optical axis from the vertical [deg].
-        sensor: how badly the camera measures, on average.
+        tilted, most_tilt_deg: share of cameras that look from aside, by any angle up to this [deg].
+        stereo, structured_light, time_of_flight: how badly each of three kinds of sensor measures,
+            on average; they come equally often.
         noise_range: the sensor's noise and drop-out are multiplied by a number between these.
-        mask_jitter: probability that the mask is a pixel too large, and that it is one too small.
+        mask_jitter: probability that the mask is some pixels too large, and that it is too small.
+        tool: share of pictures in which a tool or a hand hides part of the cloth.
+        cut: share of pictures whose border cuts part of the cloth off.
     """
 
-    height_m: tuple[float, float] = (0.55, 0.95)
-    focal: tuple[float, float] = (200.0, 400.0)
-    offset_m: float = 0.12
+    distance: tuple[float, float] = (1.2, 2.8)
+    least_distance_m: float = 0.45
+    usual_m: float = 1.6
+    focal: tuple[float, float] = (200.0, 450.0)
+    offset: float = 0.3
     tilt_deg: float = 4.0
-    sensor: SensorConfig = field(default_factory=SensorConfig)
+    tilted: float = 0.25
+    most_tilt_deg: float = 35.0
+    stereo: SensorConfig = field(default_factory=SensorConfig)
+    structured_light: SensorConfig = field(default_factory=_structured_light)
+    time_of_flight: SensorConfig = field(default_factory=_time_of_flight)
     noise_range: tuple[float, float] = (0.0, 2.0)
     mask_jitter: float = 0.15
+    tool: float = 0.15
+    cut: float = 0.08
 
 
 class StateExamples:
@@ -167,27 +194,70 @@ def render(
     measured = depth_noise(depth, facing, _wave(depth.shape, rng), _sensor(config, rng), rng)
     mask = _jittered(on_cloth, config.mask_jitter, rng)
     mask &= (measured > 0) & ~flying_pixels(measured, camera.fx)
+    mask &= ~_hidden(positions, mask, camera, config, rng)
     return LabelledPicture(measured, mask, camera, drawn.faces, positions)
+
+
+def _hidden(
+    positions: Float[np.ndarray, "vertices 3"],
+    mask: Bool[np.ndarray, "height width"],
+    camera: Camera,
+    config: RenderConfig,
+    rng: np.random.Generator,
+) -> Bool[np.ndarray, "height width"]:
+    """What a tool or a hand hides, and what the picture's border cuts off."""
+    hidden = np.zeros(mask.shape, np.uint8)
+    extent = np.ptp(positions[:, :2], axis=0).max()
+    in_the_air = positions[:, 2].max() > 0.3 * extent
+    if rng.random() < (0.7 if in_the_air else config.tool):
+        # Lifted cloth is held at its top; a hand comes from the border of the picture.
+        held = positions[:, 2].argmax() if in_the_air else rng.integers(len(positions))
+        (pixels, (depth, *_)) = camera.project(positions[held : held + 1])
+        tip = np.round(pixels[0]).astype(int)
+        radius = camera.fx / max(depth, 0.1) * extent * rng.uniform(0.02, 0.08)
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        length = 0.0 if rng.random() < 0.5 else float(sum(mask.shape))
+        end = tip + length * np.array([np.cos(angle), np.sin(angle)])
+        cv2.line(hidden, tip.tolist(), end.astype(int).tolist(), 1, max(1, round(2.0 * radius)))
+    if rng.random() < config.cut:
+        rows, columns = np.nonzero(mask)
+        angle = rng.choice(4) * np.pi / 2.0
+        along = np.cos(angle) * columns + np.sin(angle) * rows
+        if len(along):
+            line = np.quantile(along, 1.0 - rng.uniform(0.0, 0.25))
+            hidden[rows[along > line], columns[along > line]] = 1
+    return hidden.astype(bool)
 
 
 def _camera_above(
     positions: Float[np.ndarray, "vertices 3"], config: RenderConfig, rng: np.random.Generator
 ) -> Camera:
     """A camera that looks down on the cloth; its picture is cut to what lies around it."""
-    middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    extent = float((high - low)[:2].max())
+    tilt_rad = np.radians(config.tilt_deg) * rng.standard_normal(2)
+    if rng.random() < config.tilted:
+        heading = rng.uniform(0.0, 2.0 * np.pi)
+        angle = np.radians(rng.uniform(0.0, config.most_tilt_deg))
+        tilt_rad = angle * np.array([np.cos(heading), np.sin(heading)])
+    tilt, _ = cv2.Rodrigues(np.append(tilt_rad, 0.0))
     pose = np.eye(4)
-    tilt, _ = cv2.Rodrigues(np.radians(config.tilt_deg) * np.append(rng.standard_normal(2), 0.0))
     pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ tilt
-    pose[:2, 3] = middle[:2] + rng.uniform(-config.offset_m, config.offset_m, 2)
-    pose[2, 3] = rng.uniform(*config.height_m)
+    target = 0.5 * (low + high)
+    target[:2] += extent * rng.uniform(-config.offset, config.offset, 2)
+    # Clear of cloth that is lifted towards it, too.
+    distance = min(extent * rng.uniform(*config.distance), max(config.usual_m, 1.2 * extent))
+    distance = max(config.least_distance_m, distance)
+    distance += 0.5 * float(high[2] - low[2])
+    pose[:3, 3] = target - distance * pose[:3, 2]
     focal = rng.uniform(*config.focal)
     wide = Camera("top", 1, 1, focal, focal, 0.0, 0.0, pose)
     pixels, _ = wide.project(positions)
     # The principal point stays in the picture, as the camera asks.
-    low = np.floor(np.minimum(pixels.min(axis=0), 0.0)).astype(int) - _MARGIN_PIXELS
-    high = np.ceil(np.maximum(pixels.max(axis=0), 0.0)).astype(int) + _MARGIN_PIXELS
-    width, height = (high - low + 1).tolist()
-    return Camera("top", width, height, focal, focal, float(-low[0]), float(-low[1]), pose)
+    first = np.floor(np.minimum(pixels.min(axis=0), 0.0)).astype(int) - _MARGIN_PIXELS
+    last = np.ceil(np.maximum(pixels.max(axis=0), 0.0)).astype(int) + _MARGIN_PIXELS
+    width, height = (last - first + 1).tolist()
+    return Camera("top", width, height, focal, focal, float(-first[0]), float(-first[1]), pose)
 
 
 def _perfect_depth(
@@ -223,7 +293,8 @@ def _wave(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray,
 def _sensor(config: RenderConfig, rng: np.random.Generator) -> SensorConfig:
     """The sensor on a better or a worse day."""
     scale = rng.uniform(*config.noise_range)
-    mean = config.sensor
+    kinds = (config.stereo, config.structured_light, config.time_of_flight)
+    mean = kinds[int(rng.integers(len(kinds)))]
     return replace(
         mean,
         white_m=scale * mean.white_m,
@@ -237,9 +308,10 @@ def _sensor(config: RenderConfig, rng: np.random.Generator) -> SensorConfig:
 def _jittered(
     mask: Bool[np.ndarray, "height width"], probability: float, rng: np.random.Generator
 ) -> Bool[np.ndarray, "height width"]:
-    """The mask as segmentation finds it: now and then a pixel too large or too small."""
+    """The mask as segmentation finds it: now and then up to 3 pixels too large or too small."""
     drawn = rng.random()
     if drawn >= 2.0 * probability:
         return mask
     change = cv2.dilate if drawn < probability else cv2.erode
-    return change(mask.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
+    size = 1 + 2 * int(rng.integers(1, 4))
+    return change(mask.view(np.uint8), np.ones((size, size), np.uint8)).view(bool)

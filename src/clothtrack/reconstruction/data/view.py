@@ -22,6 +22,7 @@ LEAST_PIXELS = 16
 """A picture with fewer pixels of cloth [pixels] shows no cloth."""
 
 _OUTLIERS = 0.5
+_CLEAR = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,13 @@ def view_camera(points: Float[np.ndarray, "points 3"], config: NetworkConfig) ->
     half_angle = np.radians(config.field_of_view_deg) / 2.0
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     # The plane of the lowest points is the table, or nearly so, and fills the picture exactly.
-    pose[:3, 3] = middle[0], middle[1], low[2] + 0.5 * side / np.tan(half_angle)
+    # Cloth that is lifted stays in the picture, and below the camera.
+    out, up = np.abs(points[:, :2] - middle[:2]).max(axis=1), points[:, 2] - low[2]
+    in_view_m = np.percentile(out / np.tan(half_angle) + up, 100.0 - _OUTLIERS)
+    above_m = max(
+        0.5 * side / np.tan(half_angle), float(in_view_m), _CLEAR * float(high[2] - low[2])
+    )
+    pose[:3, 3] = middle[0], middle[1], low[2] + above_m
     size = config.image_size
     focal = 0.5 * size / np.tan(half_angle)
     centre = 0.5 * (size - 1)

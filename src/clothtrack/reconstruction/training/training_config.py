@@ -1,10 +1,11 @@
 """How long, how fast and on what a stage is trained."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Bounds, Checked, Count, Fraction, Natural, Positive
+from clothtrack.files.bounds import Bounds, Checked, Count, Fraction, Natural, NotNegative, Positive
 
 StageName = Literal["canonicalisation", "completion"]
 STAGES: tuple[StageName, ...] = ("canonicalisation", "completion")
@@ -20,6 +21,10 @@ class TrainingConfig(Checked):
         low_rate: learning rate of Adam, or the lowest of its cycle.
         high_rate: the highest rate of the triangular cycle; the same as `low_rate`: constant.
         rise_epochs: epochs over which the rate climbs from the lowest to the highest.
+        decay: what the rate does after its rise: down and up again in a triangle (L. N. Smith,
+            2017), or down once over all epochs that are left, as a cosine (I. Loshchilov,
+            F. Hutter, 2017).
+        gradient_limit: gradients are scaled to this norm at most; 0: as they are.
         freeze_statistics: batch norms keep the statistics that they have (fine-tuning on few
             examples spoils them).
         held_out_share: share of the groups (episodes, trajectories) that selects and is never
@@ -41,6 +46,8 @@ class TrainingConfig(Checked):
     low_rate: Positive = 1e-3
     high_rate: float = 1e-3
     rise_epochs: Positive = 4.0
+    decay: Literal["triangle", "cosine"] = "triangle"
+    gradient_limit: NotNegative = 0.0
     freeze_statistics: bool = False
     held_out_share: Fraction = 0.1
     evaluate_epochs: Count = 1
@@ -66,13 +73,18 @@ class TrainingConfig(Checked):
             )
 
     def rate(self, step: int, steps_per_epoch: int) -> float:
-        """Learning rate at a step: constant, or up and down in a triangle (L. N. Smith, 2017).
+        """Learning rate at a step.
 
         It is a function of the step and nothing else, so that nothing of it needs saving.
         """
         rise = max(1.0, self.rise_epochs * steps_per_epoch)
-        phase = (step / rise) % 2.0
-        height = phase if phase <= 1.0 else 2.0 - phase
+        if self.decay == "cosine":
+            left = max(1.0, self.epochs * steps_per_epoch - rise)
+            fallen = min(1.0, max(0.0, step - rise) / left)
+            height = step / rise if step < rise else 0.5 * (1.0 + math.cos(math.pi * fallen))
+        else:
+            phase = (step / rise) % 2.0
+            height = phase if phase <= 1.0 else 2.0 - phase
         return self.low_rate + (self.high_rate - self.low_rate) * height
 
 

@@ -206,6 +206,8 @@ class _Run:
             )
         self.optimiser.zero_grad(set_to_none=True)
         scalars["loss"].backward()
+        if self.config.gradient_limit:
+            nn.utils.clip_grad_norm_(self.stage.trained.parameters(), self.config.gradient_limit)
         self.optimiser.step()
         self.step += 1
         return {"rate": torch.tensor(rate), **scalars}

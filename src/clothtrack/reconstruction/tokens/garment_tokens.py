@@ -1,0 +1,343 @@
+"""A garment as the token network is told it: points of its own rest mesh.
+
+Every token is a material point. Vertices and pixels are shares of the tokens around them, so that
+one set of tokens says what a pixel shows and where a vertex is. Neighbours are neighbours through
+the cloth, never across the gap between a sleeve and the body.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+from scipy import sparse
+from scipy.optimize import nnls
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+
+TOKENS = 256
+"""Tokens per garment: 16 x 16 of a rectangle, 128 on each layer of what is sewn."""
+
+LABELLINGS = 8
+"""Most look-alike labellings that a garment has: a square's."""
+
+SHARES = 4
+"""Tokens that a material point of one layer is a share of."""
+
+NEIGHBOURS = 8
+"""Tokens around a token over which the place of a pixel is averaged."""
+
+NEARLY_SQUARE = 0.85
+"""Sides whose ratio is above this look alike in a crumpled cloth: quarter turns are labellings."""
+
+FEATURES = 7
+"""Numbers that a token is told by: `GarmentTokens.features`."""
+
+_RECTANGLE_FILL = 0.97
+_REGULAR = 0.02
+_CENTRED = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class GarmentTokens:
+    """Tokens of one garment, in the order that the network sees them.
+
+    Attributes:
+        size_m: longer side of the flat garment [m]; the network's unit of length.
+        canonical: canonical positions of the tokens [m].
+        features: x and y over the size, side (-1, 0, 1), distance to the rim and to a seam over the
+            size, and x and y over width and length.
+        face, blend: where on the mesh each token lies.
+        vertex_tokens, vertex_shares: tokens around each vertex, and its shares of them.
+        labellings: each token's name under each look-alike labelling; the first changes nothing.
+        is_labelling: which of the rows are labellings; the others fill up.
+        mirror: each token's name in the mirror image of the garment.
+        neighbours: the nearest tokens of each through the cloth, itself first.
+        layers: 1 or 2.
+    """
+
+    size_m: float
+    canonical: Float[np.ndarray, "tokens 3"]
+    features: Float32[np.ndarray, "tokens features"]
+    face: Int[np.ndarray, " tokens"]
+    blend: Float[np.ndarray, "tokens 3"]
+    vertex_tokens: Int[np.ndarray, "vertices shares"]
+    vertex_shares: Float32[np.ndarray, "vertices shares"]
+    labellings: Int[np.ndarray, "labellings tokens"]
+    is_labelling: Bool[np.ndarray, " labellings"]
+    mirror: Int[np.ndarray, " tokens"]
+    neighbours: Int[np.ndarray, "tokens neighbours"]
+    layers: int
+
+    @classmethod
+    def of(cls, mesh: ClothMesh) -> "GarmentTokens":
+        """The tokens of a flat garment of one layer, or of two that are sewn together.
+
+        Args:
+            mesh: at rest, canonical coordinates filled: flat x and y [m], and a height that is
+                positive on the front, negative on the back and zero on seams.
+
+        Raises:
+            InvalidConfigError: the mesh has no canonical coordinates.
+        """
+        if mesh.canonical is None:
+            raise InvalidConfigError(
+                "the garment's mesh has no canonical coordinates; make it with clothtrack's "
+                "garments, or give a template that has them"
+            )
+        canonical = np.asarray(mesh.canonical, np.float64)
+        flat = canonical[:, :2] - 0.5 * (
+            canonical[:, :2].min(axis=0) + canonical[:, :2].max(axis=0)
+        )
+        side = _sides(canonical)
+        extent = np.ptp(flat, axis=0)
+        size_m = float(extent.max())
+        layers = 2 if (side != 0).any() else 1
+        faces = np.asarray(mesh.faces)
+        of_face = np.sign(side[faces].sum(axis=1))
+        if layers == 1:
+            places, sides = _of_one_layer(flat, faces, extent), np.zeros(TOKENS)
+        else:
+            places, sides = _of_two_layers(flat, side)
+        face, blend = _on_layers(places, sides, flat, faces, of_face)
+        places = np.einsum("tc,tcx->tx", blend, flat[faces[face]])
+        layered = _Layered(flat, faces, side, of_face)
+        near, tokens, shares = _shares(layered, places, sides, faces[face])
+        labellings, is_labelling = _labellings(places, sides, extent, layers)
+        rim, seam = _rim_and_seam(faces, side, len(flat))
+        features = np.column_stack(
+            [
+                places / size_m,
+                sides,
+                _distance(places, flat[rim]) / size_m,
+                _distance(places, flat[seam]) / size_m,
+                places / extent,
+            ]
+        )
+        return cls(
+            size_m=size_m,
+            canonical=np.einsum("tc,tcx->tx", blend, canonical[faces[face]]),
+            features=features.astype(np.float32),
+            face=face,
+            blend=blend,
+            vertex_tokens=tokens,
+            vertex_shares=shares.astype(np.float32),
+            labellings=labellings,
+            is_labelling=is_labelling,
+            mirror=_named(places * (-1.0, 1.0), sides, places, sides),
+            neighbours=near,
+            layers=layers,
+        )
+
+    def places(
+        self, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+    ) -> Float[np.ndarray, "tokens 3"]:
+        """Where the tokens are [m] when the vertices are there."""
+        return np.einsum("tc,tcx->tx", self.blend, positions[faces[self.face]])
+
+    def at_vertices(
+        self, values: Float[np.ndarray, "tokens ..."]
+    ) -> Float[np.ndarray, "vertices ..."]:
+        """Values of the tokens at the vertices."""
+        shares = self.vertex_shares.reshape(*self.vertex_shares.shape, *[1] * (values.ndim - 1))
+        return (values[self.vertex_tokens] * shares).sum(axis=1)
+
+
+def _sides(canonical: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, " vertices"]:
+    """+1 on the front, -1 on the back, 0 on a seam; all 0 for one layer."""
+    height = canonical[:, 2]
+    if np.ptp(height) < 1e-9:
+        return np.zeros(len(canonical))
+    return np.where(np.abs(height) < 1e-6, 0.0, np.sign(height))
+
+
+def _of_one_layer(
+    flat: Float[np.ndarray, "vertices 2"],
+    faces: Int[np.ndarray, "faces 3"],
+    extent: Float[np.ndarray, " 2"],
+) -> Float[np.ndarray, "tokens 2"]:
+    """A grid over a rectangle, rim included; else points that are far from one another."""
+    a, b, c = np.moveaxis(flat[faces], 1, 0)
+    u, v = b - a, c - a
+    area = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()
+    if area > _RECTANGLE_FILL * extent.prod():
+        axis = np.linspace(-0.5, 0.5, round(TOKENS**0.5))
+        return np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2) * extent
+    return flat[_far_apart(flat, TOKENS)]
+
+
+def _of_two_layers(
+    flat: Float[np.ndarray, "vertices 2"], side: Float[np.ndarray, " vertices"]
+) -> tuple[Float[np.ndarray, "tokens 2"], Float[np.ndarray, " tokens"]]:
+    """Points of the front and their mirror images, and the same of the back."""
+    half = flat[(side >= 0) & (flat[:, 0] >= 0.0)]
+    half = half[_far_apart(half, TOKENS // 4)]
+    front = np.concatenate([half, half * (-1.0, 1.0)])
+    sides = np.repeat([1.0, -1.0], TOKENS // 2)
+    return np.concatenate([front, front]), sides
+
+
+def _far_apart(points: Float[np.ndarray, "points 2"], count: int) -> Int[np.ndarray, " chosen"]:
+    """Points of which each was the farthest from those before; repeated when there are too few."""
+    chosen = np.zeros(count, np.int64)
+    chosen[0] = int(np.argmax(np.abs(points).sum(axis=1)))
+    apart = np.linalg.norm(points - points[chosen[0]], axis=1)
+    for number in range(1, count):
+        chosen[number] = int(apart.argmax())
+        apart = np.minimum(apart, np.linalg.norm(points - points[chosen[number]], axis=1))
+    return chosen
+
+
+def _on_layers(
+    places: Float[np.ndarray, "tokens 2"],
+    sides: Float[np.ndarray, " tokens"],
+    flat: Float[np.ndarray, "vertices 2"],
+    faces: Int[np.ndarray, "faces 3"],
+    of_face: Float[np.ndarray, " faces"],
+) -> tuple[Int[np.ndarray, " tokens"], Float[np.ndarray, "tokens 3"]]:
+    """The nearest places on the layer of each token."""
+    level = np.column_stack([flat, np.zeros(len(flat))])
+    asked = np.column_stack([places, np.zeros(len(places))])
+    face, blend = np.zeros(len(places), np.int64), np.zeros((len(places), 3))
+    for value in np.unique(sides):
+        own, of_layer = sides == value, np.flatnonzero(of_face == value)
+        nearest, weights = closest_on_mesh(asked[own], level, faces[of_layer])
+        face[own], blend[own] = of_layer[nearest], weights
+    return face, blend
+
+
+@dataclass(frozen=True, eq=False)
+class _Layered:
+    """A flat mesh of one or two layers: side of each vertex, 0 on seams, and of each face."""
+
+    flat: Float[np.ndarray, "vertices 2"]
+    faces: Int[np.ndarray, "faces 3"]
+    side: Float[np.ndarray, " vertices"]
+    of_face: Float[np.ndarray, " faces"]
+
+
+def _shares(
+    mesh: _Layered,
+    places: Float[np.ndarray, "tokens 2"],
+    sides: Float[np.ndarray, " tokens"],
+    corners: Int[np.ndarray, "tokens 3"],
+) -> tuple[
+    Int[np.ndarray, "tokens neighbours"],
+    Int[np.ndarray, "vertices shares"],
+    Float[np.ndarray, "vertices shares"],
+]:
+    """Neighbours of tokens, and tokens and shares of vertices; a seam has shares of both layers."""
+    flat, layers, count = mesh.flat, np.unique(sides), len(mesh.flat)
+    near = np.zeros((len(places), NEIGHBOURS), np.int64)
+    tokens = np.zeros((count, SHARES * len(layers)), np.int64)
+    shares = np.zeros((count, SHARES * len(layers)))
+    for number, value in enumerate(layers):
+        own = np.flatnonzero(sides == value)
+        apart = _through_cloth(flat, mesh.faces[mesh.of_face == value], places[own], corners[own])
+        vertices = np.flatnonzero((mesh.side == value) | (mesh.side == 0.0))
+        order = np.argsort(apart[:, vertices], axis=0, kind="stable")[: SHARES + 2].T
+        columns = slice(number * SHARES, (number + 1) * SHARES)
+        for vertex, candidates in zip(vertices, order, strict=True):
+            weights = _convex(places[own[candidates]], flat[vertex])
+            best = np.argsort(-weights, kind="stable")[:SHARES]
+            tokens[vertex, columns] = own[candidates[best]]
+            shares[vertex, columns] = weights[best] / weights[best].sum()
+        between = apart[:, count:]
+        near[own] = own[np.argsort(between, axis=0, kind="stable")[:NEIGHBOURS].T]
+    return near, tokens, shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
+
+
+def _through_cloth(
+    flat: Float[np.ndarray, "vertices 2"],
+    faces: Int[np.ndarray, "faces 3"],
+    places: Float[np.ndarray, "tokens 2"],
+    corners: Int[np.ndarray, "tokens 3"],
+) -> Float[np.ndarray, "tokens nodes"]:
+    """Lengths of the shortest ways along edges [m] from tokens to all vertices and tokens."""
+    count = len(flat)
+    ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    nodes = count + np.arange(len(places))
+    ends = np.concatenate([ends, np.column_stack([np.repeat(nodes, 3), corners.ravel()])])
+    at = np.concatenate([flat, places])
+    length = np.linalg.norm(at[ends[:, 0]] - at[ends[:, 1]], axis=1) + 1e-9
+    # An edge of two faces is listed twice; of equal entries one is kept, not their sum.
+    table = {}
+    for (a, b), d in zip(ends.tolist(), length.tolist(), strict=True):
+        table[min(a, b), max(a, b)] = d
+    rows, columns = np.array(list(table)).T
+    graph = sparse.csr_array((list(table.values()), (rows, columns)), shape=(len(at), len(at)))
+    return dijkstra(graph, directed=False, indices=nodes)
+
+
+def _convex(
+    around: Float[np.ndarray, "candidates 2"], place: Float[np.ndarray, " 2"]
+) -> Float[np.ndarray, " candidates"]:
+    """Shares, none below 0, whose mean of places comes nearest to a place, from near ones first."""
+    away = around - place
+    distance = np.linalg.norm(away, axis=1)
+    unit = distance.max() + 1e-12
+    rows = np.vstack(
+        [away.T / unit, _REGULAR**0.5 * np.diag(distance / unit), _CENTRED * np.ones(len(around))]
+    )
+    right = np.zeros(len(rows))
+    right[-1] = _CENTRED
+    weights, _ = nnls(rows, right)
+    return weights / weights.sum()
+
+
+def _labellings(
+    places: Float[np.ndarray, "tokens 2"],
+    sides: Float[np.ndarray, " tokens"],
+    extent: Float[np.ndarray, " 2"],
+    layers: int,
+) -> tuple[Int[np.ndarray, "labellings tokens"], Bool[np.ndarray, " labellings"]]:
+    """Names under which the garment looks the same: a sheet's turns, a shirt's turning over."""
+    rows = [np.arange(len(places))]
+    if layers == 2:
+        rows.append(_named(places * (-1.0, 1.0), -sides, places, sides))
+    else:
+        units = places / extent
+        signs = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)]
+        rows += [_named(units * one, sides, units, sides) for one in signs]
+        if extent.min() > NEARLY_SQUARE * extent.max():
+            swapped = units[:, ::-1]
+            rows += [_named(swapped * one, sides, units, sides) for one in [(1.0, 1.0), *signs]]
+    filled = rows + [rows[0]] * (LABELLINGS - len(rows))
+    return np.array(filled), np.arange(LABELLINGS) < len(rows)
+
+
+def _named(
+    places: Float[np.ndarray, "asked 2"],
+    sides: Float[np.ndarray, " asked"],
+    tokens: Float[np.ndarray, "tokens 2"],
+    token_sides: Float[np.ndarray, " tokens"],
+) -> Int[np.ndarray, " asked"]:
+    """The nearest token of the same layer."""
+    far = 10.0 * float(np.ptp(tokens, axis=0).max())
+    tree = cKDTree(np.column_stack([tokens, far * token_sides]))
+    _, nearest = tree.query(np.column_stack([places, far * sides]))
+    return nearest
+
+
+def _rim_and_seam(
+    faces: Int[np.ndarray, "faces 3"], side: Float[np.ndarray, " vertices"], count: int
+) -> tuple[Bool[np.ndarray, " vertices"], Bool[np.ndarray, " vertices"]]:
+    """Which vertices lie on an open edge, and which on a seam."""
+    ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, counts = np.unique(ends, axis=0, return_counts=True)
+    rim = np.zeros(count, bool)
+    rim[edges[counts == 1]] = True
+    seam = (side == 0.0) if (side != 0.0).any() else np.zeros(count, bool)
+    return rim, seam
+
+
+def _distance(
+    places: Float[np.ndarray, "tokens 2"], others: Float[np.ndarray, "others 2"]
+) -> Float[np.ndarray, " tokens"]:
+    """Distance [m] to the nearest of some points; the garment's extent where there is none."""
+    if len(others) == 0:
+        return np.full(len(places), float(np.ptp(places, axis=0).max()))
+    return cKDTree(others).query(places)[0]

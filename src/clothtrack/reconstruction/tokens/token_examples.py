@@ -1,0 +1,203 @@
+"""Simulated states as examples of the token network: seen anew in every epoch."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.reconstruction.data.examples import LabelledPicture, faces_of_points
+from clothtrack.reconstruction.data.state_examples import RenderConfig, render
+from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
+from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
+from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
+from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
+from clothtrack.reconstruction.tokens.token_stage import TokenExample
+from clothtrack.reconstruction.training.batches import Draw
+
+PIXELS = 512
+"""Pixels per example that are asked for their name."""
+
+CUT = 0.05
+"""A pixel farther from the mesh than this, over the garment's size, has no name."""
+
+TABLE_ERROR = 0.008
+"""Standard deviation of the table's height, over the garment's size: planes are fitted."""
+
+SIZE_ERROR = 0.02
+"""Standard deviation of the size that the network is told, over the size: tapes and flats lie."""
+
+_ATTEMPTS = 4
+
+
+class TokenExamples:
+    """States of garments as examples; each is a function of index, epoch and seed.
+
+    Args:
+        sets: folders of states, of any garments.
+        network: what the pictures are for.
+        rendering: the cameras.
+        seed: of everything random.
+
+    Raises:
+        InvalidConfigError: there is no state.
+        InvalidResultError: a shard is damaged.
+    """
+
+    def __init__(
+        self,
+        sets: Sequence[StateSet],
+        network: TokenNetworkConfig,
+        *,
+        rendering: RenderConfig | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.network = network
+        self.rendering = rendering or RenderConfig()
+        self.seed = seed
+        self._paths = [path for one in sets for path in one.shards]
+        if not self._paths:
+            raise InvalidConfigError("there are no states; make some with clothtrack simulate")
+        self._shards: dict[int, StateShard] = {}
+        self._garments: dict[int, GarmentTokens] = {}
+        self._places: list[tuple[int, int]] = []
+        self.groups: list[int] = []
+        for number in range(len(self._paths)):
+            count = len(self._shard(number).positions)
+            self._places += [(number, state) for state in range(count)]
+            self.groups += [number] * count
+
+    def __len__(self) -> int:
+        """Number of states."""
+        return len(self._places)
+
+    def __getitem__(self, draw: Draw) -> TokenExample:
+        """The state, seen by a camera of this epoch."""
+        index, epoch = draw
+        number, state = self._places[index]
+        shard, garment = self._shard(number), self._garment(number)
+        rng = np.random.default_rng([self.seed, epoch, index])
+        positions = shard.positions[state].astype(np.float64)
+
+        def drawn() -> TokenExample:
+            picture = render(positions, shard.mesh, self.rendering, rng)
+            return token_example(picture, shard.mesh.faces, garment, self.network, rng)
+
+        for _ in range(_ATTEMPTS - 1):
+            # So little cloth may be measured that the network could not be asked.
+            with suppress(InvalidRecordingError):
+                return drawn()
+        try:
+            return drawn()
+        except InvalidRecordingError as error:
+            where = f"{self._paths[number]}, state {state}"
+            raise InvalidRecordingError(f"{where}: {error}") from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the shards: a process reads its own."""
+        return {**self.__dict__, "_shards": {}, "_garments": {}}
+
+    def _shard(self, number: int) -> StateShard:
+        if number not in self._shards:
+            self._shards[number] = read_shard(self._paths[number])
+        return self._shards[number]
+
+    def _garment(self, number: int) -> GarmentTokens:
+        if number not in self._garments:
+            self._garments[number] = GarmentTokens.of(self._shard(number).mesh)
+        return self._garments[number]
+
+
+def token_example(
+    picture: LabelledPicture,
+    faces: Int[np.ndarray, "faces 3"],
+    garment: GarmentTokens,
+    network: TokenNetworkConfig,
+    rng: np.random.Generator,
+) -> TokenExample:
+    """A labelled picture as the network takes it, mirrored and turned at random.
+
+    Args:
+        picture: what was measured, and of which mesh; the table is z = 0.
+        faces: of the mesh.
+        garment: its tokens.
+        network: what the picture is for.
+        rng: of everything random.
+
+    Raises:
+        InvalidRecordingError: there is no cloth in the picture.
+    """
+    mirrored = rng.random() < 0.5
+    if mirrored:
+        picture = picture.mirrored()
+    picture = picture.turned(rng.uniform(-np.pi, np.pi))
+    view = crop(picture.depth_m, picture.mask, picture.camera, network)
+    seen = cloth_pixels(view.depth, network)
+    points = points_of(view.depth, view.camera, seen.sources)
+    face, weights, known = faces_of_points(points, picture, faces, cut_m=CUT * garment.size_m)
+    known = np.flatnonzero(known)
+    if len(known) == 0:
+        raise InvalidRecordingError("no pixel of the cloth is near its mesh; render it again")
+    known = rng.choice(known, PIXELS, replace=len(known) < PIXELS)
+    corners = faces[face[known]]
+    tokens = garment.vertex_tokens[corners].reshape(PIXELS, -1)
+    shares = garment.vertex_shares[corners] * weights[known][..., None]
+    size_m = garment.size_m * float(np.exp(SIZE_ERROR * rng.standard_normal()))
+    table_m = TABLE_ERROR * garment.size_m * rng.standard_normal()
+    height, distance, origin = seen_by_network(view, size_m, table_m)
+    places = (garment.places(picture.positions, faces) - origin) / size_m
+    if mirrored:
+        # The mirror image of a garment is one of the same kind, named by its mirror.
+        tokens, places = garment.mirror[tokens], places[garment.mirror]
+    return TokenExample(
+        height=height,
+        distance=distance,
+        features=garment.features,
+        pixels=seen.pixels[known],
+        pixel_tokens=tokens,
+        pixel_shares=shares.reshape(PIXELS, -1).astype(np.float32),
+        places=places.astype(np.float32),
+        labellings=garment.labellings,
+        is_labelling=garment.is_labelling,
+        neighbours=garment.neighbours,
+        conventional=_conventional(places, garment),
+        size_m=size_m,
+        weight=picture.weight,
+    )
+
+
+def seen_by_network(
+    view: CroppedView, size_m: float, table_m: float
+) -> tuple[Float[np.ndarray, "rows columns"], float, Float[np.ndarray, " 3"]]:
+    """What the network sees of a view.
+
+    Args:
+        view: from straight above.
+        size_m: longer side of the flat garment [m].
+        table_m: height of the table in the world [m].
+
+    Returns:
+        Heights above the table and distance of the camera from it, in parts of the size, and the
+        origin of the picture's frame in the world [m].
+    """
+    camera: Camera = view.camera
+    x, y, z = camera.position
+    height = (z - table_m - view.depth) / size_m
+    shown = np.where(view.depth > 0, height, EMPTY).astype(np.float32)
+    return shown, float((z - table_m) / size_m), np.array([x, y, table_m])
+
+
+def _conventional(
+    places: Float[np.ndarray, "tokens 3"], garment: GarmentTokens
+) -> Float[np.ndarray, " labellings"]:
+    """How much the cloth lies as the flat garment does under each labelling.
+
+    A sheet: its x to the right and its y up. What has two layers: its front above its back.
+    """
+    lying = garment.features[:, :2] if garment.layers == 1 else garment.features[:, 2:3]
+    shown = places[:, :2] if garment.layers == 1 else places[:, 2:3]
+    shown = shown - shown.mean(axis=0)
+    return np.array([(shown * lying[name]).sum() for name in garment.labellings])

@@ -1,0 +1,258 @@
+"""Tokens of the garment and of its picture attend to one another; pixels name themselves by tokens.
+
+One network for every garment: it is told the garment by tokens of the rest mesh, and all lengths
+are in parts of the garment's longer side. Names are one joint distribution over all tokens, so that
+x and y of a pixel's place cannot contradict each other; the tokens' own places are learned for what
+nobody sees as well.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+from torch.nn import functional
+
+from clothtrack.files.bounds import Bounds, Checked, Count
+from clothtrack.reconstruction.tokens.garment_tokens import FEATURES, TOKENS
+
+CELL = 8
+"""Pixels of the picture per cell of the coarse grid, which is a token where cloth is."""
+
+OUT_STRIDE = 2
+"""Pixels of the picture per pixel that gets a name, along each axis."""
+
+OCTAVES = 5
+"""Frequencies by which coordinates are given: half a period per garment, and doublings."""
+
+KEY = 64
+"""Channels of a name, whose scalar product with a token's key is the pixel's logit."""
+
+_NOWHERE = -1e4
+
+
+@dataclass(frozen=True)
+class TokenNetworkConfig(Checked):
+    """Sizes of the network.
+
+    Attributes:
+        width: channels of a token.
+        layers: of attention.
+        heads: of each layer; few and wide ones are much faster on a CPU.
+        image_size: pixels of the picture along each side.
+        field_of_view_deg: of the picture's virtual camera [deg].
+        view_margin: free space around the cloth, over its extent.
+        least_view_m: the picture shows at least this much [m].
+    """
+
+    width: Count = 128
+    layers: Count = 4
+    heads: Count = 2
+    image_size: Annotated[int, Bounds(least=32)] = 128
+    field_of_view_deg: float = 45.0
+    view_margin: float = 0.05
+    least_view_m: float = 0.1
+
+    @property
+    def output_stride(self) -> int:
+        """Pixels of the picture per pixel that gets a name."""
+        return OUT_STRIDE
+
+    @property
+    def output_size(self) -> int:
+        """Pixels that get a name, along each side."""
+        return self.image_size // OUT_STRIDE
+
+
+@dataclass(frozen=True, eq=False)
+class TokenInput:
+    """Pictures of garments; all lengths in parts of the garment's longer side.
+
+    Attributes:
+        height: above the table; `EMPTY` where no cloth was measured.
+        distance: of the camera from the table.
+        features: of the garment's tokens (`GarmentTokens.features`).
+        pixels: row and column of each pixel that is asked for its name.
+    """
+
+    height: Float[Tensor, "batch rows columns"]
+    distance: Float[Tensor, " batch"]
+    features: Float[Tensor, "batch tokens features"]
+    pixels: Int[Tensor, "batch asked 2"]
+
+
+EMPTY = -10.0
+"""Height of a pixel without cloth."""
+
+
+class TokenNetwork(nn.Module):
+    """Names of pixels and places of tokens.
+
+    Attributes:
+        config: its sizes.
+        examples: how many it was trained with.
+    """
+
+    ticks: Tensor
+    examples: Tensor
+
+    def __init__(self, config: TokenNetworkConfig) -> None:
+        """Untrained."""
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.stem = nn.Sequential(
+            _convolution(5, 32, 2), nn.ReLU(), _convolution(32, 32), nn.ReLU()
+        )
+        self.down = nn.ModuleList(
+            [_Residual(32, 64, 2), _Residual(64, width, 2), _Residual(width, width, 1)]
+        )
+        self.cell = nn.Linear(2 * (2 * OCTAVES + 1) + 1, width)
+        self.garment = nn.Sequential(
+            nn.Linear(FEATURES - 4 + 4 * (2 * OCTAVES + 1), width),
+            nn.GELU(),
+            nn.Linear(width, width),
+        )
+        self.layers = nn.ModuleList(_Layer(width, config.heads) for _ in range(config.layers))
+        self.norm = nn.LayerNorm(width)
+        self.back = nn.Conv2d(width, 64, 1)
+        self.up = nn.Sequential(_convolution(128, 64), nn.ReLU())
+        self.pixel = nn.Sequential(nn.Linear(96, 128), nn.ReLU(), nn.Linear(128, KEY))
+        self.key = nn.Linear(width, KEY)
+        self.place = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 5))
+        self.sharpness = nn.Parameter(torch.zeros(()))
+        size = config.image_size
+        ticks = (torch.arange(size) - 0.5 * (size - 1)) / (0.5 * size)
+        ticks = ticks * math.tan(math.radians(config.field_of_view_deg) / 2.0)
+        self.register_buffer("ticks", ticks, persistent=False)
+        # Kept with the weights: a training that goes on is as far as it was.
+        self.register_buffer("examples", torch.zeros((), dtype=torch.long))
+
+    def forward(
+        self, asked: TokenInput
+    ) -> tuple[Float[Tensor, "batch asked tokens"], Float[Tensor, "batch tokens 5"]]:
+        """Logits of the pixels' names, and x, y, z and two log spreads of the tokens' places.
+
+        Places are in the picture's frame: x to the right, y up, z up from the table, the origin on
+        the table below the camera.
+        """
+        batch, cells = len(asked.height), self.config.image_size // CELL
+        cloth = (asked.height > 0.5 * EMPTY).float()
+        fine = self.stem(self._channels(asked, cloth).contiguous(memory_format=torch.channels_last))
+        middle = self.down[0](fine)
+        coarse = self.down[2](self.down[1](middle))
+        filled = functional.max_pool2d(cloth[:, None], CELL).flatten(1) > 0
+        seen = coarse.flatten(2).transpose(1, 2) + self.cell(self._cell_places(asked))
+        # Empty cells are dropped: cells with cloth come first, cut to the fullest picture.
+        order = torch.argsort(filled.float(), dim=1, descending=True, stable=True)
+        order = order[:, : int(filled.sum(1).max())]
+        index = order[..., None].expand(-1, -1, seen.shape[-1])
+        valid = filled.gather(1, order)
+        garment = self.garment(self._told(asked.features))
+        tokens = torch.cat([garment.to(seen.dtype), seen.gather(1, index)], 1)
+        bias = self._bias(valid, tokens)
+        for layer in self.layers:
+            tokens = layer(tokens, bias)
+        tokens = self.norm(tokens)
+        template, picture = tokens[:, :TOKENS], tokens[:, TOKENS:] * valid[..., None]
+        grid = torch.zeros_like(seen, dtype=picture.dtype).scatter(1, index, picture)
+        grid = self.back(grid.transpose(1, 2).reshape(batch, -1, cells, cells))
+        grid = functional.interpolate(grid, scale_factor=2, mode="bilinear")
+        wide = functional.interpolate(
+            self.up(torch.cat([grid, middle], 1)), scale_factor=2, mode="bilinear"
+        )
+        rows, columns = asked.pixels.unbind(-1)
+        image = torch.arange(batch, device=rows.device)[:, None].expand_as(rows)
+        at = [part.permute(0, 2, 3, 1)[image, rows, columns] for part in (wide, fine)]
+        names = self.pixel(torch.cat(at, -1))
+        logits = names @ self.key(template).transpose(1, 2) * (self.sharpness.exp() / KEY**0.5)
+        return logits.float(), self.place(template).float()
+
+    def _channels(
+        self, asked: TokenInput, cloth: Float[Tensor, "batch rows columns"]
+    ) -> Float[Tensor, "batch 5 rows columns"]:
+        """Cloth or not, height, height over the mean, x and y; each about as large as 1."""
+        height = asked.height * cloth
+        depth = asked.distance[:, None, None] - height
+        x, y = self.ticks[None, None, :] * depth, -self.ticks[None, :, None] * depth
+        mean = (height.sum((1, 2)) / cloth.sum((1, 2)).clamp(min=1.0))[:, None, None]
+        rows = [cloth, height * 5.0, (height - mean) * 15.0, x * 2.0, y * 2.0]
+        return torch.stack([rows[0], *(cloth * row for row in rows[1:])], 1)
+
+    def _cell_places(self, asked: TokenInput) -> Float[Tensor, "batch cells told"]:
+        """Where the cells' middles lie on the table, and how far the camera is from it."""
+        middles = self.ticks.view(-1, CELL).mean(1)
+        across = torch.broadcast_tensors(middles[None, :], -middles[:, None])
+        far = asked.distance[:, None, None]
+        at = torch.stack(across, -1).view(1, -1, 2) * far
+        return torch.cat([_waves(at), far.expand(-1, at.shape[1], 1)], -1)
+
+    def _told(self, features: Float[Tensor, "batch tokens features"]) -> Tensor:
+        """Features of the garment's tokens, with waves of their coordinates."""
+        metric, between, relative = features[..., :2], features[..., 2:5], features[..., 5:]
+        return torch.cat([_waves(metric), _waves(relative), between], -1)
+
+    def _bias(
+        self, valid: Bool[Tensor, "batch cells"], tokens: Float[Tensor, "batch all width"]
+    ) -> Float[Tensor, "batch 1 1 all"]:
+        """What keeps padding from being attended to."""
+        of_garment = valid.new_ones(len(valid), TOKENS)
+        mask = torch.cat([of_garment, valid], 1)[:, None, None, :]
+        return torch.zeros(mask.shape, dtype=tokens.dtype, device=mask.device).masked_fill(
+            ~mask, _NOWHERE
+        )
+
+
+class _Residual(nn.Module):
+    """Two convolutions and a shortcut."""
+
+    def __init__(self, inward: int, outward: int, stride: int) -> None:
+        super().__init__()
+        self.first = _convolution(inward, outward, stride)
+        self.second = _convolution(outward, outward)
+        same = inward == outward and stride == 1
+        self.shortcut = nn.Identity() if same else _convolution(inward, outward, stride, size=1)
+
+    def forward(self, picture: Tensor) -> Tensor:
+        """The picture, one level coarser where the stride is 2."""
+        return functional.relu(
+            self.second(functional.relu(self.first(picture))) + self.shortcut(picture)
+        )
+
+
+class _Layer(nn.Module):
+    """Self-attention of all tokens, garment's and picture's, and a perceptron."""
+
+    def __init__(self, width: int, heads: int, growth: int = 3) -> None:
+        super().__init__()
+        self.heads = heads
+        self.before, self.after = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.split, self.join = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.perceptron = nn.Sequential(
+            nn.Linear(width, growth * width), nn.GELU(), nn.Linear(growth * width, width)
+        )
+
+    def forward(self, tokens: Tensor, bias: Tensor) -> Tensor:
+        """The tokens after they have looked at one another."""
+        batch, count, width = tokens.shape
+        parts = self.split(self.before(tokens)).view(batch, count, 3, self.heads, -1)
+        query, key, value = parts.permute(2, 0, 3, 1, 4)
+        # By hand: on a CPU the fused kernel takes 2.6 times as long in bfloat16, mostly backwards.
+        scores = (query * (width // self.heads) ** -0.5) @ key.transpose(-1, -2)
+        looked = (scores + bias).softmax(-1) @ value
+        tokens = tokens + self.join(looked.transpose(1, 2).reshape(batch, count, width))
+        return tokens + self.perceptron(self.after(tokens))
+
+
+def _convolution(inward: int, outward: int, stride: int = 1, *, size: int = 3) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inward, outward, size, stride, size // 2, bias=False), nn.BatchNorm2d(outward)
+    )
+
+
+def _waves(places: Float[Tensor, "*batch axes"]) -> Float[Tensor, "*batch waves"]:
+    """Coordinates with their sines and cosines."""
+    angles = torch.cat([places * (math.pi * 2.0**octave) for octave in range(OCTAVES)], -1)
+    return torch.cat([places, angles.sin(), angles.cos()], -1)
