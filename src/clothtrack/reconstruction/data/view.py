@@ -6,6 +6,7 @@ their pictures here, from one function each.
 """
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
@@ -13,7 +14,6 @@ from jaxtyping import Bool, Float, Float32, Int
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
 
 JUMP_M = 0.02
 """Neighbouring pixels further apart than this [m] are not joined: one hides what is between."""
@@ -23,6 +23,41 @@ LEAST_PIXELS = 16
 
 _OUTLIERS = 0.5
 _CLEAR = 1.5
+
+
+@runtime_checkable
+class ViewConfig(Protocol):
+    """What a network wants of its picture."""
+
+    @property
+    def image_size(self) -> int:
+        """Pixels of the picture along each side."""
+        ...
+
+    @property
+    def output_size(self) -> int:
+        """Pixels of the canonical picture along each side."""
+        ...
+
+    @property
+    def output_stride(self) -> int:
+        """Pixels of the picture per pixel of the canonical picture, along each axis."""
+        ...
+
+    @property
+    def field_of_view_deg(self) -> float:
+        """Of the virtual camera [deg]."""
+        ...
+
+    @property
+    def view_margin(self) -> float:
+        """Free space around the cloth, over its extent."""
+        ...
+
+    @property
+    def least_view_m(self) -> float:
+        """The picture shows at least this much [m]."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +88,7 @@ class ClothPixels:
     sources: Int[np.ndarray, "pixels 2"]
 
 
-def view_camera(points: Float[np.ndarray, "points 3"], config: NetworkConfig) -> Camera:
+def view_camera(points: Float[np.ndarray, "points 3"], config: ViewConfig) -> Camera:
     """The virtual camera above a cloth: looks straight down, image right along world x.
 
     Args:
@@ -84,7 +119,7 @@ def crop(
     depth_m: Float[np.ndarray, "height width"],
     mask: Bool[np.ndarray, "height width"] | None,
     camera: Camera,
-    config: NetworkConfig,
+    config: ViewConfig,
 ) -> CroppedView:
     """The network's picture, from a depth picture of any camera.
 
@@ -115,7 +150,7 @@ def crop(
     return CroppedView(np.where(seen, depth, 0.0).astype(np.float32), above, seen)
 
 
-def cloth_pixels(depth: Float[np.ndarray, "height width"], config: NetworkConfig) -> ClothPixels:
+def cloth_pixels(depth: Float[np.ndarray, "height width"], config: ViewConfig) -> ClothPixels:
     """The pixels of the canonical picture that show cloth, in the order of their rows.
 
     An output pixel stands for a block of the depth picture; the measurement nearest to the camera

@@ -232,8 +232,9 @@ def _shares(
     """Neighbours of tokens, and tokens and shares of vertices; a seam has shares of both layers."""
     flat, layers, count = mesh.flat, np.unique(sides), len(mesh.flat)
     near = np.zeros((len(places), NEIGHBOURS), np.int64)
-    tokens = np.zeros((count, SHARES * len(layers)), np.int64)
-    shares = np.zeros((count, SHARES * len(layers)))
+    # As wide for one layer as for two: garments of both kinds share a batch.
+    tokens = np.zeros((count, 2 * SHARES), np.int64)
+    shares = np.zeros((count, 2 * SHARES))
     for number, value in enumerate(layers):
         own = np.flatnonzero(sides == value)
         apart = _through_cloth(flat, mesh.faces[mesh.of_face == value], places[own], corners[own])

@@ -1,0 +1,233 @@
+"""One depth picture and one garment to the whole mesh, by the token network.
+
+The picture is shown in its eight quarter turns and mirror images; the answers are named alike and
+joined, each by its own spread. Then the garment's mesh is laid into what was named and placed
+(`template_fit`).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from clothtrack.errors import InvalidResultError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
+from clothtrack.reconstruction.depth_input import DepthInput
+from clothtrack.reconstruction.template_fit import SeenPoints, TemplateFitConfig, fit_template
+from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
+from clothtrack.reconstruction.tokens.token_examples import seen_by_network
+from clothtrack.reconstruction.tokens.token_network import (
+    TokenInput,
+    TokenNetwork,
+    TokenNetworkConfig,
+)
+from clothtrack.reconstruction.tokens.token_stage import LOG_SPREADS
+from clothtrack.reconstruction.tokens.token_training import PREFIX, require_tokens
+from clothtrack.reconstruction.training.checkpoint import load_weights
+
+VIEWS = 8
+"""Quarter turns and mirror images of a picture."""
+
+_PLACE_WEIGHT = 0.1
+_OF_SIZE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class TokenAnswer:
+    """What the network says about one picture of one garment.
+
+    Attributes:
+        seen: measured points, their canonical positions [m] and the share of the names that agrees.
+        places: of the tokens in the world [m].
+        spreads: level and vertical mean deviation of each place [m].
+        view: the picture that the network saw.
+        tokens: of the garment.
+    """
+
+    seen: SeenPoints
+    places: Float[np.ndarray, "tokens 3"]
+    spreads: Float[np.ndarray, "tokens 2"]
+    view: CroppedView
+    tokens: GarmentTokens
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "vertices 3"]:
+        """Where the tokens' places put the garment's vertices [m]."""
+        return self.tokens.at_vertices(self.places)
+
+    @property
+    def vertex_spread_m(self) -> Float[np.ndarray, " vertices"]:
+        """Mean deviation of each vertex [m], as the network expects it."""
+        level, height = self.spreads.T
+        return self.tokens.at_vertices(np.sqrt(2.0 * level**2 + height**2))
+
+
+class TokenReconstructor:
+    """A trained token network.
+
+    Attributes:
+        model: the network.
+        config: its sizes.
+    """
+
+    def __init__(self, model: TokenNetwork) -> None:
+        """Take a network into use."""
+        self.model = model.eval()
+        self.config: TokenNetworkConfig = model.config
+
+    @classmethod
+    def load(cls, path: Path, *, device: str = "cpu") -> "TokenReconstructor":
+        """The network of a weights file.
+
+        Raises:
+            InvalidResultError: it is damaged or of another network.
+        """
+        weights = load_weights(path)
+        model = TokenNetwork(require_tokens(weights))
+        weights.load_into(model, prefix=PREFIX)
+        return cls(model.to(device))
+
+    def answer(self, picture: DepthInput, garment: ClothMesh, *, views: int = VIEWS) -> TokenAnswer:
+        """Names and places for one picture.
+
+        Args:
+            picture: depth, mask, camera and table; world z up.
+            garment: its flat mesh, canonical coordinates filled.
+            views: quarter turns and mirror images that are joined, 1 to 8.
+
+        Raises:
+            InvalidRecordingError: there is no cloth in the picture.
+            InvalidResultError: the network's answer is not finite.
+        """
+        tokens = GarmentTokens.of(garment)
+        view = crop(picture.depth_m, picture.mask, picture.camera, self.config)
+        seen = cloth_pixels(view.depth, self.config)
+        points = points_of(view.depth, view.camera, seen.sources)
+        table_m = _table_height(picture, points)
+        height, distance, origin = seen_by_network(view, tokens.size_m, table_m)
+        names, places, spreads = self._views(height, distance, seen.pixels, tokens, views)
+        if not np.isfinite(places).all():
+            raise InvalidResultError("the network's answer is not finite; give other weights")
+        share, place, spread = _joined(names, places, spreads, tokens)
+        canonical, sure = _read(share, tokens)
+        return TokenAnswer(
+            SeenPoints(points, canonical, sure),
+            place * tokens.size_m + origin,
+            spread * tokens.size_m,
+            view,
+            tokens,
+        )
+
+    def mesh(self, answer: TokenAnswer, garment: ClothMesh, picture: DepthInput) -> ClothMesh:
+        """The garment's mesh laid into an answer.
+
+        Args:
+            answer: names and places.
+            garment: the flat mesh that was asked about.
+            picture: the picture that was answered.
+        """
+        size_m = answer.tokens.size_m
+        fit = TemplateFitConfig(
+            layer_weight=0.0,
+            warp_weight=_PLACE_WEIGHT,
+            outlier_m=_OF_SIZE * size_m,
+            off_template_m=_OF_SIZE * size_m,
+        )
+        return fit_template(garment, answer.seen, fit, warp=answer.vertices, table=picture.table)
+
+    def _views(
+        self,
+        height: Float[np.ndarray, "rows columns"],
+        distance: float,
+        pixels: np.ndarray,
+        tokens: GarmentTokens,
+        views: int,
+    ) -> tuple[Tensor, np.ndarray, np.ndarray]:
+        """Names, places and spreads by each view, named and placed as in the picture itself."""
+        last = self.config.output_size - 1
+        shown, asked = [], []
+        for number in range(views):
+            picture, (rows, columns) = height, pixels.T
+            if number & 1:
+                picture, columns = picture[:, ::-1], last - columns
+            if number & 2:
+                picture, rows = picture[::-1], last - rows
+            if number & 4:
+                picture, rows, columns = picture.T, columns, rows
+            shown.append(np.ascontiguousarray(picture))
+            asked.append(np.stack([rows, columns], axis=1))
+        device = self.model.ticks.device
+        given = TokenInput(
+            torch.from_numpy(np.stack(shown)).float().to(device),
+            torch.full((views,), distance, dtype=torch.float32, device=device),
+            torch.from_numpy(tokens.features).to(device).expand(views, -1, -1),
+            torch.from_numpy(np.stack(asked)).to(device),
+        )
+        with torch.no_grad(), torch.autocast(device.type, torch.bfloat16):
+            logits, answers = self.model(given)
+        names = logits.softmax(-1).double().cpu()
+        answers = answers.double().cpu().numpy()
+        places, spreads = answers[..., :3].copy(), np.exp(np.clip(answers[..., 3:], *LOG_SPREADS))
+        mirror = torch.from_numpy(tokens.mirror)
+        for number in range(views):
+            place = places[number]
+            if number & 4:
+                place[:, :2] = -place[:, [1, 0]]
+            if number & 2:
+                place[:, 1] *= -1.0
+            if number & 1:
+                place[:, 0] *= -1.0
+            if number.bit_count() % 2:
+                # The mirror image was named as the garment's mirror image is.
+                places[number], spreads[number] = (
+                    place[tokens.mirror],
+                    spreads[number][tokens.mirror],
+                )
+                names[number] = names[number][:, mirror]
+        return names, places, spreads
+
+
+def _joined(
+    names: Tensor,
+    places: Float[np.ndarray, "views tokens 3"],
+    spreads: Float[np.ndarray, "views tokens 2"],
+    tokens: GarmentTokens,
+) -> tuple[Float[np.ndarray, "asked tokens"], np.ndarray, np.ndarray]:
+    """The views' answers as one: all named as the surest is, and weighed by their spreads."""
+    surest = int(names.max(-1).values.mean(-1).argmax())
+    centre = places[surest]
+    labellings = tokens.labellings[tokens.is_labelling]
+    share, total = torch.zeros_like(names[0]), np.zeros_like(centre)
+    weight = np.zeros((len(centre), 1))
+    for number in range(len(places)):
+        gaps = [np.linalg.norm(places[number][name] - centre, axis=1).mean() for name in labellings]
+        name = labellings[int(np.argmin(gaps))]
+        sure = 1.0 / (spreads[number][name].mean(axis=1, keepdims=True) ** 2)
+        total += sure * places[number][name]
+        weight += sure
+        share += names[number][:, torch.from_numpy(name)]
+    share = share / share.sum(-1, keepdim=True)
+    spread = np.sqrt(len(places) / weight) * np.ones(2)
+    return share.numpy(), total / weight, spread
+
+
+def _read(
+    share: Float[np.ndarray, "asked tokens"], tokens: GarmentTokens
+) -> tuple[Float[np.ndarray, "asked 3"], Float[np.ndarray, " asked"]]:
+    """Canonical positions [m] about the likeliest names, and how likely these are."""
+    around = tokens.neighbours[share.argmax(axis=1)]
+    near = np.take_along_axis(share, around, axis=1)
+    sure = near.sum(axis=1)
+    canonical = np.einsum("pn,pnx->px", near, tokens.canonical[around]) / sure[:, None]
+    return canonical, sure
+
+
+def _table_height(picture: DepthInput, points: Float[np.ndarray, "points 3"]) -> float:
+    """Height of the table in the world [m]; that of the lowest points where nothing is known."""
+    if picture.table is not None:
+        return float(picture.table.point[2])
+    return float(np.percentile(points[:, 2], 0.5))

@@ -1,0 +1,275 @@
+"""The token network: what it is told, what it learns from, and how its answers become a mesh."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from clothtrack.errors import InvalidResultError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.data.crumpling import CrumplingConfig
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
+from clothtrack.reconstruction.data.state_examples import RenderConfig, render
+from clothtrack.reconstruction.data.state_store import open_states
+from clothtrack.reconstruction.data.states import StatesConfig, generate_states
+from clothtrack.reconstruction.depth_input import DepthInput
+from clothtrack.reconstruction.tokens.garment_tokens import TOKENS, GarmentTokens
+from clothtrack.reconstruction.tokens.token_examples import TokenExamples, token_example
+from clothtrack.reconstruction.tokens.token_network import (
+    EMPTY,
+    TokenInput,
+    TokenNetwork,
+    TokenNetworkConfig,
+)
+from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
+from clothtrack.reconstruction.tokens.token_stage import (
+    HARDENING_EXAMPLES,
+    TokenExample,
+    TokenStage,
+    collate_tokens,
+)
+from clothtrack.reconstruction.tokens.token_training import (
+    TokenLearningConfig,
+    pretrain_tokens,
+)
+from clothtrack.reconstruction.training.training_config import TrainingConfig
+from clothtrack.recordings.recording import Table
+from clothtrack.simulation.garments import garment, shirt
+from clothtrack.simulation.outlines import ShirtOutline
+
+TINY = TokenNetworkConfig(width=16, layers=1)
+PERFECT = SensorConfig.perfect()
+EXACT = RenderConfig(
+    stereo=PERFECT,
+    structured_light=PERFECT,
+    time_of_flight=PERFECT,
+    mask_jitter=0.0,
+    tool=0.0,
+    cut=0.0,
+    focal=(450.0, 450.0),
+)
+LONG_SLEEVES = ShirtOutline(sleeve=0.8, sleeve_angle_rad=0.9, cuff=0.13)
+
+
+def meshes() -> dict[str, ClothMesh]:
+    return {
+        "square": garment("towel", vertex_count=500, pattern="random"),
+        "rectangle": garment("towel", vertex_count=500, size_m=(0.5, 0.3), pattern="random"),
+        "tshirt": garment("tshirt", vertex_count=900),
+        "sweater": shirt(LONG_SLEEVES, 0.6, vertex_count=900),
+    }
+
+
+@pytest.fixture(scope="module", params=["square", "rectangle", "tshirt", "sweater"])
+def told(request: pytest.FixtureRequest) -> tuple[str, ClothMesh, GarmentTokens]:
+    mesh = meshes()[request.param]
+    return request.param, mesh, GarmentTokens.of(mesh)
+
+
+def example(mesh: ClothMesh, tokens: GarmentTokens, seed: int) -> TokenExample:
+    rng = np.random.default_rng(seed)
+    positions = np.asarray(mesh.vertices, float) + [0.0, 0.0, 0.01]
+    # A wave: every part of the cloth at its own height.
+    positions[:, 2] += 0.02 * np.sin(8.0 * positions[:, 0])
+    picture = render(positions, mesh, EXACT, rng)
+    return token_example(picture, mesh.faces, tokens, TINY, rng)
+
+
+def test_a_vertex_is_where_its_shares_of_the_tokens_are(told) -> None:
+    _, mesh, tokens = told
+    apart = tokens.at_vertices(tokens.canonical)[:, :2] - mesh.canonical[:, :2]
+    apart = np.linalg.norm(apart, axis=1) / tokens.size_m
+    assert apart.mean() < 0.01
+    assert apart.max() < 0.06
+    assert tokens.vertex_shares.min() >= 0.0
+    np.testing.assert_allclose(tokens.vertex_shares.sum(axis=1), 1.0, atol=1e-6)
+
+
+def test_labellings_are_those_under_which_the_garment_looks_the_same(told) -> None:
+    name, _, tokens = told
+    rows = tokens.labellings[tokens.is_labelling]
+    assert len(rows) == {"square": 8, "rectangle": 4, "tshirt": 2, "sweater": 2}[name]
+    np.testing.assert_array_equal(rows[0], np.arange(TOKENS))
+    flat, side = tokens.canonical[:, :2], tokens.features[:, 2]
+    gaps = np.linalg.norm(flat[:, None] - flat[None], axis=2)
+    for number, row in enumerate(rows):
+        # Distances within the garment are kept, up to the places of tokens.
+        renamed = np.linalg.norm(flat[row][:, None] - flat[row][None], axis=2)
+        assert np.abs(renamed - gaps).mean() < 0.02 * tokens.size_m
+        if name in {"tshirt", "sweater"} and number:
+            np.testing.assert_array_equal(side[row], -side)
+
+
+def test_neighbours_are_neighbours_through_the_cloth() -> None:
+    mesh = shirt(replace(LONG_SLEEVES, sleeve_angle_rad=1.05), 0.6, vertex_count=1500)
+    tokens = GarmentTokens.of(mesh)
+    body = np.abs(tokens.canonical[:, 0]) < 0.3 * 0.74 * 0.6
+    low = tokens.canonical[:, 1] < 0.0
+    cuff = np.abs(tokens.canonical[:, 0]) > 0.55 * np.abs(tokens.canonical[:, 0]).max()
+    assert (cuff & low).any()
+    near = tokens.neighbours[cuff & low]
+    assert not (body & low)[near].any()
+    np.testing.assert_array_equal(tokens.neighbours[:, 0], np.arange(TOKENS))
+
+
+def test_pixels_are_named_by_the_tokens_around_what_they_show(told) -> None:
+    _, mesh, tokens = told
+    for seed in range(4):
+        drawn = example(mesh, tokens, seed)
+        rows, columns = drawn.pixels.T
+        stride = TINY.output_stride
+        block = drawn.height.reshape(64, stride, 64, stride).max(axis=(1, 3))
+        height = block[rows, columns]
+        named = (drawn.places[drawn.pixel_tokens] * drawn.pixel_shares[..., None]).sum(axis=1)
+        # The pixel's own place, from its column, row and height.
+        tick = np.tan(np.radians(22.5)) / 64.0
+        x = (stride * (columns + 0.5) - 64.0) * tick * (drawn.distance - height)
+        y = -(stride * (rows + 0.5) - 64.0) * tick * (drawn.distance - height)
+        apart = np.linalg.norm(named - np.column_stack([x, y, height]), axis=1)
+        assert np.median(apart) < 0.025
+        assert np.percentile(apart, 95) < 0.06
+
+
+def test_the_network_answers_each_picture_by_itself(told) -> None:
+    _, mesh, tokens = told
+    torch.manual_seed(0)
+    network = TokenNetwork(TINY).eval()
+    drawn = [example(mesh, tokens, seed) for seed in range(3)]
+    drawn[1] = replace(drawn[1], height=np.where(np.arange(128) < 64, EMPTY, drawn[1].height))
+    with torch.no_grad():
+        together = network(collate_tokens(drawn).asked)
+        alone = [network(collate_tokens([one]).asked) for one in drawn]
+    for number, answer in enumerate(alone):
+        for part, whole in zip(answer, together, strict=True):
+            torch.testing.assert_close(part[0], whole[number], atol=2e-4, rtol=1e-3)
+
+
+def test_the_loss_does_not_ask_which_of_two_look_alikes_it_is(told) -> None:
+    _, mesh, tokens = told
+    torch.manual_seed(1)
+    network = TokenNetwork(TINY).eval()
+    network.examples.fill_(HARDENING_EXAMPLES)
+    stage = TokenStage(network).eval()
+    drawn = example(mesh, tokens, 5)
+    for row in tokens.labellings[tokens.is_labelling]:
+        places = np.empty_like(drawn.places)
+        places[row] = drawn.places
+        other = replace(drawn, pixel_tokens=row[drawn.pixel_tokens], places=places)
+        with torch.no_grad():
+            first, second = (stage.measure(collate_tokens([one])) for one in (drawn, other))
+        for name, value in first.items():
+            torch.testing.assert_close(value, second[name], atol=2e-3, rtol=2e-3)
+
+
+class _PlacesOfPixels(TokenNetwork):
+    """Answers with the places of the pixels that it is asked about, each as a token of its own."""
+
+    def __init__(self) -> None:
+        super().__init__(TINY)
+
+    def forward(self, asked: TokenInput) -> tuple[torch.Tensor, torch.Tensor]:
+        logits, answers = [], []
+        for height, distance, pixels in zip(
+            asked.height, asked.distance, asked.pixels, strict=True
+        ):
+            rows, columns = pixels[:TOKENS].T
+            high = height.view(64, 2, 64, 2).amax((1, 3))[rows, columns]
+            middle = self.ticks.view(64, 2).mean(1)
+            x = middle[columns] * (distance - high)
+            y = -middle[rows] * (distance - high)
+            answers.append(torch.stack([x, y, high, x * 0 - 3.0, x * 0 - 3.0], 1))
+            logits.append(torch.eye(len(pixels), TOKENS) * 50.0)
+        return torch.stack(logits), torch.stack(answers)
+
+
+def test_turned_and_mirrored_views_say_the_same_place() -> None:
+    mesh = garment("towel", vertex_count=500, size_m=(0.4, 0.3), pattern="random")
+    picture = _picture(mesh)
+    reconstructor = TokenReconstructor(_PlacesOfPixels())
+    tokens = replace(GarmentTokens.of(mesh), mirror=np.arange(TOKENS))
+    answer = reconstructor.answer(picture, mesh, views=1)
+    height = np.where(answer.view.depth > 0, 0.5 - answer.view.depth, EMPTY)
+    rows, columns = np.nonzero(answer.view.depth.reshape(64, 2, 64, 2).min(axis=(1, 3)) > 0)
+    asked = np.stack([rows, columns], axis=1)[:TOKENS]
+    names, places, _ = reconstructor._views(height, 1.5, asked, tokens, 8)
+    for number in range(1, 8):
+        np.testing.assert_allclose(places[number], places[0], atol=1e-5)
+        np.testing.assert_allclose(names[number], names[0], atol=1e-9)
+
+
+def _picture(mesh: ClothMesh) -> DepthInput:
+    positions = np.asarray(mesh.vertices, float) + [0.02, 0.01, 0.002]
+    drawn = render(positions, mesh, EXACT, np.random.default_rng(3))
+    table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    return DepthInput(drawn.depth_m, drawn.mask, drawn.camera, table, "towel")
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    out = tmp_path_factory.mktemp("states")
+    crumpling = CrumplingConfig(states=2, rest_limit_s=0.2)
+    config = StatesConfig(vertex_count=250, episodes=2, crumpling=crumpling)
+    for kind in ("towel", "tshirt"):
+        generate_states(out / kind, kind, 8, seed=3, config=config)
+    return [out / "towel", out / "tshirt"]
+
+
+def _learning(**changes: object) -> TokenLearningConfig:
+    training = TrainingConfig(
+        **{
+            "epochs": 3, "batch_size": 4, "held_out_share": 0.3, "save_steps": 1,
+            "gradient_limit": 1.0, "decay": "cosine", "rise_epochs": 0.5, "low_rate": 1e-5,
+            **changes,
+        }
+    )  # fmt: skip
+    return TokenLearningConfig(tokens=training)
+
+
+def test_one_network_learns_from_towels_and_shirts_and_goes_on_to_the_same_bits(
+    folders: list[Path], tmp_path: Path
+) -> None:
+    sets = [open_states(folder) for folder in folders]
+    _, whole = pretrain_tokens(sets, TINY, _learning(), tmp_path / "whole")
+    pretrain_tokens(sets, TINY, _learning(), tmp_path / "parts", progress=_StopAfter(4))
+    outcome, parts = pretrain_tokens(sets, TINY, _learning(), tmp_path / "parts")
+    assert outcome.status == "finished"
+    first, second = (TokenReconstructor.load(path).model.state_dict() for path in (whole, parts))
+    for name, value in first.items():
+        assert torch.equal(value, second[name]), name
+    further, _ = pretrain_tokens(sets, TINY, _learning(), tmp_path / "further", start=whole)
+    assert further.best_score <= outcome.best_score
+
+
+class _StopAfter:
+    """Asks the training to stop, as a scheduler does."""
+
+    def __init__(self, steps: int) -> None:
+        self.steps = steps
+
+    def __call__(self, name: str, done: int, total: int) -> None:
+        del name, total
+        if done == self.steps:
+            import os
+            import signal
+
+            os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_an_example_is_a_function_of_index_epoch_and_seed(folders: list[Path]) -> None:
+    sets = [open_states(folder) for folder in folders]
+    first, again = (TokenExamples(sets, TINY, seed=2)[5, 1] for _ in range(2))
+    np.testing.assert_array_equal(first.height, again.height)
+    np.testing.assert_array_equal(first.places, again.places)
+    assert not np.array_equal(first.height, TokenExamples(sets, TINY, seed=2)[5, 2].height)
+
+
+def test_weights_of_another_network_are_refused(folders: list[Path], tmp_path: Path) -> None:
+    from clothtrack.reconstruction.availability import shipped_weights
+
+    with pytest.raises(InvalidResultError, match="token network"):
+        TokenReconstructor.load(shipped_weights("towel"))
+    path = tmp_path / "no.safetensors"
+    with pytest.raises(InvalidResultError, match="no such"):
+        TokenReconstructor.load(path)
