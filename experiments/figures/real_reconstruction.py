@@ -35,8 +35,9 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.chamfer import one_way
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
-from clothtrack.reconstruction.depth_input import DepthInput, load_model
+from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.from_picture import network_mesh, observation_of
+from clothtrack.reconstruction.load_model import load_model
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.viewpoint import three_quarter_view
 from clothtrack.world.episodes import SMALL_WORLD, simulate

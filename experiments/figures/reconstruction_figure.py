@@ -38,8 +38,8 @@ from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
-from clothtrack.reconstruction.depth_input import load_model
 from clothtrack.reconstruction.from_picture import NetworkMesh
+from clothtrack.reconstruction.load_model import load_model
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.viewpoint import three_quarter_view
 

@@ -20,8 +20,9 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, cloth_picture
 from clothtrack.reconstruction.data.state_store import StateSet, open_states
-from clothtrack.reconstruction.depth_input import DepthInput, load_model
+from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.from_picture import NetworkMesh, network_mesh
+from clothtrack.reconstruction.load_model import load_model
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.reconstruction.training.checkpoint import load_weights

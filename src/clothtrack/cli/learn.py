@@ -251,6 +251,7 @@ def reconstruct(
     require_learning()
     from clothtrack.reconstruction import depth_input
     from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, figures_of, network_mesh
+    from clothtrack.reconstruction.load_model import load_model
     from clothtrack.reconstruction.refinement import RefinementConfig
     from clothtrack.reconstruction.training.processes import require_torch_device
     from clothtrack.recordings.mesh_file import require_mesh_format, write_mesh
@@ -269,7 +270,7 @@ def reconstruct(
         _refuse({} if frame is None else {"frame": frame}, f"{depth} is not a recording")
         given = depth_input.from_picture(depth, **text)
     kind = _kind(garment, given.kind, depth)
-    model = depth_input.load_model(kind, weights, device=device)
+    model = load_model(kind, weights, device=device)
     refinement = RefinementConfig() if refined else None
     made = network_mesh(model, given, kind, method=method, refinement=refinement)
     if made.mesh is None:

@@ -101,6 +101,7 @@ def reconstruct(
     """
     from clothtrack.reconstruction import depth_input
     from clothtrack.reconstruction.from_picture import network_mesh
+    from clothtrack.reconstruction.load_model import load_model
     from clothtrack.reconstruction.refinement import RefinementConfig
 
     quiet_warp()
@@ -112,7 +113,7 @@ def reconstruct(
         given = depth_input.from_picture(Path(picture), **of_picture)
     named = "the depth array" if isinstance(picture, np.ndarray) else str(picture)
     kind = _kind(garment or given.kind, named)
-    model = depth_input.load_model(kind, weights and Path(weights), device=device)
+    model = load_model(kind, weights and Path(weights), device=device)
     refinement = RefinementConfig() if refined else None
     made = network_mesh(model, given, kind, method=method, refinement=refinement, device=device)
     if made.mesh is None:

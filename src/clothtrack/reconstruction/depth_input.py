@@ -6,13 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera, about_vertical
-from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
-from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.training.checkpoint import load_weights
-from clothtrack.reconstruction.two_stages import network_of
 from clothtrack.recordings.pictures import read_depth, read_mask
 from clothtrack.recordings.point_cloud import cloth_measured
 from clothtrack.recordings.recording import Table
@@ -137,35 +133,6 @@ def from_depth(
             f"{height}; give a mask of the same picture"
         )
     return DepthInput(depth, cloth_measured(depth, found, camera), camera, table)
-
-
-def load_model(kind: str, path: Path | None = None, *, device: str = "cpu") -> MeshReconstructor:
-    """The networks for a kind of garment.
-
-    Args:
-        kind: "towel" or "tshirt".
-        path: weights of both stages; those that come with the package when None.
-        device: where to compute.
-
-    Raises:
-        InvalidResultError: there are no such weights, or they are damaged or for another garment.
-    """
-    if path is None:
-        path = shipped_weights(kind)
-        if path is None:
-            raise InvalidResultError(
-                f"no weights for {kind!r} come with this installation; train some with "
-                "clothtrack pretrain, and name them with --weights"
-            )
-    weights = load_weights(path)
-    if weights.kind != kind:
-        raise InvalidResultError(
-            f"{path} is for {weights.kind!r}, the picture shows {kind!r}; give other weights, or "
-            "say what it is with --garment"
-        )
-    model = MeshReconstructor(network_of(weights), kind)
-    weights.load_into(model)
-    return model.to(device).eval()
 
 
 def _require_positive(**given: float | None) -> None:

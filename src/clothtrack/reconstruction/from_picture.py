@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.closest_point import closest_on_mesh, distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import align
@@ -24,6 +25,7 @@ from clothtrack.simulation.garments import garment
 if TYPE_CHECKING:
     from clothtrack.reconstruction.depth_input import DepthInput
     from clothtrack.reconstruction.model import MeshReconstructor, Method, Reconstruction
+    from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 
 SPACING_M = 0.004
 """Side of the cubes [m] in which a picture's points are averaged, as the tracker does."""
@@ -45,21 +47,43 @@ class NetworkMesh:
         refinement: the fine-tuning; None when it was not asked for, or there was no mesh.
         scale: what the world was multiplied by before the network saw it; 1 unless the mesh of
             the picture as it is does not fit.
+        expected_error_m: mean distance of the vertices from their true places that the network
+            expects [m]; None from a network that does not say.
+        spread_m: the same of each vertex [m].
     """
 
     mesh: ClothMesh | None
     reconstruction: "Reconstruction"
     refinement: Refinement | None = None
     scale: float = 1.0
+    expected_error_m: float | None = None
+    spread_m: Float[np.ndarray, " vertices"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """What a network makes of a picture.
+
+    Attributes:
+        reconstruction: its mesh.
+        canonical: of the mesh's vertices, as the observed points are named; None without a mesh.
+        scale, spread_m: as in `NetworkMesh`.
+    """
+
+    reconstruction: "Reconstruction"
+    canonical: Float[np.ndarray, "vertices 3"] | None
+    scale: float = 1.0
+    spread_m: Float[np.ndarray, " vertices"] | None = None
 
 
 def network_mesh(
-    model: "MeshReconstructor",
+    model: "MeshReconstructor | TokenReconstructor",
     picture: "DepthInput",
     kind: str,
     *,
     method: "Method" = "template",
     size_m: tuple[float, float] | None = None,
+    template: ClothMesh | None = None,
     vertex_count: int = 1000,
     turn_rad: float = 0.0,
     refinement: RefinementConfig | None = None,
@@ -69,12 +93,14 @@ def network_mesh(
     """The full mesh behind a depth picture.
 
     Args:
-        model: the networks of the category.
+        model: the network.
         picture: depth, mask, camera and table; world z up.
         kind: "towel" or "tshirt".
-        method: "template" or "implicit" (`reconstruction.model: MeshReconstructor.reconstruct`).
+        method: "template" or "implicit" (`reconstruction.model: MeshReconstructor.reconstruct`);
+            the token network knows the first one only.
         size_m: width and length of the garment when known [m]; else taken from the picture.
-        vertex_count: of a template, about.
+        template: the flat garment itself, canonical coordinates filled; instead of `size_m`.
+        vertex_count: of a template that is made here, about.
         turn_rad: the world is turned by it about the vertical before the network sees it, and back
             again: another picture of the same cloth.
         refinement: how to fine-tune the mesh; None leaves it as the network makes it.
@@ -82,16 +108,90 @@ def network_mesh(
         device: of the fine-tuning; the networks compute where they are.
 
     Raises:
-        InvalidConfigError: the networks are for another category.
+        InvalidConfigError: the networks are for another category, or make no mesh by this method.
         InvalidRecordingError: there is no cloth in the picture.
     """
-    template = None
-    if size_m is not None and method == "template":
+    from clothtrack.reconstruction.model import MeshReconstructor
+
+    if template is None and size_m is not None and method == "template":
         template = garment(kind, vertex_count=vertex_count, size_m=size_m)
+    ask = _by_published_network if isinstance(model, MeshReconstructor) else _by_token_network
+    shown = picture.turned(turn_rad)
+    answer = ask(model, shown, kind, template, method=method, vertex_count=vertex_count)
+    reconstruction = answer.reconstruction.turned(-turn_rad)
+    spread_m = answer.spread_m
+    result = NetworkMesh(
+        reconstruction.mesh,
+        reconstruction,
+        scale=answer.scale,
+        expected_error_m=None if spread_m is None else float(np.mean(spread_m)),
+        spread_m=spread_m,
+    )
+    if reconstruction.mesh is None or refinement is None:
+        return result
+    refiner = Refiner(
+        replace(reconstruction.mesh, canonical=answer.canonical),
+        observation or observation_of(picture),
+        refinement,
+        rest=reconstruction.rest,
+        table=picture.table,
+        device=device,
+    )
+    refined = refiner.refine(reconstruction.seen)
+    mesh = reconstruction.mesh.with_vertices(refined.positions)
+    return replace(result, mesh=mesh, refinement=refined)
+
+
+def _by_token_network(
+    model: "TokenReconstructor",
+    picture: "DepthInput",
+    kind: str,
+    template: ClothMesh | None,
+    *,
+    method: "Method",
+    vertex_count: int,
+) -> _Answer:
+    """Names and places at once; a garment of unknown size is asked about in several."""
+    from clothtrack.reconstruction.model import Reconstruction
+    from clothtrack.reconstruction.tokens.unknown_size import best_garment
+
+    if method != "template":
+        raise InvalidConfigError(
+            f"the token network makes no mesh by method {method!r}; take 'template', or name "
+            "weights of the published network"
+        )
+    if template is None:
+        template = best_garment(model, picture, kind, vertex_count=vertex_count)
+    answer = model.answer(picture, template)
+    mesh = model.mesh(answer, template, picture)
+    size = model.config.output_size
+    canonical = np.full((size, size, 3), np.nan, np.float32)
+    confidence = np.zeros((size, size), np.float32)
+    rows, columns = answer.pixels.T
+    canonical[rows, columns], confidence[rows, columns] = (
+        answer.seen.canonical,
+        answer.seen.confidence,
+    )
+    reconstruction = Reconstruction(
+        mesh, "template", answer.view.camera, canonical, confidence, answer.seen, rest=template
+    )
+    return _Answer(reconstruction, mesh.canonical, spread_m=answer.vertex_spread_m)
+
+
+def _by_published_network(
+    model: "MeshReconstructor",
+    picture: "DepthInput",
+    kind: str,
+    template: ClothMesh | None,
+    *,
+    method: "Method",
+    vertex_count: int,
+) -> _Answer:
+    """Canonical coordinates, then completion; at other sizes where the picture does not fit."""
 
     def seen_as(scale: float) -> "Reconstruction":
-        shown = picture.turned(turn_rad).scaled(scale)
-        (found,) = model.reconstruct(
+        shown = picture.scaled(scale)
+        (result,) = model.reconstruct(
             [shown.depth_m],
             shown.camera,
             kind,
@@ -101,25 +201,14 @@ def network_mesh(
             table=shown.table,
             fit=TemplateFitConfig(vertex_count=vertex_count),
         )
-        return found.scaled(1.0 / scale).turned(-turn_rad)
+        return result.scaled(1.0 / scale)
 
-    found, scale = _best_size(seen_as, picture)
-    if found.mesh is None or refinement is None:
-        return NetworkMesh(found.mesh, found, scale=scale)
-    named = found.mesh
-    if named.canonical is not None:
-        # Observed coordinates follow the convention of the networks, the garment's its own.
-        named = replace(named, canonical=conventional(named.canonical, kind))
-    refiner = Refiner(
-        named,
-        observation or observation_of(picture),
-        refinement,
-        rest=found.rest,
-        table=picture.table,
-        device=device,
-    )
-    refined = refiner.refine(found.seen)
-    return NetworkMesh(found.mesh.with_vertices(refined.positions), found, refined, scale)
+    reconstruction, scale = _best_size(seen_as, picture)
+    mesh = reconstruction.mesh
+    if mesh is None or mesh.canonical is None:
+        return _Answer(reconstruction, None, scale)
+    # Observed coordinates follow the convention of the networks, the garment's its own.
+    return _Answer(reconstruction, conventional(mesh.canonical, kind), scale)
 
 
 def _best_size(

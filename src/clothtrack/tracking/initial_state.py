@@ -171,7 +171,8 @@ def _from_network(
     device: str,
 ) -> InitialState:
     from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
-    from clothtrack.reconstruction.depth_input import DepthInput, load_model
+    from clothtrack.reconstruction.depth_input import DepthInput
+    from clothtrack.reconstruction.load_model import load_model
 
     kind, table = recording.cloth.kind, recording.table
     depth, mask, camera = cloth_picture(recording, recording.frames[0], segmenter)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from clothtrack.errors import InvalidResultError
@@ -27,7 +27,7 @@ from clothtrack.reconstruction.tokens.token_network import (
 )
 from clothtrack.reconstruction.tokens.token_stage import LOG_SPREADS
 from clothtrack.reconstruction.tokens.token_training import PREFIX, require_tokens
-from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 
 VIEWS = 8
 """Quarter turns and mirror images of a picture."""
@@ -44,6 +44,7 @@ class TokenAnswer:
         seen: measured points, their canonical positions [m] and the share of the names that agrees.
         places: of the tokens in the world [m].
         spreads: level and vertical mean deviation of each place [m].
+        pixels: row and column of each point in the canonical picture.
         view: the picture that the network saw.
         tokens: of the garment.
     """
@@ -51,6 +52,7 @@ class TokenAnswer:
     seen: SeenPoints
     places: Float[np.ndarray, "tokens 3"]
     spreads: Float[np.ndarray, "tokens 2"]
+    pixels: Int[np.ndarray, "points 2"]
     view: CroppedView
     tokens: GarmentTokens
 
@@ -86,7 +88,15 @@ class TokenReconstructor:
         Raises:
             InvalidResultError: it is damaged or of another network.
         """
-        weights = load_weights(path)
+        return cls.of(load_weights(path), device=device)
+
+    @classmethod
+    def of(cls, weights: Weights, *, device: str = "cpu") -> "TokenReconstructor":
+        """The network of weights that were read.
+
+        Raises:
+            InvalidResultError: they are of another network.
+        """
         model = TokenNetwork(require_tokens(weights))
         weights.load_into(model, prefix=PREFIX)
         return cls(model.to(device))
@@ -118,6 +128,7 @@ class TokenReconstructor:
             SeenPoints(points, canonical, sure),
             place * tokens.size_m + origin,
             spread * tokens.size_m,
+            seen.pixels,
             view,
             tokens,
         )
