@@ -18,6 +18,7 @@ from clothtrack.reconstruction.alignment_frame import align
 from clothtrack.reconstruction.canonical_frame import conventional, symmetries
 from clothtrack.reconstruction.refinement import Refinement, RefinementConfig, Refiner
 from clothtrack.reconstruction.template_fit import TemplateFitConfig
+from clothtrack.reconstruction.trust import agreement_of, distrust
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import garment
@@ -260,24 +261,31 @@ def distance_from_cloud(mesh: ClothMesh, points: Float[np.ndarray, "points 3"]) 
     return float(np.sqrt(np.square(distance_to_mesh(points, vertices, mesh.faces)).mean()))
 
 
-def figures_of(made: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> dict[str, Any]:
-    """What is told about a reconstruction, ready for JSON.
+def figures_of(result: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> dict[str, Any]:
+    """What is reported of a reconstruction, ready for JSON.
 
     Args:
-        made: the reconstruction.
+        result: the reconstruction.
         mesh: its mesh.
         picture: what it was made from.
     """
-    found, refined = made.reconstruction, made.refinement
-    chamfer_m2 = () if refined is None else refined.chamfer_m2
+    reconstruction, refinement = result.reconstruction, result.refinement
+    chamfer_m2 = () if refinement is None else refinement.chamfer_m2
+    agreement = agreement_of(mesh, picture)
+    reason = distrust(agreement, result.expected_error_m, mesh)
     return {
-        "status": found.status,
+        "status": reconstruction.status,
         "cloud_to_mesh_m": distance_from_picture(mesh, picture),
-        "scale": made.scale,
+        "scale": result.scale,
         "vertices": mesh.vertex_count,
-        "confidence": float(found.confidence[found.confidence > 0].mean()),
+        "confidence": float(reconstruction.confidence[reconstruction.confidence > 0].mean()),
         # Not a number where nothing of the mesh was seen, which JSON cannot say.
-        "chamfer_m2": [None if np.isnan(one) else one for one in chamfer_m2],
+        "chamfer_m2": [None if np.isnan(value) else value for value in chamfer_m2],
+        "silhouette_iou": agreement.iou,
+        "visible_chamfer_m2": agreement.chamfer_m2,
+        "expected_error_m": result.expected_error_m,
+        "trusted": not reason,
+        "why_not": reason,
     }
 
 
