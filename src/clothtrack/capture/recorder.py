@@ -22,10 +22,10 @@ from jaxtyping import Float, UInt8
 from clothtrack.errors import ClothTrackError, InvalidRecordingError, StorageError
 from clothtrack.files.atomic_write import storage
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.document import DOCUMENT, VERSION
 from clothtrack.recordings.frame_files import conventional_name
 from clothtrack.recordings.pictures import encode_png, read_color, read_depth
 from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.recording_file import DOCUMENT, VERSION
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.validation import check_recording
 

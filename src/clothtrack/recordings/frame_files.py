@@ -9,8 +9,8 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings import pictures
-from clothtrack.recordings.document import DOCUMENT
 from clothtrack.recordings.recording import Frame
+from clothtrack.recordings.recording_file import DOCUMENT
 from clothtrack.recordings.violation import Violation, shown, violation_of
 
 PictureKind = Literal["color", "depth", "mask"]

@@ -4,9 +4,9 @@ import hashlib
 import json
 
 from clothtrack.files.atomic_write import content_hash, storage
-from clothtrack.recordings.document import DOCUMENT
 from clothtrack.recordings.frame_files import PICTURE_KINDS
 from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.recording_file import DOCUMENT
 from clothtrack.recordings.validation import PICKER_FILE
 
 DIGEST_FIELD = "recording_sha256"

@@ -17,7 +17,6 @@ from jaxtyping import Bool, Float, UInt8
 from clothtrack.errors import InvalidRecordingError, StorageError
 from clothtrack.files.atomic_write import storage
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.document import DOCUMENT, VERSION
 from clothtrack.recordings.frame_files import PictureKind, conventional_name
 from clothtrack.recordings.picker_table import picker_text
 from clothtrack.recordings.pictures import (
@@ -35,6 +34,7 @@ from clothtrack.recordings.recording import (
     Recording,
     Table,
 )
+from clothtrack.recordings.recording_file import DOCUMENT, VERSION
 from clothtrack.recordings.template import canonical_text, obj_text
 from clothtrack.recordings.validation import PICKER_FILE, check_recording
 

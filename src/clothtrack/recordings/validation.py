@@ -11,7 +11,6 @@ from clothtrack.errors import ClothTrackError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.colors import NAMED_COLORS
-from clothtrack.recordings.document import DOCUMENT, load_document
 from clothtrack.recordings.frame_files import FARTHEST_MEDIAN_M, check_pictures, find_frames, inside
 from clothtrack.recordings.picker_table import read_picker_paths
 from clothtrack.recordings.recording import (
@@ -23,6 +22,7 @@ from clothtrack.recordings.recording import (
     Recording,
     Table,
 )
+from clothtrack.recordings.recording_file import DOCUMENT, load_document
 from clothtrack.recordings.template import held_problem, read_obj
 from clothtrack.recordings.violation import Violation, shown, violation_of
 
