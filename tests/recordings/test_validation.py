@@ -305,6 +305,16 @@ def test_every_violation_is_found_and_counted(write, edit, tmp_path):
         read_recording(folder)
 
 
+def test_every_missing_and_every_unknown_field_is_named(write, edit, tmp_path):
+    folder = tmp_path / "recording"
+    write(folder)
+    edit(folder, several(*(lambda document, name=name: document["cameras"][0].pop(name)
+                           for name in ("fx", "cy")), camera_field("focal", 60.0),
+                         camera_field("width_px", 64)))  # fmt: skip
+    fields = {violation.field for violation in check_recording(folder).violations}
+    assert fields == {f"cameras[0].{name}" for name in ("fx", "cy", "focal", "width_px")}
+
+
 def test_a_picture_damaged_in_the_middle_is_found_when_all_are_decoded(write, tmp_path):
     folder = tmp_path / "recording"
     write(folder)

@@ -25,9 +25,10 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.frame_files import conventional_name
 from clothtrack.recordings.pictures import encode_png, read_color, read_depth
 from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.recording_file import DOCUMENT, VERSION
+from clothtrack.recordings.recording_file import VERSION
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.validation import check_recording
+from clothtrack.recordings.violation import DOCUMENT
 
 logger = logging.getLogger(__name__)
 

@@ -6,8 +6,8 @@ import json
 from clothtrack.files.atomic_write import content_hash, storage
 from clothtrack.recordings.frame_files import PICTURE_KINDS
 from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.recording_file import DOCUMENT
 from clothtrack.recordings.validation import PICKER_FILE
+from clothtrack.recordings.violation import DOCUMENT
 
 DIGEST_FIELD = "recording_sha256"
 """Where the provenance of a result has the digest of its recording."""

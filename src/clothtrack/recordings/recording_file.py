@@ -3,18 +3,33 @@
 import difflib
 import json
 import math
+from collections.abc import Iterator
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import jsonschema
 from jsonschema.exceptions import ValidationError, relevance
 
-from clothtrack.recordings.violation import Violation, shown
+from clothtrack.recordings.violation import DOCUMENT, Violation, Violations, shown
 
 VERSION = 1
-DOCUMENT = "recording.json"
+_RULES = {
+    "type": "of the wrong kind; write a JSON {}",
+    "const": "not the version that this clothtrack reads; write {}",
+    "enum": "not one of the known values; choose from {}",
+    "minItems": "too few entries; give at least {}",
+    "maxItems": "too many entries; give at most {}",
+    "minimum": "less than {}; correct it",
+    "maximum": "more than {}; correct it",
+    "exclusiveMinimum": "not more than {}; correct it",
+    "minLength": "empty; write it out or leave the field out",
+    "minProperties": "empty; name at least one file or leave the field out",
+    "uniqueItems": "an entry stands there twice; keep one",
+    "pattern": "not a plain name; use letters, digits, dot, underscore and hyphen",
+}
+"""What breaking a rule of the schema means and what to do, with the rule's limit."""
 
 
 def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]:
@@ -22,35 +37,46 @@ def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]
 
     A content that is returned fulfils the schema; every violation of it is reported otherwise.
     """
-    path = folder / DOCUMENT
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        return None, [_whole_file("the file is missing", _where_to_look(folder))]
-    except (OSError, UnicodeDecodeError) as error:
-        return None, [_whole_file(f"the file cannot be read ({error})", "write it as UTF-8 text")]
+    violations = Violations()
     try:
         document = json.loads(
-            text,
-            parse_constant=_refuse_constant,
-            parse_float=_finite,
-            parse_int=_whole,
+            (folder / DOCUMENT).read_text(encoding="utf-8-sig"),
+            parse_constant=_number,
+            parse_float=_number,
+            parse_int=_number,
             object_pairs_hook=_without_doubles,
         )
+    except FileNotFoundError:
+        violations.add("", "", f"the file is missing; {_where_to_look(folder)}")
+    except (OSError, UnicodeDecodeError) as error:
+        violations.add("", "", f"the file cannot be read ({error}); write it as UTF-8 text")
     except json.JSONDecodeError as error:
         place = f"line {error.lineno}, column {error.colno}"
         remedy = "correct the JSON there (a comma, a quote, a bracket?)"
-        return None, [Violation(DOCUMENT, place, "", f"broken JSON: {error.msg}", remedy)]
-    except (ValueError, RecursionError) as error:
-        problem = "nested too deeply" if isinstance(error, RecursionError) else str(error)
-        return None, [_whole_file(problem, "correct the JSON")]
-    violations = document_violations(document)
-    return (None if violations else document), violations
+        violations.add(place, "", f"broken JSON: {error.msg}; {remedy}")
+    except RecursionError:
+        violations.add("", "", "nested too deeply; correct the JSON")
+    except ValueError as error:
+        violations.add("", "", f"{error}; correct the JSON")
+    else:
+        violations += document_violations(document)
+        return (None if violations else document), violations
+    return None, violations
 
 
 def document_violations(document: object) -> list[Violation]:
     """What is wrong with the content of a `recording.json`; what it names is not looked at."""
-    return _newer(document) or [_explain(error) for error in _errors(document)]
+    violations = Violations()
+    version = document.get("version") if isinstance(document, dict) else None
+    if isinstance(version, int) and version > VERSION:
+        problem = f"written by a newer clothtrack (this one reads version {VERSION})"
+        violations.add("version", shown(version), f"{problem}; upgrade clothtrack")
+        return violations
+    errors: Any = jsonschema.Draft202012Validator(schema()).iter_errors(document)
+    for error in sorted(errors, key=lambda error: list(map(str, error.path))):
+        for field, value, words in _explain(error):
+            violations.add(field, value, words)
+    return list(dict.fromkeys(violations))
 
 
 @cache
@@ -60,66 +86,32 @@ def schema() -> dict[str, Any]:
     return json.loads(text)
 
 
-def _errors(document: Any) -> list[ValidationError]:
-    validator = jsonschema.Draft202012Validator(schema())
-    return sorted(validator.iter_errors(document), key=lambda error: list(map(str, error.path)))
-
-
-def _newer(document: object) -> list[Violation]:
-    version = document.get("version") if isinstance(document, dict) else None
-    if not isinstance(version, int) or version <= VERSION:
-        return []
-    problem = f"written by a newer clothtrack (this one reads version {VERSION})"
-    return [Violation(DOCUMENT, "version", shown(version), problem, "upgrade clothtrack")]
-
-
-def _explain(error: ValidationError) -> Violation:
+def _explain(error: ValidationError) -> Iterator[tuple[str, str, str]]:
+    """Field, value and "problem; remedy" of everything that an error of the schema is about."""
     while error.context:
         error = max(error.context, key=relevance)
-    place = ""
-    for step in error.absolute_path:
-        place += f"[{step}]" if isinstance(step, int) else f".{step}"
-    place = place.removeprefix(".")
-    rule: str = str(error.validator)
+    steps = (f"[{s}]" if isinstance(s, int) else f".{s}" for s in error.absolute_path)
+    place = "".join(steps).removeprefix(".")
+    rule = str(error.validator)
     limit: Any = error.validator_value
     value: Any = error.instance
+    inside = f"{place}." if place else ""
     if rule == "required":
-        missing = next(name for name in limit if name not in value)
-        field = f"{place}.{missing}".removeprefix(".")
-        return Violation(DOCUMENT, field, "", "the field is missing", "add it")
-    if rule == "additionalProperties":
-        surrounding: Any = error.schema
-        known = list(surrounding["properties"])
-        unknown = next(name for name in value if name not in known)
-        near = difflib.get_close_matches(unknown, known, n=1)
-        remedy = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
-        field = f"{place}.{unknown}".removeprefix(".")
-        return Violation(DOCUMENT, field, shown(value[unknown]), "unknown field", remedy)
-    problem, remedy = _rule_in_words(rule, limit)
-    return Violation(DOCUMENT, place or "the document", shown(value), problem, remedy)
-
-
-def _rule_in_words(rule: str, limit: Any) -> tuple[str, str]:
-    kinds = " or ".join(limit) if isinstance(limit, list) else str(limit)
-    words = {
-        "type": ("of the wrong kind", f"write a JSON {kinds}"),
-        "const": ("not the version that this clothtrack reads", f"write {limit}"),
-        "enum": ("not one of the known values", f"choose from {shown(limit)}"),
-        "minItems": ("too few entries", f"give at least {limit}"),
-        "maxItems": ("too many entries", f"give at most {limit}"),
-        "minimum": (f"less than {limit}", "correct it"),
-        "maximum": (f"more than {limit}", "correct it"),
-        "exclusiveMinimum": (f"not more than {limit}", "correct it"),
-        "minLength": ("empty", "write it out or leave the field out"),
-        "minProperties": ("empty", "name at least one file or leave the field out"),
-        "uniqueItems": ("an entry stands there twice", "keep one"),
-        "pattern": ("not a plain name", "use letters, digits, dot, underscore and hyphen"),
-    }
-    return words.get(rule, (f"against the rule {rule!r} of the schema", "see docs/data_format.md"))
-
-
-def _whole_file(problem: str, remedy: str) -> Violation:
-    return Violation(DOCUMENT, "", "", problem, remedy)
+        for name in limit:
+            if name not in value:
+                yield f"{inside}{name}", "", "the field is missing; add it"
+    elif rule == "additionalProperties":
+        schema_here: Any = error.schema
+        known = list(schema_here["properties"])
+        for name in [name for name in value if name not in known]:
+            near = difflib.get_close_matches(name, known, n=1)
+            remedy = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
+            yield f"{inside}{name}", shown(value[name]), f"unknown field; {remedy}"
+    else:
+        if isinstance(limit, list):
+            limit = " or ".join(limit) if rule == "type" else shown(limit)
+        words = _RULES.get(rule, "against a rule of the schema; see docs/data_format.md")
+        yield place or "the document", shown(value), words.format(limit)
 
 
 def _where_to_look(folder: Path) -> str:
@@ -131,21 +123,14 @@ def _where_to_look(folder: Path) -> str:
     return "check the name, or write one as docs/data_format.md shows"
 
 
-def _refuse_constant(word: str) -> NoReturn:
-    raise ValueError(f"{word} stands where a number belongs")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"the number {text} is too large")
-    return value
-
-
-def _whole(text: str) -> int:
-    if len(text) > 18:
-        raise ValueError(f"the number {text[:20]}... is too large")
-    return int(text)
+def _number(text: str) -> int | float:
+    """A finite number of a file; a whole one has at most 18 characters."""
+    if text[-1].isalpha():  # NaN, Infinity
+        raise ValueError(f"{text} stands where a number belongs")
+    whole = text.removeprefix("-").isdigit()
+    if len(text) > 18 if whole else not math.isfinite(float(text)):
+        raise ValueError(f"the number {text[:20]}{'...' * (len(text) > 20)} is too large")
+    return int(text) if whole else float(text)
 
 
 def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -34,9 +34,10 @@ from clothtrack.recordings.recording import (
     Recording,
     Table,
 )
-from clothtrack.recordings.recording_file import DOCUMENT, VERSION
+from clothtrack.recordings.recording_file import VERSION
 from clothtrack.recordings.template import canonical_text, obj_text
 from clothtrack.recordings.validation import PICKER_FILE, check_recording
+from clothtrack.recordings.violation import DOCUMENT
 
 TEMPLATE_FILE = "template.obj"
 CANONICAL_FILE = "template_canonical.csv"

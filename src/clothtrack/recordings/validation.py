@@ -1,17 +1,21 @@
 """Is a recording on disk what the format says? Every violation, not only the first."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from clothtrack.errors import ClothTrackError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.colors import NAMED_COLORS
-from clothtrack.recordings.frame_files import FARTHEST_MEDIAN_M, check_pictures, find_frames, inside
+from clothtrack.recordings.frame_files import (
+    FARTHEST_MEDIAN_M,
+    check_pictures,
+    find_frames,
+    named_file,
+)
 from clothtrack.recordings.picker_table import read_picker_paths
 from clothtrack.recordings.recording import (
     ClothDescription,
@@ -22,9 +26,9 @@ from clothtrack.recordings.recording import (
     Recording,
     Table,
 )
-from clothtrack.recordings.recording_file import DOCUMENT, load_document
+from clothtrack.recordings.recording_file import load_document
 from clothtrack.recordings.template import held_problem, read_obj
-from clothtrack.recordings.violation import Violation, shown, violation_of
+from clothtrack.recordings.violation import DOCUMENT, Violation, Violations, shown
 
 PICKER_FILE = "picker.csv"
 _TIME_TOLERANCE_S = 1e-3
@@ -54,277 +58,230 @@ def check_recording(folder: Path, *, thorough: bool = False) -> CheckedRecording
     document, violations = load_document(folder)
     if document is None:
         return CheckedRecording(None, tuple(violations))
-    found: list[Violation] = []
-    cameras = _cameras(document["cameras"], found)
-    names = [entry["name"] for entry in document["cameras"]]
-    units = {
-        entry["name"]: float(entry["depth_unit_m"])
-        for entry in document["cameras"]
-        if "depth_unit_m" in entry
-    }
-    table = _table(document.get("table"), found)
-    frames, misnamed = find_frames(folder, document["frames"], names)
-    found += misnamed
-    _require_units(frames, names, units, found)
-    paths = _picker_paths(folder, found)
-    found += _far_pickers(paths or {}, cameras)
-    actions = _actions(document.get("actions", []), frames, paths, found)
-    cloth = _cloth(folder, document.get("cloth", {}), paths, found)
-    observed = document.get("observed", {})
-    found += check_pictures(
-        folder, frames, {camera.name: camera for camera in cameras}, units, thorough=thorough
-    )
-    if found:
-        return CheckedRecording(None, tuple(found))
-    recording = Recording(
-        folder=folder,
-        cameras=tuple(cameras),
-        depth_units_m=units,
-        frames=frames,
-        actions=actions,
-        picker_paths=paths or {},
-        table=table,
-        cloth=cloth,
-        observed=ObservedRegion(
-            _optional(observed.get("lowest_height_m")),
-            float(observed.get("tool_clearance_m", 0.0)),
-        ),
-        provenance=document.get("provenance", {}),
-    )
+    check = _Check(folder, document)
+    recording = check.recording(thorough=thorough)
+    if check.violations:
+        return CheckedRecording(None, tuple(check.violations))
     return CheckedRecording(recording, ())
 
 
-def _cameras(entries: Sequence[Mapping[str, Any]], found: list[Violation]) -> list[Camera]:
-    cameras: list[Camera] = []
-    for place, entry in enumerate(entries):
-        field = f"cameras[{place}]"
-        if entry["name"] in {other["name"] for other in entries[:place]}:
-            problem, remedy = "two cameras of this name", "name each camera differently"
-            found.append(
-                Violation(DOCUMENT, f"{field}.name", shown(entry["name"]), problem, remedy)
-            )
-            continue
-        pose = np.array(entry.get("world_from_camera", np.eye(4)), dtype=np.float64)
-        try:
-            camera = Camera(
-                name=entry["name"],
-                width=entry["width"],
-                height=entry["height"],
-                fx=float(entry["fx"]),
-                fy=float(entry["fy"]),
-                cx=float(entry["cx"]),
-                cy=float(entry["cy"]),
-                world_from_camera=pose,
-            )
-        except InvalidRecordingError as error:
-            found.append(violation_of(error, Path(), DOCUMENT, field))
-        else:
-            cameras.append(camera)
-            found += _implausible_lens(camera, field)
-    return cameras
+class _Check:
+    """Makes a recording of a document that fulfils the schema, and notes what is wrong on the way.
 
+    What is made after a violation is only good for finding the next ones.
+    """
 
-def _implausible_lens(camera: Camera, field: str) -> list[Violation]:
-    for name, focal, side in (("fx", camera.fx, "width"), ("fy", camera.fy, "height")):
-        size = getattr(camera, side)
-        if not 0.15 * size <= focal <= 20 * size:
-            problem = f"implausible for a {side} of {size} pixels ({0.15 * size:g} to {20 * size})"
-            remedy = "write the focal length in pixels of this picture size"
-            value = f"{focal:g}"
-            return [Violation(DOCUMENT, f"{field}.{name}", value, problem, remedy)]
-    found = []
-    if not 0.75 <= camera.fx / camera.fy <= 4 / 3:
-        value, problem = f"{camera.fx / camera.fy:.3g}", "pixels of a camera are nearly square"
-        remedy = "were intrinsics of another picture size, or cx and cy, written there?"
-        found.append(Violation(DOCUMENT, f"{field}.fx / fy", value, problem, remedy))
-    middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
-    center = np.array([camera.cx, camera.cy])
-    off, swapped_off = (float(np.abs(c - middle).max()) for c in (center, center[::-1]))
-    if off > 0.1 * camera.width and swapped_off < 0.25 * off:
-        problem = "far from the middle of the picture, and swapped they are not"
-        remedy = "cx is the column and cy the row: swap them"
-        value = f"({camera.cx:g}, {camera.cy:g})"
-        found.append(Violation(DOCUMENT, f"{field}.cx, cy", value, problem, remedy))
-    return found
+    def __init__(self, folder: Path, document: Mapping[str, Any]) -> None:
+        self.violations = Violations()
+        self._folder = folder
+        self._document = document
 
-
-def _table(entry: Mapping[str, Any] | None, found: list[Violation]) -> Table | None:
-    if entry is None:
-        return None
-    normal = np.array(entry["normal"], dtype=np.float64)
-    length = float(np.linalg.norm(normal))
-    if not abs(length - 1.0) < 1e-3:
-        remedy = "divide it by its length"
-        problem = f"its length is {length:.4g}, not 1"
-        found.append(Violation(DOCUMENT, "table.normal", shown(entry["normal"]), problem, remedy))
-        return None
-    if normal[2] <= 0:
-        problem, remedy = "it points down; the world's z axis points up", "turn it around"
-        found.append(Violation(DOCUMENT, "table.normal", shown(entry["normal"]), problem, remedy))
-    return Table(np.array(entry["point"], dtype=np.float64), normal / length)
-
-
-def _require_units(
-    frames: Sequence[Frame],
-    names: Sequence[str],
-    units: Mapping[str, float],
-    found: list[Violation],
-) -> None:
-    for place, name in enumerate(names):
-        if name not in units and any(name in frame.depth for frame in frames):
-            field = f"cameras[{place}].depth_unit_m"
-            problem, remedy = "missing, but the camera has depth", "add it: 0.001 for millimetres"
-            found.append(Violation(DOCUMENT, field, "", problem, remedy))
-
-
-def _picker_paths(folder: Path, found: list[Violation]) -> dict[str, PickerPath] | None:
-    if not (folder / PICKER_FILE).exists():
-        return {}
-    try:
-        return read_picker_paths(folder / PICKER_FILE)
-    except InvalidRecordingError as error:
-        found.append(violation_of(error, folder, PICKER_FILE))
-        return None
-
-
-def _actions(
-    entries: Sequence[Mapping[str, Any]],
-    frames: Sequence[Frame],
-    paths: Mapping[str, PickerPath] | None,
-    found: list[Violation],
-) -> tuple[PickAndPlace, ...]:
-    actions = []
-    previous = 0
-    for place, entry in enumerate(entries):
-        field = f"actions[{place}]"
-        first, last = entry["first_frame"], entry["last_frame"]
-        if last >= len(frames):
-            problem, remedy = f"the last frame is {len(frames) - 1}", "name a frame that exists"
-            found.append(Violation(DOCUMENT, f"{field}.last_frame", str(last), problem, remedy))
-            continue
-        if last <= first:
-            problem = f"not after first_frame ({first})"
-            remedy = "an action takes at least two frames"
-            found.append(Violation(DOCUMENT, f"{field}.last_frame", str(last), problem, remedy))
-            continue
-        if first < previous:
-            problem = f"overlaps the action before it, which ends at frame {previous}"
-            remedy = "let actions follow each other (they may share one frame)"
-            found.append(Violation(DOCUMENT, f"{field}.first_frame", str(first), problem, remedy))
-        previous = last
-        if paths is not None:
-            times = frames[first].time_s, frames[last].time_s
-            for name in entry["pickers"]:
-                found += _uncovered(field, name, times, paths)
-        actions.append(PickAndPlace(first, last, tuple(entry["pickers"])))
-    return tuple(actions)
-
-
-def _uncovered(
-    field: str, name: str, times: tuple[float, float], paths: Mapping[str, PickerPath]
-) -> list[Violation]:
-    if name not in paths:
-        problem = f"no such picker in {PICKER_FILE} (there: {', '.join(paths) or 'none'})"
-        remedy = "correct the name or add the picker's path"
-        return [Violation(DOCUMENT, f"{field}.pickers", shown(name), problem, remedy)]
-    start, end = paths[name].time_s[[0, -1]].tolist()
-    if start <= times[0] + _TIME_TOLERANCE_S and end >= times[1] - _TIME_TOLERANCE_S:
-        return []
-    problem = (
-        f"it does not cover {field} of {DOCUMENT}, which lasts from {times[0]:g} to {times[1]:g} s"
-    )
-    remedy = "record the whole path, with the clock of the frames"
-    value = f"{start:g} to {end:g}"
-    return [Violation(PICKER_FILE, f"time_s of picker {name!r}", value, problem, remedy)]
-
-
-def _far_pickers(paths: Mapping[str, PickerPath], cameras: Sequence[Camera]) -> list[Violation]:
-    """Pickers farther from every camera than anything that is measured: not metres, most likely."""
-    found = []
-    for name, path in paths.items():
-        distances = [np.linalg.norm(path.positions - one.position, axis=1) for one in cameras]
-        nearest = np.min(distances, axis=0, initial=np.inf)
-        far = np.flatnonzero(np.isfinite(nearest) & (nearest > FARTHEST_MEDIAN_M))
-        if len(far):
-            x, y, z = path.positions[far[0]]
-            problem = (
-                f"{nearest[far[0]]:.3g} m from the nearest camera (at most {FARTHEST_MEDIAN_M:g} m)"
-            )
-            remedy = f"write metres, in the world frame of the cameras in {DOCUMENT}"
-            field = f"x_m, y_m, z_m of picker {name!r} at {path.time_s[far[0]]:g} s"
-            found.append(Violation(PICKER_FILE, field, f"({x:g}, {y:g}, {z:g})", problem, remedy))
-    return found
-
-
-def _cloth(
-    folder: Path,
-    entry: Mapping[str, Any],
-    paths: Mapping[str, PickerPath] | None,
-    found: list[Violation],
-) -> ClothDescription:
-    color = entry.get("color")
-    if color is not None and color.lower() not in NAMED_COLORS:
-        remedy = f"choose from {', '.join(NAMED_COLORS)}, or leave it out"
-        found.append(
-            Violation(DOCUMENT, "cloth.color", shown(color), "an unknown colour name", remedy)
+    def recording(self, *, thorough: bool) -> Recording:
+        entries = self._document["cameras"]
+        units = {one["name"]: float(one["depth_unit_m"]) for one in entries
+                 if "depth_unit_m" in one}  # fmt: skip
+        cameras = self._cameras()
+        table = self._table()
+        names = [entry["name"] for entry in entries]
+        frames = find_frames(self._folder, self._document["frames"], names, self.violations)
+        for place, name in enumerate(names):
+            if name not in units and any(name in frame.depth for frame in frames):
+                words = "missing, but the camera has depth; add it: 0.001 for millimetres"
+                self.violations.add(f"cameras[{place}].depth_unit_m", "", words)
+        paths = self._picker_paths(cameras)
+        actions = self._actions(frames, paths)
+        cloth = self._cloth(paths)
+        self.violations += check_pictures(
+            self._folder, frames, {one.name: one for one in cameras}, units, thorough=thorough
         )
-    template = _template(folder, entry, found)
-    held = {name: np.array(ids, dtype=np.int64) for name, ids in
-            entry.get("held_vertices", {}).items()}  # fmt: skip
-    for name, vertices in held.items():
-        field = f"cloth.held_vertices.{name}"
-        value = shown(vertices.tolist())
-        if paths is not None and name not in paths:
-            remedy = f"add its path to {PICKER_FILE}"
-            found.append(Violation(DOCUMENT, field, value, "no such picker", remedy))
-        if template is None and entry.get("template") is None:
-            remedy = "add cloth.template"
-            found.append(Violation(DOCUMENT, field, value, "there is no template", remedy))
-        elif template is not None and (problem := held_problem(vertices, template.vertex_count)):
-            remedy = "vertices are counted from 0 (OBJ files count from 1)"
-            found.append(Violation(DOCUMENT, field, value, problem, remedy))
-    size = entry.get("size_m")
-    return ClothDescription(
-        kind=entry.get("kind", "other"),
-        color=None if color is None else color.lower(),
-        size_m=None if size is None else (float(size[0]), float(size[1])),
-        template=template,
-        held_vertices=held,
-        grasp_uncertainty_m=float(entry.get("grasp_uncertainty_m", 0.0)),
-    )
+        observed = self._document.get("observed", {})
+        lowest = observed.get("lowest_height_m")
+        return Recording(
+            folder=self._folder,
+            cameras=tuple(cameras),
+            depth_units_m=units,
+            frames=frames,
+            actions=actions,
+            picker_paths=paths or {},
+            table=table,
+            cloth=cloth,
+            observed=ObservedRegion(
+                None if lowest is None else float(lowest),
+                float(observed.get("tool_clearance_m", 0.0)),
+            ),
+            provenance=self._document.get("provenance", {}),
+        )
 
+    def _cameras(self) -> list[Camera]:
+        cameras: dict[str, Camera] = {}
+        names: set[str] = set()
+        for place, entry in enumerate(self._document["cameras"]):
+            field, name = f"cameras[{place}]", entry["name"]
+            if name in names:
+                words = "two cameras of this name; name each camera differently"
+                self.violations.add(f"{field}.name", shown(name), words)
+                continue
+            names.add(name)
+            pose = np.array(entry.get("world_from_camera", np.eye(4)), dtype=np.float64)
+            lens = (float(entry[key]) for key in ("fx", "fy", "cx", "cy"))
+            with self.violations.of_errors(Path(), DOCUMENT, field):
+                cameras[name] = Camera(name, entry["width"], entry["height"], *lens, pose)
+                self._check_lens(cameras[name], field)
+        return list(cameras.values())
 
-def _template(folder: Path, entry: Mapping[str, Any], found: list[Violation]) -> ClothMesh | None:
-    files: dict[str, Path] = {}
-    for name in ("template", "template_canonical"):
-        if entry.get(name) is not None:
-            path = inside(folder, entry[name])
-            if path is None:
-                problem = "the path leads out of the recording"
-                remedy = "put the file inside the folder"
-                field, value = f"cloth.{name}", shown(entry[name])
-                found.append(Violation(DOCUMENT, field, value, problem, remedy))
-                return None
-            files[name] = path
-    if "template" not in files:
-        if files:
-            value, remedy = shown(entry["template_canonical"]), "add cloth.template"
-            field, problem = "cloth.template_canonical", "there is no template it belongs to"
-            found.append(Violation(DOCUMENT, field, value, problem, remedy))
-        return None
-    try:
-        mesh = read_obj(files["template"], files.get("template_canonical"))
-    except ClothTrackError as error:
-        named = [name for name, path in files.items() if str(error).startswith(f"{path}: ")]
-        file = entry[named[0] if named else "template"]
-        found.append(violation_of(error, folder, file))
-        return None
-    size = float(np.ptp(mesh.vertices, axis=0).max())
-    if not 0.01 <= size <= 10:
-        problem, remedy = "implausible for a cloth (0.01 to 10 m)", "write the mesh in metres"
-        found.append(Violation(entry["template"], "largest side", f"{size:g} m", problem, remedy))
-    return mesh
+    def _check_lens(self, camera: Camera, field: str) -> None:
+        for name, focal, side in (("fx", camera.fx, "width"), ("fy", camera.fy, "height")):
+            size = getattr(camera, side)
+            least, most = 0.15 * size, 20 * size
+            if not least <= focal <= most:
+                problem = f"implausible for a {side} of {size} pixels ({least:g} to {most})"
+                words = f"{problem}; write the focal length in pixels of this picture size"
+                self.violations.add(f"{field}.{name}", f"{focal:g}", words)
+                return
+        if not 0.75 <= (ratio := camera.fx / camera.fy) <= 4 / 3:
+            remedy = "were intrinsics of another picture size, or cx and cy, written there?"
+            words = f"pixels of a camera are nearly square; {remedy}"
+            self.violations.add(f"{field}.fx / fy", f"{ratio:.3g}", words)
+        middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
+        center = np.array([camera.cx, camera.cy])
+        off, swapped_off = (float(np.abs(c - middle).max()) for c in (center, center[::-1]))
+        if off > 0.1 * camera.width and swapped_off < 0.25 * off:
+            problem = "far from the middle of the picture, and swapped they are not"
+            words = f"{problem}; cx is the column and cy the row: swap them"
+            self.violations.add(f"{field}.cx, cy", f"({camera.cx:g}, {camera.cy:g})", words)
 
+    def _table(self) -> Table | None:
+        entry = self._document.get("table")
+        if entry is None:
+            return None
+        normal = np.array(entry["normal"], dtype=np.float64)
+        length = float(np.linalg.norm(normal))
+        words = ""
+        if not abs(length - 1.0) < 1e-3:
+            words = f"its length is {length:.4g}, not 1; divide it by its length"
+        elif normal[2] <= 0:
+            words = "it points down; the world's z axis points up; turn it around"
+        if words:
+            self.violations.add("table.normal", shown(entry["normal"]), words)
+            return None
+        return Table(np.array(entry["point"], dtype=np.float64), normal / length)
 
-def _optional(value: float | None) -> float | None:
-    return None if value is None else float(value)
+    def _picker_paths(self, cameras: list[Camera]) -> dict[str, PickerPath] | None:
+        """Path per picker; None where they cannot be read."""
+        if not (self._folder / PICKER_FILE).exists():
+            return {}
+        paths = None
+        with self.violations.of_errors(self._folder, PICKER_FILE):
+            paths = read_picker_paths(self._folder / PICKER_FILE)
+        for name, path in (paths or {}).items():
+            distances = [np.linalg.norm(path.positions - one.position, axis=1) for one in cameras]
+            nearest = np.min(distances, axis=0, initial=np.inf)
+            far = np.flatnonzero(np.isfinite(nearest) & (nearest > FARTHEST_MEDIAN_M))
+            if len(far):  # not metres, most likely
+                x, y, z = path.positions[far[0]]
+                field = f"x_m, y_m, z_m of picker {name!r} at {path.time_s[far[0]]:g} s"
+                words = (
+                    f"{nearest[far[0]]:.3g} m from the nearest camera (at most "
+                    f"{FARTHEST_MEDIAN_M:g} m); write metres, in the world frame of the cameras "
+                    f"in {DOCUMENT}"
+                )
+                self.violations.add(field, f"({x:g}, {y:g}, {z:g})", words, file=PICKER_FILE)
+        return paths
+
+    def _actions(
+        self, frames: tuple[Frame, ...], paths: Mapping[str, PickerPath] | None
+    ) -> tuple[PickAndPlace, ...]:
+        actions: list[PickAndPlace] = []
+        for place, entry in enumerate(self._document.get("actions", [])):
+            field = f"actions[{place}]"
+            first, last = entry["first_frame"], entry["last_frame"]
+            words = ""
+            if last >= len(frames):
+                words = f"the last frame is {len(frames) - 1}; name a frame that exists"
+            elif last <= first:
+                words = f"not after first_frame ({first}); an action takes at least two frames"
+            if words:
+                self.violations.add(f"{field}.last_frame", str(last), words)
+                continue
+            previous = actions[-1].last_frame if actions else 0
+            if first < previous:
+                problem = f"overlaps the action before it, which ends at frame {previous}"
+                words = f"{problem}; let actions follow each other (they may share one frame)"
+                self.violations.add(f"{field}.first_frame", str(first), words)
+            for name in entry["pickers"] if paths is not None else ():
+                times = frames[first].time_s, frames[last].time_s
+                self._check_covered(field, name, times, paths or {})
+            actions.append(PickAndPlace(first, last, tuple(entry["pickers"])))
+        return tuple(actions)
+
+    def _check_covered(
+        self, field: str, name: str, times: tuple[float, float], paths: Mapping[str, PickerPath]
+    ) -> None:
+        if name not in paths:
+            problem = f"no such picker in {PICKER_FILE} (there: {', '.join(paths) or 'none'})"
+            words = f"{problem}; correct the name or add the picker's path"
+            self.violations.add(f"{field}.pickers", shown(name), words)
+            return
+        start, end = paths[name].time_s[[0, -1]].tolist()
+        if start > times[0] + _TIME_TOLERANCE_S or end < times[1] - _TIME_TOLERANCE_S:
+            words = (
+                f"it does not cover {field} of {DOCUMENT}, which lasts from {times[0]:g} to "
+                f"{times[1]:g} s; record the whole path, with the clock of the frames"
+            )
+            field, value = f"time_s of picker {name!r}", f"{start:g} to {end:g}"
+            self.violations.add(field, value, words, file=PICKER_FILE)
+
+    def _cloth(self, paths: Mapping[str, PickerPath] | None) -> ClothDescription:
+        entry = self._document.get("cloth", {})
+        color = entry.get("color")
+        if color is not None and color.lower() not in NAMED_COLORS:
+            remedy = f"choose from {', '.join(NAMED_COLORS)}, or leave it out"
+            self.violations.add("cloth.color", shown(color), f"an unknown colour name; {remedy}")
+        template = self._template(entry)
+        held = {name: np.array(ids, dtype=np.int64) for name, ids in
+                entry.get("held_vertices", {}).items()}  # fmt: skip
+        for name, vertices in held.items():
+            problems = []
+            if paths is not None and name not in paths:
+                problems.append(f"no such picker; add its path to {PICKER_FILE}")
+            if entry.get("template") is None:
+                problems.append("there is no template; add cloth.template")
+            elif template and (problem := held_problem(vertices, template.vertex_count)):
+                remedy = "vertices are counted from 0 (OBJ files count from 1)"
+                problems.append(f"{problem}; {remedy}")
+            for words in problems:
+                value = shown(vertices.tolist())
+                self.violations.add(f"cloth.held_vertices.{name}", value, words)
+        size = entry.get("size_m")
+        return ClothDescription(
+            kind=entry.get("kind", "other"),
+            color=None if color is None else color.lower(),
+            size_m=None if size is None else (float(size[0]), float(size[1])),
+            template=template,
+            held_vertices=held,
+            grasp_uncertainty_m=float(entry.get("grasp_uncertainty_m", 0.0)),
+        )
+
+    def _template(self, entry: Mapping[str, Any]) -> ClothMesh | None:
+        files: dict[str, Path] = {}
+        for name in ("template", "template_canonical"):
+            if entry.get(name) is not None:
+                path = named_file(self._folder, entry[name], f"cloth.{name}", self.violations)
+                if path is None:
+                    return None
+                files[name] = path
+        if "template" not in files:
+            if files:
+                words = "there is no template it belongs to; add cloth.template"
+                value = shown(entry["template_canonical"])
+                self.violations.add("cloth.template_canonical", value, words)
+            return None
+        mesh = None
+        with self.violations.of_errors(self._folder, entry["template"]):
+            mesh = read_obj(files["template"], files.get("template_canonical"))
+        size = 1.0 if mesh is None else float(np.ptp(mesh.vertices, axis=0).max())
+        if not 0.01 <= size <= 10:
+            words = "implausible for a cloth (0.01 to 10 m); write the mesh in metres"
+            file = entry["template"]
+            self.violations.add("largest side", f"{size:g} m", words, file=file)
+        return mesh

@@ -1,10 +1,14 @@
 """One thing that is wrong with a recording: where, what, and what to do about it."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from clothtrack.errors import ClothTrackError
+
+DOCUMENT = "recording.json"
 
 
 @dataclass(frozen=True)
@@ -29,22 +33,41 @@ class Violation:
     def message(self) -> str:
         """One line: file, field, value, problem and remedy."""
         place = f"{self.file}: {self.field}" if self.field else self.file
-        found = f" is {self.value}" if self.value and self.field else ""
-        return f"{place}{found}: {self.problem}; {self.remedy}"
+        value = f" is {self.value}" if self.value and self.field else ""
+        return f"{place}{value}: {self.problem}; {self.remedy}"
+
+
+class Violations(list[Violation]):
+    """Everything that is wrong with a recording, in the order in which it is met."""
+
+    def add(self, field: str, value: str, words: str, *, file: str = DOCUMENT) -> None:
+        """Note a violation.
+
+        Args:
+            field: as in `Violation`.
+            value: as in `Violation`.
+            words: "problem; remedy".
+            file: path inside the recording.
+        """
+        problem, _, remedy = words.rpartition("; ")
+        self.append(Violation(file, field, value, problem, remedy))
+
+    @contextmanager
+    def of_errors(self, folder: Path, file: str, field: str = "") -> Iterator[None]:
+        """Note what an error of this package says in the block.
+
+        It is a violation of the file in the folder that the error names, or else of `file`.
+        """
+        try:
+            yield
+        except ClothTrackError as error:
+            text = str(error)
+            if text.startswith(f"{folder}/"):
+                file, _, text = text.removeprefix(f"{folder}/").partition(": ")
+            self.add(field, "", text if "; " in text else f"{text}; correct it", file=file)
 
 
 def shown(value: object) -> str:
     """A JSON value, short enough for one line of a message."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def violation_of(error: ClothTrackError, folder: Path, file: str, field: str = "") -> Violation:
-    """What an error of this package says, as a violation of `file`."""
-    text = str(error)
-    for prefix in (f"{folder / file}: ", f"{folder}/"):
-        text = text.removeprefix(prefix)
-    problem, separator, remedy = text.rpartition("; ")
-    if not separator:
-        problem, remedy = text, "correct it"
-    return Violation(file, field, "", problem, remedy)
