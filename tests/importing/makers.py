@@ -220,7 +220,7 @@ def number(kind, value):
     return element(kind, value.to_bytes(8, "big"))
 
 
-def write_kinect(path, depth, color, times_ns, *, letters=b"MJPG", calibration=None):
+def write_kinect(path, depth, color, times_ns, *, letters=b"MJPG", calibration=None, packing=b""):
     """A Matroska file as k4arecorder lays it out; no library writes its raw depth track."""
 
     def track(index, name, width, height, fourcc):
@@ -229,7 +229,7 @@ def write_kinect(path, depth, color, times_ns, *, letters=b"MJPG", calibration=N
         return element(0xAE, b"".join([
             number(0xD7, index), number(0x73C5, index), number(0x83, 1),
             element(0x536E, name), element(0x86, b"V_MS/VFW/FOURCC"), element(0x63A2, head),
-            element(0xE0, video),
+            element(0xE0, video), packing,
         ]))  # fmt: skip
 
     height, width = depth.shape[1:]

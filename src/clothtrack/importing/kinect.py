@@ -13,7 +13,7 @@ from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.intrinsics_file import read_intrinsics
 from clothtrack.importing.kinect_calibration import kinect_lenses
 from clothtrack.importing.lens import MOST_PIXELS
-from clothtrack.importing.matroska import MAGIC, MatroskaReader, Track
+from clothtrack.importing.matroska import MAGIC, Matroska, Track
 from clothtrack.importing.packed_pictures import packed_color
 from clothtrack.importing.source import Content, Footage, Rig, Shot
 
@@ -38,7 +38,7 @@ class KinectSource:
             InvalidRecordingError: it has no depth, no calibration, or a mode nobody knows.
         """
         self._path = path
-        self._file = MatroskaReader(path)
+        self._file = Matroska(path)
         try:
             self.footage = self._find(options)
         except BaseException:
@@ -54,7 +54,7 @@ class KinectSource:
         """A function that gives red, green and blue."""
         data = self._file.fetch(shot.place)
         assert self._color_track is not None
-        return partial(_color, data, self._color_track, _four_letters(self._color_track))
+        return partial(_color, data, self._color_track)
 
     def close(self) -> None:
         """Let go of the file."""
@@ -62,15 +62,18 @@ class KinectSource:
 
     def _find(self, options: ImportOptions) -> Footage:
         shots: dict[int, list[Shot]] = {}
-        for block in self._file.blocks():
+        for block in self._file.blocks:
             shots.setdefault(block.track, []).append(Shot(block.time_ns, block))
         notes = []
         if self._file.damage:
             whole = sum(map(len, shots.values()))
-            notes.append(f"{self._file.damage}; {whole} whole pictures before it were saved")
+            notes.append(
+                f"the file breaks off or is damaged ({self._file.damage}); {whole} whole pictures "
+                "were saved"
+            )
         depth_track = self._track("DEPTH")
         if depth_track is None:
-            names = ", ".join(repr(one.name) for one in self._file.content.tracks) or "none"
+            names = ", ".join(repr(one.name) for one in self._file.tracks) or "none"
             lost = "".join(f" ({one})" for one in notes)
             raise InvalidRecordingError(
                 f"{self._path}: no track DEPTH{lost}; tracks: {names}; record with k4arecorder or "
@@ -95,10 +98,8 @@ class KinectSource:
         )
 
     def _track(self, name: str) -> Track | None:
-        content = self._file.content
-        uid = content.track_tags.get(f"K4A_{name}_TRACK")
-        for track in content.tracks:
-            if track.name.upper() == name or (uid is not None and track.uid == uid):
+        for track in self._file.tracks:
+            if track.name.upper() == name or f"K4A_{name}_TRACK" in track.tags:
                 pixels = track.width * track.height
                 if not 0 < pixels <= MOST_PIXELS:
                     raise InvalidRecordingError(
@@ -116,7 +117,7 @@ class KinectSource:
             given = read_intrinsics(options.intrinsics)
             color = None if self._color_track is None else given.color
             return Rig(given.depth, color, given.color_from_depth, unit, origin)
-        content = self._file.content
+        content = self._file
         name = content.tags.get("K4A_CALIBRATION_FILE", _CALIBRATION)
         text = content.attachments.get(name, content.attachments.get(_CALIBRATION))
         if text is None:
@@ -134,20 +135,14 @@ class KinectSource:
         return Rig(depth, color, pose, unit, origin)
 
 
-def _four_letters(track: Track) -> str:
-    """The kind of pictures: "MJPG", "NV12", ..."""
-    if track.codec == "V_MJPEG":
-        return "MJPG"
-    return track.private[16:20].decode("latin-1").upper()
-
-
 def _depth(data: bytes, width: int, height: int) -> np.ndarray:
     if len(data) != 2 * width * height:
         raise TruncatedError(f"a depth picture of {len(data)} bytes for {width} x {height} pixels")
     return np.frombuffer(data, ">u2").reshape(height, width).astype(np.uint16)
 
 
-def _color(data: bytes, track: Track, letters: str) -> Content:
+def _color(data: bytes, track: Track) -> Content:
+    letters = track.letters
     if letters in ("MJPG", "JPEG"):
         return packed_color(data)
     if letters not in _RAW_COLOR:
