@@ -12,7 +12,7 @@ from import_makers import depth_of, element, kinect_calibration, number, write_k
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.import_recording import import_recording
-from clothtrack.importing.kinect_calibration import kinect_lenses
+from clothtrack.importing.kinect_calibration import kinect_intrinsics
 from clothtrack.importing.matroska import Matroska
 
 TIMES = np.array([0, 33_333_000, 66_666_000])
@@ -106,7 +106,7 @@ def test_depth_is_carried_to_the_colour_camera(letters, depth, color, tmp_path):
 
 def test_lenses_against_the_formula():
     """Sensor shares, outer corner at zero -> pixels of the mode, first centre at zero."""
-    depth, color, pose = kinect_lenses(FILM, text(), NARROW, HD)
+    depth, color, pose = kinect_intrinsics(FILM, text(), NARROW, HD)
     assert depth.fx == pytest.approx(0.49 * 512)
     assert depth.cx == pytest.approx(0.5 * 512 - 96 - 0.5)
     assert depth.cy == pytest.approx(0.5 * 512 - 90 - 0.5)
@@ -119,15 +119,15 @@ def test_lenses_against_the_formula():
 @pytest.mark.parametrize(("one", "other"), [((320, 288), (640, 576)), ((512, 512), (1024, 1024))])
 def test_binning_changes_the_pixels_not_the_rays(one, other):
     """Modes of the same crop see the same directions at the same places."""
-    coarse, _, _ = kinect_lenses(FILM, text(), one, None)
-    fine, _, _ = kinect_lenses(FILM, text(), other, None)
+    coarse, _, _ = kinect_intrinsics(FILM, text(), one, None)
+    fine, _, _ = kinect_intrinsics(FILM, text(), other, None)
     wide = coarse.corner_rays()
     assert np.allclose(wide, fine.corner_rays()[::2, ::2], atol=1e-4, equal_nan=True)
 
 
 def test_cropped_colour_modes_share_their_rays():
-    _, hd, _ = kinect_lenses(FILM, text(), NARROW, HD)
-    _, full, _ = kinect_lenses(FILM, text(), NARROW, (2560, 1440))
+    _, hd, _ = kinect_intrinsics(FILM, text(), NARROW, HD)
+    _, full, _ = kinect_intrinsics(FILM, text(), NARROW, (2560, 1440))
     assert np.allclose(hd.corner_rays(), full.corner_rays()[::2, ::2], atol=1e-4)
 
 
@@ -140,8 +140,8 @@ def test_an_old_calibration_of_a_wide_picture():
     lens[1] = (lens[1] * 3072 - 384) / 2304
     lens[3] = lens[3] * 3072 / 2304
     camera["SensorHeight"] = 2304
-    _, old, _ = kinect_lenses(FILM, json.dumps(content).encode(), NARROW, HD)
-    _, new, _ = kinect_lenses(FILM, text(), NARROW, HD)
+    _, old, _ = kinect_intrinsics(FILM, json.dumps(content).encode(), NARROW, HD)
+    _, new, _ = kinect_intrinsics(FILM, text(), NARROW, HD)
     assert (old.fx, old.fy, old.cx, old.cy) == pytest.approx((new.fx, new.fy, new.cx, new.cy))
 
 

@@ -28,7 +28,7 @@ def test_the_pose_between_the_cameras_is_the_sensors_own(film, tmp_path):
     opened.close()
     expected = np.eye(4)
     expected[0, 3] = 0.015
-    assert np.allclose(opened.footage.rig.color_from_depth, expected)
+    assert np.allclose(opened.streams.calibration.color_from_depth, expected)
 
 
 def test_old_recordings(film, tmp_path):

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.importing.containers import TruncatedError
-from clothtrack.importing.lens import Lens
+from clothtrack.importing.intrinsics import Intrinsics
 from clothtrack.importing.registration import Registration
-from clothtrack.importing.source import Rig
+from clothtrack.importing.source import StereoCalibration
 
-DEPTH = Lens(48, 36, 40.0, 40.0, 23.5, 17.5)
+DEPTH = Intrinsics(48, 36, 40.0, 40.0, 23.5, 17.5)
 
 
-def rig(color, pose, depth=DEPTH, unit_m=1e-3):
-    return Rig(depth, color, pose, unit_m, "test")
+def calibration(color, pose, depth=DEPTH, unit_m=1e-3):
+    return StereoCalibration(depth, color, pose, unit_m, "test")
 
 
 def shifted(x=0.0, y=0.0, z=0.0, turn=(0.0, 0.0, 0.0)):
@@ -28,7 +28,7 @@ def shifted(x=0.0, y=0.0, z=0.0, turn=(0.0, 0.0, 0.0)):
 
 def test_the_same_camera_changes_nothing(rng):
     counts = rng.integers(0, 65536, (36, 48)).astype(np.uint16)
-    registration = Registration(rig(DEPTH, np.eye(4)))
+    registration = Registration(calibration(DEPTH, np.eye(4)))
     assert not registration.carried
     assert registration.depth(counts) is counts
 
@@ -36,15 +36,15 @@ def test_the_same_camera_changes_nothing(rng):
 def test_a_plane_moves_by_its_disparity():
     """A plane at 1 m and a camera 10 cm to the left: fx * b / z = 4 pixels."""
     counts = np.full((36, 48), 1000, dtype=np.uint16)
-    carried = Registration(rig(DEPTH, shifted(x=0.1))).depth(counts)
+    carried = Registration(calibration(DEPTH, shifted(x=0.1))).depth(counts)
     assert (carried[:, 4:] == 1000).all()
     assert (carried[:, :4] == 0).all()
 
 
 def test_a_finer_picture_has_no_cracks():
     counts = np.full((36, 48), 800, dtype=np.uint16)
-    fine = Lens(120, 90, 100.0, 100.0, 59.5, 44.5)
-    carried = Registration(rig(fine, shifted(z=0.2))).depth(counts)
+    fine = Intrinsics(120, 90, 100.0, 100.0, 59.5, 44.5)
+    carried = Registration(calibration(fine, shifted(z=0.2))).depth(counts)
     inner = carried[20:70, 30:90]
     assert (inner == 1000).all()
 
@@ -53,7 +53,7 @@ def test_the_nearest_wins_and_holes_stay():
     counts = np.full((36, 48), 2000, dtype=np.uint16)
     counts[:, 20:24] = 500
     counts[10:14, 30:34] = 0
-    carried = Registration(rig(DEPTH, shifted(x=0.05))).depth(counts)
+    carried = Registration(calibration(DEPTH, shifted(x=0.05))).depth(counts)
     # The bar moves by 4 pixels, the wall by 1; what was behind the bar is not known.
     assert (carried[:, 24:28] == 500).all()
     assert (carried[:, 21:24] == 0).all()
@@ -61,22 +61,22 @@ def test_the_nearest_wins_and_holes_stay():
     assert set(np.unique(carried)) == {0, 500, 2000}
 
 
-def reference(counts, rig):
+def reference(counts, calibration):
     """Every pixel's corners through the formulas, one by one; exact rectangles only."""
-    depth, color, pose = rig.depth, rig.color, rig.color_from_depth
+    depth, color, pose = calibration.depth, calibration.color, calibration.color_from_depth
     result = np.full((color.height, color.width), 10**6)
     for v in range(depth.height):
         for u in range(depth.width):
             if not counts[v, u]:
                 continue
-            z = counts[v, u] * rig.depth_unit_m
+            z = counts[v, u] * calibration.depth_unit_m
             spots, depths = [], []
             for du in (-0.5, 0.5):
                 ray = np.array([(u + du - depth.cx) / depth.fx, (v + du - depth.cy) / depth.fy, 1])
                 x, y, w = pose[:3, :3] @ (ray * z) + pose[:3, 3]
                 spots.append((color.fx * x / w + color.cx, color.fy * y / w + color.cy))
                 depths.append(w)
-            value = int(np.mean(depths) / rig.depth_unit_m + 0.5)
+            value = int(np.mean(depths) / calibration.depth_unit_m + 0.5)
             (a, b), (c, d) = spots
             for y in range(
                 max(int(np.ceil(min(b, d))), 0), min(int(np.ceil(max(b, d))), color.height)
@@ -95,7 +95,9 @@ def reference(counts, rig):
 )  # fmt: skip
 def test_against_the_slow_reference(x, y, tilt, roll, seed):
     counts = np.random.default_rng(seed).integers(500, 700, (36, 48)).astype(np.uint16)
-    one = rig(Lens(56, 40, 52.0, 51.0, 28.0, 19.0), shifted(x, y, 0.01, (tilt, 0.02, roll)))
+    one = calibration(
+        Intrinsics(56, 40, 52.0, 51.0, 28.0, 19.0), shifted(x, y, 0.01, (tilt, 0.02, roll))
+    )
     expected, carried = reference(counts, one), Registration(one).depth(counts)
     covered = expected > 0
     # Single precision may put a centre on the other side of an edge, rarely.
@@ -105,10 +107,10 @@ def test_against_the_slow_reference(x, y, tilt, roll, seed):
 
 def test_distortion_is_taken_out_of_depth():
     """A wall at 1 m stays a wall at 1 m, wherever its lens bent the rays."""
-    bent = Lens(48, 36, 40.0, 40.0, 23.5, 17.5, (-0.2, 0.05, 1e-3, -1e-3, 0.0))
+    bent = Intrinsics(48, 36, 40.0, 40.0, 23.5, 17.5, (-0.2, 0.05, 1e-3, -1e-3, 0.0))
     counts = np.full((36, 48), 1000, dtype=np.uint16)
-    for color in (None, Lens(48, 36, 60.0, 60.0, 23.5, 17.5)):
-        carried = Registration(rig(color, np.eye(4), bent)).depth(counts)
+    for color in (None, Intrinsics(48, 36, 60.0, 60.0, 23.5, 17.5)):
+        carried = Registration(calibration(color, np.eye(4), bent)).depth(counts)
         assert (carried[6:30, 6:42] == 1000).all()
 
 
@@ -118,7 +120,7 @@ def test_distortion_is_taken_out_of_depth():
      ((0.05, -0.01, 0.002, 0.0), True)],
 )  # fmt: skip
 def test_corner_rays_lead_back_to_their_corners(distortion, fisheye):
-    lens = Lens(64, 48, 50.0, 50.0, 31.5, 23.5, distortion, fisheye)
+    lens = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, distortion, fisheye)
     rays = lens.corner_rays().reshape(-1, 2).astype(float)
     points = np.concatenate([rays, np.ones((len(rays), 1))], 1)[:, None]
     project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
@@ -132,25 +134,25 @@ def test_corner_rays_lead_back_to_their_corners(distortion, fisheye):
 
 def test_a_colour_picture_is_straightened():
     """A point that the lens bent to a pixel stands where the straight pinhole has it."""
-    lens = Lens(64, 48, 50.0, 50.0, 31.5, 23.5, (-0.15, 0.02, 0.0, 0.0))
+    lens = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5, (-0.15, 0.02, 0.0, 0.0))
     target = np.array([[[0.3, -0.2, 1.0]]])
     bent = cv2.projectPoints(target, np.zeros(3), np.zeros(3), lens.matrix,
                              np.array(lens.distortion))[0].ravel()  # fmt: skip
     columns, rows = np.meshgrid(np.arange(64.0), np.arange(48.0))
     spot = np.exp(-((columns - bent[0]) ** 2 + (rows - bent[1]) ** 2) / 8)
     picture = np.repeat((255 * spot).astype(np.uint8)[..., None], 3, axis=2)
-    straight = Registration(rig(lens, np.eye(4), lens)).color(picture)[..., 0].astype(float)
+    straight = Registration(calibration(lens, np.eye(4), lens)).color(picture)[..., 0].astype(float)
     center = [(straight * axis).sum() / straight.sum() for axis in (columns, rows)]
     assert center == pytest.approx([0.3 * 50 + 31.5, -0.2 * 50 + 23.5], abs=0.15)
 
 
 def test_another_size_than_the_lens_is_refused():
     with pytest.raises(TruncatedError, match="48 x 36"):
-        Registration(rig(None, np.eye(4))).depth(np.zeros((10, 10), np.uint16))
+        Registration(calibration(None, np.eye(4))).depth(np.zeros((10, 10), np.uint16))
 
 
 @pytest.mark.parametrize("change", [{"fx": np.nan}, {"width": 0}, {"distortion": (1.0, 2.0, 3.0)}])
 def test_an_impossible_lens_is_refused(change):
     values = {"width": 8, "height": 8, "fx": 8.0, "fy": 8.0, "cx": 3.5, "cy": 3.5} | change
     with pytest.raises(InvalidRecordingError):
-        Lens(**values)
+        Intrinsics(**values)

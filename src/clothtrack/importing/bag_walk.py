@@ -12,7 +12,7 @@ from clothtrack.importing import bag_container, mcap_container, sqlite_container
 from clothtrack.importing import realsense_bag as realsense
 from clothtrack.importing.containers import Container, Message, Place, Topic, TruncatedError
 from clothtrack.importing.messages import decode, payload, stamp_ns
-from clothtrack.importing.source import Shot
+from clothtrack.importing.source import StreamFrame
 from clothtrack.importing.topics import CAMERA_INFO, COMPRESSED, IMAGE
 from clothtrack.importing.transforms import TransformTree
 
@@ -74,7 +74,7 @@ class Walk:
         pose_topic: topic of the picker's pose, when asked for.
         grip_topic: topic of the gripper, when asked for.
         topics: every topic.
-        shots: pictures per topic name.
+        frames: pictures per topic name.
         infos: first CameraInfo per topic name.
         heard: first message of the SDK's options and poses per topic name.
         tree: TF.
@@ -87,7 +87,7 @@ class Walk:
     pose_topic: str | None = None
     grip_topic: str | None = None
     topics: list[Topic] = field(default_factory=list)
-    shots: dict[str, list[Shot]] = field(default_factory=dict)
+    frames: dict[str, list[StreamFrame]] = field(default_factory=dict)
     infos: dict[str, Any] = field(default_factory=dict)
     heard: dict[str, Any] = field(default_factory=dict)
     tree: TransformTree = field(default_factory=TransformTree)
@@ -117,7 +117,7 @@ def walk(
         known = {one.name for one in found.topics}
         found.topics += [one for one in container.topics() if one.name not in known]
         if container.damage:
-            whole = sum(map(len, found.shots.values()))
+            whole = sum(map(len, found.frames.values()))
             found.lost.append(f"{container.damage}; {whole} whole pictures before it were saved")
     found.lost += [f"{count} damaged messages of {name} left out" for name, count in torn.items()]
     return found
@@ -129,7 +129,7 @@ def _note(found: Walk, container: Container, message: Message, part: int) -> Non
         time_ns = stamp_ns(container, topic, place, log_ns)
         if len(found.gaps_ns) < _CLOCK_SAMPLES:
             found.gaps_ns.append(log_ns - time_ns)
-        found.shots.setdefault(topic.name, []).append(Shot(time_ns, place))
+        found.frames.setdefault(topic.name, []).append(StreamFrame(time_ns, place))
     elif topic.kind == CAMERA_INFO and topic.name not in found.infos:
         found.infos[topic.name] = decode(topic, payload(container, place))
     elif topic.kind in _TF_KINDS:

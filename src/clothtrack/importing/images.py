@@ -13,7 +13,7 @@ from jaxtyping import Shaped, UInt8, UInt16
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.importing.containers import TruncatedError
-from clothtrack.importing.lens import MOST_PIXELS
+from clothtrack.importing.intrinsics import MOST_PIXELS
 from clothtrack.recordings.pictures import SIGNATURE, check_chunks
 
 _TO_RGB = {

@@ -16,7 +16,7 @@ class ImportOptions:
         color_topic: topic of colour; found by the usual names.
         without_color: import depth alone.
         depth_unit_m: metres per unit of depth, where the source does not say (0.001 = mm).
-        intrinsics: JSON file with the lenses, where the source has none.
+        intrinsics: JSON file with the intrinsics, where the source has none.
         fps: pictures per second, for folders without time stamps.
         tolerance_s: how far apart colour and depth may be [s]; half the time between depth pictures
             by default.

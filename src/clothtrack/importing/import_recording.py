@@ -27,7 +27,7 @@ from clothtrack.importing.recorded_pickers import add_pickers, placed_paths
 from clothtrack.importing.registration import Registration
 from clothtrack.importing.reporting import report_of
 from clothtrack.importing.ros_bags import BagSource, bag_files
-from clothtrack.importing.source import Content, Footage, Source
+from clothtrack.importing.source import Content, Source, Streams
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
@@ -96,26 +96,26 @@ def import_recording(
     _check(options, folder)
     opened = open_source(source, options)
     try:
-        footage = opened.footage
-        pairing = pair(source, footage.depth, footage.color, options.tolerance_s)
+        streams = opened.streams
+        pairing = pair(source, streams.depth, streams.color, options.tolerance_s)
         start_ns = pairing.pairs[0].depth.time_ns
-        pose, table = _world(options, footage)
+        pose, table = _world(options, streams)
         known = pose is not None
         pose = np.eye(4) if pose is None else pose
         paths, text = placed_paths(
-            source, footage, options.picker_csv, options.picker_clock, pose=pose, start_ns=start_ns,
+            source, streams, options.picker_csv, options.picker_clock, pose=pose, start_ns=start_ns,
             posed=known,
         )  # fmt: skip
-        registration = Registration(footage.rig)
+        registration = Registration(streams.calibration)
         camera = _camera(source, registration, options.camera_name, pose)
         cloth = ClothDescription(kind=options.cloth, color=options.cloth_color)
         with RecordingWriter(
             folder,
             [camera],
-            {camera.name: footage.rig.depth_unit_m},
+            {camera.name: streams.calibration.depth_unit_m},
             table=table,
             cloth=cloth,
-            provenance=_provenance(source, footage),
+            provenance=_provenance(source, streams),
         ) as writer:
             job = _Job(opened, registration, camera, watcher)
             times, damaged = _write_frames(
@@ -132,7 +132,7 @@ def import_recording(
     finally:
         opened.close()
     return report_of(
-        source, folder, footage, pairing, registration,
+        source, folder, streams, pairing, registration,
         camera=camera, times=times, damaged=damaged, paths=paths, actions=actions,
         notes=[*text, *notes], posed=known, table=table is not None,
         color_named=options.cloth_color is not None,
@@ -190,7 +190,7 @@ class _Job:
     def show(self, time_s: float, frame: _Encoded) -> None:
         """Let the watcher, if there is one, see a frame."""
         if self._watcher is not None and frame.counts is not None:
-            depth_m = frame.counts * np.float32(self._source.footage.rig.depth_unit_m)
+            depth_m = frame.counts * np.float32(self._source.streams.calibration.depth_unit_m)
             self._watcher.see(time_s, frame.picture, depth_m, self.camera)
 
     def start(self, pool: ThreadPoolExecutor, moment: Pair) -> "Future[_Encoded] | TruncatedError":
@@ -281,12 +281,12 @@ def _check(options: ImportOptions, folder: Path) -> None:
 
 
 def _world(
-    options: ImportOptions, footage: Footage
+    options: ImportOptions, streams: Streams
 ) -> tuple[Float[np.ndarray, "4 4"] | None, Table | None]:
     """The camera's pose and the table, as far as anybody knows them."""
     file = options.world_from_camera
     if file is None:
-        return footage.world_from_camera, None
+        return streams.world_from_camera, None
     content = read_json(file)
     table = None
     if isinstance(content, dict):
@@ -317,16 +317,16 @@ def _camera(
     source: Path, registration: Registration, name: str, pose: Float[np.ndarray, "4 4"]
 ) -> Camera:
     try:
-        return registration.lens.camera(name, pose)
+        return registration.intrinsics.camera(name, pose)
     except InvalidRecordingError as error:
         raise InvalidRecordingError(f"{source}: {error}; or give --intrinsics FILE") from error
 
 
-def _provenance(source: Path, footage: Footage) -> dict[str, object]:
+def _provenance(source: Path, streams: Streams) -> dict[str, object]:
     return {
         "imported_from": source.name,
-        "format": footage.kind,
-        "streams": dict(footage.streams),
-        "depth_unit_origin": footage.rig.unit_origin,
-        "registered_by_import": not footage.rig.registered,
+        "format": streams.kind,
+        "streams": dict(streams.origins),
+        "depth_unit_origin": streams.calibration.unit_origin,
+        "registered_by_import": not streams.calibration.registered,
     }

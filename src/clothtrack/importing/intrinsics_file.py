@@ -1,4 +1,4 @@
-"""A JSON file with the lenses, for sources that do not carry them."""
+"""A JSON file with the intrinsics, for sources that do not carry them."""
 
 import json
 import math
@@ -10,25 +10,25 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.lens import Lens
+from clothtrack.importing.intrinsics import Intrinsics
 
 _LARGEST_FILE = 16 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
-class Intrinsics:
-    """Lenses of a depth camera.
+class IntrinsicsFile:
+    """What the file says.
 
     Attributes:
-        depth: lens of depth.
-        color: lens of colour.
+        depth: intrinsics of the depth pictures.
+        color: intrinsics of the colour pictures.
         color_from_depth: rigid transform, depth camera to colour camera [m].
         fps: pictures per second [1/s], when the file says.
         depth_unit_m: metres per unit of depth [m], when the file says.
     """
 
-    depth: Lens
-    color: Lens
+    depth: Intrinsics
+    color: Intrinsics
     color_from_depth: Float[np.ndarray, "4 4"]
     fps: float | None = None
     depth_unit_m: float | None = None
@@ -52,12 +52,12 @@ def read_json(path: Path) -> Any:
         raise InvalidRecordingError(f"{path}: broken JSON ({error}); correct it") from error
 
 
-def read_intrinsics(path: Path) -> Intrinsics:
-    """The lenses in a JSON file.
+def read_intrinsics(path: Path) -> IntrinsicsFile:
+    """The intrinsics in a JSON file.
 
-    Either one lens for both pictures, which then are registered (`width`, `height` and `fx`, `fy`,
+    Either one set for both pictures, which then are registered (`width`, `height` and `fx`, `fy`,
     `cx`, `cy`; or Open3D's `intrinsic_matrix`, nine numbers by columns), or `depth`, `color` and
-    `color_from_depth`. A lens may have `distortion` and `model` ("brown" or "fisheye").
+    `color_from_depth`. A set may have `distortion` and `model` ("brown" or "fisheye").
 
     Raises:
         InvalidRecordingError: a field is missing or is not what it should be.
@@ -66,14 +66,18 @@ def read_intrinsics(path: Path) -> Intrinsics:
     if not isinstance(content, dict):
         raise InvalidRecordingError(f"{path}: not a JSON object; see docs/import.md")
     if "depth" not in content:
-        lens = _lens(path, content, "")
-        return Intrinsics(
-            lens, lens, np.eye(4), _positive(path, content, "fps"), _depth_scale(path, content)
+        intrinsics = _intrinsics(path, content, "")
+        return IntrinsicsFile(
+            intrinsics,
+            intrinsics,
+            np.eye(4),
+            _positive(path, content, "fps"),
+            _depth_scale(path, content),
         )
-    depth = _lens(path, content["depth"], "depth.")
-    color = _lens(path, content.get("color", content["depth"]), "color.")
+    depth = _intrinsics(path, content["depth"], "depth.")
+    color = _intrinsics(path, content.get("color", content["depth"]), "color.")
     pose = rigid_matrix(f"{path}: color_from_depth", content.get("color_from_depth", np.eye(4)))
-    return Intrinsics(
+    return IntrinsicsFile(
         depth, color, pose, _positive(path, content, "fps"), _depth_scale(path, content)
     )
 
@@ -104,7 +108,7 @@ def rigid_matrix(what: str, value: Any) -> Float[np.ndarray, "4 4"]:
     return matrix
 
 
-def _lens(path: Path, content: Any, place: str) -> Lens:
+def _intrinsics(path: Path, content: Any, place: str) -> Intrinsics:
     if not isinstance(content, dict):
         raise InvalidRecordingError(f"{path}: {place.rstrip('.')} is not an object")
     content = dict(content)
@@ -131,7 +135,7 @@ def _lens(path: Path, content: Any, place: str) -> Lens:
             f'{path}: {place}model is {model!r}; write "brown" or "fisheye"'
         )
     try:
-        lens = Lens(
+        intrinsics = Intrinsics(
             **size,
             **{name: float(value) for name, value in numbers.items()},
             distortion=tuple(map(float, coefficients)),
@@ -139,9 +143,9 @@ def _lens(path: Path, content: Any, place: str) -> Lens:
         )
     except (InvalidRecordingError, OverflowError) as error:
         raise InvalidRecordingError(f"{path}: {place}{error}") from error
-    if not (lens.fx > 0 and lens.fy > 0):
+    if not (intrinsics.fx > 0 and intrinsics.fy > 0):
         raise InvalidRecordingError(f"{path}: {place}fx and fy must be positive pixels")
-    return lens
+    return intrinsics
 
 
 def _positive(path: Path, content: dict[str, Any], name: str) -> float | None:

@@ -10,12 +10,12 @@ import numpy as np
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.importing.containers import TruncatedError
 from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.intrinsics import MOST_PIXELS
 from clothtrack.importing.intrinsics_file import read_intrinsics
-from clothtrack.importing.kinect_calibration import kinect_lenses
-from clothtrack.importing.lens import MOST_PIXELS
+from clothtrack.importing.kinect_calibration import kinect_intrinsics
 from clothtrack.importing.matroska import MAGIC, Matroska, Track
 from clothtrack.importing.packed_pictures import packed_color
-from clothtrack.importing.source import Content, Footage, Rig, Shot
+from clothtrack.importing.source import Content, StereoCalibration, StreamFrame, Streams
 
 _CALIBRATION = "calibration.json"
 _RAW_COLOR = {"NV12": (1.5, cv2.COLOR_YUV2RGB_NV12), "YUY2": (2.0, cv2.COLOR_YUV2RGB_YUY2),
@@ -40,19 +40,19 @@ class KinectSource:
         self._path = path
         self._file = Matroska(path)
         try:
-            self.footage = self._find(options)
+            self.streams = self._find(options)
         except BaseException:
             self.close()
             raise
 
-    def depth(self, shot: Shot) -> Callable[[], Content]:
+    def depth(self, frame: StreamFrame) -> Callable[[], Content]:
         """A function that gives the counts of a depth picture."""
-        data = self._file.fetch(shot.place)
+        data = self._file.fetch(frame.place)
         return partial(_depth, data, self._depth_track.width, self._depth_track.height)
 
-    def color(self, shot: Shot) -> Callable[[], Content]:
+    def color(self, frame: StreamFrame) -> Callable[[], Content]:
         """A function that gives red, green and blue."""
-        data = self._file.fetch(shot.place)
+        data = self._file.fetch(frame.place)
         assert self._color_track is not None
         return partial(_color, data, self._color_track)
 
@@ -60,13 +60,13 @@ class KinectSource:
         """Let go of the file."""
         self._file.close()
 
-    def _find(self, options: ImportOptions) -> Footage:
-        shots: dict[int, list[Shot]] = {}
+    def _find(self, options: ImportOptions) -> Streams:
+        frames: dict[int, list[StreamFrame]] = {}
         for block in self._file.blocks:
-            shots.setdefault(block.track, []).append(Shot(block.time_ns, block))
+            frames.setdefault(block.track, []).append(StreamFrame(block.time_ns, block))
         notes = []
         if self._file.damage:
-            whole = sum(map(len, shots.values()))
+            whole = sum(map(len, frames.values()))
             notes.append(
                 f"the file breaks off or is damaged ({self._file.damage}); {whole} whole pictures "
                 "were saved"
@@ -81,19 +81,19 @@ class KinectSource:
             )
         self._depth_track = depth_track
         self._color_track = None if options.without_color else self._track("COLOR")
-        rig = self._rig(options)
-        color = None if self._color_track is None else shots.get(self._color_track.number, [])
-        streams = {"depth": f"track {depth_track.name}"}
+        calibration = self._calibration(options)
+        color = None if self._color_track is None else frames.get(self._color_track.number, [])
+        origins = {"depth": f"track {depth_track.name}"}
         if self._color_track is not None:
-            streams["colour"] = f"track {self._color_track.name}"
+            origins["colour"] = f"track {self._color_track.name}"
         if options.picker_topic or options.picker_frame or options.gripper_topic:
             notes.append("a Kinect recording has no topics: the picker's path is not in it")
-        return Footage(
+        return Streams(
             kind="Azure Kinect / Orbbec Femto recording (Matroska)",
-            rig=rig,
-            depth=shots.get(depth_track.number, []),
+            calibration=calibration,
+            depth=frames.get(depth_track.number, []),
             color=color,
-            streams=streams,
+            origins=origins,
             notes=notes,
         )
 
@@ -109,30 +109,30 @@ class KinectSource:
                 return track
         return None
 
-    def _rig(self, options: ImportOptions) -> Rig:
+    def _calibration(self, options: ImportOptions) -> StereoCalibration:
         unit, origin = 1e-3, "the format: millimetres"
         if options.depth_unit_m is not None:
             unit, origin = options.depth_unit_m, "given by --depth-unit-m"
         if options.intrinsics is not None:
             given = read_intrinsics(options.intrinsics)
             color = None if self._color_track is None else given.color
-            return Rig(given.depth, color, given.color_from_depth, unit, origin)
+            return StereoCalibration(given.depth, color, given.color_from_depth, unit, origin)
         content = self._file
         name = content.tags.get("K4A_CALIBRATION_FILE", _CALIBRATION)
         text = content.attachments.get(name, content.attachments.get(_CALIBRATION))
         if text is None:
             raise InvalidRecordingError(
-                f"{self._path}: no attached calibration, so the lenses are not known (attached: "
+                f"{self._path}: no attached calibration, so no intrinsics are known (attached: "
                 f"{', '.join(content.attachments) or 'nothing'}); give --intrinsics FILE"
             )
         track = self._color_track
-        depth, color, pose = kinect_lenses(
+        depth, color, pose = kinect_intrinsics(
             self._path,
             text,
             (self._depth_track.width, self._depth_track.height),
             None if track is None else (track.width, track.height),
         )
-        return Rig(depth, color, pose, unit, origin)
+        return StereoCalibration(depth, color, pose, unit, origin)
 
 
 def _depth(data: bytes, width: int, height: int) -> np.ndarray:

@@ -1,8 +1,8 @@
 """The factory calibration of an Azure Kinect or Orbbec Femto, for the modes it was recorded in.
 
-The JSON holds each camera's lens for its full sensor, in shares of the sensor's sides, with the
-first pixel's outer corner at (0, 0). A mode bins and crops the sensor; OpenCV's origin is the first
-pixel's centre. (Modes as in the Azure Kinect Sensor SDK, `mode_specific_calibration.c`.)
+The JSON holds each camera's intrinsics for its full sensor, in shares of the sensor's sides, with
+the first pixel's outer corner at (0, 0). A mode bins and crops the sensor; OpenCV's origin is the
+first pixel's centre. (Modes as in the Azure Kinect Sensor SDK, `mode_specific_calibration.c`.)
 """
 
 import json
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.lens import Lens
+from clothtrack.importing.intrinsics import Intrinsics
 
 # Per picture size: the sensor after binning and the first pixel of the crop, (along x, along y).
 # No two depth modes have the same size: narrow binned, narrow, wide binned, wide.
@@ -37,9 +37,9 @@ _DEPTH_PLACE, _COLOR_PLACE = "CALIBRATION_CameraLocationD0", "CALIBRATION_Camera
 _MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
 
 
-def kinect_lenses(
+def kinect_intrinsics(
     path: Path, text: bytes, depth_size: tuple[int, int], color_size: tuple[int, int] | None
-) -> tuple[Lens, Lens | None, Float[np.ndarray, "4 4"]]:
+) -> tuple[Intrinsics, Intrinsics | None, Float[np.ndarray, "4 4"]]:
     """Lenses of depth and colour and the transform from depth to colour camera [m].
 
     Args:
@@ -58,32 +58,36 @@ def kinect_lenses(
             known = ", ".join(f"{width} x {height}" for width, height in modes)
             raise InvalidRecordingError(
                 f"{path}: {what} pictures of {size[0]} x {size[1]} pixels; the sensor's modes have "
-                f"{known}; give the lenses with --intrinsics FILE"
+                f"{known}; give the intrinsics with --intrinsics FILE"
             )
     try:
         cameras = json.loads(text.split(b"\0")[0])["CalibrationInformation"]["Cameras"]
         by_place = {one["Location"]: one for one in cameras}
-        depth = _lens(by_place[_DEPTH_PLACE], *_DEPTH_MODES[depth_size], depth_size, legacy=False)
+        depth = _intrinsics(
+            by_place[_DEPTH_PLACE], *_DEPTH_MODES[depth_size], depth_size, legacy=False
+        )
         if color_size is None:
             return depth, None, np.eye(4)
-        color = _lens(by_place[_COLOR_PLACE], *_COLOR_MODES[color_size], color_size, legacy=True)
+        color = _intrinsics(
+            by_place[_COLOR_PLACE], *_COLOR_MODES[color_size], color_size, legacy=True
+        )
         pose = _pose(by_place[_COLOR_PLACE]) @ np.linalg.inv(_pose(by_place[_DEPTH_PLACE]))
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
         raise InvalidRecordingError(
             f"{path}: the attached calibration is damaged ({type(error).__name__}: {error}); give "
-            "the lenses with --intrinsics FILE"
+            "the intrinsics with --intrinsics FILE"
         ) from error
     return depth, color, pose
 
 
-def _lens(
+def _intrinsics(
     camera: dict[str, Any],
     binned: tuple[int, int],
     crop: tuple[int, int],
     size: tuple[int, int],
     *,
     legacy: bool,
-) -> Lens:
+) -> Intrinsics:
     intrinsics = camera["Intrinsics"]
     if intrinsics["ModelType"] != _MODEL:
         raise ValueError(f"lens model {intrinsics['ModelType']}")
@@ -94,7 +98,7 @@ def _lens(
         (across, down), (left, above), (full_width, full_height) = _LEGACY
         cx, fx = (cx * across - left) / full_width, fx * across / full_width
         cy, fy = (cy * down - above) / full_height, fy * down / full_height
-    return Lens(
+    return Intrinsics(
         *size,
         fx * binned[0],
         fy * binned[1],

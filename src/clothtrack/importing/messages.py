@@ -24,7 +24,7 @@ from clothtrack.importing.containers import (
     TruncatedError,
     unpack,
 )
-from clothtrack.importing.lens import Lens
+from clothtrack.importing.intrinsics import Intrinsics
 
 _TF = "tf2_msgs/msg/TFMessage"
 _STAMP_BYTES = 12
@@ -93,13 +93,13 @@ def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> i
     return seconds * 10**9 + nanoseconds
 
 
-def lens_of(topic: str, info: Any, *, rectified: bool) -> Lens:
-    """The lens that a CameraInfo describes.
+def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
+    """The intrinsics that a CameraInfo describes.
 
     Args:
         topic: where it came from, for the error.
         info: the message.
-        rectified: the pictures are rectified, so its projection matrix counts, not its lens.
+        rectified: the pictures are rectified, so its projection matrix counts, not its distortion.
 
     Raises:
         InvalidRecordingError: the model is unknown or a number impossible.
@@ -128,7 +128,7 @@ def lens_of(topic: str, info: Any, *, rectified: bool) -> Lens:
             "give --intrinsics FILE"
         )
     try:
-        return Lens(
+        return Intrinsics(
             int(info.width), int(info.height), fx, fy, cx, cy,
             tuple(coefficients.tolist()) if distorted else (),
             fisheye=distorted and model in _FISHEYE,

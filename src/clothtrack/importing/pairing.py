@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.source import Shot
+from clothtrack.importing.source import StreamFrame
 
 _LONE_TOLERANCE_NS = 20e6
 
@@ -16,8 +16,8 @@ _LONE_TOLERANCE_NS = 20e6
 class Pair:
     """A moment: its depth picture and, unless there is no colour at all, its colour picture."""
 
-    depth: Shot
-    color: Shot | None
+    depth: StreamFrame
+    color: StreamFrame | None
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,10 @@ class Pairing:
 
 
 def pair(
-    path: Path, depth: Sequence[Shot], color: Sequence[Shot] | None, tolerance_s: float | None
+    path: Path,
+    depth: Sequence[StreamFrame],
+    color: Sequence[StreamFrame] | None,
+    tolerance_s: float | None,
 ) -> Pairing:
     """Pair depth and colour by time stamp.
 
@@ -63,7 +66,7 @@ def pair(
         raise InvalidRecordingError(
             f"{path}: not one whole depth picture; record it again or name another --depth-topic"
         )
-    ordered = sorted(depth, key=lambda shot: shot.time_ns)
+    ordered = sorted(depth, key=lambda frame: frame.time_ns)
     single = [one for k, one in enumerate(ordered) if not k or one.time_ns > ordered[k - 1].time_ns]
     doubles = len(ordered) - len(single)
     times = np.array([one.time_ns for one in single])
@@ -75,7 +78,7 @@ def pair(
         raise InvalidRecordingError(
             f"{path}: not one whole colour picture; give --without-color to import depth alone"
         )
-    others = sorted(color, key=lambda shot: shot.time_ns)
+    others = sorted(color, key=lambda frame: frame.time_ns)
     other_times = np.array([one.time_ns for one in others])
     mine, yours = _nearest(times, other_times), _nearest(other_times, times)
     apart = np.abs(times - other_times[mine])

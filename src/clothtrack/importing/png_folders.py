@@ -13,10 +13,10 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.importing.containers import MOST_BYTES, TruncatedError
 from clothtrack.importing.images import png_depth
 from clothtrack.importing.import_options import ImportOptions
-from clothtrack.importing.intrinsics_file import Intrinsics, read_intrinsics, read_json
-from clothtrack.importing.lens import Lens
+from clothtrack.importing.intrinsics import Intrinsics
+from clothtrack.importing.intrinsics_file import IntrinsicsFile, read_intrinsics, read_json
 from clothtrack.importing.packed_pictures import packed_color, packed_depth
-from clothtrack.importing.source import Content, Footage, Rig, Shot
+from clothtrack.importing.source import Content, StereoCalibration, StreamFrame, Streams
 
 _DEPTH_FOLDERS = ("depth",)
 _COLOR_FOLDERS = ("rgb", "color", "image", "images")
@@ -35,10 +35,10 @@ class FolderSource:
     """A folder with depth pictures, perhaps colour pictures, and what says how to read them."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
-        """List the pictures and read lenses, unit and times.
+        """List the pictures and read intrinsics, unit and times.
 
         Raises:
-            InvalidRecordingError: a lens, the unit of depth or the times are not known.
+            InvalidRecordingError: the intrinsics, the unit of depth or the times are not known.
         """
         self._path = path
         self._size_limit = MOST_BYTES
@@ -50,27 +50,27 @@ class FolderSource:
             depth, color, notes = self._numbered(options)
         if options.without_color:
             color = None
-        rig = self._rig(options, with_color=color is not None)
+        calibration = self._calibration(options, with_color=color is not None)
         if options.picker_topic or options.picker_frame or options.gripper_topic:
             notes.append("a folder has no topics: give the picker's path with --picker-csv")
-        streams = {"depth": f"{len(depth)} files"}
+        origins = {"depth": f"{len(depth)} files"}
         if color is not None:
-            streams["colour"] = f"{len(color)} files"
-        self.footage = Footage(kind, rig, depth, color, streams, notes)
+            origins["colour"] = f"{len(color)} files"
+        self.streams = Streams(kind, calibration, depth, color, origins, notes)
 
-    def depth(self, shot: Shot) -> Callable[[], Content]:
+    def depth(self, frame: StreamFrame) -> Callable[[], Content]:
         """A function that gives the counts of a depth picture."""
-        return partial(packed_depth, self._bytes(shot))
+        return partial(packed_depth, self._bytes(frame))
 
-    def color(self, shot: Shot) -> Callable[[], Content]:
+    def color(self, frame: StreamFrame) -> Callable[[], Content]:
         """A function that gives red, green and blue."""
-        return partial(packed_color, self._bytes(shot))
+        return partial(packed_color, self._bytes(frame))
 
     def close(self) -> None:
         """Nothing is kept open."""
 
-    def _bytes(self, shot: Shot) -> bytes:
-        path: Path = shot.place
+    def _bytes(self, frame: StreamFrame) -> bytes:
+        path: Path = frame.place
         try:
             if not path.is_file() or path.stat().st_size > self._size_limit:
                 raise TruncatedError(f"{path.name} is missing or too large")
@@ -78,7 +78,7 @@ class FolderSource:
         except OSError as error:
             raise TruncatedError(f"{path.name}: {error.strerror}") from error
 
-    def _tum(self) -> tuple[list[Shot], list[Shot] | None, list[str]]:
+    def _tum(self) -> tuple[list[StreamFrame], list[StreamFrame] | None, list[str]]:
         notes: list[str] = []
         depth = self._listed(self._path / "depth.txt", notes)
         color = None
@@ -86,9 +86,9 @@ class FolderSource:
             color = self._listed(self._path / "rgb.txt", notes)
         return depth, color, notes
 
-    def _listed(self, path: Path, notes: list[str]) -> list[Shot]:
+    def _listed(self, path: Path, notes: list[str]) -> list[StreamFrame]:
         """The lines `seconds file` of a list; `#` starts a remark."""
-        shots, skipped = [], 0
+        frames, skipped = [], 0
         root = self._path.resolve()
         try:
             with path.open(encoding="utf-8") as lines:
@@ -101,14 +101,16 @@ class FolderSource:
                     if len(words) < 2 or time_ns is None or not _lies_in(root, file):
                         skipped += 1
                         continue
-                    shots.append(Shot(time_ns, file))
+                    frames.append(StreamFrame(time_ns, file))
         except (OSError, ValueError) as error:
             raise InvalidRecordingError(f"{path}: cannot be read ({error}); correct it") from error
         if skipped:
             notes.append(f"{path.name}: {skipped} lines are not `seconds file`, left out")
-        return shots
+        return frames
 
-    def _numbered(self, options: ImportOptions) -> tuple[list[Shot], list[Shot] | None, list[str]]:
+    def _numbered(
+        self, options: ImportOptions
+    ) -> tuple[list[StreamFrame], list[StreamFrame] | None, list[str]]:
         depth_files = _pictures(self._path, _DEPTH_FOLDERS)
         color_files = _pictures(self._path, _COLOR_FOLDERS)
         fps = options.fps or self._fps()
@@ -120,10 +122,10 @@ class FolderSource:
         stems = sorted({one.stem for one in depth_files} | {one.stem for one in color_files or ()},
                        key=_natural)  # fmt: skip
         times = {stem: round(1e9 * number / fps) for number, stem in enumerate(stems)}
-        depth = [Shot(times[one.stem], one) for one in depth_files]
+        depth = [StreamFrame(times[one.stem], one) for one in depth_files]
         color = None
         if color_files is not None:
-            color = [Shot(times[one.stem], one) for one in color_files]
+            color = [StreamFrame(times[one.stem], one) for one in color_files]
         return depth, color, [f"no time stamps: pictures taken as {fps:g} per second"]
 
     def _fps(self) -> float | None:
@@ -135,7 +137,7 @@ class FolderSource:
             (self._path / name for name in _INTRINSICS if (self._path / name).is_file()), None
         )
 
-    def _rig(self, options: ImportOptions, *, with_color: bool) -> Rig:
+    def _calibration(self, options: ImportOptions, *, with_color: bool) -> StereoCalibration:
         unit, origin = options.depth_unit_m, "given by --depth-unit-m"
         file = options.intrinsics or self._intrinsics_file()
         if file is not None:
@@ -148,7 +150,7 @@ class FolderSource:
                 unit, origin = scale_m, f"depth_scale in {_BOP}"
         else:
             raise InvalidRecordingError(
-                f"{self._path}: no lens (looked for {', '.join((*_INTRINSICS, _BOP))}); give "
+                f"{self._path}: no intrinsics (looked for {', '.join((*_INTRINSICS, _BOP))}); give "
                 "--intrinsics FILE"
             )
         if unit is None:
@@ -157,10 +159,10 @@ class FolderSource:
                 "(0.001 for millimetres, 0.0002 for the data sets of TUM)"
             )
         color = given.color if with_color else None
-        return Rig(given.depth, color, given.color_from_depth, unit, origin)
+        return StereoCalibration(given.depth, color, given.color_from_depth, unit, origin)
 
-    def _bop(self) -> tuple[Intrinsics, float]:
-        """Lens and unit [m] of `scene_camera.json`, the same for every picture."""
+    def _bop(self) -> tuple[IntrinsicsFile, float]:
+        """Intrinsics and unit [m] of `scene_camera.json`, the same for every picture."""
         path = self._path / _BOP
         content = read_json(path)
         entries = list(content.values()) if isinstance(content, dict) else []
@@ -176,15 +178,15 @@ class FolderSource:
             )
         fx, fy, cx, cy, scale = numbers[0]
         width, height = self._first_size()
-        lens = Lens(width, height, fx, fy, cx, cy)
+        intrinsics = Intrinsics(width, height, fx, fy, cx, cy)
         if not (fx > 0 and fy > 0 and 0 < scale < 1e6):
             raise InvalidRecordingError(f"{path}: cam_K or depth_scale is not positive; correct it")
-        return Intrinsics(lens, lens, np.eye(4)), scale * 1e-3
+        return IntrinsicsFile(intrinsics, intrinsics, np.eye(4)), scale * 1e-3
 
     def _first_size(self) -> tuple[int, int]:
         for file in _pictures(self._path, _DEPTH_FOLDERS):
             try:
-                height, width = png_depth(self._bytes(Shot(0, file))).shape
+                height, width = png_depth(self._bytes(StreamFrame(0, file))).shape
             except TruncatedError:
                 continue
             return width, height

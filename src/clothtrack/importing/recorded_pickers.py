@@ -13,14 +13,14 @@ from clothtrack.importing.picker_paths import (
     read_path_table,
     told_actions,
 )
-from clothtrack.importing.source import Footage
+from clothtrack.importing.source import Streams
 from clothtrack.recordings.recording import PickAndPlace, PickerPath
 from clothtrack.recordings.store import RecordingWriter
 
 
 def placed_paths(
     source: Path,
-    footage: Footage,
+    streams: Streams,
     table: Path | None,
     clock: str,
     *,
@@ -32,7 +32,7 @@ def placed_paths(
 
     Args:
         source: the source, for errors.
-        footage: what the source holds, its paths among it.
+        streams: what the source holds, its paths among it.
         table: CSV file with a path, in the world.
         clock: "recording" or "source", the clock of that file.
         pose: world_from_camera.
@@ -42,7 +42,7 @@ def placed_paths(
     Raises:
         InvalidConfigError: nothing ties a path to the world, or it and the frames do not meet.
     """
-    span = [0.0, (max(one.time_ns for one in footage.depth) - start_ns) / 1e9]
+    span = [0.0, (max(one.time_ns for one in streams.depth) - start_ns) / 1e9]
     if table is not None:
         paths = read_path_table(table)
         moved = on_recording_clock(
@@ -53,23 +53,23 @@ def placed_paths(
         )  # fmt: skip
         frame = "the world" if posed else "the camera's frame, which stands in for the world"
         return moved, [f"the path in {table.name} was taken to be in {frame}"]
-    if not footage.paths:
+    if not streams.paths:
         return {}, []
     notes = []
-    paths = dict(footage.paths)
-    if footage.path_frame == "camera":
+    paths = dict(streams.paths)
+    if streams.path_frame == "camera":
         paths = {name: _moved(path, pose) for name, path in paths.items()}
-    elif footage.path_frame != "world":
+    elif streams.path_frame != "world":
         if not posed:
             raise InvalidConfigError(
-                f"{source}: the picker's path is in frame {footage.path_frame}, and nothing ties "
+                f"{source}: the picker's path is in frame {streams.path_frame}, and nothing ties "
                 "that to the camera; give the camera's pose in it: --world-from-camera FILE, or "
                 "--world-frame where TF knows both"
             )
         notes.append(
-            f"the picker's path in frame {footage.path_frame} was taken to be in the world"
+            f"the picker's path in frame {streams.path_frame} was taken to be in the world"
         )
-    start_s = (start_ns - footage.path_start_ns) / 1e9
+    start_s = (start_ns - streams.path_start_ns) / 1e9
     return on_recording_clock(paths, start_s, span, "record both with the same clock"), notes
 
 

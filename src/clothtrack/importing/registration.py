@@ -7,9 +7,9 @@ import warp as wp
 from jaxtyping import UInt8, UInt16
 
 from clothtrack.importing.containers import TruncatedError
-from clothtrack.importing.lens import Lens
+from clothtrack.importing.intrinsics import Intrinsics
 from clothtrack.importing.registration_kernels import FARTHEST, splat
-from clothtrack.importing.source import Rig
+from clothtrack.importing.source import StereoCalibration
 
 
 class Registration:
@@ -22,54 +22,56 @@ class Registration:
     Pictures that are registered already pass through, bit by bit.
     """
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, calibration: StereoCalibration) -> None:
         """Prepare the rays of every pixel once."""
-        self._rig = rig
-        self.lens: Lens = (rig.color or rig.depth).rectified()
-        self.carried = not rig.registered
+        self._calibration = calibration
+        self.intrinsics: Intrinsics = (calibration.color or calibration.depth).rectified()
+        self.carried = not calibration.registered
         self._lock = threading.Lock()
         if self.carried:
-            rays = rig.depth.corner_rays()
+            rays = calibration.depth.corner_rays()
             ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
-            # The lens is in there already: pixels times depth, and depth, in units.
-            project = self.lens.matrix @ rig.color_from_depth[:3]
-            shift = project[:, 3] / rig.depth_unit_m
+            # The intrinsics are in there already: pixels times depth, and depth, in units.
+            project = self.intrinsics.matrix @ calibration.color_from_depth[:3]
+            shift = project[:, 3] / calibration.depth_unit_m
             self._shift = wp.vec3(*shift.tolist())
             with np.errstate(over="ignore", invalid="ignore"):
                 corners = (ahead @ project[:, :3].T).astype(np.float32)
             self._corners = wp.array(corners, dtype=wp.vec3, device="cpu")
-            self._painted = np.empty((self.lens.height, self.lens.width), dtype=np.int32)
+            self._painted = np.empty(
+                (self.intrinsics.height, self.intrinsics.width), dtype=np.int32
+            )
             self._pixels = wp.array(self._painted.ravel(), device="cpu", copy=False)
 
     def keeps_depth(self, size: tuple[int, int]) -> bool:
         """Whether depth pictures of this width and height pass through.
 
         Raises:
-            TruncatedError: they have another size than their lens.
+            TruncatedError: they have another size than their intrinsics.
         """
-        _check_size(size, self._rig.depth)
-        return not self.carried and self._rig.depth.straight
+        _check_size(size, self._calibration.depth)
+        return not self.carried and self._calibration.depth.straight
 
     def keeps_color(self, size: tuple[int, int]) -> bool:
         """Whether colour pictures of this width and height pass through.
 
         Raises:
-            TruncatedError: they have another size than their lens.
+            TruncatedError: they have another size than their intrinsics.
         """
-        lens = self._rig.color or self._rig.depth
-        _check_size(size, lens)
-        return lens.straight
+        intrinsics = self._calibration.color or self._calibration.depth
+        _check_size(size, intrinsics)
+        return intrinsics.straight
 
     def depth(self, counts: UInt16[np.ndarray, "_ _"]) -> UInt16[np.ndarray, "_ _"]:
         """The depth picture of the recording's camera, in the same units.
 
         Raises:
-            TruncatedError: the picture has another size than its lens.
+            TruncatedError: the picture has another size than its intrinsics.
         """
-        lens = self._rig.depth
-        _check_size(counts.shape[1::-1], lens)
+        intrinsics = self._calibration.depth
+        _check_size(counts.shape[1::-1], intrinsics)
         if not self.carried:
-            return lens.straighten(counts, nearest=True)
+            return intrinsics.straighten(counts, nearest=True)
         # One launch at a time: the buffers are shared, and Warp does not like several threads.
         with self._lock:
             self._painted.fill(FARTHEST)
@@ -80,8 +82,8 @@ class Registration:
                     wp.array(np.ascontiguousarray(counts), device="cpu", copy=False),
                     self._corners,
                     self._shift,
-                    self.lens.width,
-                    self.lens.height,
+                    self.intrinsics.width,
+                    self.intrinsics.height,
                     self._pixels,
                 ],
                 device="cpu",
@@ -93,16 +95,17 @@ class Registration:
         """The colour picture without distortion.
 
         Raises:
-            TruncatedError: the picture has another size than its lens.
+            TruncatedError: the picture has another size than its intrinsics.
         """
-        lens = self._rig.color or self._rig.depth
-        _check_size(picture.shape[1::-1], lens)
-        return lens.straighten(picture)
+        intrinsics = self._calibration.color or self._calibration.depth
+        _check_size(picture.shape[1::-1], intrinsics)
+        return intrinsics.straighten(picture)
 
 
-def _check_size(size: tuple[int, ...], lens: Lens) -> None:
-    if size != lens.size:
+def _check_size(size: tuple[int, ...], intrinsics: Intrinsics) -> None:
+    if size != intrinsics.size:
         raise TruncatedError(
-            f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are for {lens.width} x "
-            f"{lens.height}; give those of this size with --intrinsics FILE"
+            f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are for "
+            f"{intrinsics.width} x {intrinsics.height}; give those of this size with "
+            "--intrinsics FILE"
         )

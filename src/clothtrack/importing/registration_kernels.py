@@ -81,8 +81,8 @@ def splat(
 
     Args:
         counts: depth [units].
-        corners: rays through the corners of the pixels, times rotation and the other lens.
-        shift: translation to the other camera, times its lens [units].
+        corners: rays through the corners of the pixels, times rotation and the other intrinsics.
+        shift: translation to the other camera, times its intrinsics [units].
         width: of the other picture [pixels].
         height: of the other picture [pixels].
         painted: its pixels, FARTHEST at first.

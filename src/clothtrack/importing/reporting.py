@@ -8,14 +8,14 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.importing.import_report import ImportReport
 from clothtrack.importing.pairing import Pairing
 from clothtrack.importing.registration import Registration
-from clothtrack.importing.source import Footage
+from clothtrack.importing.source import Streams
 from clothtrack.recordings.recording import PickAndPlace, PickerPath
 
 
 def report_of(
     source: Path,
     folder: Path,
-    footage: Footage,
+    streams: Streams,
     pairing: Pairing,
     registration: Registration,
     *,
@@ -34,7 +34,7 @@ def report_of(
     return ImportReport(
         recording=folder,
         source=source,
-        kind=footage.kind,
+        kind=streams.kind,
         frames=len(times),
         duration_s=duration,
         frames_per_s=(len(times) - 1) / duration if duration > 0 else 0.0,
@@ -42,18 +42,18 @@ def report_of(
             f"{camera.name}, {camera.width} x {camera.height}, fx {camera.fx:.1f}"
             + ("" if posed else ", pose not known: its frame stands in for the world")
         ),
-        streams=footage.streams,
-        depth_unit_m=footage.rig.depth_unit_m,
-        depth_unit_origin=footage.rig.unit_origin,
-        registration=_registration(footage, registration),
+        streams=streams.origins,
+        depth_unit_m=streams.calibration.depth_unit_m,
+        depth_unit_origin=streams.calibration.unit_origin,
+        registration=_registration(streams, registration),
         tolerance_s=pairing.tolerance_s,
         worst_apart_s=pairing.worst_s,
         dropped=_dropped(pairing, damaged),
-        notes=[*footage.notes, *notes],
+        notes=[*streams.notes, *notes],
         pickers={name: len(path.time_s) for name, path in paths.items()},
         actions=[(one.first_frame, one.last_frame) for one in actions],
         missing=_missing(
-            folder, footage, pickers=bool(paths), actions=bool(actions), posed=posed,
+            folder, streams, pickers=bool(paths), actions=bool(actions), posed=posed,
             table=table, color_named=color_named,
         ),
         next_command=(
@@ -69,13 +69,13 @@ def _aside(pickers: object) -> str:
     return " --output camera.json" if pickers else ""
 
 
-def _registration(footage: Footage, registration: Registration) -> str:
-    rig = footage.rig
+def _registration(streams: Streams, registration: Registration) -> str:
+    calibration = streams.calibration
     if registration.carried:
         return "depth carried to the colour camera, nearest wins, uncovered pixels 0"
-    if not rig.depth.straight:
+    if not calibration.depth.straight:
         return "none needed; distortion taken out"
-    return "none needed" if rig.color is not None else "none needed: no colour"
+    return "none needed" if calibration.color is not None else "none needed: no colour"
 
 
 def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
@@ -98,7 +98,7 @@ def _dropped(pairing: Pairing, damaged: Counter[str]) -> list[str]:
 
 def _missing(
     folder: Path,
-    footage: Footage,
+    streams: Streams,
     *,
     pickers: bool,
     actions: bool,
@@ -129,6 +129,6 @@ def _missing(
             "actions: the path never closes; import again with --gripper-topic, a column `closed`, "
             "or --actions FIRST-LAST"
         )
-    if footage.color is not None and not color_named:
+    if streams.color is not None and not color_named:
         missing.append("the cloth's colour: --cloth-color NAME, or cloth.color in recording.json")
     return missing

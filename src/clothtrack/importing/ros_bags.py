@@ -1,4 +1,4 @@
-"""ROS 1, ROS 2 and RealSense bags as a source: which topics, which lenses, which unit of depth."""
+"""ROS 1, ROS 2 and RealSense bags as a source: topics, intrinsics, unit of depth."""
 
 import re
 from collections.abc import Callable
@@ -16,11 +16,11 @@ from clothtrack.importing.bag_pickers import bag_paths
 from clothtrack.importing.bag_walk import frame_of, open_parts, walk
 from clothtrack.importing.containers import Container, Topic, TruncatedError
 from clothtrack.importing.import_options import ImportOptions
+from clothtrack.importing.intrinsics import Intrinsics
 from clothtrack.importing.intrinsics_file import read_intrinsics
-from clothtrack.importing.lens import Lens
-from clothtrack.importing.messages import decode, lens_of, payload
+from clothtrack.importing.messages import decode, intrinsics_of, payload
 from clothtrack.importing.packed_pictures import packed_color, packed_depth
-from clothtrack.importing.source import Content, Footage, Rig, Shot
+from clothtrack.importing.source import Content, StereoCalibration, StreamFrame, Streams
 from clothtrack.importing.topics import (
     COMPRESSED,
     base_name,
@@ -49,7 +49,7 @@ class BagSource:
         """Walk through the bag, choose topics and read what is known of the cameras.
 
         Raises:
-            InvalidRecordingError: it cannot be read, or a topic, lens, pose or unit is missing.
+            InvalidRecordingError: it cannot be read, or topic, intrinsics, pose or unit is missing.
             InvalidConfigError: what is asked for contradicts the bag.
         """
         self._path = path
@@ -70,21 +70,21 @@ class BagSource:
                 else choose_color(path, self._walk.topics, self._depth_topic, options.color_topic)
             )
             self._encoding = self._first_encoding()
-            self._rig = self._find_rig(options)
-            self.footage = self._find_footage(words, options)
+            self._calibration = self._find_calibration(options)
+            self.streams = self._find_streams(words, options)
         except BaseException:
             self.close()
             raise
 
-    def depth(self, shot: Shot) -> Callable[[], Content]:
+    def depth(self, frame: StreamFrame) -> Callable[[], Content]:
         """A function that gives the counts of a depth picture."""
-        data = payload(self._parts[shot.place.part], shot.place)
-        return partial(_decode_depth, self._depth_topic, data, self._rig.depth_unit_m)
+        data = payload(self._parts[frame.place.part], frame.place)
+        return partial(_decode_depth, self._depth_topic, data, self._calibration.depth_unit_m)
 
-    def color(self, shot: Shot) -> Callable[[], Content]:
+    def color(self, frame: StreamFrame) -> Callable[[], Content]:
         """A function that gives red, green and blue."""
         assert self._color_topic is not None
-        data = payload(self._parts[shot.place.part], shot.place)
+        data = payload(self._parts[frame.place.part], frame.place)
         return partial(_decode_color, self._color_topic, data)
 
     def close(self) -> None:
@@ -92,22 +92,22 @@ class BagSource:
         for part in self._parts:
             part.close()
 
-    def _first(self, topic: Topic) -> tuple[Container, Shot]:
-        shots = self._walk.shots.get(topic.name)
-        if not shots:
+    def _first(self, topic: Topic) -> tuple[Container, StreamFrame]:
+        frames = self._walk.frames.get(topic.name)
+        if not frames:
             lost = "".join(f" ({one})" for one in self._walk.lost)
             raise InvalidRecordingError(
                 f"{self._path}: not one whole picture of {topic.name}{lost}; record it again, or "
                 "name another topic with --depth-topic or --color-topic"
             )
-        return self._parts[shots[0].place.part], shots[0]
+        return self._parts[frames[0].place.part], frames[0]
 
     def _first_encoding(self) -> str:
         """How depth is encoded, from the first picture that can be read."""
         self._first(self._depth_topic)
-        for shot in self._walk.shots[self._depth_topic.name]:
+        for frame in self._walk.frames[self._depth_topic.name]:
             try:
-                data = payload(self._parts[shot.place.part], shot.place)
+                data = payload(self._parts[frame.place.part], frame.place)
                 message = decode(self._depth_topic, data)
             except TruncatedError:
                 continue
@@ -118,22 +118,24 @@ class BagSource:
             "topic with --depth-topic"
         )
 
-    def _find_rig(self, options: ImportOptions) -> Rig:
+    def _find_calibration(self, options: ImportOptions) -> StereoCalibration:
         unit_m, origin = self._find_unit(options)
         if options.intrinsics is not None:
             given = read_intrinsics(options.intrinsics)
             color = None if self._color_topic is None else given.color
-            return Rig(given.depth, color, given.color_from_depth, unit_m, origin)
-        depth = self._find_lens(self._depth_topic)
+            return StereoCalibration(given.depth, color, given.color_from_depth, unit_m, origin)
+        depth = self._find_intrinsics(self._depth_topic)
         if self._color_topic is None:
-            return Rig(depth, None, np.eye(4), unit_m, origin)
+            return StereoCalibration(depth, None, np.eye(4), unit_m, origin)
         try:
             pose = self._find_pose(self._depth_topic, self._color_topic)
         except TruncatedError as error:
             raise InvalidRecordingError(
                 f"{self._path}: {error}; give the pose with --intrinsics FILE"
             ) from error
-        return Rig(depth, self._find_lens(self._color_topic), pose, unit_m, origin)
+        return StereoCalibration(
+            depth, self._find_intrinsics(self._color_topic), pose, unit_m, origin
+        )
 
     def _find_unit(self, options: ImportOptions) -> tuple[float, str]:
         if options.depth_unit_m is not None:
@@ -154,7 +156,7 @@ class BagSource:
             "a unit is; give --depth-unit-m (0.001 for millimetres)"
         )
 
-    def _find_lens(self, image: Topic) -> Lens:
+    def _find_intrinsics(self, image: Topic) -> Intrinsics:
         topic = info_topic(self._walk.topics, image)
         if topic is None or topic.name not in self._walk.infos:
             known = ", ".join(sorted(self._walk.infos)) or "none"
@@ -164,7 +166,7 @@ class BagSource:
             )
         last = base_name(image.name).rpartition("/")[2]
         rectified = "rect" in last and "/device_" not in image.name
-        return lens_of(topic.name, self._walk.infos[topic.name], rectified=rectified)
+        return intrinsics_of(topic.name, self._walk.infos[topic.name], rectified=rectified)
 
     def _find_pose(self, depth: Topic, color: Topic) -> Float[np.ndarray, "4 4"]:
         text = realsense.color_from_depth(self._walk.heard, depth, color)
@@ -174,34 +176,34 @@ class BagSource:
         if here == there and not realsense.is_stream(depth):
             return np.eye(4)
         if here and there and self._walk.tree.connects(there, here):
-            _, shot = self._first(depth)
-            return self._walk.tree.lookup(there, here, np.array([shot.time_ns]))[0]
+            _, frame = self._first(depth)
+            return self._walk.tree.lookup(there, here, np.array([frame.time_ns]))[0]
         raise TruncatedError(
             f"depth is in frame {here!r} and colour in frame {there!r}, and no TF ties them"
         )
 
     def _frame(self, topic: Topic) -> str:
-        container, shot = self._first(topic)
-        return frame_of(container, topic, shot.place)
+        container, frame = self._first(topic)
+        return frame_of(container, topic, frame.place)
 
-    def _find_footage(self, words: str, options: ImportOptions) -> Footage:
+    def _find_streams(self, words: str, options: ImportOptions) -> Streams:
         color = self._color_topic
-        streams = {"depth": self._depth_topic.name}
+        origins = {"depth": self._depth_topic.name}
         if color is not None:
             self._first(color)
-            streams["colour"] = color.name
+            origins["colour"] = color.name
         camera_frame = self._frame(color or self._depth_topic)
         world = None
         if options.world_frame is not None:
             world = self._world_from_camera(camera_frame, options.world_frame)
         found = bag_paths(self._path, self._walk, options, camera_frame)
         recorder = " of the RealSense SDK" if realsense.is_stream(self._depth_topic) else ""
-        return Footage(
+        return Streams(
             kind=words + recorder,
-            rig=self._rig,
-            depth=self._walk.shots[self._depth_topic.name],
-            color=None if color is None else self._walk.shots[color.name],
-            streams={**streams, **found.streams},
+            calibration=self._calibration,
+            depth=self._walk.frames[self._depth_topic.name],
+            color=None if color is None else self._walk.frames[color.name],
+            origins={**origins, **found.streams},
             notes=[*self._walk.lost, *found.notes],
             paths=found.paths,
             path_frame=found.frame,
@@ -216,8 +218,8 @@ class BagSource:
                 f"{self._path}: no TF ties the camera's frame {camera!r} to --world-frame "
                 f"{world!r}; frames: {', '.join(tree.frames) or 'none'}"
             )
-        _, shot = self._first(self._color_topic or self._depth_topic)
-        return tree.lookup(world, camera, np.array([shot.time_ns]))[0]
+        _, frame = self._first(self._color_topic or self._depth_topic)
+        return tree.lookup(world, camera, np.array([frame.time_ns]))[0]
 
 
 def _decode_depth(topic: Topic, data: bytes, unit_m: float) -> Content:

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.importing.lens import Lens
+from clothtrack.importing.intrinsics import Intrinsics
 from clothtrack.importing.packed_pictures import PackedPicture
 from clothtrack.recordings.recording import PickerPath
 
@@ -16,7 +16,7 @@ Content = np.ndarray | PackedPicture
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class StreamFrame:
     """One picture: when it was taken on the source's clock [ns], and where the source has it."""
 
     time_ns: int
@@ -24,19 +24,19 @@ class Shot:
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
-    """The two lenses of a depth camera and how they stand to each other.
+class StereoCalibration:
+    """The intrinsics of a depth camera's two sensors and how the sensors stand to each other.
 
     Attributes:
-        depth: lens of the depth pictures.
-        color: lens of the colour pictures, or None without colour.
+        depth: intrinsics of the depth pictures.
+        color: intrinsics of the colour pictures, or None without colour.
         color_from_depth: rigid transform, depth camera to colour camera [m].
         depth_unit_m: metres per unit of the depth pictures.
         unit_origin: where the unit comes from, in words.
     """
 
-    depth: Lens
-    color: Lens | None
+    depth: Intrinsics
+    color: Intrinsics | None
     color_from_depth: Float[np.ndarray, "4 4"]
     depth_unit_m: float
     unit_origin: str
@@ -51,15 +51,15 @@ class Rig:
 
 
 @dataclass(frozen=True, eq=False)
-class Footage:
+class Streams:
     """What a source holds.
 
     Attributes:
         kind: the format in words ("ROS 1 bag").
-        rig: lenses and unit of depth.
+        calibration: intrinsics and unit of depth.
         depth: every whole depth picture.
         color: every whole colour picture; None without a colour stream.
-        streams: which topic, track or folder each thing came from.
+        origins: which topic, track or folder each thing came from.
         notes: what was lost or left out, in words.
         paths: where pickers were, in `path_frame`; times [s] count from `path_start_ns`.
         path_frame: name of the frame of `paths`, in words.
@@ -68,10 +68,10 @@ class Footage:
     """
 
     kind: str
-    rig: Rig
-    depth: Sequence[Shot]
-    color: Sequence[Shot] | None
-    streams: Mapping[str, str]
+    calibration: StereoCalibration
+    depth: Sequence[StreamFrame]
+    color: Sequence[StreamFrame] | None
+    origins: Mapping[str, str]
     notes: Sequence[str] = ()
     paths: Mapping[str, PickerPath] = field(default_factory=dict)
     path_frame: str = ""
@@ -84,11 +84,11 @@ class Source(Protocol):
     """An opened source. `depth` and `color` take bytes now; what they return does the work."""
 
     @property
-    def footage(self) -> Footage:
+    def streams(self) -> Streams:
         """What the source holds."""
         ...
 
-    def depth(self, shot: Shot) -> Callable[[], Content]:
+    def depth(self, frame: StreamFrame) -> Callable[[], Content]:
         """A function that gives the counts of a depth picture; may be called in another thread.
 
         Raises:
@@ -96,7 +96,7 @@ class Source(Protocol):
         """
         ...
 
-    def color(self, shot: Shot) -> Callable[[], Content]:
+    def color(self, frame: StreamFrame) -> Callable[[], Content]:
         """A function that gives red, green and blue; may be called in another thread.
 
         Raises:

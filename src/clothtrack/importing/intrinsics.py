@@ -1,4 +1,4 @@
-"""Lenses of other programs: pinhole with distortion, and the straight pinhole that replaces it."""
+"""Intrinsics of other programs' cameras: the pinhole, with distortion or without."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +20,7 @@ _WIDEST_RAY = 100.0  # tangent of the angle to the axis: less than a degree from
 
 
 @dataclass(frozen=True)
-class Lens:
+class Intrinsics:
     """How a camera maps directions to pixels, distortion included; pixel centres at integers.
 
     Attributes:
@@ -44,7 +44,7 @@ class Lens:
     fisheye: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be a lens.
+        """Refuse what cannot be intrinsics.
 
         Raises:
             InvalidRecordingError: with the value and the limit.
@@ -81,7 +81,7 @@ class Lens:
         """Width and height [pixels]."""
         return self.width, self.height
 
-    def rectified(self) -> "Lens":
+    def rectified(self) -> "Intrinsics":
         """The pinhole with the same focal lengths and centre, without distortion."""
         return replace(self, distortion=(), fisheye=False)
 
@@ -91,7 +91,7 @@ class Lens:
             name, self.width, self.height, self.fx, self.fy, self.cx, self.cy, world_from_camera
         )
 
-    def same_pixels(self, other: "Lens") -> bool:
+    def same_pixels(self, other: "Intrinsics") -> bool:
         """Whether both map every direction to the same pixel (to a thousandth of a pixel)."""
         if self.size != other.size or self.straight != other.straight:
             return False
