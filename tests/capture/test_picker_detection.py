@@ -15,7 +15,6 @@ from clothtrack.capture.picker_detection import (
     tip_members,
 )
 from clothtrack.capture.picker_motion import (
-    PickerConfig,
     closed_by_gap,
     closed_by_rest,
     without_jumps,
@@ -34,8 +33,6 @@ from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, top_down_camera
 from clothtrack.world.tool import Tool
 
-CONFIG = PickerConfig()
-
 
 def visit(heights):
     """A path over one spot at these heights [m], all of one visit."""
@@ -49,21 +46,21 @@ UP, DOWN = 0.1, 0.005
 
 def test_a_pick_is_where_the_tip_comes_to_rest_and_a_release_where_it_leaves():
     heights = [UP, 0.05, DOWN, DOWN, DOWN, 0.04, UP, 0.06, DOWN, DOWN, 0.05, UP]
-    assert closed_by_rest(*visit(heights), CONFIG) == [(2, 9)]
+    assert closed_by_rest(*visit(heights)) == [(2, 9)]
 
 
 def test_two_actions_in_one_visit_are_two_pairs():
     once = [UP, DOWN, 0.06, DOWN]
-    assert closed_by_rest(*visit([*once, *once, UP]), CONFIG) == [(1, 3), (5, 7)]
+    assert closed_by_rest(*visit([*once, *once, UP])) == [(1, 3), (5, 7)]
 
 
 def test_low_is_over_the_table_and_high_swings_count_for_nothing():
     heights = [0.2, 0.1, 0.2, DOWN, 0.1, 0.06, 0.1, DOWN, 0.2, 0.12, 0.2]
-    assert closed_by_rest(*visit(heights), CONFIG) == [(3, 7)]
+    assert closed_by_rest(*visit(heights)) == [(3, 7)]
 
 
 def test_a_touch_without_a_partner_is_left_out_and_said(caplog):
-    assert closed_by_rest(*visit([UP, DOWN, UP, DOWN, UP, DOWN, UP]), CONFIG) == [(1, 3)]
+    assert closed_by_rest(*visit([UP, DOWN, UP, DOWN, UP, DOWN, UP])) == [(1, 3)]
     assert "comes down 3 times" in caplog.text
 
 
@@ -74,7 +71,7 @@ def test_noise_below_the_lift_changes_nothing():
     )
     path = np.concatenate([base, base[1:]])
     for _ in range(20):
-        ((pick, release),) = closed_by_rest(*visit(path + rng.normal(0, 0.0005, len(path))), CONFIG)
+        ((pick, release),) = closed_by_rest(*visit(path + rng.normal(0, 0.0005, len(path))))
         assert abs(pick - 4) <= 1
         assert abs(release - 23) <= 1
 
@@ -82,21 +79,21 @@ def test_noise_below_the_lift_changes_nothing():
 def test_tweezers_are_closed_where_their_gap_is():
     heights = np.array([UP, 0.03, 0.01, 0.01, 0.05, UP, 0.05, 0.01, 0.01, 0.05, UP])
     gaps = np.array([20, 20, 20, 0, 0, 0, 0, 0, 20, 20, 20]) / 1000.0
-    assert closed_by_gap(gaps, heights, [np.arange(11)], CONFIG) == [(3, 8)]
+    assert closed_by_gap(gaps, heights, [np.arange(11)]) == [(3, 8)]
     blinked = gaps.copy()
     blinked[5] = 0.02
-    assert closed_by_gap(blinked, heights, [np.arange(11)], CONFIG) == [(3, 8)]
+    assert closed_by_gap(blinked, heights, [np.arange(11)]) == [(3, 8)]
     # Closed in the air, or without lifting anything, it holds nothing.
-    assert closed_by_gap(gaps, heights + 0.1, [np.arange(11)], CONFIG) == []
-    assert closed_by_gap(gaps, np.full(11, 0.01), [np.arange(11)], CONFIG) == []
+    assert closed_by_gap(gaps, heights + 0.1, [np.arange(11)]) == []
+    assert closed_by_gap(gaps, np.full(11, 0.01), [np.arange(11)]) == []
 
 
 def test_a_single_jump_goes_and_a_fast_path_stays():
     path = np.stack([0.06 * np.arange(8), np.zeros(8), np.zeros(8)], axis=1)
-    np.testing.assert_array_equal(without_jumps(path, 0.04), path)
+    np.testing.assert_array_equal(without_jumps(path), path)
     jumped = path.copy()
     jumped[4, 1] = 0.5
-    kept = without_jumps(jumped, 0.04)
+    kept = without_jumps(jumped)
     assert np.isnan(kept[4]).all()
     np.testing.assert_array_equal(np.delete(kept, 4, 0), np.delete(path, 4, 0))
 

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
         ReplayedCamera,
     )
     from clothtrack.capture.segmentation_setup import SegmentationSetup
-    from clothtrack.capture.table_plane import TableFit, TableFitConfig, fit_recorded_table
-    from clothtrack.capture.tip_finder import TipConfig, TipFinder
+    from clothtrack.capture.table_plane import TableFit, fit_recorded_table
+    from clothtrack.capture.tip_finder import TipFinder
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
@@ -32,8 +32,6 @@ __all__ = [
     "RobotPose",
     "SegmentationSetup",
     "TableFit",
-    "TableFitConfig",
-    "TipConfig",
     "TipFinder",
     "calibrate_hand_eye",
     "fit_recorded_table",

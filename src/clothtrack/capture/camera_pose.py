@@ -14,7 +14,6 @@ from clothtrack.capture.board import Board, BoardPose, locate_board, locate_boar
 from clothtrack.capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye
 from clothtrack.capture.table_plane import (
     TableFit,
-    TableFitConfig,
     fit_recorded_table,
     moved_along,
     world_from_table,
@@ -71,15 +70,13 @@ def camera_named(recording: Recording, name: str = "") -> Camera:
     return found[name] if name else recording.cameras[0]
 
 
-def place_by_table(
-    recording: Recording, camera: Camera, config: TableFitConfig | None = None
-) -> CameraPlacement:
+def place_by_table(recording: Recording, camera: Camera) -> CameraPlacement:
     """The camera in a world whose z = 0 is the table, from depth alone.
 
     Raises:
         InvalidRecordingError: no plane dominates the depth.
     """
-    fit = fit_recorded_table(recording, camera, config)
+    fit = fit_recorded_table(recording, camera)
     pose = world_from_table(camera, fit)
     return CameraPlacement(camera.name, pose, _ground(), {"by": "table", **_fit_told(fit)})
 

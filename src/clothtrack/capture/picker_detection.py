@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from clothtrack.capture.amendment import set_actions
 from clothtrack.capture.picker_motion import (
-    PickerConfig,
     closed_by_gap,
     closed_by_rest,
     visits_of,
@@ -22,7 +21,6 @@ from clothtrack.capture.picker_motion import (
 )
 from clothtrack.capture.tip_finder import (
     Tip,
-    TipConfig,
     TipFinder,
     clicked_colors,
     learned_finder,
@@ -34,6 +32,11 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath, Recording
+
+_TWO_ARMS_SHARE = 0.15
+"""Share of the frames that must show two arms before the gap between them is trusted."""
+_SAMPLES = 24
+"""Pictures from which the tip's colours are learned, from all over the film."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +66,6 @@ def find_picker(
     members: UInt8[np.ndarray, "32 32 32"],
     *,
     name: str = "tip",
-    tip: TipConfig | None = None,
-    config: PickerConfig | None = None,
 ) -> FoundPicker:
     """The path of a coloured tip and its pick-and-places.
 
@@ -73,22 +74,19 @@ def find_picker(
         camera: the one that sees the tip.
         members: set of the tip's colours, roughly.
         name: what to call the picker.
-        tip: how the tip looks.
-        config: how pick-and-places are read from its path.
 
     Raises:
         InvalidRecordingError: there is no table or no colour, or the tip is hardly ever seen.
         InvalidConfigError: much of every picture has the tip's colour.
     """
-    config = config or PickerConfig()
     if recording.table is None:
         raise InvalidRecordingError(
             f"{recording.folder}: without a table nobody knows when the tip is down; run "
             "clothtrack calibrate-camera first"
         )
-    tips = watch_tip(recording, camera, members, tip=tip, samples=config.samples)
+    tips = watch_tip(recording, camera, members)
     positions = np.array([np.full(3, np.nan) if one is None else one.position for one in tips])
-    positions = without_jumps(positions, config.jump_m)
+    positions = without_jumps(positions)
     seen = np.isfinite(positions[:, 0])
     if seen.sum() < 4:
         raise InvalidRecordingError(
@@ -96,12 +94,12 @@ def find_picker(
             "least 4); check its colour, or click on it in a frame that shows it"
         )
     heights = recording.table.heights(positions)
-    visits = visits_of(seen, [one and one.pixel for one in tips], camera, config)
+    visits = visits_of(seen, [one and one.pixel for one in tips], camera)
     gaps = np.array([np.nan if one is None else one.gap_m for one in tips])
-    if np.mean(gaps[seen] > 0.0) > config.two_arms_share:
-        by, spans = "tip distance", closed_by_gap(gaps, heights, visits, config)
+    if np.mean(gaps[seen] > 0.0) > _TWO_ARMS_SHARE:
+        by, spans = "tip distance", closed_by_gap(gaps, heights, visits)
     else:
-        by, spans = "dwell", closed_by_rest(positions, heights, visits, config)
+        by, spans = "dwell", closed_by_rest(positions, heights, visits)
     closed = np.zeros(len(seen), dtype=bool)
     for pick, release in spans:
         closed[pick:release] = True
@@ -171,9 +169,6 @@ def watch_tip(
     recording: Recording,
     camera: Camera,
     members: UInt8[np.ndarray, "32 32 32"],
-    *,
-    tip: TipConfig | None = None,
-    samples: int = 24,
 ) -> list[Tip | None]:
     """The tip in every frame, or None where it is not seen.
 
@@ -193,10 +188,8 @@ def watch_tip(
         unit = recording.depth_units_m[camera.name]
         return read_color(frame.color[camera.name]), read_depth(frame.depth[camera.name], unit)
 
-    places = np.unique(np.linspace(0, len(recording.frames) - 1, samples).round().astype(int))
-    finder = learned_finder(
-        [look(recording.frames[place]) for place in places], members, camera, tip
-    )
+    places = np.unique(np.linspace(0, len(recording.frames) - 1, _SAMPLES).round().astype(int))
+    finder = learned_finder([look(recording.frames[place]) for place in places], members, camera)
     tips: list[Tip | None] = []
     last: Tip | None = None
     axis = np.zeros(2)

@@ -5,7 +5,6 @@ Heights are over the table; frames without the tip are NaN and belong to no visi
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -15,38 +14,22 @@ from clothtrack.geometry.camera import Camera
 
 logger = logging.getLogger(__name__)
 
-
-@dataclass(frozen=True)
-class PickerConfig:
-    """How pick-and-places are read from the path of a tip.
-
-    Attributes:
-        least_lift_m: the tip rises at least so high [m] between pick and place, and around them.
-        touch_height_m: a tip higher over the table than this [m] touches no cloth.
-        rest_m: a tip that stays within this [m] of its lowest point rests there.
-        jump_m: a position farther than this [m] from the line between its neighbours is wrong.
-        border_pixels: a tip last seen nearer to the picture's border than this has left it.
-        open_gap_m: arms of tweezers farther apart than this [m] are open; None takes the middle
-            between the closest and the widest gap of the film.
-        two_arms_share: share of the frames that must show two arms for their gap to be trusted.
-        samples: pictures from which the tip's colours are learned.
-    """
-
-    least_lift_m: float = 0.02
-    touch_height_m: float = 0.05
-    rest_m: float = 0.004
-    jump_m: float = 0.04
-    border_pixels: float = 60.0
-    open_gap_m: float | None = None
-    two_arms_share: float = 0.15
-    samples: int = 24
+LEAST_LIFT_M = 0.02
+"""The tip rises at least so high [m] between pick and place, and around them."""
+TOUCH_HEIGHT_M = 0.05
+"""A tip higher over the table than this [m] touches no cloth."""
+REST_M = 0.004
+"""A tip that stays this near to its lowest point [m] rests there."""
+JUMP_M = 0.04
+"""A position farther than this [m] from the line between its neighbours is a wrong one."""
+BORDER_PIXELS = 60.0
+"""A tip last seen this near to the picture's border [pixels] has left it; else cloth hides it."""
 
 
 def visits_of(
     seen: Bool[np.ndarray, " frames"],
     pixels: Sequence[Float[np.ndarray, " 2"] | None],
     camera: Camera,
-    config: PickerConfig,
 ) -> list[Int[np.ndarray, " _"]]:
     """Frames that show the tip, cut where it leaves the picture (not where cloth hides it)."""
     frames = np.flatnonzero(seen)
@@ -57,13 +40,13 @@ def visits_of(
         if after == before + 1 or last is None or next_one is None:
             continue
         rim = min(np.min([one, edges - one]) for one in (last, next_one))
-        if rim < config.border_pixels:
+        if rim < BORDER_PIXELS:
             cuts.append(place)
     return np.split(frames, cuts)
 
 
 def without_jumps(
-    positions: Float[np.ndarray, "frames 3"], jump_m: float
+    positions: Float[np.ndarray, "frames 3"],
 ) -> Float[np.ndarray, "frames 3"]:
     """The path without single positions far off the line between their neighbours; NaN instead."""
     kept = positions.copy()
@@ -71,7 +54,7 @@ def without_jumps(
     off = np.linalg.norm(here - 0.5 * (before + after), axis=1)
     # A real tip that turns fast is off too, but not by more than its neighbours are apart.
     apart = np.linalg.norm(after - before, axis=1)
-    kept[1:-1][off > jump_m + apart] = np.nan
+    kept[1:-1][off > JUMP_M + apart] = np.nan
     return kept
 
 
@@ -79,7 +62,6 @@ def closed_by_rest(
     positions: Float[np.ndarray, "frames 3"],
     heights: Float[np.ndarray, " frames"],
     visits: Sequence[Int[np.ndarray, " _"]],
-    config: PickerConfig,
 ) -> list[tuple[int, int]]:
     """From which frame on cloth is held, and from which on not, by where the tip rests low.
 
@@ -87,12 +69,11 @@ def closed_by_rest(
         positions: of the tip [m]; NaN where it is not seen.
         heights: over the table [m].
         visits: the frames that show the tip, from coming into the picture to leaving it.
-        config: what counts as low and as rest.
     """
     spans = []
     for visit in visits:
-        lows = _low_points(heights[visit], config.least_lift_m)
-        touched = [int(visit[low]) for low in lows if heights[visit[low]] < config.touch_height_m]
+        lows = _low_points(heights[visit])
+        touched = [int(visit[low]) for low in lows if heights[visit[low]] < TOUCH_HEIGHT_M]
         if len(touched) % 2:
             logger.warning(
                 "frames %d to %d: the tip comes down %d times (frames %s), not in pairs of pick "
@@ -100,7 +81,7 @@ def closed_by_rest(
                 visit[0], visit[-1], len(touched), ", ".join(map(str, touched)),
             )  # fmt: skip
         for pick, place in zip(touched[::2], touched[1::2], strict=False):
-            rests = [_rest(positions, visit, low, config.rest_m) for low in (pick, place)]
+            rests = [_rest(positions, visit, low) for low in (pick, place)]
             spans.append((rests[0][0], rests[1][1]))
     return spans
 
@@ -109,7 +90,6 @@ def closed_by_gap(
     gaps: Float[np.ndarray, " frames"],
     heights: Float[np.ndarray, " frames"],
     visits: Sequence[Int[np.ndarray, " _"]],
-    config: PickerConfig,
 ) -> list[tuple[int, int]]:
     """From which frame on cloth is held, and from which on not, by the gap of the tweezers.
 
@@ -117,12 +97,9 @@ def closed_by_gap(
         gaps: between the arms [m]; NaN where the tip is not seen.
         heights: over the table [m].
         visits: the frames that show the tip, from coming into the picture to leaving it.
-        config: which gap is open.
     """
     shown = gaps[np.isfinite(gaps)]
-    limit = config.open_gap_m
-    if limit is None:
-        limit = 0.5 * float(np.percentile(shown, 5) + np.percentile(shown, 95))
+    limit = 0.5 * float(np.percentile(shown, 5) + np.percentile(shown, 95))
     spans = []
     for visit in visits:
         # The median of three frames: one in which an arm was not seen closes nothing.
@@ -131,36 +108,36 @@ def closed_by_gap(
         changes = np.flatnonzero(np.diff(np.concatenate([[False], shut, [False]])))
         for start, stop in zip(changes[::2], changes[1::2], strict=True):
             # Closed in the air it holds nothing; closed until it leaves, it held all the way.
-            down = heights[visit[start]] < config.touch_height_m
-            if down and np.ptp(heights[visit[start:stop]]) > config.least_lift_m:
+            down = heights[visit[start]] < TOUCH_HEIGHT_M
+            if down and np.ptp(heights[visit[start:stop]]) > LEAST_LIFT_M:
                 spans.append((int(visit[start]), int(visit[min(stop, len(visit) - 1)])))
     return spans
 
 
-def _low_points(heights: Float[np.ndarray, " frames"], lift_m: float) -> list[int]:
-    """Places of the lowest points between rises and falls of at least this height [m]."""
+def _low_points(heights: Float[np.ndarray, " frames"]) -> list[int]:
+    """Places of the lowest points between rises and falls of at least `LEAST_LIFT_M`."""
     lows: list[int] = []
     lowest, highest, falling = 0, 0, True
     for place, height in enumerate(heights):
         if falling:
             if height < heights[lowest]:
                 lowest = place
-            elif height > heights[lowest] + lift_m:
+            elif height > heights[lowest] + LEAST_LIFT_M:
                 lows.append(lowest)
                 highest, falling = place, False
         elif height > heights[highest]:
             highest = place
-        elif height < heights[highest] - lift_m:
+        elif height < heights[highest] - LEAST_LIFT_M:
             lowest, falling = place, True
     # A tip that leaves the picture, or the film that ends, right after the last low point.
     return [*lows, lowest] if falling and len(heights) else lows
 
 
 def _rest(
-    positions: Float[np.ndarray, "frames 3"], visit: Int[np.ndarray, " _"], low: int, rest_m: float
+    positions: Float[np.ndarray, "frames 3"], visit: Int[np.ndarray, " _"], low: int
 ) -> tuple[int, int]:
-    """First and last frame of the visit around the low one that are as near to it as this [m]."""
-    near = np.linalg.norm(positions[visit] - positions[low], axis=1) <= rest_m
+    """First and last frame of the visit around the low one that are within `REST_M` of it."""
+    near = np.linalg.norm(positions[visit] - positions[low], axis=1) <= REST_M
     first = last = int(np.searchsorted(visit, low))
     while first > 0 and near[first - 1]:
         first -= 1

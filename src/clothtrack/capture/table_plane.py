@@ -21,36 +21,23 @@ from clothtrack.recordings.segmentation import ColorSegmenter, MaskFolder, Segme
 _LEAST_POINTS = 200
 _ROUNDS = 8
 _MARGIN = np.ones((13, 13), np.uint8)
-
-
-@dataclass(frozen=True)
-class TableFitConfig:
-    """How the table's plane is looked for.
-
-    Attributes:
-        frames: how many frames are looked at, spread over the recording.
-        pixels: about how many measurements are taken from them together.
-        trials: planes through three random measurements that are tried.
-        tolerance: deviation in inverse depth [1/m] within which a measurement may be table; 0.008
-            is 4.5 mm at 0.75 m.
-        least_share: less of the measurements than this on one plane is no table.
-        rival_share: another plane with more than this share of the first one's measurements
-            leaves open which is the table.
-        lower_m: a plane lying under the first one by at most this [m] is the table, and the first
-            one is what lies on it.
-        lower_share: share of the measurements that such a plane needs.
-        seed: of the trials.
-    """
-
-    frames: int = 8
-    pixels: int = 40_000
-    trials: int = 400
-    tolerance: float = 0.008
-    least_share: float = 0.3
-    rival_share: float = 0.7
-    lower_m: float = 0.05
-    lower_share: float = 0.12
-    seed: int = 0
+FRAMES = 8
+"""Frames that are looked at, spread over the recording."""
+PIXELS = 40_000
+"""About how many measurements are taken from them together; they bound the time."""
+TRIALS = 400
+"""Planes through three random measurements; at `LEAST_SHARE` they miss the table once in 50,000."""
+TOLERANCE = 0.008
+"""Deviation in inverse depth [1/m] within which a measurement may be table; 4.5 mm at 0.75 m."""
+LEAST_SHARE = 0.3
+"""Less of the measurements than this on one plane is no table."""
+RIVAL_SHARE = 0.7
+"""Another plane with so large a share of the first one's measurements may be the table, too."""
+LOWER_M = 0.05
+"""A plane under the first one by at most this [m] is the table, and the first one lies on it."""
+LOWER_SHARE = 0.12
+"""Share of the measurements that such a plane needs: the rim around a cloth that fills it."""
+_SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +66,7 @@ class TableFit:
         return float(np.degrees(np.arccos(np.clip(-self.normal[2], -1.0, 1.0))))
 
 
-def fit_recorded_table(
-    recording: Recording, camera: Camera, config: TableFitConfig | None = None
-) -> TableFit:
+def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
     """The table in a recording: what most of the depth that is not cloth lies on.
 
     The cloth is left out where masks or its colour name tell it; the tool is too small to matter.
@@ -89,19 +74,17 @@ def fit_recorded_table(
     Args:
         recording: with depth from the camera.
         camera: the one that looks at the table.
-        config: how to look for it.
 
     Raises:
         InvalidRecordingError: there is no depth, nothing but cloth, or no plane that dominates.
     """
-    config = config or TableFitConfig()
     frames = [frame for frame in recording.frames if camera.name in frame.depth]
     if not frames:
         raise InvalidRecordingError(
             f"{recording.folder}: camera {camera.name!r} has no depth to fit a table to; name "
             "another camera, or give a board"
         )
-    chosen = np.unique(np.linspace(0, len(frames) - 1, config.frames).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(frames) - 1, FRAMES).round().astype(int))
     looks = [_look(recording, frames[place], camera) for place in chosen]
     measured = sum(int((depth > 0).sum()) for depth, _ in looks)
     kept = [np.where(cloth, 0.0, depth) for depth, cloth in looks]
@@ -112,12 +95,12 @@ def fit_recorded_table(
             f"{recording.folder}: camera {camera.name!r} sees hardly anything but the cloth "
             f"({left} of {measured} measurements); let it see the table, or give a board"
         )
-    stride = max(1, left // config.pixels)
+    stride = max(1, left // PIXELS)
     sight, inverse = _concatenated(
         [sight_lines(depth, camera, stride=stride, offset=n) for n, depth in enumerate(kept)]
     )
     try:
-        found = fit_plane(sight, inverse, config)
+        found = fit_plane(sight, inverse)
     except InvalidRecordingError as error:
         raise InvalidRecordingError(
             f"{recording.folder}: camera {camera.name!r}: {error}"
@@ -155,33 +138,30 @@ def sight_lines(
 def fit_plane(
     sight: Float[np.ndarray, "points 3"],
     inverse: Float[np.ndarray, " points"],
-    config: TableFitConfig | None = None,
 ) -> TableFit:
     """The dominant plane of measurements: random trials, then least squares over its inliers.
 
     Args:
         sight: directions (x, y, 1) in the camera's frame.
         inverse: inverse depth along them [1/m].
-        config: how to look.
 
     Raises:
         InvalidRecordingError: no plane dominates, or two do.
     """
-    config = config or TableFitConfig()
-    rng = np.random.default_rng(config.seed)
-    plane = _dominant(sight, inverse, config, rng)
-    on_it = np.abs(inverse - sight @ plane) < config.tolerance
+    rng = np.random.default_rng(_SEED)
+    plane = _dominant(sight, inverse, rng)
+    on_it = np.abs(inverse - sight @ plane) < TOLERANCE
     share = float(on_it.mean())
-    if share < config.least_share:
+    if share < LEAST_SHARE:
         raise InvalidRecordingError(
             f"no plane dominates: the best one holds {100 * share:.0f} % of the depth that is not "
-            f"cloth (at least {100 * config.least_share:.0f} %); let the table fill most of the "
+            f"cloth (at least {100 * LEAST_SHARE:.0f} %); let the table fill most of the "
             "picture, name the cloth's colour (cloth.color) or give masks, or use a board"
         )
-    plane = _lower(sight, inverse, plane, config, rng)
-    on_it = np.abs(inverse - sight @ plane) < config.tolerance
-    _require_single(sight, inverse, plane, config, rng)
-    plane, used = _refined(sight, inverse, plane, config.tolerance)
+    plane = _lower(sight, inverse, plane, rng)
+    on_it = np.abs(inverse - sight @ plane) < TOLERANCE
+    _require_single(sight, inverse, plane, rng)
+    plane, used = _refined(sight, inverse, plane)
     length = float(np.linalg.norm(plane))
     normal, distance = -plane / length, 1.0 / length
     points = sight[used] / inverse[used, None]
@@ -270,7 +250,6 @@ def _concatenated(
 def _dominant(
     sight: Float[np.ndarray, "points 3"],
     inverse: Float[np.ndarray, " points"],
-    config: TableFitConfig,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " 3"]:
     """The plane (a, b, c) with most measurements, of those through three random ones."""
@@ -280,15 +259,15 @@ def _dominant(
             f"{_LEAST_POINTS}); let the table be seen"
         )
     judges = rng.choice(len(sight), min(len(sight), 3000), replace=False)
-    triples = rng.integers(len(sight), size=(config.trials, 3))
+    triples = rng.integers(len(sight), size=(TRIALS, 3))
     corners = sight[triples]
     sound = np.abs(np.linalg.det(corners)) > 1e-4
     planes = np.linalg.solve(corners[sound], inverse[triples[sound]][..., None])[..., 0]
     off = np.abs(planes @ sight[judges].T - inverse[judges])
     if not len(planes):
         raise InvalidRecordingError("all depth lies on one line; let the table be seen")
-    best = planes[np.argmax((off < config.tolerance).sum(axis=1))]
-    plane, _ = _refined(sight, inverse, best, config.tolerance)
+    best = planes[np.argmax((off < TOLERANCE).sum(axis=1))]
+    plane, _ = _refined(sight, inverse, best)
     return plane
 
 
@@ -296,16 +275,15 @@ def _refined(
     sight: Float[np.ndarray, "points 3"],
     inverse: Float[np.ndarray, " points"],
     plane: Float[np.ndarray, " 3"],
-    tolerance: float,
 ) -> tuple[Float[np.ndarray, " 3"], Bool[np.ndarray, " points"]]:
     """Least squares over the inliers, whose band narrows to three times their own spread."""
-    band = tolerance
+    band = TOLERANCE
     used = np.abs(inverse - sight @ plane) < band
     for _ in range(_ROUNDS):
         plane, *_ = np.linalg.lstsq(sight[used], inverse[used], rcond=None)
         off = np.abs(inverse - sight @ plane)
-        spread = 1.4826 * float(np.median(off[off < tolerance]))
-        band = min(tolerance, max(3.0 * spread, 1e-6))
+        spread = 1.4826 * float(np.median(off[off < TOLERANCE]))
+        band = min(TOLERANCE, max(3.0 * spread, 1e-6))
         used = off < band
         if used.sum() < 3:
             break
@@ -316,40 +294,38 @@ def _lower(
     sight: Float[np.ndarray, "points 3"],
     inverse: Float[np.ndarray, " points"],
     plane: Float[np.ndarray, " 3"],
-    config: TableFitConfig,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " 3"]:
     """The plane right under this one, if any: cloth that fills the picture lies on it."""
     length = float(np.linalg.norm(plane))
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
     off = inverse - sight @ plane
-    under = (height > -config.lower_m) & (height < 0.0) & (off < -config.tolerance)
-    if under.sum() < max(config.lower_share * len(sight), _LEAST_POINTS):
+    under = (height > -LOWER_M) & (height < 0.0) & (off < -TOLERANCE)
+    if under.sum() < max(LOWER_SHARE * len(sight), _LEAST_POINTS):
         return plane
-    lower = _dominant(sight[under], inverse[under], config, rng)
-    shown = float((np.abs(inverse - sight @ lower) < config.tolerance).mean())
+    lower = _dominant(sight[under], inverse[under], rng)
+    shown = float((np.abs(inverse - sight @ lower) < TOLERANCE).mean())
     parallel = abs(float(lower @ plane)) / (np.linalg.norm(lower) * length)
-    return lower if shown > config.lower_share and parallel > np.cos(np.radians(3.0)) else plane
+    return lower if shown > LOWER_SHARE and parallel > np.cos(np.radians(3.0)) else plane
 
 
 def _require_single(
     sight: Float[np.ndarray, "points 3"],
     inverse: Float[np.ndarray, " points"],
     plane: Float[np.ndarray, " 3"],
-    config: TableFitConfig,
     rng: np.random.Generator,
 ) -> None:
     """Raise when another plane is nearly as large as this one and does not lie on it."""
     length = float(np.linalg.norm(plane))
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
-    beside = (height < -config.lower_m) | (height > config.lower_m)
-    first = float((np.abs(inverse - sight @ plane) < config.tolerance).mean())
-    if beside.mean() < config.rival_share * first or beside.sum() < _LEAST_POINTS:
+    beside = (height < -LOWER_M) | (height > LOWER_M)
+    first = float((np.abs(inverse - sight @ plane) < TOLERANCE).mean())
+    if beside.mean() < RIVAL_SHARE * first or beside.sum() < _LEAST_POINTS:
         return
-    rival = _dominant(sight[beside], inverse[beside], config, rng)
-    second = float((np.abs(inverse[beside] - sight[beside] @ rival) < config.tolerance).mean())
+    rival = _dominant(sight[beside], inverse[beside], rng)
+    second = float((np.abs(inverse[beside] - sight[beside] @ rival) < TOLERANCE).mean())
     second *= float(beside.mean())
-    if second > config.rival_share * first:
+    if second > RIVAL_SHARE * first:
         raise InvalidRecordingError(
             f"two planes are about as large, with {100 * first:.0f} and {100 * second:.0f} % of "
             "the depth: which is the table? Let it fill most of the picture, or use a board"

@@ -24,34 +24,25 @@ from clothtrack.recordings.colors import (
 )
 from clothtrack.recordings.segmentation import ColorSegmenter
 
+LEAST_PIXELS = 8
+"""Fewer pixels of the surest colour are specks, no tip."""
+WIDEST_SHARE = 0.03
+"""More of the picture than this is no tip: a tip is a few pixels wide."""
+ELONGATED = 2.0
+"""Length over width from which a tip has an end; a rounder one counts by its middle."""
+DEPTH_BAND_M = 0.003
+"""Depths along the tip agree when they are this near to a line [m]."""
+STEEPEST = 3.0
+"""A line along the tip changes depth by at most so much [m] per metre across."""
+RADIUS_M = 0.0015
+"""Half the thickness of the tip [m]: depth is measured on its surface."""
+SECOND_SHARE = 0.4
+"""A second piece of this share of the first one's pixels is the other arm of open tweezers."""
+WIDEST_GAP_M = 0.1
+"""Arms farther apart than this [m] do not belong together."""
+_LASTING_SHARE = 0.9
+_LEARNING_ROUNDS = 2
 _JOINING = np.ones((3, 3), np.uint8)
-
-
-@dataclass(frozen=True)
-class TipConfig:
-    """How a tip looks in a picture.
-
-    Attributes:
-        least_pixels: fewer pixels than this of the surest colour are no tip.
-        widest_share: more of the picture than this is no tip.
-        elongated: length over width from which the tip has an end; rounder ones count by their
-            middle.
-        depth_band_m: depths along the tip agree when they are this near to a line [m].
-        steepest: a line along the tip changes depth by at most so much [m] per metre across.
-        radius_m: half the thickness of the tip [m]: depth is measured on its surface.
-        second_share: a second piece of at least this share of the first one's pixels is the other
-            arm of an open pair of tweezers.
-        widest_gap_m: arms farther apart than this [m] do not belong together.
-    """
-
-    least_pixels: int = 8
-    widest_share: float = 0.03
-    elongated: float = 2.0
-    depth_band_m: float = 0.003
-    steepest: float = 3.0
-    radius_m: float = 0.0015
-    second_share: float = 0.4
-    widest_gap_m: float = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +95,6 @@ class TipFinder:
         self,
         members: UInt8[np.ndarray, "32 32 32"],
         camera: Camera,
-        config: TipConfig | None = None,
         *,
         background: Bool[np.ndarray, "height width"] | None = None,
     ) -> None:
@@ -113,11 +103,9 @@ class TipFinder:
         Args:
             members: set of the tip's colours.
             camera: whose pictures will come.
-            config: how a tip looks.
             background: pixels that have the tip's colour without being it.
         """
         self._members, self._camera = members, camera
-        self._config = config or TipConfig()
         self._background = background
 
     def _votes(
@@ -152,7 +140,7 @@ class TipFinder:
         first, *others = tips
         for other in others:
             gap = float(np.linalg.norm(other.position - first.position))
-            if gap < self._config.widest_gap_m:
+            if gap < WIDEST_GAP_M:
                 return Tip(
                     0.5 * (first.pixel + other.pixel),
                     0.5 * (first.position + other.position),
@@ -169,9 +157,9 @@ class TipFinder:
         near: Float[np.ndarray, " 2"] | None = None,
     ) -> list[Int[np.ndarray, "pixels 2"]]:
         """Pixels (column, row) of up to two pieces of the tip's colour, the likeliest first."""
-        config, votes = self._config, self._votes(color)
+        votes = self._votes(color)
         sure = votes == CORE
-        if np.count_nonzero(sure) < config.least_pixels:
+        if np.count_nonzero(sure) < LEAST_PIXELS:
             return []
         joined = cv2.morphologyEx(
             (sure | (votes == LOOSE)).view(np.uint8), cv2.MORPH_CLOSE, _JOINING
@@ -181,17 +169,17 @@ class TipFinder:
         of_piece = labels[rows, columns]
         areas = np.bincount(of_piece[sure[rows, columns]], minlength=count).astype(float)
         areas[0] = 0.0
-        areas[np.bincount(of_piece, minlength=count) > config.widest_share * votes.size] = 0.0
+        areas[np.bincount(of_piece, minlength=count) > WIDEST_SHARE * votes.size] = 0.0
         worth = areas.copy()
         if near is not None:
-            for piece in np.flatnonzero(areas >= config.least_pixels):
+            for piece in np.flatnonzero(areas >= LEAST_PIXELS):
                 inside = of_piece == piece
                 middle = columns[inside].mean(), rows[inside].mean()
                 worth[piece] /= 1.0 + (np.hypot(*(middle - near)) / 100.0) ** 2
         best = int(np.argmax(worth))
-        chosen = [best] if areas[best] >= config.least_pixels else []
+        chosen = [best] if areas[best] >= LEAST_PIXELS else []
         for piece in np.argsort(-worth):
-            large = areas[piece] >= max(config.second_share * areas[best], config.least_pixels)
+            large = areas[piece] >= max(SECOND_SHARE * areas[best], LEAST_PIXELS)
             if chosen and piece != best and large:
                 chosen.append(int(piece))
                 break
@@ -216,7 +204,7 @@ class TipFinder:
         if line is None:
             return None
         offset, slope = line
-        if np.sqrt(spread[1] / max(spread[0], 1.0 / 12.0)) < self._config.elongated:
+        if np.sqrt(spread[1] / max(spread[0], 1.0 / 12.0)) < ELONGATED:
             return self._tip(middle, offset, np.zeros(2), len(pixels))
         # The tool comes from above: the end of the tip is the far one.
         sign = np.sign(slope * np.ptp(places))
@@ -235,7 +223,7 @@ class TipFinder:
     ) -> Tip:
         camera = self._camera
         ray = np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1])
-        local = ray * (depth + self._config.radius_m)
+        local = ray * (depth + RADIUS_M)
         position = camera.world_from_camera[:3, :3] @ local + camera.position
         return Tip(np.asarray(pixel, dtype=float), position, axis, 0.0, pixels)
 
@@ -245,8 +233,8 @@ class TipFinder:
         """Depth [m] in the middle of the tip and its change per pixel along it; None if unknown."""
         if len(depths) < 3:
             return None
-        band = self._config.depth_band_m
-        steepest = self._config.steepest * float(np.median(depths)) / self._camera.fx
+        band = DEPTH_BAND_M
+        steepest = STEEPEST * float(np.median(depths)) / self._camera.fx
         first, second = np.triu_indices(len(depths), 1)
         if len(first) > 4000:
             chosen = np.linspace(0, len(first) - 1, 4000).astype(int)
@@ -278,9 +266,6 @@ def learned_finder(
     looks: Sequence[tuple[UInt8[np.ndarray, "_ _ 3"], Float[np.ndarray, "_ _"]]],
     members: UInt8[np.ndarray, "32 32 32"],
     camera: Camera,
-    config: TipConfig | None = None,
-    *,
-    rounds: int = 2,
 ) -> TipFinder:
     """A finder whose colours are learned from the film itself, starting from these.
 
@@ -292,18 +277,15 @@ def learned_finder(
         looks: colour (red first) and depth [m] of pictures from all over the film.
         members: set of the tip's colours, roughly.
         camera: whose pictures they are.
-        config: how a tip looks.
-        rounds: how often the colours are learned again.
 
     Raises:
         InvalidConfigError: much of every picture has the tip's colour.
     """
-    config = config or TipConfig()
     pictures = [color for color, _ in looks]
-    members, background = _told_apart(pictures, members, widest=config.widest_share)
-    finder = TipFinder(members, camera, config, background=background)
+    members, background = _without_surroundings(pictures, members)
+    finder = TipFinder(members, camera, background=background)
     strip = np.concatenate(pictures)
-    for _ in range(rounds):
+    for _ in range(_LEARNING_ROUNDS):
         marks = []
         for color, _ in looks:
             mark = np.zeros(color.shape[:2], dtype=bool)
@@ -315,27 +297,24 @@ def learned_finder(
         learned = learned_set(strip, tip, ~around)
         if not (learned == CORE).any():
             break
-        finder = TipFinder(learned, camera, config, background=background)
+        finder = TipFinder(learned, camera, background=background)
     return finder
 
 
-def _told_apart(
+def _without_surroundings(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]],
     members: UInt8[np.ndarray, "32 32 32"],
-    *,
-    share: float = 0.9,
-    widest: float = 0.03,
 ) -> tuple[UInt8[np.ndarray, "32 32 32"], Bool[np.ndarray, "height width"]]:
     """The tip's colours without those of its surroundings, and pixels that are never the tip."""
     votes = [votes_of(picture, members) for picture in pictures]
     sure = np.mean([vote == CORE for vote in votes], axis=0)
-    if sure.mean() > 2.0 * widest:
+    if sure.mean() > 2.0 * WIDEST_SHARE:
         raise InvalidConfigError(
             f"the tip's colour covers {100 * sure.mean():.0f} % of the pictures (at most "
-            f"{200 * widest:.0f} %): table or cloth have it too; mark the tip in another colour, "
-            "or click on it"
+            f"{200 * WIDEST_SHARE:.0f} %): table or cloth have it too; mark the tip in another "
+            "colour, or click on it"
         )
-    if np.mean([vote == LOOSE for vote in votes]) > widest:
+    if np.mean([vote == LOOSE for vote in votes]) > WIDEST_SHARE:
         members = np.where(members == CORE, members, 0).astype(np.uint8)
-    lasting = (sure >= share) & (len(pictures) > 2)
+    lasting = (sure >= _LASTING_SHARE) & (len(pictures) > 2)
     return members, cv2.dilate(lasting.view(np.uint8), np.ones((3, 3), np.uint8)) > 0

@@ -77,6 +77,7 @@ class _Check:
         self._document = document
 
     def recording(self, *, thorough: bool) -> Recording:
+        """The recording; good for use only while `violations` is empty."""
         entries = self._document["cameras"]
         units = {one["name"]: float(one["depth_unit_m"]) for one in entries
                  if "depth_unit_m" in one}  # fmt: skip
