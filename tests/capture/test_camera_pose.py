@@ -104,7 +104,7 @@ def test_by_a_board(filmed):
     )
     assert angle < 0.2
     assert distance < 1.5
-    assert abs(placement.told["depth_beyond_board_mm"]) < 1.5
+    assert abs(placement.fit["depth_beyond_board_mm"]) < 1.5
     raised = place_by_board(recording, recording.cameras[0], BOARD, thickness_m=0.005)
     lift = raised.world_from_camera[:3, 3] - placement.world_from_camera[:3, 3]
     np.testing.assert_allclose(lift, [0, 0, 0.005], atol=1e-12)
@@ -130,8 +130,8 @@ def test_by_a_robot_that_holds_the_board(filmed, tmp_path):
     angle, distance = off(found.pose, base_from_world @ camera.world_from_camera)
     assert angle < 0.3
     assert distance < 3.0
-    assert placement.told["pictures_used"] == 9
-    assert placement.told["residual_mm"] < 2.0
+    assert placement.fit["pictures_used"] == 9
+    assert placement.fit["residual_mm"] < 2.0
     place_camera(recording, placement)
     table = read_recording(recording.folder).table
     assert np.degrees(np.arccos(min(1.0, table.normal[2]))) < 0.3

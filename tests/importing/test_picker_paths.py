@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
 from clothtrack.importing.import_options import ImportOptions
 from clothtrack.importing.import_recording import import_recording
-from clothtrack.importing.picker_paths import actions_of, read_path_table, told_actions
+from clothtrack.importing.picker_paths import actions_in_words, actions_of, read_path_table
 from clothtrack.importing.transforms import TransformTree
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import read_recording
@@ -200,7 +200,7 @@ def test_actions_told_by_hand(tmp_path):
 @pytest.mark.parametrize("words", [("x",), ("5-5",), ("0-99",), ("0-5", "4-8")])
 def test_impossible_actions(words):
     with pytest.raises(InvalidConfigError, match="--actions"):
-        told_actions(words, 10, ["picker"])
+        actions_in_words(words, 10, ["picker"])
 
 
 def test_pickers_that_are_closed_together_share_an_action():

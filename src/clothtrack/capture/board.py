@@ -91,13 +91,13 @@ class Board:
     def _boards(self) -> tuple[cv2.aruco.CharucoBoard, cv2.aruco.CharucoBoard]:
         named = getattr(cv2.aruco, f"DICT_{self.dictionary}")
         markers = cv2.aruco.getPredefinedDictionary(named)
-        made = []
+        boards = []
         for legacy in (False, True):
             size = self.columns, self.rows
             board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, markers)
             board.setLegacyPattern(legacy)
-            made.append(board)
-        return made[0], made[1]
+            boards.append(board)
+        return boards[0], boards[1]
 
 
 @dataclass(frozen=True, eq=False)

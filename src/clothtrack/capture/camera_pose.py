@@ -35,13 +35,13 @@ class CameraPlacement:
         camera: the camera's name.
         world_from_camera: rigid 4 x 4 [m]; gripper_from_camera for a camera on a hand.
         table: the table in that world, or None where none was found.
-        told: how it was found and how well it fits; numbers and words for JSON.
+        fit: how it was found and how well it fits; numbers and words for JSON.
     """
 
     camera: str
     world_from_camera: Float[np.ndarray, "4 4"]
     table: Table | None
-    told: Mapping[str, Any]
+    fit: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
         """The placement as JSON holds it."""
@@ -52,7 +52,7 @@ class CameraPlacement:
             "camera": self.camera,
             "world_from_camera": self.world_from_camera.tolist(),
             "table": table,
-            "fit": dict(self.told),
+            "fit": dict(self.fit),
         }
 
 
@@ -78,7 +78,7 @@ def place_by_table(recording: Recording, camera: Camera) -> CameraPlacement:
     """
     fit = fit_recorded_table(recording, camera)
     pose = world_from_table(camera, fit)
-    return CameraPlacement(camera.name, pose, _ground(), {"by": "table", **_fit_told(fit)})
+    return CameraPlacement(camera.name, pose, _ground(), {"by": "table", **_fit_report(fit)})
 
 
 def place_by_board(
@@ -215,7 +215,7 @@ def place_camera(recording: Recording, placement: CameraPlacement, *, force: boo
         document["table"] = placement.as_dict()["table"]
         document.setdefault("provenance", {})["camera_placement"] = {
             "camera": placement.camera,
-            **placement.told,
+            **placement.fit,
         }
 
     amend_document(recording.folder, change)
@@ -232,7 +232,7 @@ def _given_in_world(recording: Recording) -> list[str]:
     return [name for name, there in things.items() if there]
 
 
-def _fit_told(fit: TableFit) -> dict[str, Any]:
+def _fit_report(fit: TableFit) -> dict[str, Any]:
     return {
         "camera_height_m": round(fit.distance_m, 4),
         "tilt_deg": round(fit.tilt_deg, 2),
@@ -277,4 +277,4 @@ def _table_in(
     if normal[2] <= 0.5:
         return None, "the plane found does not face up in the robot's base"
     point = pose[:3, 3] - fit.distance_m * normal
-    return Table(point, normal), _fit_told(fit)
+    return Table(point, normal), _fit_report(fit)

@@ -40,7 +40,7 @@ _SAMPLES = 24
 
 
 @dataclass(frozen=True, eq=False)
-class FoundPicker:
+class PickerDetection:
     """A picker as the film shows it.
 
     Attributes:
@@ -66,7 +66,7 @@ def find_picker(
     members: UInt8[np.ndarray, "32 32 32"],
     *,
     name: str = "tip",
-) -> FoundPicker:
+) -> PickerDetection:
     """The path of a coloured tip and its pick-and-places.
 
     Args:
@@ -106,7 +106,7 @@ def find_picker(
     actions = _actions(spans, visits, seen, heights, name=name)
     path = _path(recording.frames, positions, closed, seen)
     picks, releases = (tuple(span[end] for span in spans) for end in (0, 1))
-    return FoundPicker(path, actions, picks, releases, seen, by)
+    return PickerDetection(path, actions, picks, releases, seen, by)
 
 
 def tip_members(
@@ -142,8 +142,10 @@ def require_unmeasured(recording: Recording, *, force: bool) -> None:
         )
 
 
-def keep_picker(recording: Recording, found: FoundPicker, name: str, tip: str) -> int | None:
-    """Write what was found into the recording, in place of the paths and actions it has.
+def keep_picker(
+    recording: Recording, detection: PickerDetection, name: str, tip: str
+) -> int | None:
+    """Write a detection into the recording, in place of the paths and actions it has.
 
     Returns:
         The template's vertex that the first pick takes, when there is a template in its reach.
@@ -152,16 +154,18 @@ def keep_picker(recording: Recording, found: FoundPicker, name: str, tip: str) -
         InvalidRecordingError: no pick-and-place was found; nothing is written.
         StorageError: the disk refuses.
     """
-    if not found.actions:
+    if not detection.actions:
         raise InvalidRecordingError(
-            f"{recording.folder}: the tip is seen in {int(found.seen.sum())} frames, but never "
+            f"{recording.folder}: the tip is seen in {int(detection.seen.sum())} frames, but never "
             "picks and places: it must come down to the cloth, rise by 2 cm and come down again"
         )
-    text = {"by": found.by, "tip": tip, "seen": int(found.seen.sum())}
-    set_actions(recording, {name: found.path}, found.actions, provenance={"picker_found": text})
+    text = {"by": detection.by, "tip": tip, "seen": int(detection.seen.sum())}
+    set_actions(
+        recording, {name: detection.path}, detection.actions, provenance={"picker_found": text}
+    )
     if recording.cloth.template is None:
         return None
-    grasp = found.path.position_at(recording.frames[found.picks[0]].time_s)
+    grasp = detection.path.position_at(recording.frames[detection.picks[0]].time_s)
     return nearest_visible_vertex(recording.cloth.template, grasp, recording.cameras)
 
 
@@ -195,12 +199,12 @@ def watch_tip(
     axis = np.zeros(2)
     for frame in recording.frames:
         color, depth = look(frame)
-        found = finder.find(color, depth, near=None if last is None else last.pixel, axis=axis)
-        if found is not None:
+        tip = finder.find(color, depth, near=None if last is None else last.pixel, axis=axis)
+        if tip is not None:
             # The tool turns slowly: what depth said in many frames outvotes it in one.
-            axis = 0.8 * axis + 0.2 * _told_by_depth(finder, color, depth)
-            last = found
-        tips.append(found)
+            axis = 0.8 * axis + 0.2 * _axis_by_depth(finder, color, depth)
+            last = tip
+        tips.append(tip)
     return tips
 
 
@@ -225,7 +229,7 @@ def nearest_visible_vertex(
     return nearest if distance[nearest] <= radius_m else None
 
 
-def _told_by_depth(
+def _axis_by_depth(
     finder: TipFinder,
     color: UInt8[np.ndarray, "height width 3"],
     depth: Float[np.ndarray, "height width"],

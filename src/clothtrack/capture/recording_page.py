@@ -99,9 +99,9 @@ class Session:
             InvalidRecordingError: no frame was recorded.
         """
         self._source.close()
-        made = None if self._writer is None else self._writer.finish()
+        recording = None if self._writer is None else self._writer.finish()
         self.done = True
-        return made
+        return recording
 
     def facts(self) -> dict[str, Any]:
         """What the page shows beside the preview."""
@@ -165,10 +165,10 @@ def record_live(
             except KeyboardInterrupt:
                 session.stop.set()
             watching.join(timeout=10.0)
-            made = session.finish()
+            recording = session.finish()
             # So that the page hears of it.
             time.sleep(FAREWELL_S)
-            return made
+            return recording
     finally:
         session.stop.set()
 

@@ -100,16 +100,16 @@ def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
         [sight_lines(depth, camera, stride=stride, offset=n) for n, depth in enumerate(kept)]
     )
     try:
-        found = fit_plane(sight, inverse)
+        fit = fit_plane(sight, inverse)
     except InvalidRecordingError as error:
         raise InvalidRecordingError(
             f"{recording.folder}: camera {camera.name!r}: {error}"
         ) from error
     return TableFit(
-        found.normal,
-        found.distance_m,
-        found.residual_m,
-        found.inlier_share,
+        fit.normal,
+        fit.distance_m,
+        fit.residual_m,
+        fit.inlier_share,
         excluded,
         len(chosen),
     )

@@ -291,7 +291,7 @@ def _placed(
     else:
         place_camera(read_recording(folder), placement, force=force)
     lines = []
-    for name, value in placement.told.items():
+    for name, value in placement.fit.items():
         if name == "per_picture":
             lines += [
                 f"  {one['mm']:7.2f} mm {one['deg']:7.3f} deg  {one['picture']}" for one in value

@@ -34,41 +34,41 @@ def begin_run(path: Path, asked: Mapping[str, Any]) -> None:
         return
     try:
         with storage(path):
-            found = json.loads(path.read_text(encoding="utf-8"))
+            stored = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise InvalidResultError(
             f"{path}: not what the folder was begun with ({error}); remove the folder and begin "
             "again"
         ) from error
-    require_same(path, found, asked)
+    require_same(path, stored, asked)
 
 
-def require_same(path: Path, found: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+def require_same(path: Path, stored: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
     """Refuse to go on with what was begun with other settings.
 
     Args:
-        path: file that they were found in.
-        found: what it was begun with.
+        path: file that holds the settings.
+        stored: what it was begun with.
         asked: what is asked for now.
 
     Raises:
         InvalidConfigError: with the first setting that differs.
     """
-    for name, was, now in _differing(found, as_plain(asked)):
+    for name, was, now in _differing(stored, as_plain(asked)):
         raise InvalidConfigError(
             f"{path}: begun with another {name} ({was}, now {now}); choose another folder, or "
             "remove this one"
         )
 
 
-def _differing(found: Any, asked: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
+def _differing(stored: Any, asked: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
     """Names of the values that differ, with both of them in a few words."""
-    if isinstance(found, Mapping) and isinstance(asked, Mapping):
-        for key in sorted(set(found) | set(asked)):
+    if isinstance(stored, Mapping) and isinstance(asked, Mapping):
+        for key in sorted(set(stored) | set(asked)):
             inner = f"{name}.{key}" if name else key
-            yield from _differing(found.get(key), asked.get(key), inner)
-    elif found != asked:
-        yield name, _in_short(found), _in_short(asked)
+            yield from _differing(stored.get(key), asked.get(key), inner)
+    elif stored != asked:
+        yield name, _in_short(stored), _in_short(asked)
 
 
 def _in_short(value: Any) -> str:

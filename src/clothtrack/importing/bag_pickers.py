@@ -26,18 +26,18 @@ class BagPaths:
         paths: path per picker, in `frame`; times [s] count from `start_ns`.
         start_ns: the first position's time [ns]; seconds since 1970 would lose digits.
         frame: "world", "camera" or a frame that nothing ties to the camera.
-        streams: which topic or frame each thing came from.
+        origins: which topic or frame each thing came from.
         notes: what to know, in words.
     """
 
     paths: Mapping[str, PickerPath] = field(default_factory=dict)
     start_ns: int = 0
     frame: str = ""
-    streams: Mapping[str, str] = field(default_factory=dict)
+    origins: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
 
 
-def bag_paths(path: Path, found: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
+def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
     """The picker's path that was asked for, or nothing.
 
     Raises:
@@ -52,14 +52,14 @@ def bag_paths(path: Path, found: Walk, options: ImportOptions, camera_frame: str
     target, frame = (
         (options.world_frame, "world") if options.world_frame else (camera_frame, "camera")
     )
-    streams = {}
+    origins = {}
     if options.picker_topic is not None:
-        streams["picker"] = options.picker_topic
-        times, positions, frame = _from_topic(path, found, options.picker_topic, target, frame)
+        origins["picker"] = options.picker_topic
+        times, positions, frame = _from_topic(path, walk, options.picker_topic, target, frame)
     else:
         assert options.picker_frame is not None
-        streams["picker"] = f"TF frame {options.picker_frame}"
-        tree = found.tree
+        origins["picker"] = f"TF frame {options.picker_frame}"
+        tree = walk.tree
         if not target or not tree.connects(target, options.picker_frame):
             raise InvalidConfigError(
                 f"{path}: no TF ties --picker-frame {options.picker_frame!r} to {target!r}; "
@@ -71,49 +71,49 @@ def bag_paths(path: Path, found: Walk, options: ImportOptions, camera_frame: str
     times, positions = times[keep], positions[keep]
     if len(times) < 2:
         raise InvalidConfigError(
-            f"{path}: {streams['picker']} tells {len(times)} positions; a path has at least two"
+            f"{path}: {origins['picker']} tells {len(times)} positions; a path has at least two"
         )
     closed = np.zeros(len(times), dtype=bool)
     notes = []
     if options.gripper_topic is not None:
-        streams["gripper"] = options.gripper_topic
-        closed, notes = _closed(path, found, options, times)
+        origins["gripper"] = options.gripper_topic
+        closed, notes = _closed(path, walk, options, times)
     start_ns = int(times[0])
     paths = {PICKER: PickerPath((times - start_ns) / 1e9, positions, closed)}
-    return BagPaths(paths, start_ns, frame, streams, notes)
+    return BagPaths(paths, start_ns, frame, origins, notes)
 
 
 def _from_topic(
-    path: Path, found: Walk, topic: str, target: str, frame: str
+    path: Path, walk: Walk, topic: str, target: str, frame: str
 ) -> tuple[Int64[np.ndarray, " times"], Float[np.ndarray, "times 3"], str]:
-    if not found.poses:
+    if not walk.poses:
         raise InvalidConfigError(
-            f"{path}: no position in topic {topic!r}; topics: {listed(found.topics)}; name one of "
+            f"{path}: no position in topic {topic!r}; topics: {listed(walk.topics)}; name one of "
             "PoseStamped, PointStamped, TransformStamped or Odometry with --picker-topic"
         )
-    poses = sorted(found.poses, key=lambda one: one[0])
+    poses = sorted(walk.poses, key=lambda one: one[0])
     times = np.array([one[0] for one in poses], dtype=np.int64)
     positions = np.array([one[2] for one in poses])
     origin = poses[0][1]
-    if not (target and origin and found.tree.connects(target, origin)):
+    if not (target and origin and walk.tree.connects(target, origin)):
         # Nothing ties its frame to the camera's; whether it is the world is for the person to say.
         return times, positions, "camera" if origin and origin == target else repr(origin)
-    poses_at = found.tree.lookup(target, origin, times)
+    poses_at = walk.tree.lookup(target, origin, times)
     moved = np.einsum("tij,tj->ti", poses_at[:, :3, :3], positions) + poses_at[:, :3, 3]
     return times, moved, frame
 
 
 def _closed(
-    path: Path, found: Walk, options: ImportOptions, times: np.ndarray
+    path: Path, walk: Walk, options: ImportOptions, times: np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
-    if not found.grips:
+    if not walk.grips:
         raise InvalidConfigError(
             f"{path}: no message in --gripper-topic {options.gripper_topic!r}; topics: "
-            f"{listed(found.topics)}"
+            f"{listed(walk.topics)}"
         )
-    unstamped = not hasattr(found.grips[0][1], "header")
-    gap = found.clock_gap_ns if unstamped and abs(found.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
-    text = sorted((time - gap, _is_closed(path, one, options)) for time, one in found.grips)
+    unstamped = not hasattr(walk.grips[0][1], "header")
+    gap = walk.clock_gap_ns if unstamped and abs(walk.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
+    text = sorted((time - gap, _is_closed(path, one, options)) for time, one in walk.grips)
     when = np.array([time for time, _ in text])
     what = np.array([closed for _, closed in text])
     # Before the first message the gripper is taken to be as that message says.

@@ -68,7 +68,7 @@ def _container_of(path: Path) -> tuple[type, str] | None:
 
 @dataclass
 class Walk:
-    """What one walk found.
+    """What one walk through a bag gives.
 
     Attributes:
         pose_topic: topic of the picker's pose, when asked for.
@@ -106,42 +106,42 @@ def walk(
     containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None
 ) -> Walk:
     """Walk through every part of a bag once."""
-    found = Walk(pose_topic, grip_topic)
+    result = Walk(pose_topic, grip_topic)
     torn: dict[str, int] = {}
     for part, container in enumerate(containers):
         for message in container.messages():
             try:
-                _note(found, container, message, part)
+                _note(result, container, message, part)
             except TruncatedError:
                 torn[message.topic.name] = torn.get(message.topic.name, 0) + 1
-        known = {one.name for one in found.topics}
-        found.topics += [one for one in container.topics() if one.name not in known]
+        known = {one.name for one in result.topics}
+        result.topics += [one for one in container.topics() if one.name not in known]
         if container.damage:
-            whole = sum(map(len, found.frames.values()))
-            found.lost.append(f"{container.damage}; {whole} whole pictures before it were saved")
-    found.lost += [f"{count} damaged messages of {name} left out" for name, count in torn.items()]
-    return found
+            whole = sum(map(len, result.frames.values()))
+            result.lost.append(f"{container.damage}; {whole} whole pictures before it were saved")
+    result.lost += [f"{count} damaged messages of {name} left out" for name, count in torn.items()]
+    return result
 
 
-def _note(found: Walk, container: Container, message: Message, part: int) -> None:
+def _note(result: Walk, container: Container, message: Message, part: int) -> None:
     topic, log_ns, place = message.topic, message.log_ns, message.place._replace(part=part)
     if topic.kind in (IMAGE, COMPRESSED):
         time_ns = stamp_ns(container, topic, place, log_ns)
-        if len(found.gaps_ns) < _CLOCK_SAMPLES:
-            found.gaps_ns.append(log_ns - time_ns)
-        found.frames.setdefault(topic.name, []).append(StreamFrame(time_ns, place))
-    elif topic.kind == CAMERA_INFO and topic.name not in found.infos:
-        found.infos[topic.name] = decode(topic, payload(container, place))
+        if len(result.gaps_ns) < _CLOCK_SAMPLES:
+            result.gaps_ns.append(log_ns - time_ns)
+        result.frames.setdefault(topic.name, []).append(StreamFrame(time_ns, place))
+    elif topic.kind == CAMERA_INFO and topic.name not in result.infos:
+        result.infos[topic.name] = decode(topic, payload(container, place))
     elif topic.kind in _TF_KINDS:
         for one in decode(topic, payload(container, place)).transforms:
-            _grow(found.tree, one, log_ns, static="static" in topic.name)
-    elif realsense.WANTED.match(topic.name) and topic.name not in found.heard:
-        found.heard[topic.name] = decode(topic, payload(container, place))
-    if topic.name == found.pose_topic:
-        _pose(found, container, message, place)
-    if topic.name == found.grip_topic:
+            _grow(result.tree, one, log_ns, static="static" in topic.name)
+    elif realsense.WANTED.match(topic.name) and topic.name not in result.heard:
+        result.heard[topic.name] = decode(topic, payload(container, place))
+    if topic.name == result.pose_topic:
+        _pose(result, container, message, place)
+    if topic.name == result.grip_topic:
         time_ns = stamp_ns(container, topic, place, log_ns)
-        found.grips.append((time_ns, decode(topic, payload(container, place))))
+        result.grips.append((time_ns, decode(topic, payload(container, place))))
 
 
 def _grow(tree: TransformTree, one: Any, log_ns: int, *, static: bool) -> None:
@@ -154,7 +154,7 @@ def _grow(tree: TransformTree, one: Any, log_ns: int, *, static: bool) -> None:
     )  # fmt: skip
 
 
-def _pose(found: Walk, container: Container, message: Message, place: Place) -> None:
+def _pose(result: Walk, container: Container, message: Message, place: Place) -> None:
     topic = message.topic
     content = decode(topic, payload(container, place))
     time_ns = stamp_ns(container, topic, place, message.log_ns)
@@ -166,7 +166,7 @@ def _pose(found: Walk, container: Container, message: Message, place: Place) -> 
         raise TruncatedError(f"{topic.name}: {topic.kind} holds no position")
     header = getattr(content, "header", None)
     frame = "" if header is None else str(header.frame_id).lstrip("/")
-    found.poses.append((time_ns, frame, (position[0], position[1], position[2])))
+    result.poses.append((time_ns, frame, (position[0], position[1], position[2])))
 
 
 def frame_of(container: Container, topic: Topic, place: Place) -> str:

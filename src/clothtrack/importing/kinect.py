@@ -114,9 +114,9 @@ class KinectSource:
         if options.depth_unit_m is not None:
             unit, origin = options.depth_unit_m, "given by --depth-unit-m"
         if options.intrinsics is not None:
-            given = read_intrinsics(options.intrinsics)
-            color = None if self._color_track is None else given.color
-            return StereoCalibration(given.depth, color, given.color_from_depth, unit, origin)
+            file = read_intrinsics(options.intrinsics)
+            color = None if self._color_track is None else file.color
+            return StereoCalibration(file.depth, color, file.color_from_depth, unit, origin)
         content = self._file
         name = content.tags.get("K4A_CALIBRATION_FILE", _CALIBRATION)
         text = content.attachments.get(name, content.attachments.get(_CALIBRATION))

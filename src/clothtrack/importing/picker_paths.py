@@ -118,7 +118,7 @@ def _number(word: str) -> float:
 
 
 def on_recording_clock(
-    paths: Mapping[str, PickerPath], start_s: float, frame_times: Sequence[float], told: str
+    paths: Mapping[str, PickerPath], start_s: float, frame_times: Sequence[float], remedy: str
 ) -> dict[str, PickerPath]:
     """The paths on the clock of the frames.
 
@@ -126,7 +126,7 @@ def on_recording_clock(
         paths: times on another clock.
         start_s: that clock at the first frame [s].
         frame_times: times of the frames [s].
-        told: what to do when they do not meet, for the error.
+        remedy: what to do when they do not meet, for the error.
 
     Raises:
         InvalidConfigError: a path and the frames have no time in common.
@@ -140,7 +140,7 @@ def on_recording_clock(
             raise InvalidConfigError(
                 f"the path of {name!r} lasts from {path.time_s[0]:.3f} to {path.time_s[-1]:.3f} s "
                 f"of the recording, the frames from {frame_times[0]:.3f} to {frame_times[-1]:.3f} "
-                f"s; {told}"
+                f"s; {remedy}"
             )
     return moved
 
@@ -186,7 +186,9 @@ def actions_of(
     return actions, left_out
 
 
-def told_actions(words: Sequence[str], frames: int, pickers: Sequence[str]) -> list[PickAndPlace]:
+def actions_in_words(
+    words: Sequence[str], frames: int, pickers: Sequence[str]
+) -> list[PickAndPlace]:
     """Actions that a person names: "10-50", first and last frame.
 
     Raises:

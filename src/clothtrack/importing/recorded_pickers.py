@@ -8,10 +8,10 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.importing.picker_paths import (
+    actions_in_words,
     actions_of,
     on_recording_clock,
     read_path_table,
-    told_actions,
 )
 from clothtrack.importing.source import Streams
 from clothtrack.recordings.recording import PickAndPlace, PickerPath
@@ -77,7 +77,7 @@ def add_pickers(
     writer: RecordingWriter,
     paths: Mapping[str, PickerPath],
     frame_times: Sequence[float],
-    told: Sequence[str],
+    words: Sequence[str],
 ) -> tuple[list[PickAndPlace], list[str]]:
     """Write the paths and the actions that they or a person tell.
 
@@ -87,8 +87,8 @@ def add_pickers(
     for name, path in paths.items():
         writer.set_picker_path(name, path)
     notes = []
-    if told:
-        actions = told_actions(told, len(frame_times), list(paths))
+    if words:
+        actions = actions_in_words(words, len(frame_times), list(paths))
     else:
         actions, left_out = actions_of(paths, frame_times)
         if left_out:

@@ -121,9 +121,9 @@ class BagSource:
     def _find_calibration(self, options: ImportOptions) -> StereoCalibration:
         unit_m, origin = self._find_unit(options)
         if options.intrinsics is not None:
-            given = read_intrinsics(options.intrinsics)
-            color = None if self._color_topic is None else given.color
-            return StereoCalibration(given.depth, color, given.color_from_depth, unit_m, origin)
+            file = read_intrinsics(options.intrinsics)
+            color = None if self._color_topic is None else file.color
+            return StereoCalibration(file.depth, color, file.color_from_depth, unit_m, origin)
         depth = self._find_intrinsics(self._depth_topic)
         if self._color_topic is None:
             return StereoCalibration(depth, None, np.eye(4), unit_m, origin)
@@ -196,18 +196,18 @@ class BagSource:
         world = None
         if options.world_frame is not None:
             world = self._world_from_camera(camera_frame, options.world_frame)
-        found = bag_paths(self._path, self._walk, options, camera_frame)
+        picker = bag_paths(self._path, self._walk, options, camera_frame)
         recorder = " of the RealSense SDK" if realsense.is_stream(self._depth_topic) else ""
         return Streams(
             kind=words + recorder,
             calibration=self._calibration,
             depth=self._walk.frames[self._depth_topic.name],
             color=None if color is None else self._walk.frames[color.name],
-            origins={**origins, **found.streams},
-            notes=[*self._walk.lost, *found.notes],
-            paths=found.paths,
-            path_frame=found.frame,
-            path_start_ns=found.start_ns,
+            origins={**origins, **picker.origins},
+            notes=[*self._walk.lost, *picker.notes],
+            paths=picker.paths,
+            path_frame=picker.frame,
+            path_start_ns=picker.start_ns,
             world_from_camera=world,
         )
 

@@ -114,25 +114,25 @@ def _choose(
     every: Sequence[Topic],
 ) -> Topic:
     if asked is not None:
-        found = [one for one in able if one.name == asked] or [
+        candidates = [one for one in able if one.name == asked] or [
             one for one in able if base_name(one.name) == asked
         ]
-        if not found:
+        if not candidates:
             raise InvalidRecordingError(
                 f"{path}: no {what} topic {asked!r}; topics: {listed(every)}; name one with {flag}"
             )
-        return found[0]
+        return candidates[0]
     for pattern in patterns:
-        found = [one for one in able if re.search(pattern, base_name(one.name))]
-        names = {base_name(one.name) for one in found}
+        candidates = [one for one in able if re.search(pattern, base_name(one.name))]
+        names = {base_name(one.name) for one in candidates}
         if len(names) > 1:
             raise InvalidRecordingError(
                 f"{path}: {len(names)} topics may be the {what}: {', '.join(sorted(names))}; "
                 f"choose one with {flag}"
             )
-        if found:
+        if candidates:
             # Of several transports, what was not packed and then not lossy.
-            return min(found, key=lambda one: (one.kind != IMAGE, one.name))
+            return min(candidates, key=lambda one: (one.kind != IMAGE, one.name))
     raise InvalidRecordingError(
         f"{path}: no topic has a usual name of {what}; topics: {listed(every)}; name one "
         f"with {flag}"

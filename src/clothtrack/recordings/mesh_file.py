@@ -50,8 +50,10 @@ def read_mesh(path: Path) -> ClothMesh:
     kind = path.suffix.lower().removeprefix(".")
     try:
         with path.open("rb") as file:
-            found = trimesh.load_mesh(file, file_type=kind, process=kind == "stl")
-        return ClothMesh(np.asarray(found.vertices, np.float64), np.asarray(found.faces, np.int64))
+            loaded = trimesh.load_mesh(file, file_type=kind, process=kind == "stl")
+        return ClothMesh(
+            np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
+        )
     except InvalidMeshError as error:
         raise InvalidMeshError(f"{path}: {error}") from error
     except (OSError, ValueError, IndexError, KeyError, TypeError, AttributeError) as error:

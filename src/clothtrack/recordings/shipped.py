@@ -13,13 +13,13 @@ def shipped_recording(name: str = "") -> Path:
     Raises:
         InvalidRecordingError: naming those that there are.
     """
-    found = {path.parent.name: path.parent for path in sorted(SHIPPED.glob("*/recording.json"))}
-    if not found:
+    folders = {path.parent.name: path.parent for path in sorted(SHIPPED.glob("*/recording.json"))}
+    if not folders:
         raise InvalidRecordingError(
             f"{SHIPPED}: no recording comes with this installation; install clothtrack again"
         )
-    if name and name not in found:
+    if name and name not in folders:
         raise InvalidRecordingError(
-            f"no shipped recording is called {name!r}; there are {', '.join(found)}"
+            f"no shipped recording is called {name!r}; there are {', '.join(folders)}"
         )
-    return found[name] if name else next(iter(found.values()))
+    return folders[name] if name else next(iter(folders.values()))
