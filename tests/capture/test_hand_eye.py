@@ -102,9 +102,9 @@ def test_robot_poses_are_read(tmp_path):
     [
         ("", "the first line is ''"),
         (HEAD + "0.png,1,2,3\n", "line 2 has 4 fields"),
-        (HEAD + "0.png,0,0,zero,0,0,0,1\n", "write numbers"),
+        (HEAD + "0.png,0,0,zero,0,0,0,1\n", "z_m is 'zero'; write a number"),
         (HEAD + "0.png,0,0,0,1,1,0,1\n", "the quaternion has length"),
-        (HEAD + "0.png,inf,0,0,0,0,0,1\n", "finite metres"),
+        (HEAD + "0.png,inf,0,0,0,0,0,1\n", "x_m is 'inf'; write a number"),
     ],
 )
 def test_what_is_no_pose_is_refused(tmp_path, text, told):

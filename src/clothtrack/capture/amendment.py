@@ -16,11 +16,10 @@ from jaxtyping import Bool
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.atomic_write import atomic_folder, storage, write_file
 from clothtrack.recordings.frame_files import PICTURE_KINDS
-from clothtrack.recordings.picker_table import picker_text
+from clothtrack.recordings.picker_table import PICKER_FILE, picker_text
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath, Recording
 from clothtrack.recordings.recording_file import document_violations, load_document
-from clothtrack.recordings.validation import PICKER_FILE
 from clothtrack.recordings.violation import DOCUMENT
 
 Change = Callable[[dict[str, Any]], None]

@@ -8,13 +8,12 @@ doi:10.1109/70.326576), then least squares over X and Z together. (`cv2.calibrat
 missing from OpenCV 5's Python module.)
 """
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,8 +21,11 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.files.csv_table import NUMBER, Column, read_csv
 
-COLUMNS = ("picture", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+COLUMNS = {"picture": Column(str, "name a picture")} | dict.fromkeys(
+    ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"), NUMBER
+)
 LEAST_POSES = 5
 LEAST_TURN_DEG = 10.0
 _METRES_PER_RADIAN = 0.3
@@ -68,18 +70,7 @@ def read_robot_poses(path: Path) -> list[RobotPose]:
     Raises:
         InvalidRecordingError: the file cannot be read or a row is not what it should be.
     """
-    try:
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InvalidRecordingError(f"{path}: cannot be read ({error}); write a CSV file") from (
-            error
-        )
-    head = tuple(word.strip() for word in rows[0]) if rows else ()
-    if head != COLUMNS:
-        raise InvalidRecordingError(
-            f"{path}: the first line is {','.join(head)!r}; it must be {','.join(COLUMNS)!r}"
-        )
-    return [_pose(path, number, row) for number, row in enumerate(rows[1:], start=2) if row]
+    return [_pose(path, place, row) for place, row in read_csv(path, COLUMNS)]
 
 
 def calibrate_hand_eye(
@@ -181,23 +172,15 @@ def _unknowns(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
     return np.concatenate([Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3]])
 
 
-def _pose(path: Path, number: int, row: list[str]) -> RobotPose:
-    if len(row) != len(COLUMNS):
-        raise InvalidRecordingError(
-            f"{path}: line {number} has {len(row)} fields; it must have {len(COLUMNS)}: "
-            f"{','.join(COLUMNS)}"
-        )
-    try:
-        values = [float(word) for word in row[1:]]
-    except ValueError as error:
-        raise InvalidRecordingError(f"{path}: line {number}: {error}; write numbers") from error
+def _pose(path: Path, place: str, row: list[Any]) -> RobotPose:
+    picture, *values = row
     length = math.sqrt(sum(value * value for value in values[3:]))
-    if not all(map(math.isfinite, values)) or not abs(length - 1.0) < 1e-2:
+    if not abs(length - 1.0) < 1e-2:
         raise InvalidRecordingError(
-            f"{path}: line {number}: the quaternion has length {length:.3g}, not 1; write qx, qy, "
-            "qz, qw in this order, and finite metres"
+            f"{place}: the quaternion has length {length:.3g}, not 1; write qx, qy, qz, qw in this "
+            "order"
         )
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_quat(values[3:]).as_matrix()
     pose[:3, 3] = values[:3]
-    return RobotPose(path.parent / row[0].strip(), pose)
+    return RobotPose(path.parent / picture, pose)

@@ -74,7 +74,7 @@ def read_path_table(path: Path) -> dict[str, PickerPath]:
 def _paths_in(path: Path, text: str) -> dict[str, PickerPath]:
     rows = csv.reader(io.StringIO(text))
     head = [word.strip() for word in next(rows, [])]
-    if tuple(head) == COLUMNS:
+    if head == [*COLUMNS]:
         return read_picker_paths(path)
     places = {
         name: next((k for k, word in enumerate(head) if word.lower() in spellings), None)

@@ -5,8 +5,8 @@ import json
 
 from clothtrack.files.atomic_write import content_hash, storage
 from clothtrack.recordings.frame_files import PICTURE_KINDS
+from clothtrack.recordings.picker_table import PICKER_FILE
 from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.validation import PICKER_FILE
 from clothtrack.recordings.violation import DOCUMENT
 
 DIGEST_FIELD = "recording_sha256"

@@ -18,7 +18,7 @@ from clothtrack.errors import InvalidRecordingError, StorageError
 from clothtrack.files.atomic_write import storage
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.frame_files import PictureKind, conventional_name
-from clothtrack.recordings.picker_table import picker_text
+from clothtrack.recordings.picker_table import PICKER_FILE, picker_text
 from clothtrack.recordings.pictures import (
     encode_png,
     parse_header,
@@ -36,7 +36,7 @@ from clothtrack.recordings.recording import (
 )
 from clothtrack.recordings.recording_file import VERSION
 from clothtrack.recordings.template import canonical_text, obj_text
-from clothtrack.recordings.validation import PICKER_FILE, check_recording
+from clothtrack.recordings.validation import check_recording
 from clothtrack.recordings.violation import DOCUMENT
 
 TEMPLATE_FILE = "template.obj"

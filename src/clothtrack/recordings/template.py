@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidMeshError, InvalidRecordingError
+from clothtrack.files.csv_table import Column, finite, read_csv
 from clothtrack.geometry.mesh import ClothMesh
 
-CANONICAL_COLUMNS = ("x_m", "y_m", "z_m")
+CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write metres"))
 
 
 def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
@@ -64,20 +65,7 @@ def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
     Raises:
         InvalidRecordingError: the file is missing, a column is, or a field is no number.
     """
-    lines = [line for line in _lines(path) if line.strip()]
-    head = tuple(word.strip() for word in lines[0].split(",")) if lines else ()
-    if head != CANONICAL_COLUMNS:
-        raise InvalidRecordingError(
-            f"{path}: the first line is {','.join(head)!r}; it must be 'x_m,y_m,z_m'"
-        )
-    rows = []
-    for number, line in enumerate(lines[1:], start=2):
-        try:
-            rows.append(_vertex(line.split(",")))
-        except ValueError as error:
-            raise InvalidRecordingError(f"{path}: line {number}: {error}; write metres") from error
-        if not np.isfinite(rows[-1]).all():
-            raise InvalidRecordingError(f"{path}: line {number} is {rows[-1]}; write metres")
+    rows = [row for _, row in read_csv(path, CANONICAL_COLUMNS)]
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 

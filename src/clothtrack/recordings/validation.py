@@ -16,7 +16,7 @@ from clothtrack.recordings.frame_files import (
     find_frames,
     named_file,
 )
-from clothtrack.recordings.picker_table import read_picker_paths
+from clothtrack.recordings.picker_table import PICKER_FILE, read_picker_paths
 from clothtrack.recordings.recording import (
     ClothDescription,
     Frame,
@@ -30,7 +30,6 @@ from clothtrack.recordings.recording_file import load_document
 from clothtrack.recordings.template import held_problem, read_obj
 from clothtrack.recordings.violation import DOCUMENT, Violation, Violations, shown
 
-PICKER_FILE = "picker.csv"
 _TIME_TOLERANCE_S = 1e-3
 
 

@@ -1,0 +1,75 @@
+"""CSV files with declared columns: a field is read, or refused with its line, value and remedy."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clothtrack.errors import InvalidRecordingError
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column holds.
+
+    Attributes:
+        read: makes a value of a field without blanks around it; raises ValueError for others.
+        remedy: what to write instead.
+    """
+
+    read: Callable[[str], Any]
+    remedy: str
+
+
+def finite(word: str) -> float:
+    """A finite number; ValueError otherwise."""
+    value = float(word)
+    if not math.isfinite(value):
+        raise ValueError(word)
+    return value
+
+
+NUMBER = Column(finite, "write a number")
+
+
+def read_csv(path: Path, columns: Mapping[str, Column]) -> Iterator[tuple[str, list[Any]]]:
+    """Place ("FILE: line 7") and values of every row that is not empty, below the head.
+
+    Raises:
+        InvalidRecordingError: the file cannot be read, its head or the length of a row is another,
+            or a field is not what its column holds.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InvalidRecordingError(f"{path}: {error.strerror}; add the file") from error
+    except UnicodeDecodeError as error:
+        raise InvalidRecordingError(f"{path}: not a text file; write UTF-8") from error
+    names = ",".join(columns)
+    rows = csv.reader(io.StringIO(text))
+    try:
+        head = ",".join(word.strip() for word in next(rows, []))
+        if head != names:
+            raise InvalidRecordingError(f"{path}: the first line is {head!r}; it must be {names!r}")
+        for row in filter(None, rows):
+            place = f"{path}: line {rows.line_num}"
+            if len(row) != len(columns):
+                raise InvalidRecordingError(
+                    f"{place} has {len(row)} fields; it must have {len(columns)}: {names}"
+                )
+            yield place, [_value(place, *pair) for pair in zip(columns.items(), row, strict=True)]
+    except csv.Error as error:
+        raise InvalidRecordingError(f"{path}: not a CSV file ({error}); write one") from error
+
+
+def _value(place: str, named: tuple[str, Column], word: str) -> Any:
+    name, column = named
+    try:
+        return column.read(word.strip())
+    except ValueError as error:
+        raise InvalidRecordingError(
+            f"{place}: {name} is {word.strip()!r}; {column.remedy}"
+        ) from error
