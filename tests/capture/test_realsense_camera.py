@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
+from clothtrack.capture.live_capture import CaptureWriter
 from clothtrack.capture.realsense_camera import RealSenseCamera, open_realsense
-from clothtrack.capture.recorder import CaptureWriter
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.extras import install_command
 from clothtrack.recordings.pictures import read_color, read_depth

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack.capture.recorder import CapturedFrame
+from clothtrack.capture.live_capture import CapturedFrame
 from clothtrack.capture.recording_page import (
     PROTOCOL,
     Session,

@@ -7,13 +7,13 @@ from clothtrack._lazy import lazy_names
 if TYPE_CHECKING:
     from clothtrack.capture.board import Board, BoardPose, locate_board, locate_boards
     from clothtrack.capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye, read_robot_poses
-    from clothtrack.capture.realsense_camera import RealSenseCamera, open_realsense
-    from clothtrack.capture.recorder import (
+    from clothtrack.capture.live_capture import (
         CapturedFrame,
         CaptureWriter,
         DepthCamera,
         ReplayedCamera,
     )
+    from clothtrack.capture.realsense_camera import RealSenseCamera, open_realsense
     from clothtrack.capture.segmentation_setup import SegmentationSetup
     from clothtrack.capture.table_plane import TableFit, fit_recorded_table
     from clothtrack.capture.tip_finder import TipFinder

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from clothtrack.capture.recorder import CapturedFrame
+from clothtrack.capture.live_capture import CapturedFrame
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.files.extras import install_command
 from clothtrack.geometry.camera import Camera

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.capture.live_capture import CapturedFrame, CaptureWriter, DepthCamera
 from clothtrack.capture.mask_pictures import jpeg
-from clothtrack.capture.recorder import CapturedFrame, CaptureWriter, DepthCamera
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.lettering import Picture
 from clothtrack.report.local_page import Answer, serving

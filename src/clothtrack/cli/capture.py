@@ -244,8 +244,8 @@ def record(
         salvage: record nothing; make a recording of what a broken capture has left.
         port: of the page's server, which listens on this machine only; any free one by default.
     """
+    from clothtrack.capture.live_capture import ReplayedCamera, salvage_capture
     from clothtrack.capture.realsense_camera import open_realsense
-    from clothtrack.capture.recorder import ReplayedCamera, salvage_capture
     from clothtrack.capture.recording_page import Session, record_live
     from clothtrack.recordings.store import read_recording
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     )
     from clothtrack.recordings.shipped import shipped_recording
     from clothtrack.recordings.store import RecordingWriter, read_recording, write_recording
-    from clothtrack.recordings.template import read_obj
+    from clothtrack.recordings.template_file import read_obj
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 

@@ -8,7 +8,7 @@ import trimesh
 from clothtrack.errors import InvalidConfigError, InvalidMeshError
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.recordings.template import read_obj
+from clothtrack.recordings.template_file import read_obj
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
 

@@ -35,7 +35,7 @@ from clothtrack.recordings.recording import (
     Table,
 )
 from clothtrack.recordings.recording_file import VERSION
-from clothtrack.recordings.template import canonical_text, obj_text
+from clothtrack.recordings.template_file import canonical_text, obj_text
 from clothtrack.recordings.validation import check_recording
 from clothtrack.recordings.violation import DOCUMENT
 

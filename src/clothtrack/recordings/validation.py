@@ -27,7 +27,7 @@ from clothtrack.recordings.recording import (
     Table,
 )
 from clothtrack.recordings.recording_file import load_document
-from clothtrack.recordings.template import held_problem, read_obj
+from clothtrack.recordings.template_file import held_problem, read_obj
 from clothtrack.recordings.violation import DOCUMENT, Violation, Violations, shown
 
 _TIME_TOLERANCE_S = 1e-3

@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from clothtrack.capture import recorder as capture
-from clothtrack.capture.recorder import (
+from clothtrack.capture import live_capture as capture
+from clothtrack.capture.live_capture import (
     CapturedFrame,
     CaptureWriter,
     ReplayedCamera,
@@ -174,7 +174,7 @@ import sys, time
 from pathlib import Path
 import numpy as np
 from clothtrack.geometry.camera import Camera
-from clothtrack.capture.recorder import CapturedFrame, CaptureWriter
+from clothtrack.capture.live_capture import CapturedFrame, CaptureWriter
 
 class Source:
     camera, depth_unit_m = Camera("top", 64, 48, 60.0, 60.0, 31.5, 23.5), 0.001

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidMeshError, InvalidRecordingError
-from clothtrack.recordings.template import canonical_text, obj_text, read_canonical, read_obj
+from clothtrack.recordings.template_file import canonical_text, obj_text, read_canonical, read_obj
 
 
 def write(folder, text):
