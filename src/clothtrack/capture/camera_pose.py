@@ -62,12 +62,12 @@ def camera_named(recording: Recording, name: str = "") -> Camera:
     Raises:
         InvalidConfigError: naming those that there are.
     """
-    found = {camera.name: camera for camera in recording.cameras}
-    if name and name not in found:
+    cameras = {camera.name: camera for camera in recording.cameras}
+    if name and name not in cameras:
         raise InvalidConfigError(
-            f"{recording.folder}: there is no camera {name!r}; cameras: {', '.join(found)}"
+            f"{recording.folder}: there is no camera {name!r}; cameras: {', '.join(cameras)}"
         )
-    return found[name] if name else recording.cameras[0]
+    return cameras[name] if name else recording.cameras[0]
 
 
 def place_by_table(recording: Recording, camera: Camera) -> CameraPlacement:
@@ -104,16 +104,16 @@ def place_by_board(
             "in; leave the board out and let depth find the table"
         )
     places = np.unique(np.linspace(0, len(frames) - 1, BOARD_PICTURES).round().astype(int))
-    found = locate_board([read_color(frames[n].color[camera.name]) for n in places], board, camera)
-    pose = np.linalg.inv(found.camera_from_board)
+    seen = locate_board([read_color(frames[n].color[camera.name]) for n in places], board, camera)
+    pose = np.linalg.inv(seen.camera_from_board)
     pose[2, 3] += thickness_m
     text = {
         "by": "board",
-        "corners": found.corners,
-        "residual_px": round(found.residual_px, 3),
+        "corners": seen.corners,
+        "residual_px": round(seen.residual_px, 3),
         "camera_height_m": round(float(pose[2, 3]), 4),
     }
-    deeper = _depth_behind_board(recording, camera, board, found)
+    deeper = _depth_behind_board(recording, camera, board, seen)
     if deeper is not None:
         text["depth_beyond_board_mm"] = round(1e3 * deeper, 1)
     return CameraPlacement(camera.name, pose, _ground(), text)
@@ -142,40 +142,40 @@ def place_by_robot(
     Raises:
         InvalidRecordingError: a picture cannot be read, or too few show the board.
     """
-    pictures = [read_color(one.picture) for one in poses]
-    for one, picture in zip(poses, pictures, strict=True):
+    pictures = [read_color(robot.picture) for robot in poses]
+    for robot, picture in zip(poses, pictures, strict=True):
         if picture.shape[:2] != (camera.height, camera.width):
             raise InvalidRecordingError(
-                f"{one.picture}: {picture.shape[1]} x {picture.shape[0]} pixels, but camera "
+                f"{robot.picture}: {picture.shape[1]} x {picture.shape[0]} pixels, but camera "
                 f"{camera.name!r} has {camera.width} x {camera.height}; use its own pictures"
             )
     seen = locate_boards(pictures, board, camera)
-    used = [n for n, one in enumerate(seen) if one is not None]
-    found = calibrate_hand_eye(
+    used = [n for n, pose in enumerate(seen) if pose is not None]
+    hand_eye = calibrate_hand_eye(
         [poses[n].base_from_gripper for n in used],
-        [one.camera_from_board for one in seen if one is not None],
+        [pose.camera_from_board for pose in seen if pose is not None],
         camera_on_hand=camera_on_hand,
     )
     text: dict[str, Any] = {
         "by": "camera on hand" if camera_on_hand else "robot",
         "pictures": len(poses),
         "pictures_used": len(used),
-        "residual_mm": round(1e3 * float(np.sqrt(np.mean(found.errors_m**2))), 2),
-        "residual_deg": round(float(np.sqrt(np.mean(found.errors_deg**2))), 3),
+        "residual_mm": round(1e3 * float(np.sqrt(np.mean(hand_eye.errors_m**2))), 2),
+        "residual_deg": round(float(np.sqrt(np.mean(hand_eye.errors_deg**2))), 3),
         "per_picture": [
             {
                 "picture": str(poses[n].picture),
                 "mm": round(1e3 * float(shift), 2),
                 "deg": round(float(turn), 3),
             }
-            for n, shift, turn in zip(used, found.errors_m, found.errors_deg, strict=True)
+            for n, shift, turn in zip(used, hand_eye.errors_m, hand_eye.errors_deg, strict=True)
         ],
     }
     table = None
     if not camera_on_hand:
-        table, said = _table_in(recording, camera, found.pose)
+        table, said = _table_in(recording, camera, hand_eye.pose)
         text["table"] = said
-    return CameraPlacement(camera.name, found.pose, table, text), found
+    return CameraPlacement(camera.name, hand_eye.pose, table, text), hand_eye
 
 
 def save_placement(path: Path, placement: CameraPlacement) -> None:
@@ -248,14 +248,14 @@ def _ground() -> Table:
 
 
 def _depth_behind_board(
-    recording: Recording, camera: Camera, board: Board, found: BoardPose
+    recording: Recording, camera: Camera, board: Board, seen: BoardPose
 ) -> float | None:
     """How much farther than the board its pixels are by depth [m], the median; None if unknown."""
-    frame = next((one for one in recording.frames if camera.name in one.depth), None)
+    frame = next((frame for frame in recording.frames if camera.name in frame.depth), None)
     if frame is None:
         return None
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
-    points = board.corners @ found.camera_from_board[:3, :3].T + found.camera_from_board[:3, 3]
+    points = board.corners @ seen.camera_from_board[:3, :3].T + seen.camera_from_board[:3, 3]
     columns, rows = np.rint(
         points[:, :2] / points[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     ).T.astype(int)

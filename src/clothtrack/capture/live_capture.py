@@ -84,7 +84,7 @@ class ReplayedCamera:
         self.camera = recording.cameras[0]
         self.depth_unit_m = recording.depth_units_m.get(self.camera.name, 0.001)
         self._speed = speed
-        self._frames = [one for one in recording.frames if self.camera.name in one.depth]
+        self._frames = [frame for frame in recording.frames if self.camera.name in frame.depth]
         if not self._frames:
             raise InvalidRecordingError(
                 f"{recording.folder}: camera {self.camera.name!r} has no depth to play"

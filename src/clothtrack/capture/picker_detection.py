@@ -85,7 +85,7 @@ def find_picker(
             "clothtrack calibrate-camera first"
         )
     tips = watch_tip(recording, camera, members)
-    positions = np.array([np.full(3, np.nan) if one is None else one.position for one in tips])
+    positions = np.array([np.full(3, np.nan) if tip is None else tip.position for tip in tips])
     positions = without_jumps(positions)
     seen = np.isfinite(positions[:, 0])
     if seen.sum() < 4:
@@ -94,8 +94,8 @@ def find_picker(
             "least 4); check its colour, or click on it in a frame that shows it"
         )
     heights = recording.table.heights(positions)
-    visits = visits_of(seen, [one and one.pixel for one in tips], camera)
-    gaps = np.array([np.nan if one is None else one.gap_m for one in tips])
+    visits = visits_of(seen, [tip and tip.pixel for tip in tips], camera)
+    gaps = np.array([np.nan if tip is None else tip.gap_m for tip in tips])
     if np.mean(gaps[seen] > 0.0) > _TWO_ARMS_SHARE:
         by, spans = "tip distance", closed_by_gap(gaps, heights, visits)
     else:

@@ -39,7 +39,7 @@ def visits_of(
         last, next_one = pixels[before], pixels[after]
         if after == before + 1 or last is None or next_one is None:
             continue
-        rim = min(np.min([one, edges - one]) for one in (last, next_one))
+        rim = min(np.min([pixel, edges - pixel]) for pixel in (last, next_one))
         if rim < BORDER_PIXELS:
             cuts.append(place)
     return np.split(frames, cuts)

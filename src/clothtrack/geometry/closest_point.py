@@ -35,11 +35,11 @@ def closest_on_mesh(
     near = tree.query(points)[1]
     bound = _gaps(points, corners[near], closest_on_triangle(points, corners[near]))
     candidates = tree.query_ball_point(points, bound + radius + 1e-12)
-    counts = np.array([len(one) for one in candidates])
+    counts = np.array([len(faces) for faces in candidates])
     face_of = np.empty(len(points), np.int64)
     weights_of = np.empty((len(points), 3))
     for chunk in _chunks(counts):
-        face = np.concatenate([np.asarray(one, np.int64) for one in candidates[chunk]])
+        face = np.concatenate([np.asarray(faces, np.int64) for faces in candidates[chunk]])
         owner = np.repeat(np.arange(chunk.stop - chunk.start), counts[chunk])
         queries = points[chunk][owner]
         weights = closest_on_triangle(queries, corners[face])

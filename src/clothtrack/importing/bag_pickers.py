@@ -91,9 +91,9 @@ def _from_topic(
             f"{path}: no position in topic {topic!r}; topics: {listed(walk.topics)}; name one of "
             "PoseStamped, PointStamped, TransformStamped or Odometry with --picker-topic"
         )
-    poses = sorted(walk.poses, key=lambda one: one[0])
-    times = np.array([one[0] for one in poses], dtype=np.int64)
-    positions = np.array([one[2] for one in poses])
+    poses = sorted(walk.poses, key=lambda pose: pose[0])
+    times = np.array([pose[0] for pose in poses], dtype=np.int64)
+    positions = np.array([pose[2] for pose in poses])
     origin = poses[0][1]
     if not (target and origin and walk.tree.connects(target, origin)):
         # Nothing ties its frame to the camera's; whether it is the world is for the person to say.
@@ -113,7 +113,7 @@ def _closed(
         )
     unstamped = not hasattr(walk.grips[0][1], "header")
     gap = walk.clock_gap_ns if unstamped and abs(walk.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
-    text = sorted((time - gap, _is_closed(path, one, options)) for time, one in walk.grips)
+    text = sorted((time - gap, _is_closed(path, message, options)) for time, message in walk.grips)
     when = np.array([time for time, _ in text])
     what = np.array([closed for _, closed in text])
     # Before the first message the gripper is taken to be as that message says.

@@ -48,8 +48,8 @@ def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
             containers.append(kind[0](path))
             words = kind[1]
     except InvalidRecordingError:
-        for one in containers:
-            one.close()
+        for container in containers:
+            container.close()
         raise
     return containers, words
 
@@ -114,8 +114,8 @@ def walk(
                 _note(result, container, message, part)
             except TruncatedError:
                 torn[message.topic.name] = torn.get(message.topic.name, 0) + 1
-        known = {one.name for one in result.topics}
-        result.topics += [one for one in container.topics() if one.name not in known]
+        known = {topic.name for topic in result.topics}
+        result.topics += [topic for topic in container.topics() if topic.name not in known]
         if container.damage:
             whole = sum(map(len, result.frames.values()))
             result.lost.append(f"{container.damage}; {whole} whole pictures before it were saved")
@@ -133,8 +133,8 @@ def _note(result: Walk, container: Container, message: Message, part: int) -> No
     elif topic.kind == CAMERA_INFO and topic.name not in result.infos:
         result.infos[topic.name] = decode(topic, payload(container, place))
     elif topic.kind in _TF_KINDS:
-        for one in decode(topic, payload(container, place)).transforms:
-            _grow(result.tree, one, log_ns, static="static" in topic.name)
+        for stamped in decode(topic, payload(container, place)).transforms:
+            _grow(result.tree, stamped, log_ns, static="static" in topic.name)
     elif realsense.WANTED.match(topic.name) and topic.name not in result.heard:
         result.heard[topic.name] = decode(topic, payload(container, place))
     if topic.name == result.pose_topic:
@@ -144,13 +144,13 @@ def _note(result: Walk, container: Container, message: Message, part: int) -> No
         result.grips.append((time_ns, decode(topic, payload(container, place))))
 
 
-def _grow(tree: TransformTree, one: Any, log_ns: int, *, static: bool) -> None:
-    stamp = one.header.stamp
+def _grow(tree: TransformTree, stamped: Any, log_ns: int, *, static: bool) -> None:
+    stamp = stamped.header.stamp
     time_ns = stamp.sec * 10**9 + stamp.nanosec or log_ns
-    t, q = one.transform.translation, one.transform.rotation
+    t, q = stamped.transform.translation, stamped.transform.rotation
     tree.add(
-        one.header.frame_id, one.child_frame_id, time_ns, (t.x, t.y, t.z), (q.x, q.y, q.z, q.w),
-        static=static,
+        stamped.header.frame_id, stamped.child_frame_id, time_ns, (t.x, t.y, t.z),
+        (q.x, q.y, q.z, q.w), static=static,
     )  # fmt: skip
 
 

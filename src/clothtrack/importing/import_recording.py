@@ -52,7 +52,7 @@ def open_source(path: Path, options: ImportOptions) -> Source:
                 return BagSource(path, options)
             if is_picture_folder(path):
                 return FolderSource(path, options)
-            seen = ", ".join(sorted(one.name for one in path.iterdir())[:10]) or "nothing"
+            seen = ", ".join(sorted(file.name for file in path.iterdir())[:10]) or "nothing"
             raise InvalidRecordingError(
                 f"{path}: neither .mcap, .db3 or .bag files nor a folder depth/ are in it (there: "
                 f"{seen}); see docs/import.md"

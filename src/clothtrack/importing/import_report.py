@@ -74,9 +74,9 @@ class ImportReport:
         width = max(map(len, facts))
         lines = [f"{self.recording}: imported"]
         lines += [f"  {name:<{width}}  {value}" for name, value in facts.items()]
-        lines += [f"  left out: {one}" for one in self.dropped]
-        lines += [f"  note: {one}" for one in self.notes]
-        lines += [f"  missing for tracking: {one}" for one in self.missing]
+        lines += [f"  left out: {text}" for text in self.dropped]
+        lines += [f"  note: {text}" for text in self.notes]
+        lines += [f"  missing for tracking: {text}" for text in self.missing]
         return "\n".join([*lines, f"  next: {self.next_command}"])
 
     def as_dict(self) -> dict[str, object]:

@@ -126,7 +126,7 @@ def _intrinsics(path: Path, content: Any, place: str) -> Intrinsics:
         raise InvalidRecordingError(f"{path}: {place}width and height must be whole: {size}")
     coefficients = content.get("distortion", [])
     if not isinstance(coefficients, list) or not all(
-        isinstance(one, int | float) for one in coefficients
+        isinstance(value, int | float) for value in coefficients
     ):
         raise InvalidRecordingError(f"{path}: {place}distortion is not a list of numbers")
     model = content.get("model", "brown")

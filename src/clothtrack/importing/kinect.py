@@ -73,8 +73,8 @@ class KinectSource:
             )
         depth_track = self._track("DEPTH")
         if depth_track is None:
-            names = ", ".join(repr(one.name) for one in self._file.tracks) or "none"
-            lost = "".join(f" ({one})" for one in notes)
+            names = ", ".join(repr(track.name) for track in self._file.tracks) or "none"
+            lost = "".join(f" ({note})" for note in notes)
             raise InvalidRecordingError(
                 f"{self._path}: no track DEPTH{lost}; tracks: {names}; record with k4arecorder or "
                 "OrbbecViewer, depth switched on"

@@ -62,7 +62,7 @@ def kinect_intrinsics(
             )
     try:
         cameras = json.loads(text.split(b"\0")[0])["CalibrationInformation"]["Cameras"]
-        by_place = {one["Location"]: one for one in cameras}
+        by_place = {camera["Location"]: camera for camera in cameras}
         depth = _intrinsics(
             by_place[_DEPTH_PLACE], *_DEPTH_MODES[depth_size], depth_size, legacy=False
         )
@@ -91,7 +91,7 @@ def _intrinsics(
     intrinsics = camera["Intrinsics"]
     if intrinsics["ModelType"] != _MODEL:
         raise ValueError(f"lens model {intrinsics['ModelType']}")
-    numbers = [float(one) for one in intrinsics["ModelParameters"]]
+    numbers = [float(parameter) for parameter in intrinsics["ModelParameters"]]
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = numbers
     width, height = int(camera["SensorWidth"]), int(camera["SensorHeight"])
     if legacy and width * 9 == height * 16:

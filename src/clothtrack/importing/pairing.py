@@ -67,19 +67,21 @@ def pair(
             f"{path}: not one whole depth picture; record it again or name another --depth-topic"
         )
     ordered = sorted(depth, key=lambda frame: frame.time_ns)
-    single = [one for k, one in enumerate(ordered) if not k or one.time_ns > ordered[k - 1].time_ns]
+    single = [
+        frame for k, frame in enumerate(ordered) if not k or frame.time_ns > ordered[k - 1].time_ns
+    ]
     doubles = len(ordered) - len(single)
-    times = np.array([one.time_ns for one in single])
+    times = np.array([frame.time_ns for frame in single])
     tolerance = _tolerance_ns(times, tolerance_s)
     if color is None:
-        pairs = tuple(Pair(one, None) for one in single)
+        pairs = tuple(Pair(frame, None) for frame in single)
         return Pairing(pairs, tolerance / 1e9, 0, 0, doubles, 0.0)
     if not color:
         raise InvalidRecordingError(
             f"{path}: not one whole colour picture; give --without-color to import depth alone"
         )
     others = sorted(color, key=lambda frame: frame.time_ns)
-    other_times = np.array([one.time_ns for one in others])
+    other_times = np.array([frame.time_ns for frame in others])
     mine, yours = _nearest(times, other_times), _nearest(other_times, times)
     apart = np.abs(times - other_times[mine])
     mutual = yours[mine] == np.arange(len(times))

@@ -168,7 +168,7 @@ def actions_of(
                 continue
             spans.append((first, last, {name}))
     merged: list[tuple[int, int, set[str]]] = []
-    for first, last, names in sorted(spans, key=lambda one: one[:2]):
+    for first, last, names in sorted(spans, key=lambda span: span[:2]):
         if merged and first < merged[-1][1]:
             before, end, others = merged[-1]
             merged[-1] = (before, max(end, last), others | names)

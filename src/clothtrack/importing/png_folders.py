@@ -119,13 +119,12 @@ class FolderSource:
                 f"{self._path}: nothing says when the pictures were taken; give --fps"
             )
         # The same name is the same moment; a picture that is missing leaves its moment empty.
-        stems = sorted({one.stem for one in depth_files} | {one.stem for one in color_files or ()},
-                       key=_natural)  # fmt: skip
+        stems = sorted({file.stem for file in (*depth_files, *(color_files or ()))}, key=_natural)
         times = {stem: round(1e9 * number / fps) for number, stem in enumerate(stems)}
-        depth = [StreamFrame(times[one.stem], one) for one in depth_files]
+        depth = [StreamFrame(times[file.stem], file) for file in depth_files]
         color = None
         if color_files is not None:
-            color = [StreamFrame(times[one.stem], one) for one in color_files]
+            color = [StreamFrame(times[file.stem], file) for file in color_files]
         return depth, color, [f"no time stamps: pictures taken as {fps:g} per second"]
 
     def _fps(self) -> float | None:
@@ -166,10 +165,10 @@ class FolderSource:
         path = self._path / _BOP
         content = read_json(path)
         entries = list(content.values()) if isinstance(content, dict) else []
-        numbers = [_bop_entry(path, one) for one in entries]
+        numbers = [_bop_entry(path, entry) for entry in entries]
         if not numbers:
             raise InvalidRecordingError(f"{path}: no picture is described; see docs/import.md")
-        if max(max(abs(a - b) for a, b in zip(one, numbers[0], strict=True)) for one in numbers) > (
+        if max(max(abs(a - b) for a, b in zip(row, numbers[0], strict=True)) for row in numbers) > (
             1e-6
         ):
             raise InvalidRecordingError(
@@ -195,7 +194,7 @@ class FolderSource:
 
 def _bop_entry(path: Path, entry: Any) -> tuple[float, float, float, float, float]:
     try:
-        k, scale = [float(one) for one in entry["cam_K"]], float(entry["depth_scale"])
+        k, scale = [float(value) for value in entry["cam_K"]], float(entry["depth_scale"])
         return k[0], k[4], k[2], k[5], scale
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InvalidRecordingError(
@@ -208,10 +207,10 @@ def _pictures(path: Path, folders: Sequence[str]) -> Any:
     for name in folders:
         if (path / name).is_dir():
             files = [
-                one for one in islice((path / name).iterdir(), _MOST_FILES)
-                if one.suffix.lower() in _PICTURES and _lies_in(path.resolve(), one)
+                file for file in islice((path / name).iterdir(), _MOST_FILES)
+                if file.suffix.lower() in _PICTURES and _lies_in(path.resolve(), file)
             ]  # fmt: skip
-            return sorted(files, key=lambda one: _natural(one.stem))
+            return sorted(files, key=lambda file: _natural(file.stem))
     return None
 
 

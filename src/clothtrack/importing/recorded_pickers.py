@@ -42,7 +42,7 @@ def placed_paths(
     Raises:
         InvalidConfigError: nothing ties a path to the world, or it and the frames do not meet.
     """
-    span = [0.0, (max(one.time_ns for one in streams.depth) - start_ns) / 1e9]
+    span = [0.0, (max(frame.time_ns for frame in streams.depth) - start_ns) / 1e9]
     if table is not None:
         paths = read_path_table(table)
         moved = on_recording_clock(

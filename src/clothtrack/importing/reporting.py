@@ -51,7 +51,7 @@ def report_of(
         dropped=_dropped(pairing, damaged),
         notes=[*streams.notes, *notes],
         pickers={name: len(path.time_s) for name, path in paths.items()},
-        actions=[(one.first_frame, one.last_frame) for one in actions],
+        actions=[(action.first_frame, action.last_frame) for action in actions],
         missing=_missing(
             folder, streams, pickers=bool(paths), actions=bool(actions), posed=posed,
             table=table, color_named=color_named,

@@ -38,7 +38,7 @@ def bag_files(path: Path) -> list[Path]:
     """The files of a bag: itself, or those in its folder in natural order."""
     if not path.is_dir():
         return [path]
-    files = [one for one in path.iterdir() if _PART.search(one.name) and one.is_file()]
+    files = [file for file in path.iterdir() if _PART.search(file.name) and file.is_file()]
     return sorted(files, key=_natural)
 
 
@@ -60,7 +60,7 @@ class BagSource:
             )
             if not self._walk.topics:
                 raise InvalidRecordingError(
-                    f"{path}: no topic at all{''.join(f' ({one})' for one in self._walk.lost)}; "
+                    f"{path}: no topic at all{''.join(f' ({text})' for text in self._walk.lost)}; "
                     "record or copy it again"
                 )
             self._depth_topic = choose_depth(path, self._walk.topics, options.depth_topic)
@@ -95,7 +95,7 @@ class BagSource:
     def _first(self, topic: Topic) -> tuple[Container, StreamFrame]:
         frames = self._walk.frames.get(topic.name)
         if not frames:
-            lost = "".join(f" ({one})" for one in self._walk.lost)
+            lost = "".join(f" ({text})" for text in self._walk.lost)
             raise InvalidRecordingError(
                 f"{self._path}: not one whole picture of {topic.name}{lost}; record it again, or "
                 "name another topic with --depth-topic or --color-topic"

@@ -50,7 +50,7 @@ def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topi
         InvalidRecordingError: none or several may be it; names all and the flag.
     """
     # A depth topic's plain `compressed` can be 8-bit pictures; compressedDepth never is.
-    able = [one for one in image_topics(topics) if not one.name.endswith("/compressed")]
+    able = [topic for topic in image_topics(topics) if not topic.name.endswith("/compressed")]
     return _choose(path, able, _DEPTH, asked, what="depth", flag="--depth-topic", every=topics)
 
 
@@ -63,18 +63,20 @@ def choose_color(
         InvalidRecordingError: several may be it, or the one asked for is not there.
     """
     able = [
-        one
-        for one in image_topics(topics)
-        if not one.name.endswith("/compressedDepth") and one.name != depth.name
+        topic
+        for topic in image_topics(topics)
+        if not topic.name.endswith("/compressedDepth") and topic.name != depth.name
     ]
     usual = [
-        one for one in able if any(re.search(pattern, base_name(one.name)) for pattern in _COLOR)
+        topic
+        for topic in able
+        if any(re.search(pattern, base_name(topic.name)) for pattern in _COLOR)
     ]
     if asked is None and not usual:
         return None
     # A camera's colour is a neighbour of its depth.
-    shared = max((_shared(one.name, depth.name) for one in usual), default=0)
-    near = [one for one in able if _shared(one.name, depth.name) >= shared]
+    shared = max((_shared(topic.name, depth.name) for topic in usual), default=0)
+    near = [topic for topic in able if _shared(topic.name, depth.name) >= shared]
     return _choose(
         path, able if asked else near, _COLOR, asked,
         what="colour", flag="--color-topic", every=topics,
@@ -91,14 +93,16 @@ def info_topic(topics: Iterable[Topic], image: Topic) -> Topic | None:
         f"{stream}/info/camera_info",
         f"{folder.removesuffix('/hw_registered')}/camera_info",
     )
-    known = {one.name: one for one in topics if one.kind == CAMERA_INFO}
+    known = {topic.name: topic for topic in topics if topic.kind == CAMERA_INFO}
     return next((known[name] for name in wanted if name in known), None)
 
 
 def listed(topics: Iterable[Topic], limit: int = 30) -> str:
     """The topics in words, pictures first."""
-    ranked = sorted(set(topics), key=lambda one: (one.kind not in (IMAGE, COMPRESSED), one.name))
-    words = [f"{one.name} ({one.kind.rpartition('/')[2]})" for one in ranked[:limit]]
+    ranked = sorted(
+        set(topics), key=lambda topic: (topic.kind not in (IMAGE, COMPRESSED), topic.name)
+    )
+    words = [f"{topic.name} ({topic.kind.rpartition('/')[2]})" for topic in ranked[:limit]]
     more = [f"and {len(ranked) - limit} more"] if len(ranked) > limit else []
     return ", ".join(words + more) or "none"
 
@@ -114,8 +118,8 @@ def _choose(
     every: Sequence[Topic],
 ) -> Topic:
     if asked is not None:
-        candidates = [one for one in able if one.name == asked] or [
-            one for one in able if base_name(one.name) == asked
+        candidates = [topic for topic in able if topic.name == asked] or [
+            topic for topic in able if base_name(topic.name) == asked
         ]
         if not candidates:
             raise InvalidRecordingError(
@@ -123,8 +127,8 @@ def _choose(
             )
         return candidates[0]
     for pattern in patterns:
-        candidates = [one for one in able if re.search(pattern, base_name(one.name))]
-        names = {base_name(one.name) for one in candidates}
+        candidates = [topic for topic in able if re.search(pattern, base_name(topic.name))]
+        names = {base_name(topic.name) for topic in candidates}
         if len(names) > 1:
             raise InvalidRecordingError(
                 f"{path}: {len(names)} topics may be the {what}: {', '.join(sorted(names))}; "
@@ -132,16 +136,16 @@ def _choose(
             )
         if candidates:
             # Of several transports, what was not packed and then not lossy.
-            return min(candidates, key=lambda one: (one.kind != IMAGE, one.name))
+            return min(candidates, key=lambda topic: (topic.kind != IMAGE, topic.name))
     raise InvalidRecordingError(
         f"{path}: no topic has a usual name of {what}; topics: {listed(every)}; name one "
         f"with {flag}"
     )
 
 
-def _shared(one: str, other: str) -> int:
+def _shared(name: str, other: str) -> int:
     count = 0
-    for mine, yours in zip(one.split("/"), other.split("/"), strict=False):
+    for mine, yours in zip(name.split("/"), other.split("/"), strict=False):
         if mine != yours:
             break
         count += 1

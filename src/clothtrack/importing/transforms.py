@@ -79,9 +79,9 @@ class TransformTree:
         edge.times.append(time_ns)
         edge.numbers.extend(numbers.tolist())
 
-    def connects(self, one: str, other: str) -> bool:
+    def connects(self, first: str, other: str) -> bool:
         """Whether both frames hang in the same tree."""
-        return self._chain(one)[-1] == self._chain(other)[-1]
+        return self._chain(first)[-1] == self._chain(other)[-1]
 
     def moments(self, target: str, source: str) -> Int64[np.ndarray, " times"]:
         """When the transform between two frames was told [ns]; one moment if it never changes."""
@@ -93,7 +93,7 @@ class TransformTree:
         if not text:
             return np.zeros(1, dtype=np.int64)
         # Beyond the shortest of the moving links nothing is known.
-        first, last = max(one.min() for one in text), min(one.max() for one in text)
+        first, last = max(times.min() for times in text), min(times.max() for times in text)
         every = np.unique(np.concatenate(text))
         return every[(every >= first) & (every <= last)]
 
@@ -122,6 +122,6 @@ class TransformTree:
             chain.append(parent)
         return chain
 
-    def _between(self, one: str, other: str) -> list[str]:
-        mine, yours = self._chain(one), self._chain(other)
+    def _between(self, first: str, other: str) -> list[str]:
+        mine, yours = self._chain(first), self._chain(other)
         return [name for name in {*mine} ^ {*yours} if name in self._edges]

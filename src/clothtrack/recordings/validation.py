@@ -78,8 +78,8 @@ class _Check:
     def recording(self, *, thorough: bool) -> Recording:
         """The recording; good for use only while `violations` is empty."""
         entries = self._document["cameras"]
-        units = {one["name"]: float(one["depth_unit_m"]) for one in entries
-                 if "depth_unit_m" in one}  # fmt: skip
+        units = {entry["name"]: float(entry["depth_unit_m"]) for entry in entries
+                 if "depth_unit_m" in entry}  # fmt: skip
         cameras = self._cameras()
         table = self._table()
         names = [entry["name"] for entry in entries]
@@ -92,7 +92,11 @@ class _Check:
         actions = self._actions(frames, paths)
         cloth = self._cloth(paths)
         self.violations += check_pictures(
-            self._folder, frames, {one.name: one for one in cameras}, units, thorough=thorough
+            self._folder,
+            frames,
+            {camera.name: camera for camera in cameras},
+            units,
+            thorough=thorough,
         )
         observed = self._document.get("observed", {})
         lowest = observed.get("lowest_height_m")
@@ -174,7 +178,9 @@ class _Check:
         with self.violations.of_errors(self._folder, PICKER_FILE):
             paths = read_picker_paths(self._folder / PICKER_FILE)
         for name, path in (paths or {}).items():
-            distances = [np.linalg.norm(path.positions - one.position, axis=1) for one in cameras]
+            distances = [
+                np.linalg.norm(path.positions - camera.position, axis=1) for camera in cameras
+            ]
             nearest = np.min(distances, axis=0, initial=np.inf)
             far = np.flatnonzero(np.isfinite(nearest) & (nearest > FARTHEST_MEDIAN_M))
             if len(far):  # not metres, most likely
