@@ -1,10 +1,11 @@
 """What a recording holds and what is wrong with it: the answer of `clothtrack inspect`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.recordings.pictures import read_depth
@@ -17,31 +18,18 @@ _LISTED = 20
 
 
 @dataclass(frozen=True)
-class Fact:
-    """One thing that a recording holds, in words.
-
-    Attributes:
-        name: what ("frames").
-        value: how much or which ("50, from 0 to 2.45 s").
-    """
-
-    name: str
-    value: str
-
-
-@dataclass(frozen=True)
 class Inspection:
     """What a recording holds and what is wrong with it.
 
     Attributes:
         folder: where it lies.
-        facts: what it holds; empty when it cannot be read.
+        facts: what it holds ("frames": "50, from 0 to 2.45 s"); empty when it cannot be read.
         notes: what is allowed but worth knowing before tracking.
         violations: everything that is wrong; empty for a valid recording.
     """
 
     folder: Path
-    facts: tuple[Fact, ...]
+    facts: Mapping[str, str]
     notes: tuple[str, ...]
     violations: tuple[Violation, ...]
 
@@ -59,9 +47,9 @@ class Inspection:
             if count > _LISTED:
                 lines.append(f"  ... and {count - _LISTED} more")
             return "\n".join(lines)
-        width = max(len(fact.name) for fact in self.facts)
+        width = max(map(len, self.facts))
         lines = [f"{self.folder}: a valid recording"]
-        lines += [f"  {fact.name:<{width}}  {fact.value}" for fact in self.facts]
+        lines += [f"  {name:<{width}}  {fact}" for name, fact in self.facts.items()]
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
 
@@ -70,7 +58,7 @@ class Inspection:
         return {
             "folder": str(self.folder),
             "valid": self.valid,
-            "facts": {fact.name: fact.value for fact in self.facts},
+            "facts": dict(self.facts),
             "notes": list(self.notes),
             "violations": [asdict(violation) for violation in self.violations],
         }
@@ -80,28 +68,30 @@ def inspect(folder: Path) -> Inspection:
     """Look through a recording: every picture is decoded, and the cloth looked for in frame 0."""
     checked = check_recording(folder, thorough=True)
     if checked.recording is None:
-        return Inspection(folder, (), (), checked.violations)
+        return Inspection(folder, {}, (), checked.violations)
     return Inspection(folder, _facts(checked.recording), _notes(checked.recording), ())
 
 
-def _facts(recording: Recording) -> tuple[Fact, ...]:
+def _facts(recording: Recording) -> dict[str, str]:
     frames = recording.frames
-    facts = [
-        Fact("frames", f"{len(frames)}, from {frames[0].time_s:g} to {frames[-1].time_s:g} s"),
-        Fact("shown by", _kinds(recording)),
-    ]
+    facts = {
+        "frames": f"{len(frames)}, from {frames[0].time_s:g} to {frames[-1].time_s:g} s",
+        "shown by": _kinds(recording),
+    }
     for camera in recording.cameras:
         pose = " ".join(f"{value:.3f}" for value in camera.position)
         size = f"{camera.width} x {camera.height}, fx {camera.fx:.1f}, at ({pose}) m"
-        facts.append(Fact(f"camera {camera.name}", size))
-        facts += _depth_facts(recording, camera.name)
-    facts.append(Fact("table", _table(recording)))
-    facts.append(Fact("actions", _actions(recording)))
+        facts[f"camera {camera.name}"] = size
+        first = next((frame for frame in frames if camera.name in frame.depth), None)
+        if first is not None:
+            unit_m = recording.depth_units_m[camera.name]
+            facts[f"depth {camera.name}"] = _depth(read_depth(first.depth[camera.name], unit_m))
+    facts["table"] = _table(recording)
+    facts["actions"] = _actions(recording)
     for name, path in recording.picker_paths.items():
         span = f"{len(path.time_s)} samples, {path.time_s[0]:g} to {path.time_s[-1]:g} s"
-        facts.append(Fact(f"picker {name}", f"{span}, closed in {100 * path.closed.mean():.0f} %"))
-    facts.append(Fact("cloth", _cloth(recording)))
-    return tuple(facts)
+        facts[f"picker {name}"] = f"{span}, closed in {100 * path.closed.mean():.0f} %"
+    return facts | {"cloth": _cloth(recording)}
 
 
 def _kinds(recording: Recording) -> str:
@@ -119,16 +109,11 @@ def _kinds(recording: Recording) -> str:
     )
 
 
-def _depth_facts(recording: Recording, name: str) -> list[Fact]:
-    first = next((frame for frame in recording.frames if name in frame.depth), None)
-    if first is None:
-        return []
-    depth = read_depth(first.depth[name], recording.depth_units_m[name])
+def _depth(depth: Float[np.ndarray, "height width"]) -> str:
     measured = depth[depth > 0]
     low, middle, high = np.percentile(measured, [1, 50, 99]).tolist()
     share = 100 * measured.size / depth.size
-    spread = f"{low:.3f} to {high:.3f} m, median {middle:.3f} m, {share:.0f} % of the pixels"
-    return [Fact(f"depth {name}", spread)]
+    return f"{low:.3f} to {high:.3f} m, median {middle:.3f} m, {share:.0f} % of the pixels"
 
 
 def _table(recording: Recording) -> str:
