@@ -49,19 +49,8 @@ class Camera:
                     f"camera {self.name!r}: {name} is {getattr(self, name)}, outside the image "
                     f"(0 to {size}); {self._likely_swap()}"
                 )
-        rotation = self.world_from_camera[:3, :3]
-        error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-        if not (error < 1e-3 and np.linalg.det(rotation) > 0):
-            raise InvalidRecordingError(
-                f"camera {self.name!r}: world_from_camera is not rigid (its rotation part misses "
-                f"orthonormality by {error:.2g}, limit 1e-3, determinant "
-                f"{np.linalg.det(rotation):.3g}, must be +1); write a rotation and metres"
-            )
-        if np.abs(self.world_from_camera[3] - [0, 0, 0, 1]).max() > 1e-6:
-            raise InvalidRecordingError(
-                f"camera {self.name!r}: the last row of world_from_camera is "
-                f"{self.world_from_camera[3].tolist()}; it must be 0 0 0 1"
-            )
+        if problem := rigid_problem(self.world_from_camera):
+            raise InvalidRecordingError(f"camera {self.name!r}: world_from_camera {problem}")
 
     def _likely_swap(self) -> str:
         """What to do about a principal point outside the image."""
@@ -135,6 +124,20 @@ class Camera:
             (self.cy + 0.5) * scale - 0.5,
             self.world_from_camera,
         )
+
+
+def rigid_problem(matrix: Float[np.ndarray, "4 4"]) -> str:
+    """Says why a matrix is no rigid transform and what to do; empty where it is one."""
+    rotation = matrix[:3, :3]
+    error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if not (error < 1e-3 and np.linalg.det(rotation) > 0):
+        return (
+            f"is not rigid (its rotation part misses orthonormality by {error:.2g}, limit 1e-3, "
+            f"determinant {np.linalg.det(rotation):.3g}, must be +1); write a rotation and metres"
+        )
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
+        return f"has the last row {matrix[3].tolist()}; it must be 0 0 0 1"
+    return ""
 
 
 def about_vertical(angle_rad: float) -> Float[np.ndarray, "3 3"]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.geometry.camera import rigid_problem
 from clothtrack.importing.intrinsics import Intrinsics
 
 _LARGEST_FILE = 16 * 2**20
@@ -98,13 +99,8 @@ def rigid_matrix(what: str, value: Any) -> Float[np.ndarray, "4 4"]:
         matrix = np.zeros(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise InvalidRecordingError(f"{what} is not 4 x 4 numbers; write four rows of four")
-    rotation = matrix[:3, :3]
-    off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if off > 1e-3 or np.linalg.det(rotation) < 0 or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
-        raise InvalidRecordingError(
-            f"{what} is not rigid (its rotation misses orthonormality by {off:.2g}, limit 1e-3; "
-            "its last row must be 0 0 0 1); write a rotation and metres"
-        )
+    if problem := rigid_problem(matrix):
+        raise InvalidRecordingError(f"{what} {problem}")
     return matrix
 
 
