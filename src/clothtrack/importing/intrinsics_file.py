@@ -1,7 +1,7 @@
 """A JSON file with the intrinsics, for sources that do not carry them."""
 
 import json
-import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,17 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.files.bounds import Bounds
 from clothtrack.geometry.camera import rigid_problem
 from clothtrack.importing.intrinsics import Intrinsics
 
 _LARGEST_FILE = 16 * 2**20
+_FIELDS = (
+    dict.fromkeys(("width", "height"), (int, Bounds(least=1)))
+    | dict.fromkeys(("fx", "fy", "fps", "depth_scale"), (float, Bounds(above=0)))
+    | dict.fromkeys(("cx", "cy"), (float, Bounds()))
+)
+"""Kind and limits of every number that a file may have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,14 +79,14 @@ def read_intrinsics(path: Path) -> IntrinsicsFile:
             intrinsics,
             intrinsics,
             np.eye(4),
-            _positive(path, content, "fps"),
+            _optional(path, content, "fps"),
             _depth_scale(path, content),
         )
     depth = _intrinsics(path, content["depth"], "depth.")
     color = _intrinsics(path, content.get("color", content["depth"]), "color.")
     pose = rigid_matrix(f"{path}: color_from_depth", content.get("color_from_depth", np.eye(4)))
     return IntrinsicsFile(
-        depth, color, pose, _positive(path, content, "fps"), _depth_scale(path, content)
+        depth, color, pose, _optional(path, content, "fps"), _depth_scale(path, content)
     )
 
 
@@ -107,19 +114,13 @@ def rigid_matrix(what: str, value: Any) -> Float[np.ndarray, "4 4"]:
 def _intrinsics(path: Path, content: Any, place: str) -> Intrinsics:
     if not isinstance(content, dict):
         raise InvalidRecordingError(f"{path}: {place.rstrip('.')} is not an object")
-    content = dict(content)
     matrix = content.get("intrinsic_matrix")
     if isinstance(matrix, list) and len(matrix) == 9:
-        content |= {"fx": matrix[0], "fy": matrix[4], "cx": matrix[6], "cy": matrix[7]}
-    numbers = {}
-    for name in ("width", "height", "fx", "fy", "cx", "cy"):
-        value = content.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InvalidRecordingError(f"{path}: {place}{name} is {value!r}; write a number")
-        numbers[name] = value
-    size = {name: numbers.pop(name) for name in ("width", "height")}
-    if not all(isinstance(side, int) for side in size.values()):
-        raise InvalidRecordingError(f"{path}: {place}width and height must be whole: {size}")
+        content = content | {"fx": matrix[0], "fy": matrix[4], "cx": matrix[6], "cy": matrix[7]}
+    numbers = {
+        name: _number(f"{path}: {place}", content, name)
+        for name in ("width", "height", "fx", "fy", "cx", "cy")
+    }
     coefficients = content.get("distortion", [])
     if not isinstance(coefficients, list) or not all(
         isinstance(value, int | float) for value in coefficients
@@ -131,31 +132,28 @@ def _intrinsics(path: Path, content: Any, place: str) -> Intrinsics:
             f'{path}: {place}model is {model!r}; write "brown" or "fisheye"'
         )
     try:
-        intrinsics = Intrinsics(
-            **size,
-            **{name: float(value) for name, value in numbers.items()},
-            distortion=tuple(map(float, coefficients)),
-            fisheye=model == "fisheye",
+        return Intrinsics(
+            **numbers, distortion=tuple(map(float, coefficients)), fisheye=model == "fisheye"
         )
     except (InvalidRecordingError, OverflowError) as error:
         raise InvalidRecordingError(f"{path}: {place}{error}") from error
-    if not (intrinsics.fx > 0 and intrinsics.fy > 0):
-        raise InvalidRecordingError(f"{path}: {place}fx and fy must be positive pixels")
-    return intrinsics
 
 
-def _positive(path: Path, content: dict[str, Any], name: str) -> float | None:
-    value = content.get(name)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InvalidRecordingError(f"{path}: {name} is {value!r}; write a number")
-    if not (value > 0 and math.isfinite(value)):
-        raise InvalidRecordingError(f"{path}: {name} is {value!r}; it must be positive")
-    return float(value)
+def _number(place: str, content: dict[str, Any], name: str) -> Any:
+    value, (kind, limit) = content.get(name), _FIELDS[name]
+    if isinstance(value, bool) or not isinstance(value, (int, kind)):
+        whole = "whole " if kind is int else ""
+        raise InvalidRecordingError(f"{place}{name} is {value!r:.40}; write a {whole}number")
+    if abs(value) > sys.float_info.max or not limit.holds(value):
+        raise InvalidRecordingError(f"{place}{name} is {value!r:.40}; {limit}")
+    return kind(value)
+
+
+def _optional(path: Path, content: dict[str, Any], name: str) -> float | None:
+    return None if content.get(name) is None else _number(f"{path}: ", content, name)
 
 
 def _depth_scale(path: Path, content: dict[str, Any]) -> float | None:
     """Open3D's `depth_scale`: units per metre."""
-    scale = _positive(path, content, "depth_scale")
+    scale = _optional(path, content, "depth_scale")
     return None if scale is None else 1.0 / scale
