@@ -103,7 +103,10 @@ def test_a_bomb_costs_nothing(film, tmp_path):
         ("{", "JSON"),
         ("[]", "object"),
         ('{"width": 32}', "height"),
-        ('{"width": 32, "height": 24, "fx": -1, "fy": 1, "cx": 0, "cy": 0}', "fx is -1; it must be above 0"),
+        (
+            '{"width": 32, "height": 24, "fx": -1, "fy": 1, "cx": 0, "cy": 0}',
+            "-1; it must be above 0",
+        ),
         ('{"width": 32, "height": 24, "fx": 1, "fy": 1, "cx": 0, "cy": 0, "distortion": [1]}', "1"),
         ('{"width": 1e9, "height": 24, "fx": 1, "fy": 1, "cx": 0, "cy": 0}', "whole"),
     ],

@@ -1,4 +1,4 @@
-"""The picker's path from the film: where its coloured tip was, when it held cloth, what it did.
+"""The picker's path from pictures: where its coloured tip was, when it held cloth, what it did.
 
 A pick-and-place is read from the tip's height over the table: it comes down to the cloth, rests
 there while it closes, rises, comes down again, rests while it opens, and leaves. A pair of
@@ -36,12 +36,12 @@ from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath, Rec
 _TWO_ARMS_SHARE = 0.15
 """Share of the frames that must show two arms before the gap between them is trusted."""
 _SAMPLES = 24
-"""Pictures from which the tip's colours are learned, from all over the film."""
+"""Pictures from which the tip's colours are learned, from all over the recording."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickerDetection:
-    """A picker as the film shows it.
+    """A picker as the recording shows it.
 
     Attributes:
         path: tip positions at the frames that show it, and when it was closed.
@@ -115,7 +115,7 @@ def tip_members(
     """Set of the tip's colours, from a colour name or a click (frame, column, row).
 
     Raises:
-        InvalidConfigError: the name is unknown, or the click misses the film or the picture.
+        InvalidConfigError: the name is unknown, or the click misses the recording or the picture.
     """
     if not isinstance(tip, tuple):
         return tip_colors(tip or "")
@@ -246,7 +246,7 @@ def _actions(
     *,
     name: str,
 ) -> tuple[PickAndPlace, ...]:
-    """Cuts the film between pick-and-places: where the tip is away, or highest."""
+    """Cuts the recording between pick-and-places: where the tip is away, or highest."""
     if not spans:
         return ()
     ends = []

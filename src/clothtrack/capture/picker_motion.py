@@ -129,7 +129,7 @@ def _low_points(heights: Float[np.ndarray, " frames"]) -> list[int]:
             highest = place
         elif height < heights[highest] - LEAST_LIFT_M:
             lowest, falling = place, True
-    # A tip that leaves the picture, or the film that ends, right after the last low point.
+    # A tip that leaves the picture, or the recording that ends, right after the last low point.
     return [*lows, lowest] if falling and len(heights) else lows
 
 

@@ -267,14 +267,14 @@ def learned_finder(
     members: UInt8[np.ndarray, "32 32 32"],
     camera: Camera,
 ) -> TipFinder:
-    """A finder whose colours are learned from the film itself, starting from these.
+    """A finder whose colours are learned from the recording itself, starting from these.
 
     Cloth and table have colours near the tip's: in shade, and where two of them mix at an edge.
     So what was taken for the tip is held against all else in the same pictures, and a colour
     stays when it is more frequent on the tip.
 
     Args:
-        looks: colour (red first) and depth [m] of pictures from all over the film.
+        looks: colour (red first) and depth [m] of pictures from all over the recording.
         members: set of the tip's colours, roughly.
         camera: whose pictures they are.
 

@@ -164,11 +164,11 @@ def _undisturbed() -> Iterator[None]:
         # Python runs handlers of signals in the main thread alone.
         yield
         return
-    told: list[int] = []
-    before = signal.signal(signal.SIGTERM, lambda number, _: told.append(number))
+    signals: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     try:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-        if told:
+        if signals:
             signal.raise_signal(signal.SIGTERM)

@@ -1,6 +1,6 @@
 """Colour, depth, mask and cloud files: read whole or refused, never half a picture.
 
-OpenCV decodes a PNG that breaks off in the middle and leaves the rest black, which would be a
+OpenCV 4 decodes a PNG that breaks off in the middle and leaves the rest black, which would be a
 silent hole in the cloth. So every file is walked chunk by chunk first.
 """
 

@@ -69,14 +69,14 @@ class Observation:
         cut or less than 12 mm above it, or inside the clearance of a tool. Whether cloth hides
         cloth is another question: `clothtrack.geometry.visibility` answers it.
         """
-        silent = np.ones(len(vertices), dtype=bool)
+        unobservable = np.ones(len(vertices), dtype=bool)
         for camera in self.cameras:
-            silent &= ~_in_clear_view(vertices, camera, self.hidden.get(camera.name))
+            unobservable &= ~_in_clear_view(vertices, camera, self.hidden.get(camera.name))
         if self.lowest_height_m is not None:
-            silent |= vertices[:, 2] < self.lowest_height_m + CUT_MARGIN_M
+            unobservable |= vertices[:, 2] < self.lowest_height_m + CUT_MARGIN_M
         for tip in self.tool_positions:
-            silent |= np.linalg.norm(vertices - tip, axis=1) < self.tool_clearance_m
-        return silent
+            unobservable |= np.linalg.norm(vertices - tip, axis=1) < self.tool_clearance_m
+        return unobservable
 
 
 def observe(

@@ -22,6 +22,21 @@ from clothtrack.recordings.colors import (
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.recording import Frame, Recording, Table
 
+RAISED_M = 0.006
+"""A colour that is only perhaps cloth counts from this height above the table [m]."""
+TOOL_GAP_M = 0.015
+"""What is nearer to the camera than the cloth around it by more [m] is the tool, not a print."""
+WIDEST_SHARE = 0.6
+"""More of the picture than this is never the cloth alone: the background has its colour too."""
+LOWEST_M = 0.004
+"""What is lower than this above the table [m] is table: above the noise of depth cameras."""
+CLICK_TOLERANCE = 9.0
+"""How far a colour of a clicked patch may be from the clicked one in a and b of CIE Lab.
+
+A unit is about a visible difference; L counts half.
+"""
+BOX_ROUNDS = 2
+"""How often the colours of a box are learned again from the mask that they give."""
 _OPENING = np.ones((3, 3), np.uint8)
 _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
 
@@ -56,17 +71,9 @@ class ColorSegmenter:
 
     Attributes:
         members: per colour (five bits a channel) whether it is cloth: 2 surely, 1 perhaps, 0 no.
-        raised_m: a colour that is only perhaps cloth counts from this height above the table [m].
-        tool_gap_m: what stands nearer to the camera than the cloth around it by more than this
-            [m], and has another colour, is the tool and not a print on the cloth.
-        widest_share: more of the picture than this is never the cloth alone: the background has
-            its colour too, and height decides.
     """
 
     members: UInt8[np.ndarray, "32 32 32"]
-    raised_m: float = 0.006
-    tool_gap_m: float = 0.015
-    widest_share: float = 0.6
 
     @classmethod
     def from_name(cls, name: str) -> "ColorSegmenter":
@@ -83,11 +90,7 @@ class ColorSegmenter:
 
     @classmethod
     def from_box(
-        cls,
-        color: UInt8[np.ndarray, "height width 3"],
-        box: tuple[int, int, int, int],
-        *,
-        rounds: int = 2,
+        cls, color: UInt8[np.ndarray, "height width 3"], box: tuple[int, int, int, int]
     ) -> "ColorSegmenter":
         """From a box around the cloth in one picture; what else is at its rim does no harm.
 
@@ -97,7 +100,6 @@ class ColorSegmenter:
         Args:
             color: colour picture, red first.
             box: first column, first row, and the column and row after the last [pixels].
-            rounds: how often the colours are learned again.
 
         Raises:
             InvalidConfigError: the box is empty or leaves the picture, or nothing in it differs
@@ -116,16 +118,11 @@ class ColorSegmenter:
         middle[top + rim[1] : bottom - rim[1], left + rim[0] : right - rim[0]] = True
         outside = np.ones((height, width), dtype=bool)
         outside[top:bottom, left:right] = False
-        return cls._learn(color, middle, outside, rounds=rounds)
+        return cls._learn(color, middle, outside, rounds=BOX_ROUNDS)
 
     @classmethod
     def from_click(
-        cls,
-        color: UInt8[np.ndarray, "height width 3"],
-        column: int,
-        row: int,
-        *,
-        tolerance: float = 9.0,
+        cls, color: UInt8[np.ndarray, "height width 3"], column: int, row: int
     ) -> "ColorSegmenter":
         """From one click on a plain cloth; a printed one needs a box.
 
@@ -135,9 +132,6 @@ class ColorSegmenter:
             color: colour picture, red first.
             column: column of the click [pixels].
             row: row of the click [pixels].
-            tolerance: how far a colour of the patch may be from the clicked one, in each of L, a
-                and b of CIE Lab (a unit is about a visible difference; L counts
-                half).
 
         Raises:
             InvalidConfigError: the click is outside the picture.
@@ -151,7 +145,7 @@ class ColorSegmenter:
         lab = cv2.cvtColor(soft, cv2.COLOR_RGB2LAB)
         region = np.zeros((height + 2, width + 2), np.uint8)
         # OpenCV stretches L (0 to 100) over 0 to 255: 5 of its units are 2 of Lab.
-        reach = (tolerance * 2 * 2.55, tolerance, tolerance)
+        reach = (CLICK_TOLERANCE * 2 * 2.55, CLICK_TOLERANCE, CLICK_TOLERANCE)
         flags = 4 | (255 << 8) | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE
         cv2.floodFill(lab, region, (column, row), (0, 0, 0), reach, reach, flags)
         patch = region[1:-1, 1:-1] > 0
@@ -225,17 +219,17 @@ class ColorSegmenter:
             heights = None
         else:
             heights = height_picture(depth_m, camera, table, window=window)
-            accepted |= (votes == LOOSE) & measured & (heights > self.raised_m)
+            accepted |= (votes == LOOSE) & measured & (heights > RAISED_M)
             accepted &= ~(measured & (heights < -0.03))
         share = np.count_nonzero(accepted) / whole
-        if share > self.widest_share:
+        if share > WIDEST_SHARE:
             if heights is None:
                 raise InvalidRecordingError(
                     f"camera {camera.name!r}: the cloth's colours cover {100 * share:.0f} % of the "
-                    f"picture (at most {100 * self.widest_share:.0f} %), the background has them "
+                    f"picture (at most {100 * WIDEST_SHARE:.0f} %), the background has them "
                     "too; give mask/ files, or the table so that height can decide"
                 )
-            accepted &= measured & (heights > self.raised_m)
+            accepted &= measured & (heights > RAISED_M)
         return _opened(accepted)
 
     def _without_tool(
@@ -253,7 +247,7 @@ class ColorSegmenter:
         size = (21, 21)
         total = cv2.boxFilter(weight, -1, size, normalize=False)
         around = cv2.boxFilter(weight * depth_m.astype(np.float32), -1, size, normalize=False)
-        nearer = depth_m * total < around - self.tool_gap_m * total
+        nearer = depth_m * total < around - TOOL_GAP_M * total
         whole[window] &= ~(doubtful & (nearer | (total == 0)))
         return whole
 
@@ -262,12 +256,8 @@ class ColorSegmenter:
 class HeightSegmenter:
     """The cloth is what stands out of the table: for plain tables with nothing else on them.
 
-    Attributes:
-        lowest_m: what is lower than this above the table is table [m]; above the depth noise, so
-            the flattest parts of a thin cloth are lost.
+    The flattest parts of a thin cloth are lost: they are lower than the noise of depth.
     """
-
-    lowest_m: float = 0.004
 
     def __call__(
         self,
@@ -286,8 +276,8 @@ class HeightSegmenter:
                 f"camera {camera.name!r}: no height without a table; add the field table, "
                 "cloth.color or mask/ files"
             )
-        calm = cv2.medianBlur(depth_m.astype(np.float32), 3)
-        raised = (calm > 0) & (height_picture(calm, camera, table) > self.lowest_m)
+        smooth = cv2.medianBlur(depth_m.astype(np.float32), 3)
+        raised = (smooth > 0) & (height_picture(smooth, camera, table) > LOWEST_M)
         return main_components(_closed(_opened(raised)) & (depth_m > 0))
 
 
