@@ -21,9 +21,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.files.csv_table import NUMBER, Column, read_csv
+from clothtrack.files.csv_table import NUMBER, Column, filled, read_csv
 
-COLUMNS = {"picture": Column(str, "name a picture")} | dict.fromkeys(
+COLUMNS = {"picture": Column(filled, "name a picture")} | dict.fromkeys(
     ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"), NUMBER
 )
 LEAST_POSES = 5

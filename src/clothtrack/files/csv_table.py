@@ -32,6 +32,13 @@ def finite(word: str) -> float:
     return value
 
 
+def filled(word: str) -> str:
+    """A text that is not empty; ValueError otherwise."""
+    if not word:
+        raise ValueError(word)
+    return word
+
+
 NUMBER = Column(finite, "write a number")
 
 

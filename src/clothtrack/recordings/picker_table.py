@@ -6,16 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.files.csv_table import NUMBER, Column, read_csv
+from clothtrack.files.csv_table import NUMBER, Column, filled, read_csv
 from clothtrack.recordings.recording import PickerPath
 
 PICKER_FILE = "picker.csv"
-
-
-def _name(word: str) -> str:
-    if not word:
-        raise ValueError(word)
-    return word
 
 
 def _closed(word: str) -> bool:
@@ -24,7 +18,7 @@ def _closed(word: str) -> bool:
 
 COLUMNS = {
     "time_s": NUMBER,
-    "picker": Column(_name, "name the picker"),
+    "picker": Column(filled, "name the picker"),
     "x_m": NUMBER,
     "y_m": NUMBER,
     "z_m": NUMBER,
