@@ -1,8 +1,8 @@
 """One depth picture and one garment to the whole mesh, by the token network.
 
-The picture is shown in its eight quarter turns and mirror images; the answers are named alike and
-joined, each by its own spread. Then the garment's mesh is laid into what was named and placed
-(`template_fit`).
+The picture is shown in its eight quarter turns and mirror images. Answers that say the same are
+named alike and joined, each by its own spread; of rival ones that which covers the picture best is
+taken. Then the garment's mesh is laid into what was named and placed (`template_fit`).
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.template_fit import SeenPoints, TemplateFitConfig, fit_template
@@ -34,6 +35,8 @@ VIEWS = 8
 
 _PLACE_WEIGHT = 0.1
 _OF_SIZE = 0.05
+_DEEP = 0.05
+_ALIKE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,16 +105,31 @@ class TokenReconstructor:
         return cls(model.to(device))
 
     def answer(self, picture: DepthInput, garment: ClothMesh, *, views: int = VIEWS) -> TokenAnswer:
-        """Names and places for one picture.
+        """Names and places for one picture: of rival answers the one that agrees best with it.
 
         Args:
             picture: depth, mask, camera and table; world z up.
             garment: its flat mesh, canonical coordinates filled.
-            views: quarter turns and mirror images that are joined, 1 to 8.
+            views: quarter turns and mirror images that are asked about, 1 to 8.
 
         Raises:
             InvalidRecordingError: there is no cloth in the picture.
             InvalidResultError: the network's answer is not finite.
+        """
+        rivals = self.rivals(picture, garment, views=views)
+        if len(rivals) == 1:
+            return rivals[0]
+        return max(rivals, key=lambda answer: agreement(answer, garment))
+
+    def rivals(
+        self, picture: DepthInput, garment: ClothMesh, *, views: int = VIEWS
+    ) -> list[TokenAnswer]:
+        """What the views say: all of them joined, and joined with those only that say the same.
+
+        Args:
+            picture: as for `answer`, and so are the others.
+            garment: its flat mesh.
+            views: that are asked about.
         """
         tokens = GarmentTokens.of(garment)
         view = crop(picture.depth_m, picture.mask, picture.camera, self.config)
@@ -119,19 +137,25 @@ class TokenReconstructor:
         points = points_of(view.depth, view.camera, seen.sources)
         table_m = _table_height(picture, points)
         height, distance, origin = seen_by_network(view, tokens.size_m, table_m)
-        names, places, spreads = self._views(height, distance, seen.pixels, tokens, views)
-        if not np.isfinite(places).all():
+        answers = _Views(*self._views(height, distance, seen.pixels, tokens, views), tokens)
+        if not np.isfinite(answers.places).all():
             raise InvalidResultError("the network's answer is not finite; give other weights")
-        share, place, spread = _joined(names, places, spreads, tokens)
-        canonical, sure = _read(share, tokens)
-        return TokenAnswer(
-            SeenPoints(points, canonical, sure),
-            place * tokens.size_m + origin,
-            spread * tokens.size_m,
-            seen.pixels,
-            view,
-            tokens,
-        )
+
+        def answer(members: tuple[int, ...]) -> TokenAnswer:
+            share, place, spread = answers.joined(members)
+            canonical, sure = _read(share, tokens)
+            return TokenAnswer(
+                SeenPoints(points, canonical, sure),
+                place * tokens.size_m + origin,
+                spread * tokens.size_m,
+                seen.pixels,
+                view,
+                tokens,
+            )
+
+        everybody = tuple(range(views))
+        parties = dict.fromkeys([everybody, *(answers.alike(view) for view in everybody)])
+        return [answer(members) for members in parties]
 
     def mesh(self, answer: TokenAnswer, garment: ClothMesh, picture: DepthInput) -> ClothMesh:
         """The garment's mesh laid into an answer.
@@ -202,28 +226,65 @@ class TokenReconstructor:
         return names, places, spreads
 
 
-def _joined(
-    names: Tensor,
-    places: Float[np.ndarray, "views tokens 3"],
-    spreads: Float[np.ndarray, "views tokens 2"],
-    tokens: GarmentTokens,
-) -> tuple[Float[np.ndarray, "asked tokens"], np.ndarray, np.ndarray]:
-    """The views' answers as one: all named as the surest is, and weighed by their spreads."""
-    surest = int(names.max(-1).values.mean(-1).argmax())
-    centre = places[surest]
-    labellings = tokens.labellings[tokens.is_labelling]
-    share, total = torch.zeros_like(names[0]), np.zeros_like(centre)
-    weight = np.zeros((len(centre), 1))
-    for number in range(len(places)):
-        gaps = [np.linalg.norm(places[number][name] - centre, axis=1).mean() for name in labellings]
-        name = labellings[int(np.argmin(gaps))]
-        sure = 1.0 / (spreads[number][name].mean(axis=1, keepdims=True) ** 2)
-        total += sure * places[number][name]
-        weight += sure
-        share += names[number][:, torch.from_numpy(name)]
-    share = share / share.sum(-1, keepdim=True)
-    spread = np.sqrt(len(places) / weight) * np.ones(2)
-    return share.numpy(), total / weight, spread
+@dataclass(frozen=True, eq=False)
+class _Views:
+    """Answers to all views of one picture, in the picture's own frame."""
+
+    names: Tensor
+    places: Float[np.ndarray, "views tokens 3"]
+    spreads: Float[np.ndarray, "views tokens 2"]
+    tokens: GarmentTokens
+
+    def alike(self, centre: int) -> tuple[int, ...]:
+        """The views whose places are those of one view, whatever they are called."""
+        apart = [self._named_as(centre, view)[1] for view in range(len(self.places))]
+        return tuple(int(view) for view in np.flatnonzero(np.array(apart) < _ALIKE))
+
+    def joined(
+        self, members: tuple[int, ...]
+    ) -> tuple[Float[np.ndarray, "asked tokens"], np.ndarray, np.ndarray]:
+        """One answer of some views: all named as the surest is, and weighed by their spreads."""
+        sure = self.names.max(-1).values.mean(-1)
+        surest = max(members, key=lambda view: float(sure[view]))
+        share, total = torch.zeros_like(self.names[0]), np.zeros_like(self.places[0])
+        weight = np.zeros((len(total), 1))
+        for view in members:
+            name, _ = self._named_as(surest, view)
+            close = 1.0 / self.spreads[view][name].mean(axis=1, keepdims=True) ** 2
+            total += close * self.places[view][name]
+            weight += close
+            share += self.names[view][:, torch.from_numpy(name)]
+        share = share / share.sum(-1, keepdim=True)
+        return share.numpy(), total / weight, np.sqrt(len(members) / weight) * np.ones(2)
+
+    def _named_as(self, centre: int, view: int) -> tuple[np.ndarray, float]:
+        """The labelling of a view that is nearest to another's, and their mean distance."""
+        labellings = self.tokens.labellings[self.tokens.is_labelling]
+        gaps = [
+            float(np.linalg.norm(self.places[view][name] - self.places[centre], axis=1).mean())
+            for name in labellings
+        ]
+        nearest = int(np.argmin(gaps))
+        return labellings[nearest], gaps[nearest]
+
+
+def agreement(answer: TokenAnswer, mesh: ClothMesh) -> float:
+    """How well an answer covers what it answers, 0 to 1.
+
+    Overlap of the silhouettes from above (intersection over union), less where heights differ.
+
+    Args:
+        answer: names and places.
+        mesh: the garment.
+    """
+    shown = Rasteriser(mesh.faces, answer.view.camera).render(answer.vertices).depth
+    seen, covered = answer.view.depth > 0, np.isfinite(shown)
+    both = seen & covered
+    if not both.any():
+        return 0.0
+    deep_m = _DEEP * answer.tokens.size_m
+    off = np.minimum(np.abs(shown[both] - answer.view.depth[both]) / deep_m, 1.0)
+    return float((1.0 - 0.5 * off).sum() / (seen | covered).sum())
 
 
 def _read(

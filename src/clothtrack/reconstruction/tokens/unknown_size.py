@@ -10,10 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.data.view import CroppedView
 from clothtrack.reconstruction.depth_input import DepthInput
-from clothtrack.reconstruction.tokens.token_reconstruction import TokenAnswer, TokenReconstructor
+from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor, agreement
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
 
 if TYPE_CHECKING:
@@ -24,8 +22,6 @@ SIZES = (0.8, 1.0, 1.25, 1.55, 1.95)
 
 TOWEL_ASPECTS = (1.0, 0.75, 0.55)
 """Shorter over longer side of towels that are tried."""
-
-_DEEP = 0.05
 
 
 def best_garment(
@@ -50,22 +46,6 @@ def best_garment(
             best, highest = candidate, score
     assert best is not None
     return best
-
-
-def agreement(answer: TokenAnswer, mesh: ClothMesh) -> float:
-    """How well an answer covers what it answers, 0 to 1.
-
-    Overlap of the silhouettes from above (intersection over union), less where heights differ.
-    """
-    view: CroppedView = answer.view
-    shown = Rasteriser(mesh.faces, view.camera).render(answer.vertices).depth
-    seen, covered = view.depth > 0, np.isfinite(shown)
-    both = seen & covered
-    if not both.any():
-        return 0.0
-    deep_m = _DEEP * answer.tokens.size_m
-    off = np.minimum(np.abs(shown[both] - view.depth[both]) / deep_m, 1.0)
-    return float((1.0 - 0.5 * off).sum() / (seen | covered).sum())
 
 
 def _candidates(picture: DepthInput, kind: str, vertex_count: int) -> "Iterator[ClothMesh]":
