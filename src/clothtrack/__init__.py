@@ -27,17 +27,10 @@ if TYPE_CHECKING:
     from clothtrack.evaluation.label_quality import judge_labels
     from clothtrack.evaluation.truth import Truth
     from clothtrack.files.settings import with_settings
-    from clothtrack.front.beyond_tracking import flatten, label, reconstruct, simulate
-    from clothtrack.front.run import (
-        Label,
-        Run,
-        evaluate,
-        export,
-        load,
-        track,
-        view,
-        write_report,
-    )
+    from clothtrack.front.flattening import flatten, simulate
+    from clothtrack.front.learning import label, reconstruct
+    from clothtrack.front.look import export, view, write_report
+    from clothtrack.front.run import Label, Run, evaluate, load, track
     from clothtrack.geometry.camera import Camera
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.recordings.inspection import inspect as inspect_recording

@@ -25,6 +25,14 @@ def test_a_saved_run_comes_back_as_it_was(run, recording, tmp_path):
     assert again.labels[0].quality == pytest.approx(run.labels[0].quality, rel=1e-5)
 
 
+def test_the_class_reads_a_run_as_the_function_does(run, recording, tmp_path):
+    run.save(tmp_path / "napkin.zarr")
+    again = ct.Run.load(tmp_path / "napkin.zarr", recording)
+    assert isinstance(again, ct.Run)
+    assert again.recording is recording
+    assert again.path == tmp_path / "napkin.zarr"
+
+
 def test_a_label_is_the_mesh_at_the_end_of_an_action_with_its_quality(run):
     (label,) = run.labels
     assert label.frame == run.actions[0].last_frame
@@ -47,6 +55,13 @@ def test_a_run_without_its_recording_asks_for_it(run, tmp_path):
     assert alone.recording is None
     with pytest.raises(ct.InvalidRecordingError, match="recording=FOLDER"):
         _ = alone.labels
+
+
+def test_a_damaged_recording_nearby_does_not_keep_a_run_from_being_read(run, tmp_path):
+    run.save(tmp_path / "napkin.zarr")
+    (tmp_path / "towel_0003").mkdir()
+    (tmp_path / "towel_0003" / "recording.json").write_text("{")
+    assert ct.load(tmp_path / "napkin.zarr").recording is None
 
 
 def test_another_recording_of_the_same_name_is_not_taken_for_the_tracked_one(run, world, tmp_path):
@@ -118,7 +133,7 @@ def test_what_garment_a_depth_array_shows_must_be_said():
 def test_a_run_is_looked_at_on_a_local_page(run, monkeypatch, tmp_path):
     served = {}
 
-    def serve(name, write, port, opened):
+    def serve(name, write, port, *, decisions, opened):
         served[name] = write(tmp_path / "page.html").read_text("utf-8")
 
     monkeypatch.setattr("clothtrack.report.live.serve", serve)
@@ -126,3 +141,47 @@ def test_a_run_is_looked_at_on_a_local_page(run, monkeypatch, tmp_path):
     ct.view(run.recording)
     ct.view(run.mesh)
     assert set(served) == {run.name, run.recording.name, "mesh"}
+
+
+def test_decisions_that_are_made_in_a_view_are_kept_beside_the_run(
+    run, recording, monkeypatch, tmp_path
+):
+    def serve(name, write, port, *, decisions, opened):
+        decisions.take(0, "rejected")
+
+    monkeypatch.setattr("clothtrack.report.live.serve", serve)
+    copy = ct.Run.of(run, recording)
+    assert copy.path is None
+    copy.save(tmp_path / "napkin.zarr")
+    ct.view(copy)
+    assert '"rejected"' in (tmp_path / "napkin.review.json").read_text("utf-8")
+    again = ct.load(tmp_path / "napkin.zarr", recording)
+    text = ct.write_report(again, tmp_path / "napkin.html").read_text("utf-8")
+    assert "&quot;verdict&quot;: &quot;rejected&quot;" in text
+
+
+def test_the_page_of_a_view_can_be_a_file(run, world, tmp_path):
+    run.save(tmp_path / "napkin.zarr")
+    page = ct.view(
+        tmp_path / "napkin.zarr", world / "recordings", truth=world / "truth",
+        html=tmp_path / "napkin.html",
+    )  # fmt: skip
+    assert "Error against the truth" in page.read_text("utf-8")
+    with pytest.raises(ct.InvalidConfigError, match="is not tracked"):
+        ct.view(world / "recordings" / "towel_0003", truth=world / "truth")
+    with pytest.raises(ct.InvalidConfigError, match="there is no such file"):
+        ct.view(tmp_path / "nothing.zarr")
+
+
+def test_labels_that_were_rejected_are_not_learned_from(run, recording, tmp_path):
+    pytest.importorskip("torch")
+    from clothtrack.evaluation import LabelReview, review_path
+
+    copy = ct.Run.of(run, recording)
+    copy.save(tmp_path / "napkin.zarr")
+    LabelReview.blank(copy).decided(0, "rejected").save(review_path(copy.path))
+    with pytest.raises(ct.InvalidResultError, match="no label is left"):
+        ct.label(copy, tmp_path / "napkin.labels.npz", flat_weight=0.0)
+    with pytest.raises(ct.InvalidConfigError, match="flat_weight is 2"):
+        ct.label(copy, tmp_path / "napkin.labels.npz", flat_weight=2.0)
+    assert ct.label(copy, tmp_path / "napkin.labels.npz").exists()

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from clothtrack.cli import command_line as cli
-from clothtrack.cli import learn as learning
 from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.front import learning_extra as learning
 from clothtrack.reconstruction.data.examples import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
 from clothtrack.reconstruction.data.state_store import StateShard, write_states

@@ -1,7 +1,6 @@
 """The verbs of the command line that act: flattening, its learned dynamics, and getting better."""
 
 import json as json_module
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -9,16 +8,24 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from clothtrack.cli.learn import require_learning
-from clothtrack.cli.options import AsJson, Device, Seed, Settings, ShowSettings, list_settings
+import clothtrack as ct
+from clothtrack.cli.options import (
+    AsJson,
+    Device,
+    Seed,
+    Settings,
+    ShowSettings,
+    list_settings,
+    require_weights,
+)
 from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
+from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
     from clothtrack.planning.episode_store import EpisodeStore
     from clothtrack.planning.flatten_config import FlattenConfig
     from clothtrack.reconstruction.training.training_loop import TrainingOutcome
-    from clothtrack.world.simulated_episodes import SimulatedEpisode
 
 PerceptionChoice = Literal["network", "tracker", "truth"]
 PolicyChoice = Literal["planned", "random", "outwards", "heuristic"]
@@ -84,57 +91,37 @@ def flatten(
     if recording is not None:
         complain("--recording is for --robot dry-run; the simulated robot has its own camera")
         return 2
-    from clothtrack.world.simulated_episodes import SimulatedEpisode
-
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
-    chosen = [SimulatedEpisode(garment, seed + number) for number in range(episodes)]
-    return _flatten_simulated(
-        output, chosen, config, device=device, live=live, port=port, json=json
-    )
-
-
-def _flatten_simulated(
-    output: Path,
-    episodes: Sequence["SimulatedEpisode"],
-    config: "FlattenConfig",
-    *,
-    device: str,
-    live: bool,
-    port: int | None,
-    json: bool,
-) -> int:
-    from clothtrack.baselines.flattening_policies import POLICIES
+    from clothtrack.front.flattening import episode_parts
     from clothtrack.planning.flattening import improvement
-    from clothtrack.report.flattening_page import write_flattening_report
-    from clothtrack.world.simulated_episodes import flatten_simulated, shared_parts
+    from clothtrack.report.flattening_page import watched_live, write_flattening_report
 
     # Before the first start is made and the page is served: weights may be missing.
-    parts = shared_parts(episodes[0].kind, config, device=device)
-    parts = replace(parts, propose=POLICIES.get(config.policy))
-    text = []
+    parts = episode_parts(garment, config, device=device)
+    rows = []
     with ExitStack() as until_done:
         watch = None
         if live:
-            from clothtrack.report.flattening_page import watched_live
-
             # The result on stdout stays JSON alone.
             write = complain if json else say
             opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
             watch = until_done.enter_context(opened)
-        for episode in episodes:
-            store = flatten_simulated(
-                output, episode, config, parts=parts, device=device, watch=watch
-            )
-            page = write_flattening_report(store, output / f"{episode.label}.html")
+        for number in range(episodes):
+            store = ct.flatten(
+                output, garment, config=config, seed=seed + number, device=device,
+                parts=parts, watch=watch,
+            )  # fmt: skip
+            page = write_flattening_report(store, output / f"{store.folder.name}.html")
             gained = improvement(store.steps)
-            text.append({**_summary(store), "improvement": gained, "report": str(page)})
+            row = {**_summary(store), "improvement": gained, "report": str(page)}
+            rows.append(row)
             if not json:
-                control = "   CONTROL" if text[-1]["control"] else ""
+                control = "   CONTROL" if row["control"] else ""
                 say(f"{page}   improvement {gained[-1]:.2f} after {len(gained) - 1} actions; "
-                    f"{text[-1]['status']}{control}")  # fmt: skip
+                    f"{row['status']}{control}")  # fmt: skip
     if json:
-        say(json_module.dumps(text, indent=2))
+        say(json_module.dumps(rows, indent=2))
     return 0
 
 
@@ -210,10 +197,10 @@ def train_dynamics(
         make(), names, config, output / "model", device=device, progress=progress
     )
     end_progress()
-    return _told(outcome, json=json)
+    return _say_outcome(outcome, json=json)
 
 
-def _told(outcome: "TrainingOutcome", *, json: bool) -> int:
+def _say_outcome(outcome: "TrainingOutcome", *, json: bool) -> int:
     """Say how a training ended, and give the exit status."""
     text = (
         f"{outcome.weights}   {outcome.status} after {outcome.steps} steps; best held-out "
@@ -293,11 +280,9 @@ def _config(
     from clothtrack.planning.perception import PerceptionConfig
 
     for path in (weights, dynamics_weights):
-        if path is not None and not path.is_file():
-            raise InvalidConfigError(f"{path}: there is no such weights file; check the name")
-    if policy == "planned" and perception != "truth":
-        require_learning()
-    if dynamics == "mesh":
+        if path is not None:
+            require_weights(path)
+    if dynamics == "mesh" or (policy == "planned" and perception != "truth"):
         require_learning()
     config = FlattenConfig(
         policy=policy,
@@ -324,35 +309,9 @@ def _dry_run(
     output: Path, recording: Path, config: "FlattenConfig", *, device: str, seed: int
 ) -> int:
     """Plan one action for the last picture of a recording."""
-    from clothtrack.baselines.flattening_policies import POLICIES
-    from clothtrack.planning.flatten_config import dynamics_of
-    from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area
-    from clothtrack.planning.perception import perception_of
-    from clothtrack.planning.robots.dry_run import DryRunRobot, pictures_of
-    from clothtrack.planning.robots.robot import MotionLimits
-    from clothtrack.planning.seen import seen_area
-    from clothtrack.recordings.store import read_recording
+    from clothtrack.front.flattening import plan_flattening
 
-    source = read_recording(recording)
-    if source.table is None:
-        raise InvalidConfigError(f"{recording}: it has no table; flattening needs one")
-    # Refuses a picture that cannot be read, or shows no cloth, before anything is written.
-    seen_area(source, source.frames[-1])
-    planned = config.policy == "planned"
-    robot = DryRunRobot(
-        pictures_of(source), output, limits=MotionLimits(workspace=config.planner.space.workspace)
-    )
-    kind = source.cloth.kind
-    flattening = Flattening(
-        robot,
-        EpisodeScene(replace(source.cloth, template=None), source.table, flat_area(source.cloth)),
-        replace(config, actions=1),
-        perception=perception_of(kind, config.perception, device=device) if planned else None,
-        dynamics=dynamics_of(config, device=device) if planned else (),
-        propose=POLICIES.get(config.policy),
-        seed=seed,
-    )
-    store = flattening.run(output / "episode")
+    store = plan_flattening(recording, output, config, seed=seed, device=device)
     plans = sorted(output.glob("action_*.png"))
     if not plans:
         complain(f"no plan: {store.document['status']}")

@@ -1,8 +1,9 @@
 """The command line: one verb per stage, in the order of the method.
 
-Every verb parses, loads, calls one function and saves. The stages are imported when their verb is
-called, so that `--help` is instant. Exit codes: 0 done, 1 bad input, a full disk or an interrupt
-(one clear line on standard error), 2 wrong usage.
+A verb parses its options, calls what `import clothtrack` offers or one function of a room, and says
+what came of it. The stages are imported when their verb is called, so that `--help` is instant.
+Exit codes: 0 done, 1 bad input, a full disk or an interrupt (one clear line on standard error), 2
+wrong usage.
 """
 
 import logging
@@ -22,9 +23,8 @@ from clothtrack.cli.capture import (
     record,
     segment,
 )
-from clothtrack.cli.evaluate import evaluate
 from clothtrack.cli.learn import finetune, label, pretrain, reconstruct
-from clothtrack.cli.look import export, view
+from clothtrack.cli.look import evaluate, export, view
 from clothtrack.cli.recordings import import_, inspect
 from clothtrack.cli.simulate import bench, simulate
 from clothtrack.cli.terminal import exit_code

@@ -1,25 +1,23 @@
 """The verbs of learning: label, pretrain, finetune, reconstruct. They need the extra [learn]."""
 
 import json as json_module
-import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
+import clothtrack as ct
 from clothtrack.cli.options import AsJson, Device, Seed, Settings
 from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say, say_result
-from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.files.extras import install_command
-from clothtrack.reconstruction.availability import EXTRA, missing_modules
-from clothtrack.tracking.artefacts import load_tracked, recording_of
+from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.two_stages import LearningConfig, LearningOutcome
 
-logger = logging.getLogger(__name__)
+GarmentChoice = Literal["as recorded", "towel", "tshirt"]
 
 
 def label(
@@ -27,7 +25,7 @@ def label(
     *,
     recordings: Path,
     output: Path,
-    garment: Literal["as recorded", "towel", "tshirt"] = "as recorded",
+    garment: GarmentChoice = "as recorded",
     weighted: bool = True,
     flat_weight: float = 1.0,
     device: Device = "cpu",
@@ -48,49 +46,26 @@ def label(
         json: machine-readable.
     """
     require_learning()
-    from clothtrack.evaluation.label_quality import judge_labels
-    from clothtrack.evaluation.label_review import read_review, review_path
-    from clothtrack.evaluation.label_selection import pseudo_labels_of
-    from clothtrack.reconstruction.data.pseudo_labels import label_recording, write_labels
+    from clothtrack.reconstruction.data.pseudo_labels import read_labels
 
     if not tracked:
         complain("no tracked trajectory given; name at least one NAME.zarr")
         return 2
-    if not 0.0 <= flat_weight <= 1.0:
-        raise InvalidConfigError(f"flat_weight is {flat_weight}; it must be in 0..1")
+    kind = None if garment == "as recorded" else garment
     rows = []
     for path in tracked:
-        result = load_tracked(path)
-        recording = recording_of(result, recordings, path)
-        rejected = read_review(review_path(path), result).rejected
-        judged = judge_labels(result, recording, device=device)
-        chosen = pseudo_labels_of(
-            result, judged, rejected, weighted=weighted, flat_weight=flat_weight
+        run = ct.load(path, recordings)
+        file = output / f"{run.name}.labels.npz"
+        ct.label(run, file, garment=kind, weighted=weighted, flat_weight=flat_weight, device=device)
+        labels = read_labels(file)
+        weights = [picture.weight for picture in labels.pictures]
+        rejected = len(labels.provenance["rejected_actions"])
+        rows.append(
+            {"labels": str(file), "frames": labels.frames, "weights": weights, "rejected": rejected}
         )
-        if result.mesh.canonical is None:
-            raise InvalidResultError(
-                f"{path}: its first mesh has no canonical coordinates; track the recording again "
-                "from a template that has them"
-            )
-        labelled = label_recording(
-            recording,
-            result.mesh,
-            chosen,
-            kind=_kind(garment, recording.cloth.kind, path),
-            provenance={
-                "tracked": dict(result.provenance),
-                "weighted": weighted,
-                "rejected_actions": sorted(rejected),
-            },
-        )
-        file = output / f"{result.name}.labels.npz"
-        write_labels(labelled, file)
-        weights = [one.weight for one in chosen]
-        row = {"labels": str(file), "frames": labelled.frames, "weights": weights}
-        rows.append({**row, "rejected": len(rejected)})
         if not json:
             text = " ".join(f"{weight:.2f}" for weight in weights)
-            left_out = f"; {len(rejected)} rejected in review left out" if rejected else ""
+            left_out = f"; {rejected} rejected in review left out" if rejected else ""
             say(f"{file}   {len(weights)} labels, weights {text}{left_out}")
     if json:
         say(json_module.dumps(rows, indent=2))
@@ -124,10 +99,9 @@ def pretrain(
         json: machine-readable.
     """
     require_learning()
+    from clothtrack.reconstruction import two_stages
     from clothtrack.reconstruction.data.state_store import open_states
     from clothtrack.reconstruction.networks.network_config import preset
-    from clothtrack.reconstruction.training.processes import joined
-    from clothtrack.reconstruction.two_stages import pretrain as learn
 
     if not states:
         complain("no states given; make some with: clothtrack simulate OUT --states N")
@@ -135,18 +109,8 @@ def pretrain(
     name = "pretrain" if network == "small" else "pretrain_reference"
     config = _learning_config(name, settings, seed=seed)
     sets = [open_states(folder) for folder in states]
-    with joined(device) as processes:
-        shown = progress if processes.writes else None
-        outcome = learn(
-            sets,
-            preset(network),
-            config,
-            output,
-            start=start,
-            processes=processes,
-            progress=shown,
-        )
-    return _told(outcome, json=json) if processes.writes else 0
+    learn = partial(two_stages.pretrain, sets, preset(network), config, output, start=start)
+    return _learn(learn, device, json=json)
 
 
 def finetune(
@@ -178,10 +142,9 @@ def finetune(
         json: machine-readable.
     """
     require_learning()
+    from clothtrack.reconstruction import two_stages
     from clothtrack.reconstruction.data.pseudo_labels import read_labels
     from clothtrack.reconstruction.data.state_store import open_states
-    from clothtrack.reconstruction.training.processes import joined
-    from clothtrack.reconstruction.two_stages import finetune as learn
 
     files = [
         file
@@ -200,25 +163,15 @@ def finetune(
         )
     old_states = [] if old is None else [open_states(old)]
     labelled = [read_labels(file) for file in files]
-    with joined(device) as processes:
-        shown = progress if processes.writes else None
-        outcome = learn(
-            weights,
-            labelled,
-            config,
-            output,
-            old=old_states,
-            processes=processes,
-            progress=shown,
-        )
-    return _told(outcome, json=json) if processes.writes else 0
+    learn = partial(two_stages.finetune, weights, labelled, config, output, old=old_states)
+    return _learn(learn, device, json=json)
 
 
 def reconstruct(
     depth: Positional[Path],
     *,
     output: Path = Path("out/mesh.obj"),
-    garment: Literal["as recorded", "towel", "tshirt"] = "as recorded",
+    garment: GarmentChoice = "as recorded",
     weights: Path | None = None,
     method: Literal["template", "implicit"] = "template",
     refined: bool = True,
@@ -249,80 +202,32 @@ def reconstruct(
         json: machine-readable.
     """
     require_learning()
-    from clothtrack.reconstruction import depth_input
-    from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, figures_of, network_mesh
-    from clothtrack.reconstruction.load_model import load_model
-    from clothtrack.reconstruction.refinement import RefinementConfig
-    from clothtrack.reconstruction.training.processes import require_torch_device
+    from clothtrack.front.learning import reconstructed
+    from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, figures_of
     from clothtrack.recordings.mesh_file import require_mesh_format, write_mesh
 
-    require_torch_device(device)
     require_mesh_format(output)
-    of_picture = {
-        "mask": mask, "depth_unit_m": depth_unit,
-        "focal": focal, "table_distance_m": table_distance,
-    }  # fmt: skip
-    text = {name: value for name, value in of_picture.items() if value is not None}
-    if depth.is_dir():
-        _refuse(text, f"{depth} is a recording, which says itself")
-        given = depth_input.from_recording(depth, frame or 0)
-    else:
-        _refuse({} if frame is None else {"frame": frame}, f"{depth} is not a recording")
-        given = depth_input.from_picture(depth, **text)
-    kind = _kind(garment, given.kind, depth)
-    model = load_model(kind, weights, device=device)
-    refinement = RefinementConfig() if refined else None
-    made = network_mesh(model, given, kind, method=method, refinement=refinement)
-    if made.mesh is None:
-        complain(f"{depth}: no mesh ({made.reconstruction.status}); try --method template")
-        return 1
-    write_mesh(made.mesh, output)
-    report = {"mesh": str(output), **figures_of(made, made.mesh, given)}
+    mesh, network, picture = reconstructed(
+        depth, None if garment == "as recorded" else garment, frame=frame, weights=weights,
+        method=method, refined=refined, device=device, mask=mask, depth_unit_m=depth_unit,
+        focal=focal, table_distance_m=table_distance,
+    )  # fmt: skip
+    write_mesh(mesh, output)
+    report = {"mesh": str(output), **figures_of(network, mesh, picture)}
     apart_mm = 1e3 * report["cloud_to_mesh_m"]
     summary = "{mesh}   {vertices} vertices, confidence {confidence:.2f}, ".format(**report)
     summary += f"{apart_mm:.1f} mm from the cloud"
-    if made.scale != 1.0:
-        summary += f", seen as if {made.scale:g} times as large"
+    if network.scale != 1.0:
+        summary += f", seen as if {network.scale:g} times as large"
     say_result(summary, report, json=json)
     if apart_mm > 1e3 * LOOSE_FIT_M:
         complain(
             f"{depth}: the mesh is {apart_mm:.0f} mm from what was measured (more than "
-            f"{1e3 * LOOSE_FIT_M:.0f}): do not trust it. The network knows a {kind} on a table, of "
-            "the sizes in its model card; is the garment, its mask or the depth's unit another?"
+            f"{1e3 * LOOSE_FIT_M:.0f}): do not trust it. The network knows a {picture.kind} on a "
+            "table, of the sizes in its model card; is the garment, its mask or the depth's unit "
+            "another?"
         )
     return 0
-
-
-def require_learning() -> None:
-    """Check that the extra [learn] is installed.
-
-    Raises:
-        InvalidConfigError: with the command that installs it.
-    """
-    missing = missing_modules(EXTRA)
-    if missing:
-        raise InvalidConfigError(
-            f"learning needs {', '.join(missing)}, which tracking does not; install with: "
-            f"{install_command('learn')}"
-        )
-
-
-def _kind(told: str, recorded: str | None, source: Path) -> str:
-    """The garment as the command line tells it, or else the recording."""
-    kind = recorded if told == "as recorded" else told
-    if kind not in ("towel", "tshirt"):
-        raise InvalidConfigError(
-            f"{source}: what garment it shows is {kind or 'not said'}; add --garment towel or "
-            "--garment tshirt"
-        )
-    return kind
-
-
-def _refuse(options: Mapping[str, object], why: str) -> None:
-    """Refuse options that would mean nothing here, rather than leave them out silently."""
-    if options:
-        names = " and ".join(f"--{name.removesuffix('_m').replace('_', '-')}" for name in options)
-        raise InvalidConfigError(f"{names}: {why}; leave it out")
 
 
 def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "LearningConfig":
@@ -332,13 +237,20 @@ def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "Learn
     return with_settings(LearningConfig.preset(name, seed=seed), settings)
 
 
-def _told(outcome: "LearningOutcome", *, json: bool) -> int:
-    """Say how it went; the exit code."""
+def _learn(learn: "Callable[..., LearningOutcome]", device: str, *, json: bool) -> int:
+    """Learn with the processes that there are, say how it went, and give the exit code."""
+    from clothtrack.reconstruction.training.processes import joined
+
+    with joined(device) as processes:
+        shown = progress if processes.writes else None
+        outcome = learn(processes=processes, progress=shown)
+    if not processes.writes:
+        return 0
     end_progress()
     lines = [
-        f"{name}  {one.status} after {one.steps} steps; best held-out error "
-        f"{one.best_score:.1f} mm after {one.best_step}"
-        for name, one in outcome.stages.items()
+        f"{name}  {stage.status} after {stage.steps} steps; best held-out error "
+        f"{stage.best_score:.1f} mm after {stage.best_step}"
+        for name, stage in outcome.stages.items()
     ]
     if outcome.model is not None:
         lines.append(str(outcome.model))

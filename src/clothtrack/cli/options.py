@@ -2,11 +2,13 @@
 
 from itertools import groupby
 from operator import attrgetter
+from pathlib import Path
 from typing import Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
 from clothtrack.cli.terminal import say
+from clothtrack.errors import InvalidConfigError
 
 AsJson = Annotated[bool, arg(name="json", help="write one JSON document to standard output")]
 Device = Annotated[str, arg(help="cpu, or cuda:0")]
@@ -25,6 +27,16 @@ def list_settings(config: Any) -> int:
 
     for group, members in groupby(settings_of(config), attrgetter("group")):
         say(f"\n[{group}]" if group else "[top]")
-        for one in members:
-            say(f"{one.name}={one.value}    {one.meaning}")
+        for setting in members:
+            say(f"{setting.name}={setting.value}    {setting.meaning}")
     return 0
+
+
+def require_weights(path: Path) -> None:
+    """Refuse weights that are not there.
+
+    Raises:
+        InvalidConfigError: naming the file.
+    """
+    if not path.is_file():
+        raise InvalidConfigError(f"{path}: there is no such weights file; check the name")

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+import clothtrack as ct
 from clothtrack.cli.options import AsJson, Seed, Settings
 from clothtrack.cli.terminal import complain, progress, say, say_result
 
@@ -32,11 +33,10 @@ def simulate(
         workers: processes.
         seed: of garment, pose, actions, camera and noise.
     """
-    from clothtrack.files.settings import with_settings
-    from clothtrack.reconstruction.data.states import StatesConfig, generate_states
-    from clothtrack.world import episodes
-
     if states is not None:
+        from clothtrack.files.settings import with_settings
+        from clothtrack.reconstruction.data.states import StatesConfig, generate_states
+
         if trajectories is not None or actions is not None:
             complain(
                 "--states films nothing, so that --trajectories and --actions mean nothing; leave "
@@ -44,19 +44,17 @@ def simulate(
             )
             return 2
         recipe = with_settings(StatesConfig(), settings)
-        made = generate_states(
+        store = generate_states(
             output, garment, states, seed=seed, config=recipe, processes=workers, progress=progress
         )
-        say(f"{made.folder / 'README.md'}   ({len(made.shards)} garments)")
+        say(f"{store.folder / 'README.md'}   ({len(store.shards)} garments)")
         return 0
-    wanted = 1 if trajectories is None else trajectories
-    text = {} if actions is None else {"actions": actions}
-    config = with_settings(episodes.EpisodeConfig(**text), settings)
-    folders = episodes.simulate(
-        output, garment, wanted, seed=seed, config=config, processes=workers
-    )
+    count = 1 if trajectories is None else trajectories
+    if actions is not None:
+        settings = (f"actions={actions}", *settings)
+    folders = ct.simulate(output, garment, count, seed=seed, settings=settings, workers=workers)
     say("\n".join(map(str, folders)))
-    return 0 if len(folders) == wanted else 1
+    return 0 if len(folders) == count else 1
 
 
 def bench(
@@ -79,13 +77,13 @@ def bench(
     from clothtrack.world import bench as contents
     from clothtrack.world import bench_generation as generation
 
-    wanted = contents.trajectories(contents.SPLITS if split == "all" else (split,))
+    listed = contents.trajectories(contents.SPLITS if split == "all" else (split,))
     if verify:
-        for line in (wrong := generation.verify_bench(output, wanted)):
+        for line in (wrong := generation.verify_bench(output, listed)):
             complain(line)
-        text = f"{len(wanted) - len(wrong)} of {len(wanted)} trajectories are as listed"
-        say_result(text, {"trajectories": len(wanted), "wrong": wrong}, json=json)
+        text = f"{len(listed) - len(wrong)} of {len(listed)} trajectories are as listed"
+        say_result(text, {"trajectories": len(listed), "wrong": wrong}, json=json)
         return 1 if wrong else 0
-    entries = generation.generate_bench(output, wanted, processes=workers, progress=progress)
+    entries = generation.generate_bench(output, listed, processes=workers, progress=progress)
     say_result(generation.table(entries), entries, json=json)
     return 0

@@ -8,12 +8,20 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from clothtrack.cli.options import AsJson, Device, Seed, Settings, ShowSettings, list_settings
+import clothtrack as ct
+from clothtrack.cli.options import (
+    AsJson,
+    Device,
+    Seed,
+    Settings,
+    ShowSettings,
+    list_settings,
+    require_weights,
+)
 from clothtrack.cli.terminal import complain, progress, say
-from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
-    from clothtrack.tracking.pipeline import Outcome, RunConfig
+    from clothtrack.tracking.pipeline import Outcome
 
 Mode = Literal[
     "default",
@@ -41,23 +49,17 @@ def demo(
         mode: the tracker's default, the paper's method, or an ablation of it.
         device: where to compute.
     """
-    from clothtrack.evaluation.results import evaluate as measure
     from clothtrack.evaluation.results import table
-    from clothtrack.recordings.shipped import shipped_recording
-    from clothtrack.recordings.store import read_recording
-    from clothtrack.report.page import write_report
-    from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-    folder = shipped_recording(recording)
-    config = _run_config(mode, (), seed=0)
-    outcome = _track([folder], output, config, device=device)[0]
+    folder = ct.shipped_recording(recording)
+    (outcome,) = _track([folder], output, mode, device=device)
     if outcome.result is None:
         complain(outcome.error)
         return 1
-    tracked, source = TrackedTrajectory.load(outcome.result), read_recording(folder)
-    page = write_report(tracked, source, output / f"{tracked.name}.html")
-    say(table([measure(tracked, source, device=device)]))
-    say(f"tracked  {_told(outcome)}")
+    run = ct.load(outcome.result, folder)
+    page = ct.write_report(run, output / f"{run.name}.html")
+    say(table([ct.evaluate(run, device=device)]))
+    say(f"tracked  {_line(outcome)}")
     say(f"report   {page}   (open it in a browser; it needs no network)")
     return 0
 
@@ -93,7 +95,9 @@ def track(
         json: machine-readable.
     """
     if show_settings:
-        return list_settings(_run_config(mode, settings, seed=seed))
+        from clothtrack.front.run import run_config
+
+        return list_settings(run_config(mode, settings, seed=seed))
     if output is None:
         complain("no place for the results; name a folder with --output")
         return 2
@@ -101,48 +105,41 @@ def track(
         complain("no recording given; name at least one recording folder")
         return 2
     if weights is not None:
-        if not weights.is_file():
-            raise InvalidConfigError(f"{weights}: there is no such weights file; check the name")
+        require_weights(weights)
         settings = (f"initial_state.weights={json_module.dumps(str(weights))}", *settings)
-    outcomes = _track(
-        recordings, output, _run_config(mode, settings, seed=seed), device=device, workers=workers
-    )
+    outcomes = _track(recordings, output, mode, settings, seed=seed, device=device, workers=workers)
     if json:
-        say(json_module.dumps([asdict(one) for one in outcomes], indent=2, default=str))
-    for one in outcomes:
-        if one.result is None:
-            complain(one.error)
+        say(json_module.dumps([asdict(outcome) for outcome in outcomes], indent=2, default=str))
+    for outcome in outcomes:
+        if outcome.result is None:
+            complain(outcome.error)
         elif not json:
-            say(_told(one))
-    return 1 if any(one.result is None for one in outcomes) else 0
-
-
-def _run_config(mode: str, settings: Sequence[str], *, seed: int) -> "RunConfig":
-    from clothtrack.files.settings import with_settings
-    from clothtrack.tracking.configuration import mode as tracker_mode
-    from clothtrack.tracking.pipeline import RunConfig
-
-    return with_settings(RunConfig(tracker=tracker_mode(mode), seed=seed), settings)
+            say(_line(outcome))
+    return 1 if any(outcome.result is None for outcome in outcomes) else 0
 
 
 def _track(
     recordings: Sequence[Path],
     output: Path,
-    config: "RunConfig",
+    mode: Mode,
+    settings: Sequence[str] = (),
     *,
+    seed: int = 0,
     device: str,
     workers: int = 1,
 ) -> "list[Outcome]":
+    from clothtrack.front.run import run_config
     from clothtrack.geometry.devices import require_device
     from clothtrack.tracking.pipeline import track_recordings
 
     require_device(device)
+    config = run_config(mode, settings, seed=seed)
     return track_recordings(
         recordings, output, config, workers=workers, device=device, progress=progress
     )
 
 
-def _told(outcome: "Outcome") -> str:
+def _line(outcome: "Outcome") -> str:
     """Where a result lies, and why it was tracked again or was not."""
     again = "   (recording changed, tracked again)" if outcome.tracked_again else ""
     return f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)

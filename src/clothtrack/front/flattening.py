@@ -1,0 +1,132 @@
+"""Flatten and record cloth in the simulated world, and plan for a recorded one."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from clothtrack.baselines.flattening_policies import POLICIES
+from clothtrack.errors import InvalidConfigError
+from clothtrack.files.settings import with_settings
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.planning.episode_store import EpisodeStore
+from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
+from clothtrack.planning.flattening import EpisodeScene, Flattening, Watch, flat_area
+from clothtrack.planning.perception import perception_of
+from clothtrack.planning.robots.dry_run import DryRunRobot, pictures_of
+from clothtrack.planning.robots.robot import MotionLimits
+from clothtrack.planning.seen import seen_area
+from clothtrack.recordings.store import read_recording
+from clothtrack.simulation.garments import GarmentKind
+from clothtrack.world import episodes
+from clothtrack.world.simulated_episodes import (
+    EpisodeParts,
+    SimulatedEpisode,
+    flatten_simulated,
+    shared_parts,
+)
+
+
+def flatten(
+    output: Path | str,
+    garment: GarmentKind = "towel",
+    *,
+    config: FlattenConfig | None = None,
+    settings: Sequence[str] = (),
+    seed: int = 0,
+    device: str = "cpu",
+    parts: EpisodeParts | None = None,
+    watch: Watch | None = None,
+) -> EpisodeStore:
+    """Flatten a crumpled garment of the simulated world: perceive, plan, act, and look again.
+
+    Args:
+        output: folder for the episode, its recording and its truth; an interrupted episode goes on.
+        garment: what lies on the table.
+        config: how; `settings` change it.
+        settings: such as "actions=3" or "planner.candidates=300".
+        seed: of garment, start, noise and candidates.
+        device: "cpu" or "cuda:0".
+        parts: networks that several episodes share; loaded for this one by default.
+        watch: called after every step.
+
+    Returns:
+        The episode on disk: its steps and its status.
+
+    Raises:
+        InvalidConfigError: `output` holds this episode with other settings.
+        InvalidResultError: weights are missing, damaged or of another garment.
+    """
+    quiet_warp()
+    changed = with_settings(config or FlattenConfig(), settings)
+    parts = parts or episode_parts(garment, changed, device=device)
+    episode = SimulatedEpisode(garment, seed)
+    return flatten_simulated(
+        Path(output), episode, changed, parts=parts, device=device, watch=watch
+    )
+
+
+def episode_parts(garment: GarmentKind, config: FlattenConfig, *, device: str) -> EpisodeParts:
+    """What the episodes of `flatten` can share: the networks, or a policy that needs none."""
+    parts = shared_parts(garment, config, device=device)
+    return replace(parts, propose=POLICIES.get(config.policy))
+
+
+def plan_flattening(
+    recording: Path, output: Path, config: FlattenConfig, *, seed: int, device: str
+) -> EpisodeStore:
+    """Plan one action for the last picture of a recording, and write it down; nothing moves.
+
+    Raises:
+        InvalidRecordingError: the picture cannot be read, or shows no cloth.
+        InvalidConfigError: the recording has no table.
+    """
+    source = read_recording(recording)
+    if source.table is None:
+        raise InvalidConfigError(f"{recording}: it has no table; flattening needs one")
+    # Refuses a picture that cannot be read, or shows no cloth, before anything is written.
+    seen_area(source, source.frames[-1])
+    planned = config.policy == "planned"
+    limits = MotionLimits(workspace=config.planner.space.workspace)
+    flattening = Flattening(
+        DryRunRobot(pictures_of(source), output, limits=limits),
+        EpisodeScene(replace(source.cloth, template=None), source.table, flat_area(source.cloth)),
+        replace(config, actions=1),
+        perception=perception_of(source.cloth.kind, config.perception, device=device)
+        if planned
+        else None,
+        dynamics=dynamics_of(config, device=device) if planned else (),
+        propose=POLICIES.get(config.policy),
+        seed=seed,
+    )
+    return flattening.run(output / "episode")
+
+
+def simulate(
+    output: Path | str,
+    garment: GarmentKind = "towel",
+    trajectories: int = 1,
+    *,
+    seed: int = 0,
+    small: bool = False,
+    settings: Sequence[str] = (),
+    workers: int = 1,
+) -> list[Path]:
+    """Record pick-and-places in a simulated world that knows the truth.
+
+    Args:
+        output: folder for recordings/ and truth/; what is finished there is kept.
+        garment: what lies on the table.
+        trajectories: how many recordings, with the seeds `seed`, `seed` + 1 and so on.
+        seed: of garment, pose, actions, camera and noise.
+        small: one action with a napkin before a small camera, in a few seconds.
+        settings: changes to what is recorded, such as "sensor.width=320" or "actions=2".
+        workers: processes.
+
+    Returns:
+        The folders of the recordings.
+    """
+    quiet_warp()
+    config = with_settings(episodes.SMALL_WORLD if small else episodes.EpisodeConfig(), settings)
+    return episodes.simulate(
+        Path(output), garment, trajectories, seed=seed, config=config, processes=workers
+    )
