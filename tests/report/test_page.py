@@ -2,13 +2,14 @@ import json
 import re
 from dataclasses import replace
 from html import unescape
+from itertools import pairwise
 
 import pytest
 
 from clothtrack.errors import StorageError
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.report.overlay import OverlayConfig
-from clothtrack.report.page import ReportConfig, write_report
+from clothtrack.report.page import ReportConfig, evenly, write_report
 from clothtrack.tracking.tracked_trajectory import StepRecords
 
 SMALL = ReportConfig(overlay=OverlayConfig(height=120))
@@ -60,6 +61,21 @@ def test_many_frames_are_thinned(tracked, clouds_only, tmp_path):
     config = ReportConfig(video_frames=3, scene_vertices=2 * 169, overlay=SMALL.overlay)
     path = write_report(tracked, clouds_only, tmp_path / "thin.html", config=config)
     assert 'data-frames="[0, 2, 5]"' in path.read_text(encoding="utf-8")
+
+
+def test_the_frames_of_labels_are_never_thinned_out(tracked, clouds_only, tmp_path):
+    ends = [1, 4]
+    actions = [
+        replace(action, last_frame=end) for action, end in zip(tracked.actions, ends, strict=True)
+    ]
+    moved = replace(tracked, actions=tuple(actions))
+    config = ReportConfig(video_frames=3, scene_frames=3, overlay=SMALL.overlay)
+    page = write_report(moved, clouds_only, tmp_path / "kept.html", config=config)
+    assert page.read_text(encoding="utf-8").count('data-frames="[0, 1, 4, 5]"') == 1
+    kept = evenly(2000, 180, always=[7, 1003])
+    assert {0, 7, 1003, 1999} <= set(kept)
+    assert 170 < len(kept) <= 180
+    assert max(b - a for a, b in pairwise(kept)) < 15
 
 
 def test_one_frame_without_actions_or_observation_is_a_page(tracked, clouds_only, tmp_path):

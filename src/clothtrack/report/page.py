@@ -41,8 +41,8 @@ class ReportConfig:
     """How much goes into a page.
 
     Attributes:
-        video_frames: at most this many frames in the video, evenly chosen.
-        scene_frames: at most this many frames in the scene, evenly chosen.
+        video_frames: at most this many frames in the video, evenly chosen beside those of labels.
+        scene_frames: likewise in the scene.
         scene_vertices: at most this many vertices over all frames of the scene.
         overlay: how the video looks.
         scene: what the scene holds.
@@ -142,7 +142,7 @@ def _body(
 
 
 def _video_card(tracked: TrackedTrajectory, overlay: Overlay, config: ReportConfig) -> str:
-    steps = evenly(len(tracked.frames), config.video_frames)
+    steps = evenly(len(tracked.frames), config.video_frames, always=_labelled_steps(tracked))
     return video_card(
         "Over the observation",
         swatch(OUTSIDE, "visible") + swatch(HIDDEN, "hidden, believed"),
@@ -159,7 +159,8 @@ def _contents(
     config: ReportConfig,
 ) -> SceneContents:
     most = max(2, config.scene_vertices // tracked.mesh.vertex_count)
-    steps = evenly(len(tracked.frames), min(config.scene_frames, most))
+    most = min(config.scene_frames, most)
+    steps = evenly(len(tracked.frames), most, always=_labelled_steps(tracked))
     view = scene_view(tracked, recording, width=800, height=600)
     axis = layers_axis(recording, view)
     layers = Layers(tracked.mesh, axis)
@@ -180,6 +181,18 @@ def _contents(
     )
 
 
-def evenly(count: int, most: int) -> list[int]:
-    """At most `most` of the numbers 0 to count - 1, evenly spaced, both ends included."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+def _labelled_steps(tracked: TrackedTrajectory) -> list[int]:
+    """Where the labels are: a person judges a mesh by its own frame, not by one nearby."""
+    ends = [action.last_frame for action in tracked.actions]
+    return np.flatnonzero(np.isin(tracked.frames, ends)).tolist()
+
+
+def evenly(count: int, most: int, always: Sequence[int] = ()) -> list[int]:
+    """At most `most` of the numbers 0 to count - 1, evenly spaced, both ends included.
+
+    Those of `always` are included too, even if they and the ends are more than `most`.
+    """
+    if count <= most:
+        return list(range(count))
+    spaced = np.linspace(0, count - 1, max(2, most - len(always))).round().astype(int)
+    return np.union1d(spaced, np.asarray(always, int)).tolist()
