@@ -19,10 +19,8 @@ import torch
 from results import provenance, write_json
 from scipy.spatial import cKDTree
 
-from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
-from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import visible_vertices
+from clothtrack.alignment import AlignmentConfig, CloudAligner
+from clothtrack.geometry import Camera, ClothMesh, visible_vertices
 
 logger = logging.getLogger("bench_alignment")
 

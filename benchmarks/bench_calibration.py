@@ -25,12 +25,11 @@ from bench_tracking import TimedEyes
 from results import provenance, write_json
 from staged_fold import FILMED, TABLE, shirt, staged
 
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.visibility import VisibilityCheck
-from clothtrack.recordings.recording import Recording
-from clothtrack.simulation.solver import ClothSolver
+from clothtrack.geometry import VisibilityCheck, quiet_warp
+from clothtrack.recordings import Recording
+from clothtrack.simulation import ClothSolver
+from clothtrack.tracking import mode
 from clothtrack.tracking.calibration import CalibrationConfig, calibrate
-from clothtrack.tracking.configuration import mode
 from clothtrack.tracking.open_loop import OpenLoopScore
 from clothtrack.tracking.picking import find_grasps
 

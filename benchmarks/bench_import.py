@@ -35,10 +35,10 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.importing.import_options import ImportOptions
+from clothtrack.geometry import quiet_warp
+from clothtrack.importing import ImportOptions
 from clothtrack.importing.import_recording import import_recording
-from clothtrack.recordings.pictures import encode_png
+from clothtrack.recordings import encode_png
 
 logger = logging.getLogger("bench_import")
 WIDTH, HEIGHT, FOCAL = 640, 480, 600.0

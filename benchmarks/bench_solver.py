@@ -26,9 +26,8 @@ from engines import OURS, PEERS, Engine, Ours
 from scipy.spatial import KDTree
 
 from clothtrack.files.extras import install_command
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import garment, tshirt
+from clothtrack.geometry import ClothMesh, quiet_warp
+from clothtrack.simulation import garment, tshirt
 
 LAYER_GAP_M = 0.003
 LIFT_PER_STEP_M = 0.004

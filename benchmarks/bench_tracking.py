@@ -24,15 +24,10 @@ import numpy as np
 from results import provenance, write_json
 from staged_fold import FILMED_VERTICES, FRAME_RATE, STEPS, shirt, staged
 
-from clothtrack.geometry.chamfer import one_way
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.recordings.point_cloud import Observation, observe
-from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.geometry import ClothMesh, one_way, quiet_warp
+from clothtrack.recordings import Frame, Observation, Recording, observe
+from clothtrack.tracking import TrackedTrajectory, Tracker, TrackerConfig, mode
 from clothtrack.tracking.calibration import CalibrationConfig
-from clothtrack.tracking.configuration import TrackerConfig, mode
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-from clothtrack.tracking.tracker import Tracker
 
 RECORDED_S = STEPS / FRAME_RATE
 SOLVERS = ("adam", "icp")

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry import ClothMesh
 
 STEP_S = 0.01
 CONTACT_M = 0.003
@@ -34,10 +34,8 @@ class Ours:
     """XPBD of this package."""
 
     def __init__(self, mesh: ClothMesh, held: int, contact: str) -> None:
-        from clothtrack.recordings.recording import Table
-        from clothtrack.simulation.parameters import ClothParameters, SolverConfig
-        from clothtrack.simulation.solver import ClothSolver
-        from clothtrack.simulation.state import Attachment
+        from clothtrack.recordings import Table
+        from clothtrack.simulation import Attachment, ClothParameters, ClothSolver, SolverConfig
 
         table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
         config = SolverConfig(

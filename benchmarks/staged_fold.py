@@ -10,17 +10,27 @@ from pathlib import Path
 
 import numpy as np
 
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.recordings.recording import ClothDescription, PickerPath, Recording, Table
-from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion
-from clothtrack.simulation.garments import garment
-from clothtrack.simulation.parameters import ClothParameters, SolverConfig
-from clothtrack.simulation.solver import ClothSolver
+from clothtrack.recordings import (
+    ClothDescription,
+    PickerPath,
+    Recording,
+    RecordingWriter,
+    Table,
+    read_recording,
+)
+from clothtrack.simulation import (
+    ClothDynamics,
+    ClothParameters,
+    ClothSolver,
+    HeldMotion,
+    SolverConfig,
+    garment,
+)
+from clothtrack.world import Scene, Sensor
 from clothtrack.world.appearance import Appearance
-from clothtrack.world.scene import Scene
-from clothtrack.world.sensor import Sensor, top_down_camera
+from clothtrack.world.sensor import top_down_camera
 from clothtrack.world.tool import Tool
 
 SIZE_M = (0.30, 0.27)

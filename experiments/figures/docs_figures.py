@@ -14,11 +14,10 @@ import _path  # noqa: F401
 import cv2
 from shared.figures import say, write_png
 
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.recordings.shipped import shipped_recording
-from clothtrack.recordings.store import read_recording
-from clothtrack.report.overlay import Overlay, OverlayConfig, write_contact_sheet
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.geometry import quiet_warp
+from clothtrack.recordings import read_recording, shipped_recording
+from clothtrack.report import Overlay, OverlayConfig, write_contact_sheet
+from clothtrack.tracking import TrackedTrajectory
 
 ROWS = 3
 WIDTH_PX = 800

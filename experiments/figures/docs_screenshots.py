@@ -23,13 +23,10 @@ import cv2
 import numpy as np
 from shared.figures import say, write_png
 
-from clothtrack.evaluation.label_review import LabelReview
-from clothtrack.evaluation.truth import Truth
-from clothtrack.geometry.devices import quiet_warp
+import clothtrack as ct
+from clothtrack.evaluation import LabelReview
+from clothtrack.geometry import quiet_warp
 from clothtrack.report.live import Decisions, live_page
-from clothtrack.report.page import write_report
-from clothtrack.tracking.artefacts import inside, load_tracked, recording_of
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 WIDTH_PX = 1000
 BROWSER = Path(__file__).parents[2] / "tests" / "report" / "chromium.py"
@@ -98,12 +95,12 @@ def shoot_report(file: Path, image: Callable[[str], Path]) -> None:
         save(page, image("curves"))
 
 
-def shoot_live(tracked: TrackedTrajectory, file: Path, image: Callable[[str], Path]) -> None:
+def shoot_live(run: ct.Run, file: Path, image: Callable[[str], Path]) -> None:
     """The served page at the last label, rejected."""
-    review = file.with_name(f"{tracked.name}.review.json")
+    review = file.with_name(f"{run.name}.review.json")
     addresses: list[str] = []
-    decisions = Decisions(LabelReview.blank(tracked), review)
-    with live_page(tracked.name, decisions=decisions, opened=addresses.append) as live:
+    decisions = Decisions(LabelReview.blank(run), review)
+    with live_page(run.name, decisions=decisions, opened=addresses.append) as live:
         live.show(file)
         with opened(addresses[0]) as page:
             page.wait_for(READY)
@@ -124,17 +121,15 @@ def main() -> None:
     parser.add_argument("--images", type=Path, default=Path("docs/images"))
     arguments = parser.parse_args()
     quiet_warp()
-    tracked = load_tracked(arguments.tracked)
-    recording = recording_of(tracked, arguments.recordings, arguments.tracked)
-    truth = Truth.load(inside(arguments.truth, f"{tracked.name}.npz"))
+    run = ct.load(arguments.tracked, arguments.recordings)
 
     def image(name: str) -> Path:
         return arguments.images / f"report_{name}.png"
 
     with tempfile.TemporaryDirectory() as folder:
-        page = write_report(tracked, recording, Path(folder) / "report.html", truth=truth)
+        page = ct.write_report(run, Path(folder) / "report.html", truth=arguments.truth)
         shoot_report(page, image)
-        shoot_live(tracked, page, image)
+        shoot_live(run, page, image)
 
 
 if __name__ == "__main__":

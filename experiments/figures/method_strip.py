@@ -22,12 +22,9 @@ from shared.bench_measures import Row
 from shared.bench_runs import read_rows
 from shared.figures import say, write_png
 
-from clothtrack.evaluation.truth import Truth, material_map, material_points
-from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.recordings.pictures import read_color
-from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.store import read_recording
+from clothtrack.evaluation import Truth, material_map, material_points
+from clothtrack.geometry import Camera, quiet_warp
+from clothtrack.recordings import Recording, read_color, read_recording
 from clothtrack.report.lettering import caption, heat_legend
 from clothtrack.report.palette import INK, PAPER, heat, rgb255
 from clothtrack.report.shading import Shader, ShadingConfig

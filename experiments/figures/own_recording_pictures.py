@@ -22,9 +22,7 @@ from jaxtyping import UInt8
 from shared.figures import say, write_png
 
 from clothtrack.cli import command_line as cli
-from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.store import read_recording
+from clothtrack.recordings import Recording, read_color, read_depth, read_recording
 from clothtrack.report.palette import HIDDEN, OUTSIDE, PICKER_CLOSED, rgb255
 from figures.docs_screenshots import READY, TURN, WIDTH_PX, opened, save
 

@@ -31,16 +31,13 @@ from shared.reconstruction_pictures import (
 )
 
 from clothtrack.errors import ClothTrackError, InvalidRecordingError
-from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.chamfer import one_way
-from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry import Camera, one_way, quiet_warp
+from clothtrack.reconstruction import DepthInput, load_model, network_mesh
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
-from clothtrack.reconstruction.depth_input import DepthInput
-from clothtrack.reconstruction.from_picture import network_mesh, observation_of
-from clothtrack.reconstruction.load_model import load_model
-from clothtrack.recordings.store import read_recording
+from clothtrack.reconstruction.from_picture import observation_of
+from clothtrack.recordings import read_recording
 from clothtrack.report.viewpoint import three_quarter_view
-from clothtrack.world.episodes import SMALL_WORLD, simulate
+from clothtrack.world import SMALL_WORLD, simulate
 
 LEVEL_DEG = 20.0
 

@@ -34,13 +34,11 @@ from shared.reconstruction_pictures import (
 )
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation.truth import Truth
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.evaluation import Truth
+from clothtrack.geometry import ClothMesh, quiet_warp
+from clothtrack.reconstruction import NetworkMesh, load_model
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
-from clothtrack.reconstruction.from_picture import NetworkMesh
-from clothtrack.reconstruction.load_model import load_model
-from clothtrack.recordings.store import read_recording
+from clothtrack.recordings import read_recording
 from clothtrack.report.viewpoint import three_quarter_view
 
 STATES = 10

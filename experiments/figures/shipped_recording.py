@@ -21,12 +21,18 @@ from jaxtyping import Bool, Float, UInt8
 from shared.figures import say
 
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.recordings import (
+    Frame,
+    Recording,
+    RecordingWriter,
+    read_color,
+    read_depth,
+    read_recording,
+)
 from clothtrack.recordings.segmentation import default_segmenter
-from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.simulation.pick_and_place import ActionConfig
-from clothtrack.world.episodes import EpisodeConfig, TemplateConfig, simulate_trajectory
+from clothtrack.simulation import ActionConfig
+from clothtrack.world import EpisodeConfig, simulate_trajectory
+from clothtrack.world.episodes import TemplateConfig
 
 NAME = "fold_the_tshirt"
 SEED = 4

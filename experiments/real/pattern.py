@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from clothtrack.geometry.camera import Camera
+from clothtrack.geometry import Camera
 
 
 @dataclass(frozen=True)

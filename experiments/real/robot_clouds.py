@@ -17,19 +17,15 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.chamfer import one_way
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.quality import edge_strain
-from clothtrack.geometry.visibility import VisibilityCheck
-from clothtrack.recordings.recording import (
+from clothtrack.geometry import Camera, ClothMesh, VisibilityCheck, edge_strain, one_way
+from clothtrack.recordings import (
     ClothDescription,
     ObservedRegion,
     PickerPath,
+    RecordingWriter,
     Table,
 )
-from clothtrack.recordings.store import RecordingWriter
-from clothtrack.simulation.garments import towel
+from clothtrack.simulation import towel
 
 NAME = "robot-lift-fold-clouds"
 PICKER = "gripper"

@@ -19,18 +19,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from clothtrack.baselines.coherent_point_drift import PeerConfig, follow
+from clothtrack.baselines import PeerConfig, follow
 from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.evaluation import Truth
 from clothtrack.evaluation.label_evidence import Label
-from clothtrack.evaluation.truth import Truth
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.initial_state import find_initial_state
-from clothtrack.tracking.pipeline import RunConfig, counted_settings, observer, provenance
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-from clothtrack.tracking.tracker import Tracker
+from clothtrack.geometry import ClothMesh, quiet_warp
+from clothtrack.recordings import Recording, read_recording
+from clothtrack.tracking import RunConfig, TrackedTrajectory, Tracker, find_initial_state
+from clothtrack.tracking.pipeline import counted_settings, observer, provenance
 from shared.bench_measures import ROW_FORMAT, Row, finite, measure
 from shared.first_meshes import resampled, with_first_mesh_error
 

@@ -20,10 +20,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.tracking.configuration import TrackerConfig, mode
-from clothtrack.tracking.pipeline import RunConfig
-from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate
+from clothtrack.geometry import quiet_warp
+from clothtrack.tracking import RunConfig, TrackerConfig, mode
+from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate
 from shared import tables
 from shared.bench_measures import Row
 from shared.bench_runs import (

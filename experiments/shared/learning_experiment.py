@@ -23,17 +23,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.files.settings import with_settings
-from clothtrack.geometry.devices import quiet_warp
+from clothtrack.files import with_settings
+from clothtrack.geometry import quiet_warp
+from clothtrack.reconstruction import LearningConfig, MeshReconstructor, open_states
 from clothtrack.reconstruction.data.crumpling import CrumplingConfig
-from clothtrack.reconstruction.data.state_store import StateSet, open_states
+from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
-from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
 from clothtrack.reconstruction.training.checkpoint import save_weights
-from clothtrack.reconstruction.two_stages import LearningConfig
+from clothtrack.world import SMALL_WORLD, simulate
 from clothtrack.world.bench import vary
-from clothtrack.world.episodes import SMALL_WORLD, simulate
 from shared import tables
 from shared.bench_measures import Row
 from shared.bench_runs import (
@@ -274,7 +273,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def refined(how: Reconstructor, name: str) -> Reconstructor:
     """The same with fine-tuning at test time."""
-    from clothtrack.reconstruction.refinement import RefinementConfig
+    from clothtrack.reconstruction import RefinementConfig
 
     return replace(how, name=name, refinement=RefinementConfig())
 

@@ -6,18 +6,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.evaluation import QualityModel, Truth, material_map, material_points
 from clothtrack.evaluation.label_evidence import label_evidence
-from clothtrack.evaluation.label_quality import SHIPPED, QualityModel
-from clothtrack.evaluation.truth import Truth, material_map, material_points
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.evaluation.label_quality import SHIPPED
+from clothtrack.geometry import ClothMesh
+from clothtrack.reconstruction import read_shard
 from clothtrack.reconstruction.data.pseudo_labels import (
     LabelledRecording,
     PseudoLabel,
     label_recording,
 )
 from clothtrack.reconstruction.data.state_examples import RenderConfig, render
-from clothtrack.reconstruction.data.state_store import StateSet, read_shard
-from clothtrack.recordings.store import read_recording
+from clothtrack.reconstruction.data.state_store import StateSet
+from clothtrack.recordings import read_recording
 from shared.bench_runs import Task, Trajectory, kept_labels
 
 

@@ -5,22 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.evaluation.metrics import (
+from clothtrack.evaluation import (
+    Truth,
     chamfer_pc,
     chamfer_surface,
     cloth_measures,
+    material_map,
+    material_points,
     vertex_error_mm,
 )
-from clothtrack.evaluation.truth import Truth, material_map, material_points
-from clothtrack.geometry.closest_point import closest_on_mesh
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser, visible_vertices
+from clothtrack.geometry import ClothMesh, Rasteriser, closest_on_mesh, visible_vertices
+from clothtrack.reconstruction import NetworkMesh
 from clothtrack.reconstruction.canonical_frame import conventional, symmetries
-from clothtrack.reconstruction.from_picture import NetworkMesh
 from clothtrack.reconstruction.template_fit import SeenPoints
-from clothtrack.recordings.point_cloud import observe
-from clothtrack.recordings.recording import Recording
-from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.recordings import Recording, observe
+from clothtrack.simulation import SolverConfig
 from shared.bench_measures import Row
 
 LEARNING_ROW_FORMAT = 2

@@ -17,20 +17,26 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation.truth import Truth
+from clothtrack.evaluation import Truth
+from clothtrack.reconstruction import (
+    DepthInput,
+    LearningConfig,
+    MeshReconstructor,
+    NetworkMesh,
+    RefinementConfig,
+    finetune,
+    load_model,
+    network_mesh,
+    open_states,
+)
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, cloth_picture
-from clothtrack.reconstruction.data.state_store import StateSet, open_states
-from clothtrack.reconstruction.depth_input import DepthInput
-from clothtrack.reconstruction.from_picture import NetworkMesh, network_mesh
-from clothtrack.reconstruction.load_model import load_model
-from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.refinement import RefinementConfig
+from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.training.processes import Processes
-from clothtrack.reconstruction.two_stages import MODEL, LearningConfig, finetune
-from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.pipeline import RunConfig, provenance
+from clothtrack.reconstruction.two_stages import MODEL
+from clothtrack.recordings import Recording, read_recording
+from clothtrack.tracking import RunConfig
+from clothtrack.tracking.pipeline import provenance
 from shared.bench_measures import Row
 from shared.bench_runs import Task, Trajectory, read_rows, write_rows
 from shared.learning_labels import digest_of, label_mesh

@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry import Camera, ClothMesh
+from clothtrack.reconstruction import Reconstruction
 from clothtrack.reconstruction.canonical_frame import canonical_frame
-from clothtrack.reconstruction.model import Reconstruction
-from clothtrack.recordings.recording import Table
+from clothtrack.recordings import Table
 from clothtrack.report.lettering import caption, write
 from clothtrack.report.palette import PAPER, rgb255
 from clothtrack.report.shading import Shader, ShadingConfig

@@ -7,10 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.tracking.configuration import MODES, mode
+from clothtrack.tracking import MODES, RunConfig, TrackedTrajectory, mode, track_recordings
 from clothtrack.tracking.flat_fit import InitialStateConfig
-from clothtrack.tracking.pipeline import RunConfig, track_recordings
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 MODE_NAMES = tuple(MODES)
 

@@ -22,8 +22,7 @@ from shared.bench_measures import Row
 from shared.bench_runs import Trajectory, Variant
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking.configuration import TrackerConfig, mode
-from clothtrack.tracking.pipeline import RunConfig
+from clothtrack.tracking import RunConfig, TrackerConfig, mode
 from clothtrack.world.flex import CONTACT_RADIUS_M
 
 FRICTION = {"table_friction": "table_friction", "particle_friction": "cloth_friction"}

@@ -16,7 +16,7 @@ from dataclasses import replace
 import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking import TrackerConfig, mode
 
 
 def plan(setup: Setup) -> list[Run]:

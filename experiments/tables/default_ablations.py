@@ -15,7 +15,7 @@ from dataclasses import replace
 import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking.configuration import TrackerConfig, mode
+from clothtrack.tracking import TrackerConfig, mode
 from tables.collision import weighted
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking.configuration import mode
+from clothtrack.tracking import mode
 
 RANKS = {"best": 0.0, "50 %": 0.5, "90 %": 0.9}
 

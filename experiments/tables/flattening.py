@@ -33,28 +33,25 @@ from shared.figures import say
 from clothtrack import __version__
 from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.files import finished_in_workers, with_settings
 from clothtrack.files.provenance import commit
-from clothtrack.files.settings import with_settings
-from clothtrack.files.worker_pool import finished_in_workers
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.quality import crossings
-from clothtrack.planning.actions import in_picture
-from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig, SimulatorConfig
-from clothtrack.planning.episode_store import EpisodeStore
-from clothtrack.planning.flatten_config import FlattenConfig, episode_identity
-from clothtrack.planning.flattening import improvement
-from clothtrack.planning.perception import PerceptionConfig
-from clothtrack.planning.planner import PlannerConfig
-from clothtrack.reconstruction.availability import missing_modules
-from clothtrack.recordings.store import read_recording
-from clothtrack.report.flattening_page import write_film_strip
-from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.simulated_episodes import (
-    EpisodeParts,
-    SimulatedEpisode,
-    flatten_simulated,
+from clothtrack.geometry import crossings, quiet_warp
+from clothtrack.planning import (
+    EpisodeStore,
+    FlattenConfig,
+    PerceptionConfig,
+    PlannerConfig,
+    SimulatorConfig,
+    improvement,
 )
-from clothtrack.world.simulated_robot import SimulatedRobotConfig
+from clothtrack.planning.actions import in_picture
+from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig
+from clothtrack.planning.flatten_config import episode_identity
+from clothtrack.reconstruction.availability import missing_modules
+from clothtrack.recordings import read_recording
+from clothtrack.report.flattening_page import write_film_strip
+from clothtrack.world import SMALL_WORLD, SimulatedEpisode, SimulatedRobotConfig, flatten_simulated
+from clothtrack.world.simulated_episodes import EpisodeParts
 
 NAME = "flattening"
 FIRST_SEED = 9000
@@ -313,8 +310,8 @@ def make_starts(tasks: Sequence[Task], workers: int) -> None:
 
 def make_start(task: Task) -> None:
     """One crumpled start."""
+    from clothtrack.world import SimulatedRobot
     from clothtrack.world.simulated_episodes import begin
-    from clothtrack.world.simulated_robot import SimulatedRobot
 
     robot = SimulatedRobot(task.episode.kind, task.episode.seed, task.robot)
     begin(robot, task.out / "starts" / f"{task.episode.label}.npz")
@@ -335,7 +332,7 @@ def tiny_network(path: Path) -> Path | None:
         return None
     import torch
 
-    from clothtrack.reconstruction.model import MeshReconstructor
+    from clothtrack.reconstruction import MeshReconstructor
     from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
     from clothtrack.reconstruction.training.checkpoint import save_weights
 

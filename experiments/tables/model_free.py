@@ -18,7 +18,7 @@ from shared.bench_runs import Variant
 from shared.experiment import Run, Setup, run_experiment
 from shared.figures import say
 
-from clothtrack.baselines.coherent_point_drift import PeerConfig
+from clothtrack.baselines import PeerConfig
 from clothtrack.files.extras import install_command
 
 

@@ -30,14 +30,13 @@ from shared.table_column import Column, table
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation.truth import Truth
-from clothtrack.files.atomic_write import content_hash
+from clothtrack.evaluation import Truth
+from clothtrack.files import content_hash, finished_in_workers
 from clothtrack.files.provenance import commit
-from clothtrack.files.worker_pool import finished_in_workers
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.planning.episode_store import EpisodeStore
-from clothtrack.planning.perception import Look, NetworkPerception, PerceptionConfig
-from clothtrack.recordings.store import read_recording
+from clothtrack.geometry import quiet_warp
+from clothtrack.planning import EpisodeStore, PerceptionConfig
+from clothtrack.planning.perception import Look, NetworkPerception
+from clothtrack.recordings import read_recording
 from tables.planning_perception import measured
 
 NAME = "network_on_heaps"

@@ -20,12 +20,11 @@ import numpy as np
 
 from clothtrack.capture.picker_detection import find_picker, nearest_visible_vertex
 from clothtrack.capture.tip_finder import tip_colors
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry import ClothMesh, quiet_warp
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.recordings.store import read_recording
-from clothtrack.simulation.pick_and_place import ActionConfig
-from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate_trajectory
+from clothtrack.recordings import read_recording
+from clothtrack.simulation import ActionConfig
+from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate_trajectory
 
 FILMS = (
     ("towel", 100, "pink"),

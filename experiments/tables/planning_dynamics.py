@@ -30,15 +30,20 @@ from shared.figures import say
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files.provenance import commit
-from clothtrack.geometry.coverage import projected_area
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.planning.actions import PickPlace, SeenCloth
+from clothtrack.geometry import ClothMesh, projected_area, quiet_warp
+from clothtrack.planning import (
+    FlattenConfig,
+    Hypothesis,
+    PickPlace,
+    PlannedCloth,
+    Planner,
+    PlannerConfig,
+    PlanningDynamics,
+    SeenCloth,
+    coverage,
+    dynamics_of,
+)
 from clothtrack.planning.coarse_cloth import Coarsener
-from clothtrack.planning.dynamics import PlannedCloth, PlanningDynamics
-from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
-from clothtrack.planning.planner import Hypothesis, Planner, PlannerConfig
-from clothtrack.planning.reward import coverage
 
 NAME = "planning_dynamics"
 LEARNED = "learned mesh dynamics"

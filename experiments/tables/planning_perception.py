@@ -34,19 +34,14 @@ from shared.learning_measures import Case, vertex_errors
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.evaluation.metrics import chamfer_pc
-from clothtrack.evaluation.truth import Truth
+from clothtrack.evaluation import Truth, chamfer_pc
+from clothtrack.files import with_settings
 from clothtrack.files.provenance import commit
-from clothtrack.files.settings import with_settings
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.visibility import visible_vertices
-from clothtrack.planning.episode_store import EpisodeStore
-from clothtrack.planning.perception import Estimate, Look, PerceptionConfig, TrackerPerception
-from clothtrack.recordings.point_cloud import observe
-from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.reversal import reversed_recording
-from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.tracker import Tracker
+from clothtrack.geometry import quiet_warp, visible_vertices
+from clothtrack.planning import EpisodeStore, Estimate, PerceptionConfig
+from clothtrack.planning.perception import Look, TrackerPerception
+from clothtrack.recordings import Recording, observe, read_recording, reversed_recording
+from clothtrack.tracking import Tracker
 
 NAME = "planning_perception"
 NETWORK = "network"

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from shared.figures import say
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.geometry.coverage import projected_area
+from clothtrack.geometry import projected_area
 from tables.planning_dynamics import Done, episodes
 
 BINS_M = (0.0, 0.02, 0.05, 0.10, np.inf)

@@ -33,8 +33,8 @@ from shared.figures import say, write_json
 from shared.run_tracker import MODE_NAMES, before_final_alignment, track
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.geometry import quiet_warp
+from clothtrack.tracking import TrackedTrajectory
 
 COMPARED = MODE_NAMES
 SMOKE_FRAMES = {hanging_cloth.NAME: 6, robot_clouds.NAME: 9}

@@ -23,8 +23,7 @@ from dataclasses import replace
 import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking.configuration import TrackerConfig, mode
-from clothtrack.tracking.pipeline import RunConfig
+from clothtrack.tracking import RunConfig, TrackerConfig, mode
 from tables.collision import weighted
 
 RIGIDITY = (0.0, 1.0, 10.0, 100.0)

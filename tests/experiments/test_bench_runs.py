@@ -8,8 +8,7 @@ from shared import bench_runs
 from shared.bench_runs import Task, Trajectory, Variant
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.tracking.configuration import mode
-from clothtrack.tracking.pipeline import RunConfig
+from clothtrack.tracking import RunConfig, mode
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from tables import calibration
 
-from clothtrack.tracking.configuration import mode
+from clothtrack.tracking import mode
 
 
 def chosen(**parameters):

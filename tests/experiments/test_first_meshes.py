@@ -8,9 +8,9 @@ import pytest
 from shared.first_meshes import resampled, with_first_mesh_error
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation.truth import Truth
-from clothtrack.recordings.recording import ClothDescription, Recording
-from clothtrack.simulation.garments import garment
+from clothtrack.evaluation import Truth
+from clothtrack.recordings import ClothDescription, Recording
+from clothtrack.simulation import garment
 
 SIZE = (0.2, 0.3)
 

@@ -10,8 +10,7 @@ from real import hanging_cloth
 from real.pattern import PatternConfig, Unwrapper, pattern_drift
 from real.upright import WORLD_FROM_CAMERA, level_camera, upright
 
-from clothtrack.recordings.point_cloud import observe
-from clothtrack.recordings.store import read_recording
+from clothtrack.recordings import observe, read_recording
 
 SIDE, WIDTH_M, DEPTH_M, FRAMES = 9, 0.4, 1.0, 3
 COUNT = SIDE * SIDE

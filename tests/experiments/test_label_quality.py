@@ -9,8 +9,7 @@ from tables import label_quality
 from tables.label_quality import Judged, cross_validated
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation.label_evidence import LabelEvidence
-from clothtrack.evaluation.label_quality import QualityModel
+from clothtrack.evaluation import LabelEvidence, QualityModel
 
 STAMP = {"commit": "abc", "config_hash": "def"}
 

@@ -24,11 +24,11 @@ from shared.learning_labels import (
 from shared.learning_measures import Case, canonical_errors, vertex_errors
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation.truth import Truth, material_map, material_points
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.evaluation import Truth, material_map, material_points
+from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction.canonical_frame import conventional
 from clothtrack.reconstruction.template_fit import SeenPoints
-from clothtrack.recordings.store import read_recording
+from clothtrack.recordings import read_recording
 
 VARIANTS = {"table2": 7, "label_count": 3, "network_alone": 4}
 ALWAYS = ("has_mesh", "canonical_median_mm", "cpu_s", "status")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from real import robot_clouds
 
-from clothtrack.recordings.point_cloud import observe
-from clothtrack.recordings.store import read_recording
+from clothtrack.recordings import observe, read_recording
 
 FRAMES, SIDE_M, TABLE_M, CUT_M = 9, 0.2, 0.05, 0.06
 # Straight above, looking down: x right is world x, y down is world -y.

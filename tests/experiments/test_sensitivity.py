@@ -7,7 +7,7 @@ from shared.experiment import Setup
 from tables import sensitivity
 from tables.collision import weighted
 
-from clothtrack.tracking.configuration import mode
+from clothtrack.tracking import mode
 
 DEFAULT_ON = ("rigidity", "thickness", "cloud", "first mesh")
 

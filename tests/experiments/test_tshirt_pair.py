@@ -9,8 +9,7 @@ import pytest
 from real import tshirt_pair
 from real.upright import WORLD_FROM_CAMERA, upright
 
-from clothtrack.recordings.pictures import read_mask
-from clothtrack.recordings.store import read_recording
+from clothtrack.recordings import read_mask, read_recording
 
 SHIFT_PX, DEPTH_MM, FOCAL = 40, 1000, 400.0
 SHIFT_M = SHIFT_PX / FOCAL * DEPTH_MM * 1e-3

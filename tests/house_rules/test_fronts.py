@@ -3,12 +3,14 @@
 A front is a package: clothtrack, a room, or a package inside a room. What lies behind is free to
 change. Tests of behaviour obey as users do. A unit test of one module, which lies in the folder of
 the module's room, may look behind the front of that room; so may a test of the command line's own
-files. `OBEYING` lists the folders of tests that already obey, and grows.
+files. Experiments measure what no user asks for, and may look behind a front for what it lacks;
+what it has they take from it.
 """
 
 import ast
 import json
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,11 @@ ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src"
 OBEYING = ("tests/end_to_end", "tests/examples", "tests/front", "tests/verification", "examples")
 SCRIPTS = [path for folder in OBEYING for path in sorted((ROOT / folder).rglob("*.py"))]
+RESEARCH = [
+    path
+    for folder in ("experiments", "tests/experiments", "benchmarks")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+]
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 IMPORT_LINE = re.compile(r"^ *(?:from clothtrack[\w.]* import|import clothtrack).*$", re.MULTILINE)
@@ -43,6 +50,15 @@ def is_front(module):
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_examples_and_tests_of_behaviour_import_from_fronts(path):
     assert behind_a_front(path.read_text("utf-8")) == []
+
+
+@pytest.mark.parametrize("path", RESEARCH, ids=lambda path: str(path.relative_to(ROOT)))
+def test_an_experiment_takes_from_a_front_what_it_has(path):
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and behind_a_front(ast.unparse(node)):
+            room = ".".join(node.module.split(".")[:2])
+            listed = {name.name for name in node.names} & set(import_module(room).__all__)
+            assert not listed, f"line {node.lineno}: take {', '.join(sorted(listed))} from {room}"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
