@@ -11,25 +11,75 @@ import pytest
 from clothtrack.cli import command_line as cli
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+DOCUMENTS = sorted(
+    [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "experiments" / "README.md"]
+)
+PRESENT = [path for path in DOCUMENTS if path.name not in ("log.md", "CHANGELOG.md")]
+"""What is there today; the two others also name what is gone."""
 NAMED = re.compile(r"`((?:\w+/)*\w+\.py): ([\w.]+)`")
-LINK = re.compile(r"\]\((?!https?:)([^)#]+)[^)]*\)")
-COMMAND = re.compile(r"^    (?:\.venv/bin/)?clothtrack ([\w-]+)(.*)$", re.MULTILINE)
+LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)#?([^)\s]*)\)")
+COMMAND = re.compile(r"(?:^    (?:\S*/)?|`)clothtrack ([a-z][\w-]*)([^`\n]*)", re.MULTILINE)
+FLAG = re.compile(r"(?<![\w-])--([a-z][\w-]*)")
+SETTING = re.compile(r"--set ([a-z][\w.]*)=|`(\w+(?:\.\w+)+)(=[^`]*)?`")
+RECORDED = {"cloth", "template"}
+"""Groups of settings that share their names with parts of recording.json."""
 VERBS = {verb.__name__.replace("_", "-"): verb for verb in cli.VERBS}
 OTHER_NAMES = {"settings": "set"}
+OF_ALL_VERBS = {"help", "verbose"}
 
 
 def ids(path):
     return str(path.relative_to(ROOT))
 
 
-def known_options(verb):
-    """Names of a verb's options; one that is a dataclass stands for its fields."""
+def text_of(document):
+    """The text, each command in one line."""
+    return re.sub(r" *\\\n +", " ", document.read_text("utf-8"))
+
+
+def options_of(verb):
+    """Options of a verb as they are written; one that is a dataclass stands for its fields."""
+    found = set(OF_ALL_VERBS)
     for name, option in inspect.signature(VERBS[verb]).parameters.items():
-        if is_dataclass(option.annotation):
-            yield from (field.name for field in fields(option.annotation))
-        else:
-            yield name
+        inside = (
+            [field.name for field in fields(option.annotation)]
+            if is_dataclass(option.annotation)
+            else [OTHER_NAMES.get(name, name)]
+        )
+        for written in inside:
+            found |= {written.replace("_", "-"), "no-" + written.replace("_", "-")}
+    return found
+
+
+def known_settings():
+    """Every name that some verb takes with --set."""
+    from clothtrack.files.settings import settings_of
+    from clothtrack.planning import FlattenConfig
+    from clothtrack.planning.graph_dynamics.mesh_training import DynamicsTrainingConfig
+    from clothtrack.planning.graph_dynamics.roll_outs import RollOutConfig
+    from clothtrack.reconstruction import LearningConfig
+    from clothtrack.reconstruction.data.states import StatesConfig
+    from clothtrack.tracking import RunConfig
+    from clothtrack.world import EpisodeConfig
+    from clothtrack.world.self_improvement import ImprovementConfig
+
+    configs = [
+        RunConfig(), FlattenConfig(), DynamicsTrainingConfig(), LearningConfig.preset("pretrain"),
+        StatesConfig(), EpisodeConfig(), ImprovementConfig(),
+    ]  # fmt: skip
+    names = {setting.name for config in configs for setting in settings_of(config)}
+    return names | {setting.name for setting in settings_of(RollOutConfig(), "roll_outs")}
+
+
+def anchors_of(page):
+    """What a link to a page can lead to: its headings, as GitHub and MkDocs name them, and ids."""
+    text = page.read_text("utf-8")
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    plain = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading) for heading in headings]
+    slugs = [
+        re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in plain
+    ]
+    return {*slugs, *re.findall(r'(?:id|name)="([^"]+)"', text)}
 
 
 def defines(path, name):
@@ -56,17 +106,43 @@ def test_a_line_of_the_method_is_a_function(path, name):
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=ids)
 def test_links_lead_somewhere(document):
-    for target in LINK.findall(document.read_text()):
-        assert (document.parent / target).exists(), target
+    for target, anchor in LINK.findall(document.read_text("utf-8")):
+        page = document.parent / target if target else document
+        assert page.exists(), target
+        if anchor:
+            assert anchor in anchors_of(page), f"{target}#{anchor}"
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=ids)
+@pytest.mark.parametrize("document", PRESENT, ids=ids)
 def test_commands_and_options_exist(document):
-    for verb, rest in COMMAND.findall(document.read_text()):
+    for verb, rest in COMMAND.findall(text_of(document)):
         assert verb in VERBS, verb
-        options = {OTHER_NAMES.get(name, name).replace("_", "-") for name in known_options(verb)}
-        for option in re.findall(r"--([\w-]+)", rest):
-            assert option in options, f"{verb} --{option}"
+        for option in FLAG.findall(rest.partition(" #")[0]):
+            assert option in options_of(verb), f"{verb} --{option}"
+
+
+@pytest.mark.parametrize("document", PRESENT, ids=ids)
+def test_an_option_that_stands_alone_is_one_of_some_command(document):
+    others = "".join(
+        path.read_text("utf-8")
+        for folder in ("experiments", "benchmarks", "examples")
+        for path in (ROOT / folder).rglob("*.py")
+    )
+    known = set().union(*map(options_of, VERBS), re.findall(r"[\"']--([a-z][\w-]*)", others))
+    for inline in re.findall(r"`(--[^`]+)`", text_of(document)):
+        for option in FLAG.findall(inline):
+            assert option in known, f"--{option}"
+
+
+@pytest.mark.parametrize("document", PRESENT, ids=ids)
+def test_settings_exist(document):
+    pytest.importorskip("torch")
+    known = known_settings()
+    heads = {name.partition(".")[0] for name in known if "." in name}
+    for written, named, value in SETTING.findall(text_of(document)):
+        name = written or named
+        if written or value or name.partition(".")[0] in heads - RECORDED:
+            assert any(one == name or one.startswith(f"{name}.") for one in known), name
 
 
 def test_one_table_has_every_verb_once():
