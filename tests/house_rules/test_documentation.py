@@ -20,7 +20,7 @@ NAMED = re.compile(r"`((?:\w+/)*\w+\.py): ([\w.]+)`")
 LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)#?([^)\s]*)\)")
 COMMAND = re.compile(r"(?:^    (?:\S*/)?|`)clothtrack ([a-z][\w-]*)([^`\n]*)", re.MULTILINE)
 FLAG = re.compile(r"(?<![\w-])--([a-z][\w-]*)")
-SETTING = re.compile(r"--set ([a-z][\w.]*)=|`(\w+(?:\.\w+)+)(=[^`]*)?`")
+SETTING = re.compile(r"--set ([a-z][\w.]*)=|`(?!dotted\.name)(\w+(?:\.\w+)+)(=[^`]*)?`")
 RECORDED = {"cloth", "template"}
 """Groups of settings that share their names with parts of recording.json."""
 VERBS = {verb.__name__.replace("_", "-"): verb for verb in cli.VERBS}

@@ -1,10 +1,10 @@
 """The verbs of the command line that act: flattening, its learned dynamics, and getting better."""
 
 import json as json_module
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
@@ -94,32 +94,26 @@ def flatten(
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
     from clothtrack.front.flattening import episode_parts
-    from clothtrack.planning.flattening import improvement
-    from clothtrack.report.flattening_page import watched_live, write_flattening_report
+    from clothtrack.report.flattening_page import watched_live
 
     # Before the first start is made and the page is served: weights may be missing.
     parts = episode_parts(garment, config, device=device)
     rows = []
-    with ExitStack() as until_done:
-        watch = None
-        if live:
-            # The result on stdout stays JSON alone.
-            write = complain if json else say
-            opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
-            watch = until_done.enter_context(opened)
+    # The result on stdout stays JSON alone.
+    write = complain if json else say
+    opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
+    with opened if live else nullcontext() as watch:
         for number in range(episodes):
             store = ct.flatten(
                 output, garment, config=config, seed=seed + number, device=device,
                 parts=parts, watch=watch,
             )  # fmt: skip
-            page = write_flattening_report(store, output / f"{store.folder.name}.html")
-            gained = improvement(store.steps)
-            row = {**_summary(store), "improvement": gained, "report": str(page)}
+            row = _summary(store, output)
             rows.append(row)
             if not json:
                 control = "   CONTROL" if row["control"] else ""
-                say(f"{page}   improvement {gained[-1]:.2f} after {len(gained) - 1} actions; "
-                    f"{row['status']}{control}")  # fmt: skip
+                say(f"{row['report']}   improvement {row['improvement'][-1]:.2f} after "
+                    f"{row['actions']} actions; {row['status']}{control}")  # fmt: skip
     if json:
         say(json_module.dumps(rows, indent=2))
     return 0
@@ -294,14 +288,19 @@ def _config(
     return with_settings(config, settings)
 
 
-def _summary(store: "EpisodeStore") -> dict[str, object]:
-    """What a program wants to know of an episode; controls say so."""
-    label = store.document["asked"]["label"]
+def _summary(store: "EpisodeStore", output: Path) -> dict[str, Any]:
+    """Write the report of an episode; what a program wants to know of it. Controls say so."""
+    from clothtrack.planning.flattening import improvement
+    from clothtrack.report.flattening_page import write_flattening_report
+
+    page = write_flattening_report(store, output / f"{store.folder.name}.html")
     return {
         "episode": str(store.folder),
         "status": store.document["status"],
         "actions": len(store.steps) - 1,
-        **label,
+        **store.document["asked"]["label"],
+        "improvement": improvement(store.steps),
+        "report": str(page),
     }
 
 
