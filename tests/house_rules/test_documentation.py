@@ -145,6 +145,14 @@ def test_settings_exist(document):
             assert any(one == name or one.startswith(f"{name}.") for one in known), name
 
 
+@pytest.mark.parametrize("document", PRESENT, ids=ids)
+def test_files_of_the_project_exist(document):
+    folders = "|".join(path.name for path in ROOT.iterdir() if path.is_dir())
+    for path in re.findall(rf"`((?:{folders})/[\w./-]+)`", document.read_text("utf-8")):
+        written_later = path.startswith("out/") or re.search(r"\b[A-Z]+\b", path)
+        assert written_later or (ROOT / path).exists(), path
+
+
 def test_one_table_has_every_verb_once():
     text = (ROOT / "docs" / "cli.md").read_text()
     named = re.findall(r"^\| `clothtrack ([\w-]+)", text, re.MULTILINE)
