@@ -56,8 +56,8 @@ POLICIES: dict[str, Propose] = {
 def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
     """The pull of the corner that is farthest from the middle, straight outwards.
 
-    The longest allowed way is taken; corners are
-    tried from the farthest on until one may be pulled.
+    The longest allowed path is taken. Corners are tried from the farthest on until one may be
+    pulled.
 
     Args:
         seen: the cloth as it is seen.
@@ -67,13 +67,13 @@ def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
     off = cloud[:, :2] - cloud[:, :2].mean(axis=0)
     far = np.linalg.norm(off, axis=1)
     corner = np.argsort(-far * (edge_measure(cloud) > 0.3), kind="stable")
-    for one in corner[:: max(1, len(corner) // 100)]:
+    for point in corner[:: max(1, len(corner) // 100)]:
         for share in (1.0, 0.75, 0.5, 0.25):
             low, high = space.distance_m
-            way = (low + share * (high - low)) * off[one] / max(far[one], 1e-9)
+            path = (low + share * (high - low)) * off[point] / max(far[point], 1e-9)
             lift = np.array([0.5 * sum(space.lift_m)])
-            pick = cloud[one].astype(np.float64)[None]
-            found = within_limits(seen, pick, pick[:, :2] + way, lift, space)
-            if found:
-                return found[0]
+            pick = cloud[point].astype(np.float64)[None]
+            allowed = within_limits(seen, pick, pick[:, :2] + path, lift, space)
+            if allowed:
+                return allowed[0]
     return None

@@ -141,31 +141,33 @@ def find_picker(
     source = read_recording(recording)
     chosen = camera_named(source, camera)
     require_unmeasured(source, force=force)
-    found = find(source, chosen, tip_members(source, chosen, tip_color or tip_click), name=name)
-    vertex = keep_picker(source, found, name, tip_color or "clicked")
-    text = {
+    picker = find(source, chosen, tip_members(source, chosen, tip_color or tip_click), name=name)
+    vertex = keep_picker(source, picker, name, tip_color or "clicked")
+    report = {
         "picker": name,
-        "seen": int(found.seen.sum()),
-        "frames": len(found.seen),
-        "closed_by": found.by,
+        "seen": int(picker.seen.sum()),
+        "frames": len(picker.seen),
+        "closed_by": picker.by,
         "first_pick_vertex": vertex,
         "actions": [
-            {"first_frame": one.first_frame, "pick": pick, "release": release,
-             "last_frame": one.last_frame}
-            for one, pick, release in zip(found.actions, found.picks, found.releases, strict=True)
+            {"first_frame": action.first_frame, "pick": pick, "release": release,
+             "last_frame": action.last_frame}
+            for action, pick, release in zip(
+                picker.actions, picker.picks, picker.releases, strict=True
+            )
         ],
     }  # fmt: skip
     lines = [
-        f"the tip is seen in {text['seen']} of {text['frames']} frames; closed by {found.by}",
+        f"the tip is seen in {report['seen']} of {report['frames']} frames; closed by {picker.by}",
         *(
-            f"action {number}: frames {one['first_frame']} to {one['last_frame']}, picks in "
-            f"{one['pick']}, has let go in {one['release']}"
-            for number, one in enumerate(text["actions"], start=1)
+            f"action {number}: frames {action['first_frame']} to {action['last_frame']}, picks in "
+            f"{action['pick']}, has let go in {action['release']}"
+            for number, action in enumerate(report["actions"], start=1)
         ),
         *([] if vertex is None else [f"the first pick takes vertex {vertex} of the template"]),
         f"written to {recording / 'picker.csv'} and {recording / 'recording.json'}",
     ]
-    say_result("\n".join(lines), text, json=json)
+    say_result("\n".join(lines), report, json=json)
     return 0
 
 
@@ -257,19 +259,19 @@ def record(
         source = ReplayedCamera(read_recording(replay))
     else:
         source = open_realsense(width=width, height=height, rate=rate, serial=serial)
-    text = "a replayed recording" if replay is not None else "RealSense"
-    session = Session(source, output, {"recorded_with": f"clothtrack record, {text}"})
+    camera = "a replayed recording" if replay is not None else "RealSense"
+    session = Session(source, output, {"recorded_with": f"clothtrack record, {camera}"})
     if seconds is not None:
         session.start()
         with suppress(KeyboardInterrupt):
             session.watch(seconds)
-        made = session.finish()
+        recording = session.finish()
     else:
-        made = record_live(session, port, opened=lambda address: say(f"record at: {address}"))
-    if made is None:
+        recording = record_live(session, port, opened=lambda address: say(f"record at: {address}"))
+    if recording is None:
         complain("left before the start; nothing was recorded")
         return 1
-    say(f"{output}   ({len(made.frames)} frames)")
+    say(f"{output}   ({len(recording.frames)} frames)")
     return 0
 
 
@@ -294,7 +296,7 @@ def _placed(
     for name, value in placement.fit.items():
         if name == "per_picture":
             lines += [
-                f"  {one['mm']:7.2f} mm {one['deg']:7.3f} deg  {one['picture']}" for one in value
+                f"  {row['mm']:7.2f} mm {row['deg']:7.3f} deg  {row['picture']}" for row in value
             ]
         else:
             lines.append(f"{name:<22} {value}")

@@ -18,9 +18,9 @@ def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
     """
     from clothtrack.recordings.inspection import inspect as inspect_recording
 
-    found = inspect_recording(recording)
-    say_result(found.text(), found.as_dict(), json=json)
-    return 0 if found.valid else 1
+    inspection = inspect_recording(recording)
+    say_result(inspection.text(), inspection.as_dict(), json=json)
+    return 0 if inspection.valid else 1
 
 
 def import_(
