@@ -233,7 +233,7 @@ def improve(
         episodes: per round; the same starts in every round.
         old: folder of simulated states to mix in, against forgetting.
         settings: changes to flatten., track. and finetune., such as flatten.actions=5; or
-            hindsight=False, which tracks episodes as they were filmed, not from their end.
+            hindsight=False, which tracks episodes as they were recorded, not from their end.
         show_settings: list all settings with their values and do nothing else.
         device: where to compute.
         seed: of the first episode.

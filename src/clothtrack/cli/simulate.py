@@ -21,15 +21,15 @@ def simulate(
     workers: int = 1,
     seed: Seed = 0,
 ) -> int:
-    """Film a stand-in world; or, with --states, crumple garments for a network to learn from.
+    """Record in a simulated world; or, with --states, crumple garments for a network to learn from.
 
     Args:
         output: folder for recordings/ and truth/, or shards/; what is finished there is kept.
         garment: what lies on the table.
-        states: film nothing; make at least so many labelled states with our own solver.
+        states: record nothing; make at least so many labelled states with our own solver.
         trajectories: how many recordings, 1 by default; they get the seeds SEED, SEED + 1, ...
         actions: pick-and-places per recording, 3 by default.
-        settings: changes to what is filmed, such as sensor.width=320 or vertex_count=300.
+        settings: changes to what is recorded, such as sensor.width=320 or vertex_count=300.
         workers: processes.
         seed: of garment, pose, actions, camera and noise.
     """
@@ -39,8 +39,8 @@ def simulate(
 
         if trajectories is not None or actions is not None:
             complain(
-                "--states films nothing, so that --trajectories and --actions mean nothing; leave "
-                "them out, or --states"
+                "--states records nothing, so that --trajectories and --actions mean nothing; "
+                "leave them out, or --states"
             )
             return 2
         recipe = with_settings(StatesConfig(), settings)
@@ -65,12 +65,12 @@ def bench(
     workers: int = 1,
     json: AsJson = False,
 ) -> int:
-    """Film the benchmark: 20 trajectories to tune on (dev), 30 to score (test), 10 hard ones.
+    """Record the benchmark: 20 trajectories to tune on (dev), 30 to score (test), 10 hard ones.
 
     Args:
         output: folder for recordings/, truth/ and their list; finished trajectories are kept.
         split: only this part.
-        verify: film nothing; check what is there against its checksums.
+        verify: record nothing; check what is there against its checksums.
         workers: processes.
         json: machine-readable.
     """
