@@ -69,7 +69,7 @@ def test_the_frames_of_labels_are_never_thinned_out(tracked, clouds_only, tmp_pa
         replace(action, last_frame=end) for action, end in zip(tracked.actions, ends, strict=True)
     ]
     moved = replace(tracked, actions=tuple(actions))
-    config = ReportConfig(video_frames=3, scene_frames=3, overlay=SMALL.overlay)
+    config = ReportConfig(video_frames=3, scene_vertices=3 * 169, overlay=SMALL.overlay)
     page = write_report(moved, clouds_only, tmp_path / "kept.html", config=config)
     assert page.read_text(encoding="utf-8").count('data-frames="[0, 1, 4, 5]"') == 1
     kept = evenly(2000, 180, always=[7, 1003])
