@@ -130,6 +130,7 @@ def reconstructed(
     require_learning()
     from clothtrack.reconstruction import depth_input
     from clothtrack.reconstruction.from_picture import network_mesh
+    from clothtrack.reconstruction.load_model import load_model
     from clothtrack.reconstruction.refinement import RefinementConfig
     from clothtrack.reconstruction.training.processes import require_torch_device
 
@@ -147,7 +148,7 @@ def reconstructed(
         else:
             shown = depth_input.from_picture(Path(picture), **options)
     kind = _kind(garment or shown.kind, named)
-    model = depth_input.load_model(kind, weights and Path(weights), device=device)
+    model = load_model(kind, weights and Path(weights), device=device)
     refinement = RefinementConfig() if refined else None
     network = network_mesh(model, shown, kind, method=method, refinement=refinement, device=device)
     if network.mesh is None:
