@@ -20,16 +20,15 @@ from results import provenance, write_json
 from scipy.spatial import cKDTree
 
 from clothtrack.alignment import AlignmentConfig, CloudAligner
+from clothtrack.alignment.alignment_config import ADAM_STEP_M, TWO_WAY_RANGE_M
 from clothtrack.geometry import Camera, ClothMesh, visible_vertices
 
 logger = logging.getLogger("bench_alignment")
 
 OBJECTIVES = {
     # Without the stiff length term, icp gets along with half of the inner steps.
-    "paper": AlignmentConfig(
-        two_way_weight=0.0, length_weight=0.0, table_weight=0.0, icp_inner=6, icp_momentum=1.0
-    ),
-    "two-way and length": AlignmentConfig(table_weight=0.0),
+    "paper": AlignmentConfig(two_way_weight=0.0, length_weight=0.0, icp_inner=6, icp_momentum=1.0),
+    "two-way and length": AlignmentConfig(),
 }
 SIZES = {"1,000": (33, 0.32, 2000), "1,500": (39, 0.38, 1700), "4,000": (64, 0.35, 3800)}
 
@@ -83,7 +82,7 @@ def peer(
     rest = torch.tensor(mesh.edge_lengths)
     seen, tree = np.flatnonzero(visible), cKDTree(cloud)
     displacement = torch.zeros_like(start, requires_grad=True)
-    optimiser = torch.optim.Adam([displacement], lr=config.step_m)
+    optimiser = torch.optim.Adam([displacement], lr=ADAM_STEP_M)
 
     def objective() -> torch.Tensor:
         now = start + displacement
@@ -94,7 +93,7 @@ def peer(
         loss = loss + config.rigidity_weight * difference.square().sum(1).mean()
         if config.two_way_weight:
             distance, partner = tree.query(where)
-            low, high = config.two_way_range_m
+            low, high = TWO_WAY_RANGE_M
             counts = (distance >= low) & (distance <= high)
             miss = now[torch.from_numpy(seen[counts])] - points[torch.from_numpy(partner[counts])]
             if counts.any():

@@ -38,7 +38,7 @@ def test_matches_are_exact_in_every_iteration(seed, step):
     positions, points = on_device(where), on_device(cloud)
     matcher = Matcher(
         points, positions, visible, trusted,
-        spacing_m=0.012, every=1, vertical_weight=1.0, range_m=(0.004, 0.03),
+        spacing_m=0.012, range_m=(0.004, 0.03),
     )  # fmt: skip
     sums = wp.zeros((30, 6), dtype=wp.int64, device="cpu")
     members, seekers = np.flatnonzero(visible), np.flatnonzero(trusted)
@@ -93,7 +93,7 @@ def test_a_flat_grid_of_one_cell_and_coincident_points_work():
     positions = on_device(where)
     matcher = Matcher(
         on_device(cloud), positions, np.ones(4, bool), np.ones(4, bool),
-        spacing_m=0.01, every=1, vertical_weight=1.0, range_m=(0.0, 0.03),
+        spacing_m=0.01, range_m=(0.0, 0.03),
     )  # fmt: skip
     matcher.launch(positions, wp.zeros((1, 6), dtype=wp.int64, device="cpu"))
     np.testing.assert_array_equal(matcher.nearest_vertices(), [0, 3])  # ties: lowest index

@@ -14,7 +14,11 @@ import warp as wp
 from jaxtyping import Bool, Float
 
 from clothtrack.alignment import alignment_kernels as kernels
-from clothtrack.alignment.alignment_config import AlignmentConfig
+from clothtrack.alignment.alignment_config import (
+    TABLE_WEIGHT,
+    TWO_WAY_RANGE_M,
+    AlignmentConfig,
+)
 from clothtrack.alignment.alignment_solvers import Problem, load_kernels, solve_adam, solve_icp
 from clothtrack.alignment.nearest import Matcher
 from clothtrack.geometry.mesh import ClothMesh
@@ -156,14 +160,11 @@ class CloudAligner:
             trusted = np.zeros_like(visible)
         # Single precision keeps micrometres only near the origin.
         centre = positions.mean(axis=0, dtype=np.float64)
-        config = self._config
         initial = self._array((positions - centre).astype(np.float32), wp.vec3)
         cloud = self._array((points - centre).astype(np.float32), wp.vec3)
         matcher = Matcher(
-            cloud, initial, visible, trusted,
-            spacing_m=self._spacing_m, every=config.neighbours_every,
-            vertical_weight=config.vertical_weight, range_m=config.two_way_range_m,
-        )  # fmt: skip
+            cloud, initial, visible, trusted, spacing_m=self._spacing_m, range_m=TWO_WAY_RANGE_M
+        )
         matches = kernels.Matches()
         matches.cloud, matches.partner = cloud, matcher.partner
         matches.pulled_count, matches.pulled_sum = matcher.pulled_count, matcher.pulled_sum
@@ -173,13 +174,12 @@ class CloudAligner:
         config = self._config
         weights = kernels.Weights()
         weights.data = config.chamfer_weight / problem.point_count
-        weights.vertical = config.vertical_weight
         weights.rigidity = config.rigidity_weight / self._edges
         weights.length = config.length_weight / self._edges
         weights.two_way = config.two_way_weight
         weights.lowest = -1e6
         if table is not None:
-            weights.table = config.table_weight / self._vertices
+            weights.table = TABLE_WEIGHT / self._vertices
             weights.table_normal = wp.vec3(*np.asarray(table.normal, float).tolist())
             weights.lowest = rest_height_m + float((table.point - problem.centre) @ table.normal)
         return weights
@@ -193,5 +193,5 @@ class CloudAligner:
             "rigidity": config.rigidity_weight / self._edges * squares[:, kernels.RIGIDITY],
             "two_way": config.two_way_weight / partners * squares[:, kernels.TWO_WAY],
             "length": config.length_weight / self._edges * squares[:, kernels.LENGTH],
-            "table": config.table_weight / self._vertices * squares[:, kernels.TABLE],
+            "table": TABLE_WEIGHT / self._vertices * squares[:, kernels.TABLE],
         }

@@ -39,7 +39,6 @@ class Weights:
     """Weights of the terms, divided by the counts of their means, and the table's plane."""
 
     data: wp.float32
-    vertical: wp.float32
     rigidity: wp.float32
     length: wp.float32
     two_way: wp.float32
@@ -108,15 +107,14 @@ def _slope(
         z = number * wp.float64(position[2]) - (
             wp.float64(matches.pulled_sum[3 * vertex + 2]) / _LENGTH_UNIT
         )
-        pull = wp.vec3(wp.float32(x), wp.float32(y), weights.vertical * wp.float32(z))
+        pull = wp.vec3(wp.float32(x), wp.float32(y), wp.float32(z))
         gradient += weights.data * pull
     if partners > 0:
         partner = matches.partner[vertex]
         if partner >= 0:
             miss = position - matches.cloud[partner]
-            miss_z = weights.vertical * miss[2]
-            gradient += weights.two_way / float(partners) * wp.vec3(miss[0], miss[1], miss_z)
-            slope.two_way = miss[0] * miss[0] + miss[1] * miss[1] + miss[2] * miss_z
+            gradient += weights.two_way / float(partners) * miss
+            slope.two_way = miss[0] * miss[0] + miss[1] * miss[1] + miss[2] * miss[2]
     difference_sum = wp.vec3()
     stretch_sum = wp.vec3()
     first = topology.first[vertex]
@@ -302,7 +300,7 @@ def linearise(
         own = weights.data * float(matches.pulled_count[vertex])
         if partners > 0 and matches.partner[vertex] >= 0:
             own += weights.two_way / float(partners)
-        own_part = own * wp.vec3(1.0, 1.0, weights.vertical)
+        own_part = wp.vec3(own, own, own)
         normal = weights.table_normal
         below = slope.table > 0.0
         diagonal = own_part

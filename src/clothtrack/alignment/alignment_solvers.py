@@ -9,7 +9,7 @@ import warp as wp
 
 from clothtrack.alignment import alignment_kernels as kernels
 from clothtrack.alignment import nearest_kernels
-from clothtrack.alignment.alignment_config import AlignmentConfig
+from clothtrack.alignment.alignment_config import ADAM_STEP_M, AlignmentConfig
 from clothtrack.alignment.nearest import Command, Matcher, launching, made_ready
 
 _REBUILD_AT = frozenset((2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768))
@@ -89,7 +89,7 @@ def solve_adam(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, n
             kernels.step_adam,
             dim=-(-len(initial) // strip),
             inputs=[
-                *problem.objective, config.step_m, matcher.searched, matcher.grid.recorded,
+                *problem.objective, ADAM_STEP_M, matcher.searched, matcher.grid.recorded,
                 initial, *source, sums, *moments, *target, strip,
             ],
             device=initial.device,

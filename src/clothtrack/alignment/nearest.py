@@ -108,8 +108,6 @@ class Matcher:
         visible: vertices that a cloud point can belong to; at least one.
         trusted: vertices that look for a cloud point themselves.
         spacing_m: typical distance of neighbouring vertices [m]: sizes the cells.
-        every: renew the neighbours in iterations divisible by this.
-        vertical_weight: factor of the vertical part of a squared residual.
         range_m: smallest and largest distance of a vertex's partner [m].
     """
 
@@ -121,12 +119,10 @@ class Matcher:
         trusted: Bool[np.ndarray, " vertices"],
         *,
         spacing_m: float,
-        every: int,
-        vertical_weight: float,
         range_m: tuple[float, float],
     ) -> None:
         device, vertices = positions.device, len(positions)
-        self._device, self._every, self._vertical = device, every, vertical_weight
+        self._device = device
         self._strip = 64 if wp.get_device(device).is_cpu else 1
         self._range, self._reach = range_m, 0.3 * spacing_m
         members, seekers = np.flatnonzero(visible), np.flatnonzero(trusted)
@@ -185,9 +181,7 @@ class Matcher:
                 positions,
                 self.grid.cells,
                 self.progress,
-                self._every,
                 self._reach,
-                self._vertical,
                 self._nearest,
                 self._others,
                 self._searched_at,
@@ -209,7 +203,6 @@ class Matcher:
                 self._cloud,
                 self._cloud_grid.cells,
                 self.progress,
-                self._every,
                 self._reach,
                 *self._range,
                 self._seeker_nearest,

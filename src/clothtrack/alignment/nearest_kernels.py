@@ -206,7 +206,6 @@ def _match_point(
     positions: wp.array(dtype=wp.vec3),
     grid: Grid,
     progress: Progress,
-    every: wp.int32,
     reach: wp.float32,
     nearest: wp.array(dtype=wp.int32),
     others: wp.array(dtype=wp.float32),
@@ -225,8 +224,7 @@ def _match_point(
         offset = positions[before] - point
         distance = wp.length(offset)
         way = travelled - searched_at[number]
-        if distance + way + _ROUNDING > others[number]:
-            search = progress.iteration[0] % every == 0
+        search = distance + way + _ROUNDING > others[number]
     if search:
         found = Neighbour()
         if before < 0:
@@ -261,9 +259,7 @@ def match_points(
     positions: wp.array(dtype=wp.vec3),
     grid: Grid,
     progress: Progress,
-    every: wp.int32,
     reach: wp.float32,
-    vertical_weight: wp.float32,
     nearest: wp.array(dtype=wp.int32),
     others: wp.array(dtype=wp.float32),
     searched_at: wp.array(dtype=wp.float32),
@@ -279,9 +275,7 @@ def match_points(
         positions: the vertices now [m].
         grid: the visible vertices.
         progress: scalars of the run.
-        every: search only in iterations divisible by this.
         reach: how far beyond the neighbour a search looks [m].
-        vertical_weight: factor of the vertical part of a squared residual.
         nearest: vertex per point, -1 before the first search.
         others: distance of the runner-up when it was searched [m].
         searched_at: what `travelled` was when it was searched [m].
@@ -299,7 +293,6 @@ def match_points(
             positions,
             grid,
             progress,
-            every,
             reach,
             nearest,
             others,
@@ -307,8 +300,8 @@ def match_points(
             pulled_count,
             pulled_sum,
         )
-        square = offset[0] * offset[0] + offset[1] * offset[1]
-        total += wp.float64(square + vertical_weight * offset[2] * offset[2])
+        square = offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]
+        total += wp.float64(square)
     wp.atomic_add(sums, progress.iteration[0], 0, wp.int64(total * _SQUARE))
 
 
@@ -320,7 +313,6 @@ def match_vertices(
     cloud: wp.array(dtype=wp.vec3),
     grid: Grid,
     progress: Progress,
-    every: wp.int32,
     reach: wp.float32,
     shortest: wp.float32,
     longest: wp.float32,
@@ -337,7 +329,6 @@ def match_vertices(
         cloud: the observed points [m].
         grid: the observed points' cells.
         progress: scalars of the run; counts the partners.
-        every: search only in iterations divisible by this.
         reach: how far beyond the neighbour a search looks [m].
         shortest: smallest distance of partners [m].
         longest: largest distance of partners [m].
@@ -357,7 +348,7 @@ def match_vertices(
         distance = wp.length(cloud[item] - position)
         bound = distance
     # Without a neighbour in reach, the first that could matter lies at `longest`.
-    if bound + moved + _ROUNDING > others[number] and progress.iteration[0] % every == 0:
+    if bound + moved + _ROUNDING > others[number]:
         # What was found before bounds the ball; the first search starts with a small one.
         ball = wp.where(item >= 0, distance, 3.0 * reach)
         ball = wp.where(item < 0 and others[number] >= 0.0, longest, ball)
