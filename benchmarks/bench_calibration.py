@@ -32,6 +32,7 @@ from clothtrack.tracking import mode
 from clothtrack.tracking.calibration import CalibrationConfig, calibrate
 from clothtrack.tracking.open_loop import OpenLoopScore
 from clothtrack.tracking.picking import find_grasps
+from clothtrack.tracking.tracker import VISIBILITY_TOLERANCE_M, VISIBILITY_WIDTH
 
 METHODS = ("grid", "halving", "descent")
 SMALL_AXES: Mapping[str, tuple[float, ...]] = {
@@ -51,11 +52,9 @@ def searched(
     state = ClothSolver(mesh, solver_config).save()
     action = recording.actions[0]
     cloth = mesh.with_vertices(state.positions[0])
-    grasps = find_grasps(recording, action, cloth, config.picking)
-    cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
-    visible = VisibilityCheck(
-        mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m
-    )  # fmt: skip
+    grasps = find_grasps(recording, action, cloth)
+    cameras = tuple(camera.resized(VISIBILITY_WIDTH) for camera in recording.cameras)
+    visible = VisibilityCheck(mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M)
     start = time.process_time()
     open_loop = OpenLoopScore(
         recording, mesh, replace(config, solver=solver_config), TimedEyes(recording), visible

@@ -102,9 +102,6 @@ def test_unknown_and_empty_axes_are_refused() -> None:
         ("method", "annealing", "none, grid, halving, descent"),
         ("judge", "truth", "open_loop, tracking"),
         ("sweeps", 0, "at least 1"),
-        ("batch", 0, "at least 1"),
-        ("offset_steps", 0, "at least 1"),
-        ("halving_ratio", 1, "at least 2"),
         ("rank", 1.5, "from 0 to 1"),
     ],
 )

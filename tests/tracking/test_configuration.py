@@ -14,13 +14,9 @@ from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
     [
         ("attachment_strength", 0.0),
         ("attachment_strength", 1.5),
-        ("final_strength", 1.0),
         ("final_rounds", 0),
         ("final_roll_s", -0.1),
         ("score_frames", 0),
-        ("visibility_width", 0),
-        ("support_m", 0.0),
-        ("cloud_reach_m", -0.1),
         ("parameters", {"stretch_compliance": 0.0}),
     ],
 )

@@ -11,6 +11,7 @@ from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.simulation.garments import garment
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking.flat_fit import InitialStateConfig, flat_fit
 
 TABLE = Table(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0]))
@@ -49,7 +50,7 @@ def test_a_towel_is_measured_within_one_percent(size_m: tuple[float, float], ang
     sides = np.sort(np.ptp(mesh.canonical[:, :2], axis=0))
     np.testing.assert_allclose(sides, np.sort(size_m), rtol=0.01)
     np.testing.assert_allclose(mesh.vertices[:, :2].mean(axis=0), (0.05, -0.02), atol=1e-3)
-    assert mesh.vertices[:, 2].min() == pytest.approx(0.1 + InitialStateConfig().resting_height_m)
+    assert mesh.vertices[:, 2].min() == pytest.approx(0.1 + RESTING_HEIGHT_M)
 
 
 @pytest.mark.parametrize("angle", [0.3, 2.0, -2.5])

@@ -18,6 +18,7 @@ from clothtrack.recordings.recording import Recording, Table
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import garment
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking.flat_fit import InitialStateConfig
 from clothtrack.tracking.initial_state import find_initial_state
 from clothtrack.tracking.pipeline import RunConfig, config_hash, counted_settings
@@ -129,7 +130,7 @@ def test_shipped_weights_are_used_when_they_are_there(towels, cloud, none_shippe
     )
     assert np.ptp(flat.vertices[:, 2]) < 1e-6
     height = towels.table.heights(flat.vertices).min()
-    assert height == pytest.approx(FEW.resting_height_m, abs=1e-6)
+    assert height == pytest.approx(RESTING_HEIGHT_M, abs=1e-6)
     # Both lie where the cloth was seen.
     middle = cloud.points[:, :2].mean(axis=0)
     for vertices in (flat.vertices, first.positions):

@@ -6,7 +6,7 @@ from typing import Literal
 from clothtrack.files.bounds import Checked, Count, NotNegative
 
 ADAM_STEP_M = 1e-3
-"""Step of Adam [m]: 200 of them reach as far as a correction may be."""
+"""Step of Adam [m]: about as far as a vertex moves in one iteration, at most."""
 
 TWO_WAY_RANGE_M = (0.004, 0.08)
 """Only vertices whose nearest cloud point is that far away look for it [m]: nearer is the cloud's

@@ -24,7 +24,7 @@ from clothtrack.simulation.state import Attachment
 from clothtrack.tracking.algorithm import track
 from clothtrack.tracking.calibrator import uncalibrated
 from clothtrack.tracking.final_alignment import no_final_alignment
-from clothtrack.tracking.picking import HeldCloth, PickingConfig, find_grasps, without_motion
+from clothtrack.tracking.picking import HeldCloth, find_grasps, without_motion
 from clothtrack.tracking.recorder import Recorder
 from clothtrack.tracking.seams import Corrected, Correction, Dyn, Parts
 from clothtrack.tracking.theta import Theta
@@ -75,7 +75,6 @@ class PeerConfig:
         rest_height_m: no vertex lies lower over the table [m].
         use_tool: held vertices follow the tool, as CDCPD's grasped points do.
         visibility_width: width [pixels] of the z-buffer that decides visibility.
-        picking: how a picker takes hold.
     """
 
     alpha: float = 3.0
@@ -90,7 +89,6 @@ class PeerConfig:
     rest_height_m: float = 0.0015
     use_tool: bool = True
     visibility_width: int = 320
-    picking: PickingConfig = field(default_factory=PickingConfig)
 
 
 def follow(
@@ -120,7 +118,7 @@ def follow(
         moved = drifted(vertices, seen, observation.points, config)
         return Correction(vertices, moved - vertices, seen, (np.nan, np.nan))
 
-    take_hold = partial(_pick, recording=recording, mesh=mesh, config=config.picking)
+    take_hold = partial(_pick, recording=recording, mesh=mesh)
     parts = Parts(
         observe=observe,
         pick=take_hold if config.use_tool else without_motion(take_hold),
@@ -246,10 +244,9 @@ def _pick(
     *,
     recording: Recording,
     mesh: ClothMesh,
-    config: PickingConfig,
 ) -> HeldCloth:
     """What the tool holds."""
-    grasps = find_grasps(recording, action, mesh.with_vertices(state.positions[0]), config)
+    grasps = find_grasps(recording, action, mesh.with_vertices(state.positions[0]))
     return _Tool(grasps, np.zeros(3))
 
 

@@ -11,6 +11,12 @@ ELASTIC_SUBSTEPS = 3
 """Parts of a substep; stretch and bend are solved once in each. The sag of a hanging cloth falls
 with the square of their number."""
 
+THICKNESS_M = 0.003
+"""Distance that layers keep unless a configuration says otherwise [m]."""
+
+RESTING_HEIGHT_M = 0.5 * THICKNESS_M
+"""Height at which the vertices of such a cloth rest above the table [m]."""
+
 CONTACT_TOLERANCE = 0.15
 """How far outside a triangle a vertex still touches it, in barycentric units."""
 
@@ -63,7 +69,7 @@ class SolverConfig(Checked):
     """
 
     contact: Literal["vertex-triangle", "particle", "none"] = "vertex-triangle"
-    thickness_m: Positive = 0.003
+    thickness_m: Positive = THICKNESS_M
     substep_s: Positive = 1.1e-3
     area_density: Positive = 0.2
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)

@@ -9,13 +9,13 @@ reach the same Chamfer distance within a few percent for a fraction of the roll-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Bounds, Checked, Count, Share
+from clothtrack.files.bounds import Checked, Count, Share
 from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
 from clothtrack.tracking.tracked_trajectory import Calibration
 
@@ -26,6 +26,16 @@ Score = Callable[
     [Float[np.ndarray, "candidates parameters"], float], Float[np.ndarray, " candidates"]
 ]
 """Chamfer [m^2] of candidates, columns as PARAMETERS, rolled through a share of the action."""
+
+OFFSET_STEPS = 5
+"""Heights of the grasp to try, spread over the uncertainty that the recording states; without one
+the offset is not searched."""
+
+BATCH = 36
+"""Most environments in one batch: it bounds the memory of a search, however many candidates."""
+
+HALVING_RATIO = 3
+"""One in so many candidates survives a rung of successive halving, as is usual for it."""
 
 
 def _default_axes() -> dict[str, tuple[float, ...]]:
@@ -52,11 +62,6 @@ class CalibrationConfig(Checked):
             combinations printed, 125 stated.
         rank: share of the candidates that score better than the one that is taken: 0 takes the
             best; anything else asks how much tracking makes up for a bad calibration.
-        offset_steps: heights of the grasp to try, spread over the uncertainty that the recording
-            states; without one the offset is not searched. Open-loop roll-outs cannot tell a
-            sideways offset from friction and stiffness: searching it too made tracking worse.
-        batch: most environments in one batch.
-        halving_ratio: one in so many candidates survives a rung of successive halving.
         sweeps: most passes over the axes in coordinate descent.
     """
 
@@ -64,9 +69,6 @@ class CalibrationConfig(Checked):
     judge: Judge = "open_loop"
     axes: Mapping[str, tuple[float, ...]] = field(default_factory=_default_axes)
     rank: Share = 0.0
-    offset_steps: Count = 5
-    batch: Count = 36
-    halving_ratio: Annotated[int, Bounds(least=2)] = 3
     sweeps: Count = 2
 
     def __post_init__(self) -> None:
@@ -94,10 +96,14 @@ class CalibrationConfig(Checked):
             )
 
     def with_grasp_offset(self, uncertainty_m: float) -> "CalibrationConfig":
-        """The same search, with the height of the grasp within this distance [m] of the tip."""
+        """The same search, with the height of the grasp within this distance [m] of the tip.
+
+        Open-loop roll-outs cannot tell a sideways offset from friction and stiffness: searching it
+        too made tracking worse.
+        """
         if uncertainty_m <= 0.0 or self.method == "none":
             return self
-        values = tuple(np.linspace(-uncertainty_m, uncertainty_m, self.offset_steps).tolist())
+        values = tuple(np.linspace(-uncertainty_m, uncertainty_m, OFFSET_STEPS).tolist())
         # The offset matters most: descent meets it before the properties of the cloth.
         return replace(self, axes={"grasp_offset_z_m": values, **self.axes})
 
@@ -123,7 +129,7 @@ def calibrate(
     if score is None or config.method == "none":
         return dict(start), Calibration.none()
     names = tuple(config.axes)
-    counted = _Counted(score, start, names, config.batch)
+    counted = _Counted(score, start, names)
     if names:
         {"grid": _grid, "halving": _halving, "descent": _descent}[config.method](counted, config)
     candidates = np.array(list(counted.scores), float).reshape(len(counted.scores), len(names))
@@ -147,10 +153,8 @@ def ranked(scores: Float[np.ndarray, " candidates"], rank: float) -> int:
 class _Counted:
     """Scores by candidate, each rolled out once; counts what was spent."""
 
-    def __init__(
-        self, score: Score, start: Mapping[str, float], names: tuple[str, ...], batch: int
-    ) -> None:
-        self._score, self._start, self._names, self._batch = score, start, names, batch
+    def __init__(self, score: Score, start: Mapping[str, float], names: tuple[str, ...]) -> None:
+        self._score, self._start, self._names = score, start, names
         self.scores: dict[tuple[float, ...], float] = {}
         self.roll_outs = 0.0
 
@@ -159,8 +163,8 @@ class _Counted:
     ) -> np.ndarray:
         fresh = [c for c in dict.fromkeys(candidates) if share < 1.0 or c not in self.scores]
         results = {}
-        for first in range(0, len(fresh), self._batch):
-            part = fresh[first : first + self._batch]
+        for first in range(0, len(fresh), BATCH):
+            part = fresh[first : first + BATCH]
             values = self._score(self._complete(part), share)
             # An exploded candidate is the worst one, not an error.
             values = np.where(np.isfinite(values), values, np.inf)
@@ -193,10 +197,10 @@ def _grid(score: _Counted, config: CalibrationConfig) -> None:
 
 def _halving(score: _Counted, config: CalibrationConfig) -> None:
     candidates = list(itertools.product(*config.axes.values()))
-    rungs = max(0, int(np.log(len(candidates)) / np.log(config.halving_ratio)) - 1)
+    rungs = max(0, int(np.log(len(candidates)) / np.log(HALVING_RATIO)) - 1)
     for rung in range(rungs, -1, -1):
-        scores = score(candidates, config.halving_ratio**-rung)
-        keep = max(1, len(candidates) // config.halving_ratio)
+        scores = score(candidates, HALVING_RATIO**-rung)
+        keep = max(1, len(candidates) // HALVING_RATIO)
         candidates = [candidates[i] for i in np.argsort(scores, kind="stable")[:keep]]
 
 

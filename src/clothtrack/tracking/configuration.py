@@ -5,12 +5,11 @@ from dataclasses import dataclass, field, replace
 
 from clothtrack.alignment.aligner import AlignmentConfig
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Checked, Count, Fraction, NotNegative, Positive, PositiveShare
+from clothtrack.files.bounds import Checked, Count, NotNegative, PositiveShare
 from clothtrack.simulation.dynamics import DynamicsConfig
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.line_search import LineSearchConfig
-from clothtrack.tracking.picking import PickingConfig
 from clothtrack.tracking.theta import PARAMETERS, check_parameter
 
 
@@ -70,28 +69,18 @@ class TrackerConfig(Checked):
             pseudo-action from which the cloth is left at rest: short, so that gravity has no say,
             but layers keep their sides. 0 displaces the vertices at once, through whatever is in
             the way (the paper).
-        final_strength: strength of that pseudo-action over `final_roll_s`.
         attach_observed_only: attach only vertices that the sensor could have contradicted; the
             paper attaches every visible vertex.
         attach_crossed: attach vertices, too, where the predicted cloth passes through itself; the
             paper does. Left free they sort themselves out: contact undoes a crossing, but not
             against a pull.
-        support_m: a vertex with a cloud point this near [m] counts as observed even where the
-            sensor could not have contradicted it.
-        cloud_reach_m: cloud points farther from every visible vertex [m] are not this cloth.
-        minimum_observed: least number of cloud points per vertex for a correction; below it the
-            frame's prediction stands.
         score_frames: frames of an action at which calibration compares clouds, evenly spaced and
             ending with the last; 1 in the paper.
-        visibility_width: width [pixels] of the z-buffer that decides visibility.
-        visibility_tolerance_m: how far [m] behind the z-buffer's surface a vertex still counts as
-            visible; below the distance of two layers.
         parameters: cloth parameters and grasp offset before any calibration.
         calibration: what is searched per action.
         alignment: test-time optimisation at every frame (TTO1).
         final_alignment: test-time optimisation at the end of an action (TTO2).
         line_search: when a pseudo-action is too much.
-        picking: how a picker takes hold.
         dynamics: how a frame is cut into simulator steps.
         solver: the cloth simulator.
     """
@@ -104,21 +93,14 @@ class TrackerConfig(Checked):
     final_slide: bool = True
     final_rounds: Count = 2
     final_roll_s: NotNegative = 0.1
-    final_strength: Fraction = 1.0 - 1e-5
     attach_observed_only: bool = True
     attach_crossed: bool = False
-    support_m: Positive = 0.01
-    cloud_reach_m: Positive = 0.1
-    minimum_observed: float = 0.1
     score_frames: Count = 3
-    visibility_width: Count = 320
-    visibility_tolerance_m: float = 0.003
     parameters: Mapping[str, float] = field(default_factory=_default_parameters)
     calibration: CalibrationConfig = field(default_factory=_calibration)
     alignment: AlignmentConfig = field(default_factory=_alignment)
     final_alignment: AlignmentConfig = field(default_factory=_final_alignment)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
-    picking: PickingConfig = field(default_factory=PickingConfig)
     dynamics: DynamicsConfig = field(default_factory=lambda: DynamicsConfig(velocity_kept=0.0))
     solver: SolverConfig = field(default_factory=SolverConfig)
 

@@ -17,6 +17,10 @@ from clothtrack.tracking.visible_alignment import VisibleAlignment
 
 logger = logging.getLogger(__name__)
 
+FINAL_STRENGTH = 1.0 - 1e-5
+"""Strength of the pseudo-action that carries a final alignment out: just below 1, so that contacts,
+stretch and table still win over the observation."""
+
 
 class FinalAlignment:
     """Slides a cloth that nobody holds to its outline, then aligns its visible vertices."""
@@ -86,7 +90,7 @@ class FinalAlignment:
         targets = state.positions + correction.displacement[None]
         if config.final_roll_s == 0.0:
             return self._at_rest(state, targets)
-        strength = np.where(correction.attached, config.final_strength, 0.0).astype(np.float32)
+        strength = np.where(correction.attached, FINAL_STRENGTH, 0.0).astype(np.float32)
         pseudo_action = Attachment(targets.astype(np.float32), strength[None])
         rolled = self._dynamics.roll_out(state, None, config.final_roll_s, pseudo_action)
         if not np.isfinite(rolled.positions).all():

@@ -24,8 +24,16 @@ from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
 from clothtrack.simulation.garments import garment
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
 FITTED_KINDS = ("towel", "tshirt")
+
+RIM_M = 0.001
+"""How far inside the cloth's edge the outermost points lie [m]. Where the edge cuts the cubes in
+which points are averaged, their mean is a quarter of a cube inside: 1 mm for the usual 4 mm."""
+
+STARTS = 12
+"""Directions that the fit is started from, equally spaced: one is within 15 degrees."""
 
 Source = Literal["auto", "template", "network", "flat"]
 """Where a first mesh may come from."""
@@ -44,19 +52,11 @@ class InitialStateConfig(Checked):
         refined: whether a network's mesh is fine-tuned to the first cloud.
         refinement: how.
         vertex_count: about how many vertices the mesh gets.
-        resting_height_m: height of its lowest vertices above the table [m].
-        rim_m: how far inside the cloth's edge the outermost points lie [m]. Where the edge cuts the
-            cubes in which points are averaged, their mean is a quarter of a cube inside: 1 mm for
-            the usual 4 mm.
-        turns: directions that the fit is started from, equally spaced.
         doubtful_m: where outlines disagree more than this (root mean square) [m] the cloth is not
             flat, or of another kind: the network is asked, or a warning given.
     """
 
     vertex_count: int = 1000
-    resting_height_m: float = 0.0015
-    rim_m: float = 0.001
-    turns: int = 12
     doubtful_m: float = 0.01
     source: Source = "auto"
     weights: str = ""
@@ -112,11 +112,11 @@ def _fitted(
     config: InitialStateConfig,
 ) -> FlatFit:
     axes = _plane_axes(table)
-    covered = CoveredRegion((points - table.point) @ axes[:2].T, config.rim_m)
+    covered = CoveredRegion((points - table.point) @ axes[:2].T, RIM_M)
     cloth, unit = recording.cloth, unit_outline(recording.cloth.kind)
     fits = [
         _fit_outline(unit, covered, angle, cloth.size_m)
-        for angle in np.linspace(0.0, 2.0 * np.pi, config.turns, endpoint=False)
+        for angle in np.linspace(0.0, 2.0 * np.pi, STARTS, endpoint=False)
     ]
     best = min(fits, key=lambda fit: fit.cost)
     misfit = float(np.sqrt(np.mean(best.fun**2)))
@@ -126,7 +126,7 @@ def _fitted(
     mesh = garment(cloth.kind, vertex_count=config.vertex_count, size_m=size_m)
     placed = mesh.vertices.astype(np.float64).copy()
     placed[:, :2] = _rotated(placed[:, :2], angle) + (x, y)
-    placed[:, 2] += config.resting_height_m - placed[:, 2].min()
+    placed[:, 2] += RESTING_HEIGHT_M - placed[:, 2].min()
     return FlatFit(mesh.with_vertices(table.point + placed @ axes), misfit)
 
 

@@ -21,6 +21,7 @@ from clothtrack.reconstruction.from_picture import front_up, laid_flat, network_
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking.flat_fit import FITTED_KINDS, InitialStateConfig, flat_fit
 
 logger = logging.getLogger(__name__)
@@ -199,5 +200,5 @@ def _from_network(
         "weights_sha256": content_hash(weights),
         "refined": found.refinement is not None and found.refinement.chosen > 0,
     }
-    mesh = laid_flat(rest, positions, table, config.resting_height_m)
+    mesh = laid_flat(rest, positions, table, RESTING_HEIGHT_M)
     return InitialState(mesh, positions, origin)

@@ -19,25 +19,15 @@ from clothtrack.tracking.theta import Theta, grasp_offset
 
 logger = logging.getLogger(__name__)
 
+REACH_M = 0.03
+"""Vertices farther from the closing tip than this [m] are not taken hold of. The reference code's
+sum of picker radius, threshold and particle radius is 0.02125."""
+
 COLUMN_M = 0.01
 """Reach of a tip sideways, in which layers are told apart [m]."""
 
 KNOTS_PER_FRAME = 5
 """Waypoints at which the recorded path is read inside one frame; linear between them."""
-
-
-@dataclass(frozen=True)
-class PickingConfig:
-    """How a picker takes hold of the mesh.
-
-    Attributes:
-        radius_m: vertices farther from the closing tip than this [m] are not taken hold of.
-            The reference code's sum of picker radius, threshold and particle radius is 0.02125.
-        count: how many of the nearest vertices are held; 1 in the paper.
-    """
-
-    radius_m: float = 0.03
-    count: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,20 +65,18 @@ def find_grasps(
     recording: Recording,
     action: PickAndPlace,
     cloth: ClothMesh,
-    config: PickingConfig,
     layers: int = 0,
 ) -> tuple[Grasp, ...]:
     """Decide what each picker of an action holds, from where the cloth lies when it starts.
 
-    Vertices named in the recording win; otherwise those nearest to the tip when it first closes.
+    Vertices named in the recording win; otherwise the one nearest to the tip when it first closes.
 
     Args:
         recording: holds the picker paths and, if known, the held vertices.
         action: the pick-and-place.
         cloth: the mesh where it lies at the action's first frame [m], world frame.
-        config: reach and number of vertices.
         layers: hold one vertex of each of so many layers under the tip, counted from above; with 0,
-            or with no cloth right under the tip, the nearest vertices of whatever layer.
+            or with no cloth right under the tip, the nearest vertex of whatever layer.
     """
     start_s = recording.frames[action.first_frame].time_s
     end_s = recording.frames[action.last_frame].time_s
@@ -102,15 +90,15 @@ def find_grasps(
         tip = path.position_at(closing_s)
         vertices = _known(recording.cloth.held_vertices, name)
         if vertices is None:
-            vertices = layers_under(cloth, tip, config.radius_m)[:layers]
+            vertices = layers_under(cloth, tip, REACH_M)[:layers]
         if len(vertices) == 0:
-            vertices = grasp_vertices(cloth.vertices, tip, config.radius_m, config.count)
+            vertices = grasp_vertices(cloth.vertices, tip, REACH_M)
         if len(vertices) == 0:
             nearest = float(np.linalg.norm(cloth.vertices - tip, axis=1).min())
             logger.warning(
                 "picker %s closes at %.2f s with the nearest vertex %.1f mm away (reach %.1f mm): "
                 "it holds nothing",
-                name, closing_s, 1e3 * nearest, 1e3 * config.radius_m,
+                name, closing_s, 1e3 * nearest, 1e3 * REACH_M,
             )  # fmt: skip
             continue
         grasps.append(Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
@@ -159,7 +147,6 @@ def pick(
     *,
     recording: Recording,
     mesh: ClothMesh,
-    config: PickingConfig,
 ) -> HeldCloth:
     """What the pickers of an action take hold of, from where the cloth lies when it starts.
 
@@ -169,11 +156,10 @@ def pick(
         theta: how many layers are held, and the grasp's offset.
         recording: holds the picker paths and, if known, the held vertices.
         mesh: the cloth's topology.
-        config: reach and number of vertices.
     """
     cloth = mesh.with_vertices(state.positions[0].astype(np.float64))
     layers = int(theta["held_layers"])
-    grasps = find_grasps(recording, action, cloth, config, layers)
+    grasps = find_grasps(recording, action, cloth, layers)
     return HeldCloth(grasps, grasp_offset(theta))
 
 

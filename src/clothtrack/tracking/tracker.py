@@ -29,6 +29,14 @@ from clothtrack.tracking.visible_alignment import (
     only_at,
 )
 
+VISIBILITY_WIDTH = 320
+"""Width of the z-buffer that decides visibility [pixels]: its pixels are finer than the
+mesh's edges."""
+
+VISIBILITY_TOLERANCE_M = 0.003
+"""How far behind the z-buffer's surface a vertex still counts as visible [m]: less than
+the distance of two layers."""
+
 
 class Tracker:
     """Tracks one cloth through one recording; the solver and its buffers are built once.
@@ -67,9 +75,9 @@ class Tracker:
             solver.place(start)
             solver.set_velocities(np.zeros_like(start))
         self._state = solver.save()
-        cameras = tuple(camera.resized(config.visibility_width) for camera in recording.cameras)
+        cameras = tuple(camera.resized(VISIBILITY_WIDTH) for camera in recording.cameras)
         self._visible = VisibilityCheck(
-            mesh.faces, cameras, tolerance_m=config.visibility_tolerance_m, device=device
+            mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M, device=device
         )
         self.parts = _parts(
             recording, mesh, config, observe, self._visible,
@@ -101,7 +109,7 @@ def _parts(
     aligned = partial(
         VisibleAlignment, mesh, config, visible=visible, table=recording.table, device=device
     )
-    take_hold = partial(pick, recording=recording, mesh=mesh, config=config.picking)
+    take_hold = partial(pick, recording=recording, mesh=mesh)
     align_last = no_final_alignment
     if config.use_final_alignment:
         align_last = FinalAlignment(

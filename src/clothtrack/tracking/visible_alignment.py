@@ -17,6 +17,17 @@ from clothtrack.recordings.recording import Recording, Table
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.seams import Aligner, Correction, Observe, Prediction
 
+SUPPORT_M = 0.01
+"""A vertex with a cloud point this near [m] counts as observed even where the sensor could not have
+contradicted it."""
+
+CLOUD_REACH_M = 0.1
+"""Cloud points farther from every visible vertex [m] are not this cloth."""
+
+LEAST_POINTS_PER_VERTEX = 0.1
+"""With fewer cloud points per vertex there is no correction: too little is seen, and the frame's
+prediction stands."""
+
 
 class VisibleAlignment:
     """Aligns what is visible, and says what a pseudo-action may take hold of."""
@@ -54,8 +65,8 @@ class VisibleAlignment:
         """How vertices [m] have to move to meet a cloud; None when there is too little of it."""
         config = self._config
         visible = self._visible(positions)
-        points = within_reach(observation.points, positions[visible], config.cloud_reach_m)
-        if len(points) < config.minimum_observed * len(positions):
+        points = within_reach(observation.points, positions[visible], CLOUD_REACH_M)
+        if len(points) < LEAST_POINTS_PER_VERTEX * len(positions):
             return None
         observed = visible & ~observation.unobservable(positions)
         alignment = self._aligner.align(
@@ -72,7 +83,7 @@ class VisibleAlignment:
             unsure = np.flatnonzero(visible & ~observed)
             moved = positions[unsure] + alignment.corrections[unsure]
             attached = observed
-            attached[unsure] = _supported(moved, points, config.support_m)
+            attached[unsure] = _supported(moved, points)
         if not config.attach_crossed:
             attached = attached & ~_at_crossings(positions, self._faces)
         losses = float(alignment.losses[0]), float(alignment.losses[-1])
@@ -116,13 +127,11 @@ def _at_crossings(
 
 
 def _supported(
-    vertices: Float[np.ndarray, "vertices 3"],
-    points: Float[np.ndarray, "points 3"],
-    support_m: float,
+    vertices: Float[np.ndarray, "vertices 3"], points: Float[np.ndarray, "points 3"]
 ) -> Bool[np.ndarray, " vertices"]:
     """Vertices with a cloud point beside them."""
     if not len(vertices):
         return np.zeros(0, dtype=bool)
     tree = cKDTree(points, balanced_tree=False)
-    distance = tree.query(vertices, distance_upper_bound=support_m)[0]
+    distance = tree.query(vertices, distance_upper_bound=SUPPORT_M)[0]
     return np.isfinite(distance)
