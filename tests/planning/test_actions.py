@@ -8,6 +8,8 @@ import pytest
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.actions import (
+    PICTURE_MARGIN,
+    RELEASE_HEIGHT_M,
     ActionSpace,
     PickPlace,
     SeenCloth,
@@ -69,11 +71,11 @@ def test_every_action_keeps_all_limits(place):
     assert lift.max() <= space.lift_m[1]
     for points in (pick, put):
         assert space.workspace.holds(points).all()
-        assert in_picture(points, CAMERA, space.picture_margin).all()
+        assert in_picture(points, CAMERA, PICTURE_MARGIN).all()
     gap = np.linalg.norm(put[:, None, :2] - SEEN.cloud[None, :, :2], axis=2).min(axis=1)
     assert (gap > 0.012).all() == (place == "off")
-    np.testing.assert_allclose(put[gap > 0.012, 2], space.release_height_m)
-    np.testing.assert_allclose(put[gap < 0.011, 2], 0.002 + space.release_height_m)
+    np.testing.assert_allclose(put[gap > 0.012, 2], RELEASE_HEIGHT_M)
+    np.testing.assert_allclose(put[gap < 0.011, 2], 0.002 + RELEASE_HEIGHT_M)
     on = np.linalg.norm(pick[:, None] - SEEN.cloud[None], axis=2).min(axis=1)
     assert on.max() == 0.0
 

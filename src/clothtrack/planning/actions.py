@@ -26,6 +26,16 @@ LEAST_WEIGHT = 0.02
 ON_CLOTH_M = 0.012
 """A place this near to a seen point [m] is on the cloth; a pick farther from any is on none."""
 
+OUTWARDS = 0.5
+"""Share of ways that lead within 60 degrees of straight away from the middle of the cloth; the
+others lead anywhere."""
+
+RELEASE_HEIGHT_M = 0.006
+"""Height of the tip above table or cloth when it opens [m]."""
+
+PICTURE_MARGIN = 0.03
+"""No pick or place is this near to the border of the picture, as a share of its width."""
+
 
 @dataclass(frozen=True, eq=False)
 class PickPlace:
@@ -87,22 +97,14 @@ class ActionSpace(Checked):
         lift_m: least and largest height of the path over the straight line [m]; VCD lifts 0.07.
         edges: share of picks that are drawn near edges and corners; the others are anywhere on
             visible cloth, as in the reference code.
-        outwards: share of ways that lead within 60 degrees of straight away from the middle of
-            the cloth; the others lead anywhere.
         place: "anywhere", or "off" the cloth as VCD's robot.
-        release_height_m: height of the tip above table or cloth when it opens [m].
-        picture_margin: no pick or place this near to the border of the picture, as a share of its
-            width.
         workspace: where the tip may be.
     """
 
     distance_m: Annotated[tuple[float, float], Interval(least=0, empty=True)] = (0.05, 0.2)
     lift_m: Annotated[tuple[float, float], Interval(least=0, empty=True)] = (0.02, 0.1)
     edges: Share = 0.7
-    outwards: Share = 0.5
     place: Literal["anywhere", "off"] = "anywhere"
-    release_height_m: float = 0.006
-    picture_margin: float = 0.03
     workspace: Workspace = field(default_factory=Workspace)
 
 
@@ -202,7 +204,7 @@ def sample_actions(
         )
         pick = cloud[picks].astype(np.float64)
         outward = np.arctan2(*(pick[:, :2] - middle).T[::-1])
-        spread = np.where(rng.random(wanted) < space.outwards, np.pi / 3.0, np.pi)
+        spread = np.where(rng.random(wanted) < OUTWARDS, np.pi / 3.0, np.pi)
         heading = outward + spread * rng.uniform(-1.0, 1.0, wanted)
         way = rng.uniform(*space.distance_m, wanted)
         step = way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
@@ -236,14 +238,14 @@ def within_limits(
         if near:
             on_cloth[index] = True
             ground[index] = seen.cloud[near, 2].max()
-    placed = np.column_stack([places, ground + space.release_height_m])
+    placed = np.column_stack([places, ground + RELEASE_HEIGHT_M])
     top = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], placed[:, 2]) + lifts_m])
     way = np.linalg.norm(places - picks[:, :2], axis=1)
     allowed = (way >= space.distance_m[0] - 1e-9) & (way <= space.distance_m[1] + 1e-9)
     for points in (picks, placed, top):
         allowed &= space.workspace.holds(points)
     for points in (picks, placed):
-        allowed &= in_picture(points, seen.camera, space.picture_margin)
+        allowed &= in_picture(points, seen.camera, PICTURE_MARGIN)
     if space.place == "off":
         allowed &= ~on_cloth
     return [

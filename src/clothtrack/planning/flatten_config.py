@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import content_hash
-from clothtrack.files.bounds import Checked, Count, PositiveShare
+from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.extras import install_command
 from clothtrack.planning.dynamics import (
     SHIPPED_WEIGHTS,
@@ -38,8 +38,6 @@ class FlattenConfig(Checked):
         simulator: the solver as dynamics.
         planner: how an action is chosen.
         actions: most actions of an episode (paper: 10).
-        enough: an episode ends when the cloth covers this share of the flat garment's area.
-        patience: looks in a row at which nothing promises a gain, after which an episode ends.
     """
 
     policy: Policy = "planned"
@@ -50,8 +48,6 @@ class FlattenConfig(Checked):
     simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     actions: Count = 10
-    enough: PositiveShare = 0.95
-    patience: Count = 2
 
 
 def weights_used(config: FlattenConfig, kind: str) -> dict[str, Path]:

@@ -29,6 +29,12 @@ from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
 
 logger = logging.getLogger(__name__)
 
+ENOUGH = 0.95
+"""An episode ends when the cloth covers this share of the flat garment's area."""
+
+PATIENCE = 2
+"""Looks in a row at which nothing promises a gain, after which an episode ends."""
+
 _OF_EPISODES = 0xEF15
 """Keeps the draws of this module apart from those of others with the same seed."""
 
@@ -184,7 +190,7 @@ class Flattening:
         if not status:
             decision = self._decide(look, estimates, number)
             # Whoever promises nothing may have had bad luck with its candidates: look once more.
-            for again in range(1, self._config.patience):
+            for again in range(1, PATIENCE):
                 if decision.action is None:
                     decision = self._decide(look, estimates, number, again)
             status = "" if decision.action is not None else "nothing promises a gain"
@@ -263,7 +269,7 @@ class Flattening:
     def _ended(self, store: EpisodeStore, row: dict[str, Any]) -> str:
         """Why the episode is over; empty when it is not."""
         flat = row["flat_m2"]
-        if flat is not None and row["seen_m2"] >= self._config.enough * flat:
+        if flat is not None and row["seen_m2"] >= ENOUGH * flat:
             return "flat"
         if row.get("error"):
             return f"the robot stopped: {row['error']}"

@@ -20,6 +20,7 @@ from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, distance_from_cl
 from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.tracker import Tracker
@@ -35,6 +36,10 @@ CONTROLS = ("truth",)
 
 MOST_VIEWS = 16
 """Each costs as much as the first."""
+
+LONGEST_PATH_M = 0.06
+"""Cloth that was carried farther than this between two pictures is perceived anew [m]: a tracker
+that is shown the end alone loses it."""
 
 TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
 
@@ -57,9 +62,6 @@ class PerceptionConfig(Checked):
         refined: fine-tune the network's mesh to the picture.
         refinement: how.
         vertex_count: of the network's mesh, about.
-        resting_height_m: of a vertex on the table [m].
-        longest_path_m: cloth that was carried farther than this between two pictures is perceived
-            anew: a tracker that is shown the end alone loses it [m].
         lost_m: a tracked mesh that is farther from its cloud than this is lost, and the cloth is
             perceived anew (root mean square, cloud to mesh) [m].
         tracker: Algorithm 1.
@@ -71,8 +73,6 @@ class PerceptionConfig(Checked):
     refined: bool = True
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_count: int = 1000
-    resting_height_m: float = 0.0015
-    longest_path_m: Positive = 0.06
     lost_m: Positive = LOOSE_FIT_M
     tracker: TrackerConfig = field(default_factory=_one_pass)
 
@@ -191,7 +191,7 @@ class NetworkPerception:
         if found.mesh is None or rest is None or recording.table is None:
             return found.reconstruction.status
         positions = found.mesh.vertices.astype(np.float64)
-        flat = laid_flat(rest, positions, recording.table, config.resting_height_m)
+        flat = laid_flat(rest, positions, recording.table, RESTING_HEIGHT_M)
         return Estimate(flat, positions, "network")
 
 
@@ -208,12 +208,12 @@ class TrackerPerception:
         if not look.acted or not before or not look.recording.actions:
             return self._first.perceive(look)
         recording, start = look.recording, before[0]
-        path_m, limit_m = unseen_path_m(recording), self._config.longest_path_m
-        if path_m > limit_m:
+        path_m = unseen_path_m(recording)
+        if path_m > LONGEST_PATH_M:
             logger.warning(
                 "%s: cloth is carried %.2f m between two pictures (limit %.2f m); take pictures "
                 "all through an action to track it: perceived anew", recording.folder, path_m,
-                limit_m,
+                LONGEST_PATH_M,
             )  # fmt: skip
             return self._first.perceive(look)
         try:

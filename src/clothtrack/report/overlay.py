@@ -37,6 +37,12 @@ from clothtrack.report.video import frame_rate, write_video
 from clothtrack.report.viewpoint import view_of
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
+SURFACE = 0.38
+"""Opacity of the shaded surface, 0..1: the picture below stays readable."""
+
+HIDDEN_WIRES = 0.55
+"""Opacity of the hidden wire frame, 0..1: no surface is drawn under it, so it is stronger."""
+
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 """Share of red, green and blue in a grey value (ITU-R BT.601)."""
 
@@ -52,18 +58,14 @@ class OverlayConfig:
         closest: smallest share of a camera's picture that is shown when the cloth fills little
             of it; 1 always shows all.
         cameras: at most this many cameras, side by side.
-        surface: opacity of the shaded surface, 0..1.
         wires: opacity of the visible wire frame, 0..1.
-        hidden_wires: opacity of the hidden wire frame, 0..1.
         device: where the z-buffer runs.
     """
 
     height: int = 480
     closest: float = 0.55
     cameras: int = 2
-    surface: float = 0.38
     wires: float = 0.30
-    hidden_wires: float = 0.55
     device: str = "cpu"
 
 
@@ -135,7 +137,7 @@ class Overlay:
             pixels, covered = image.reshape(-1, 3), np.flatnonzero(cloth)
             grey = (pixels[covered] @ LUMINANCE)[:, None]
             shaded = view.cut(still.image).reshape(-1, 3)[covered]
-            pixels[covered] = grey + self.config.surface * (shaded - grey)
+            pixels[covered] = grey + SURFACE * (shaded - grey)
             self._draw_wires(image, view, vertices, visible)
             image = np.clip(image, 0, 255).astype(np.uint8)
             _outline(image, cloth)
@@ -162,7 +164,7 @@ class Overlay:
         seen = visible[edges].any(axis=1)
         for chosen, color, opacity in (
             (seen, INK, self.config.wires),
-            (~seen, HIDDEN, self.config.hidden_wires),
+            (~seen, HIDDEN, HIDDEN_WIRES),
         ):
             layer = np.zeros(image.shape[:2], dtype=np.uint8)
             lines = np.rint(ends[chosen & drawable] * 16).astype(np.int32)

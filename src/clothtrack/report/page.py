@@ -35,6 +35,9 @@ from clothtrack.report.stage import review_card, scene_card, stage, swatch, vide
 from clothtrack.report.viewpoint import layers_axis, upward
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
+SCENE_FRAMES = 180
+"""At most this many frames in the scene, evenly chosen: a page must open in a browser."""
+
 
 @dataclass(frozen=True)
 class ReportConfig:
@@ -42,14 +45,12 @@ class ReportConfig:
 
     Attributes:
         video_frames: at most this many frames in the video, evenly chosen beside those of labels.
-        scene_frames: likewise in the scene.
         scene_vertices: at most this many vertices over all frames of the scene.
         overlay: how the video looks.
         scene: what the scene holds.
     """
 
     video_frames: int = 360
-    scene_frames: int = 180
     scene_vertices: int = 750_000
     overlay: OverlayConfig = field(default_factory=OverlayConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -159,7 +160,7 @@ def _contents(
     config: ReportConfig,
 ) -> SceneContents:
     most = max(2, config.scene_vertices // tracked.mesh.vertex_count)
-    most = min(config.scene_frames, most)
+    most = min(SCENE_FRAMES, most)
     steps = evenly(len(tracked.frames), most, always=_labelled_steps(tracked))
     view = scene_view(tracked, recording, width=800, height=600)
     axis = layers_axis(recording, view)

@@ -31,6 +31,12 @@ from clothtrack.report.palette import (
     UNKNOWN,
 )
 
+POINT_SIZE_M = 0.0025
+"""Size of a drawn point [m]."""
+
+PICKER_RADIUS_M = 0.008
+"""Radius of the ball at a picker's tip [m]."""
+
 FINEST_GRAIN_M = 2.0**-14
 LARGEST_INTEGER = 32_000
 RANK_STEPS = 16
@@ -44,13 +50,9 @@ class SceneConfig:
 
     Attributes:
         points: observed points kept per frame.
-        point_size_m: size of a drawn point [m].
-        picker_radius_m: radius of the ball at a picker's tip [m].
     """
 
     points: int = 1500
-    point_size_m: float = 0.0025
-    picker_radius_m: float = 0.008
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +114,7 @@ def packed(scene: SceneContents, config: SceneConfig | None = None) -> tuple[str
     for coloring in scene.colorings:
         pack.plain(f"color {coloring.key}", _bytes_of(coloring))
     header = {
-        **_facts(scene, config),
+        **_facts(scene),
         "origin": origin.tolist(),
         "grain": grain,
         "vertices": int(scene.positions.shape[1]),
@@ -157,7 +159,7 @@ def _bytes_of(coloring: Coloring) -> np.ndarray:
     return np.where(known, np.rint(LARGEST_VALUE * share), UNKNOWN_VALUE).astype(np.uint8)
 
 
-def _facts(scene: SceneContents, config: SceneConfig) -> dict[str, Any]:
+def _facts(scene: SceneContents) -> dict[str, Any]:
     """What is not an array: eye, table, pickers, colours."""
     eye = scene.eye
     pickers = [
@@ -177,8 +179,8 @@ def _facts(scene: SceneContents, config: SceneConfig) -> dict[str, Any]:
         "along": scene.along.tolist(),
         "table": None if table is None else [table.point.tolist(), table.normal.tolist()],
         "pickers": pickers,
-        "pointSize": config.point_size_m,
-        "pickerRadius": config.picker_radius_m,
+        "pointSize": POINT_SIZE_M,
+        "pickerRadius": PICKER_RADIUS_M,
         "colorings": [
             {"key": one.key, "title": one.title, "note": one.note, "limit": one.limit}
             for one in scene.colorings

@@ -19,7 +19,11 @@ from clothtrack.recordings.recording import Table
 from clothtrack.recordings.segmentation import bounds_of
 from clothtrack.report.palette import INSIDE, OUTSIDE, PAPER, TABLE
 
-Color = tuple[float, float, float]
+GRID_M = 0.1
+"""Spacing of the lines on the table [m]."""
+
+DEPTH_DARKENING_M = 0.025
+"""Depth below its surroundings at which cloth is dimmed in full [m]."""
 
 
 @dataclass(frozen=True)
@@ -27,29 +31,17 @@ class ShadingConfig:
     """How a still looks.
 
     Attributes:
-        outside: colour of the front faces (RGB, 0..1).
-        inside: colour of the back faces.
-        background: colour where there is neither cloth nor table.
-        table: colour of the table.
-        grid_m: spacing of the lines on the table [m]; 0 draws none.
         ambient: share of the light that comes from everywhere.
         light: direction towards the light in the camera's frame (x right, y down, z forward).
         edge_darkening: how dark a depth step is drawn, 0..1.
         depth_darkening: how much what lies deeper than its surroundings is dimmed, 0..1.
-        depth_darkening_m: depth below the surroundings [m] at which that dimming is full.
         supersampling: pixels computed per pixel and axis; 2 smooths the outlines.
     """
 
-    outside: Color = OUTSIDE
-    inside: Color = INSIDE
-    background: Color = PAPER
-    table: Color = TABLE
-    grid_m: float = 0.1
     ambient: float = 0.42
     light: tuple[float, float, float] = (-0.45, -0.55, -0.70)
     edge_darkening: float = 0.55
     depth_darkening: float = 0.38
-    depth_darkening_m: float = 0.025
     supersampling: int = 1
 
 
@@ -84,7 +76,7 @@ class Shader:
         self.camera = camera.resized(camera.width * self.config.supersampling)
         self._faces = np.asarray(faces, dtype=np.int32)
         self._rasteriser = Rasteriser(self._faces, self.camera, device=device)
-        self._backdrop, self._backdrop_depth = _backdrop(self.camera, table, self.config)
+        self._backdrop, self._backdrop_depth = _backdrop(self.camera, table)
         self._empty = _eight_bits(self._backdrop)
 
     def render(
@@ -154,7 +146,7 @@ class Shader:
         lambert = smooth @ (light / np.linalg.norm(light)) * np.where(front, 1.0, -1.0)
         brightness = config.ambient + (1.08 - config.ambient) * np.clip(lambert, 0.0, 1.0)
         if colors is None:
-            sides = np.array([config.inside, config.outside], dtype=np.float32)
+            sides = np.array([INSIDE, OUTSIDE], dtype=np.float32)
             base = sides[front.astype(np.int64)]
         else:
             base = np.clip(interpolate(np.asarray(colors, dtype=np.float32)), 0.0, 1.0)
@@ -197,11 +189,11 @@ def _vertex_normals(
 
 
 def _backdrop(
-    camera: Camera, table: Table | None, config: ShadingConfig
+    camera: Camera, table: Table | None
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
     """The picture without cloth, and its depth along the optical axis [m] (infinite: nothing)."""
     image = np.empty((camera.height, camera.width, 3), dtype=np.float32)
-    image[:] = config.background
+    image[:] = PAPER
     depth = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
     if table is None:
         return image, depth
@@ -220,10 +212,9 @@ def _backdrop(
     points = camera.position + rays[hit] * reach[hit][:, None]
     fade = np.clip(1.6 - 0.45 * reach[hit] / np.median(reach[hit]), 0.0, 1.0)
     paint = np.full(fade.shape, 1.0)
-    if config.grid_m > 0:
-        paint -= 0.09 * _grid_lines(points - table.point, table.normal, config.grid_m)
-    color = np.asarray(config.table) * paint[:, None]
-    image[hit] = fade[:, None] * color + (1 - fade[:, None]) * np.asarray(config.background)
+    paint -= 0.09 * _grid_lines(points - table.point, table.normal, GRID_M)
+    color = np.asarray(TABLE) * paint[:, None]
+    image[hit] = fade[:, None] * color + (1 - fade[:, None]) * np.asarray(PAPER)
     return image, depth
 
 
@@ -257,6 +248,6 @@ def _darkening(
     behind = np.where(np.isfinite(backdrop_depth), backdrop_depth, farthest)
     raised = np.where(cloth, behind - depth, 0.0).astype(np.float32)
     around = cv2.GaussianBlur(raised, (0, 0), _shade_reach(camera))
-    below = np.clip((around - raised) / config.depth_darkening_m, 0.0, 1.0)
+    below = np.clip((around - raised) / DEPTH_DARKENING_M, 0.0, 1.0)
     below[~np.isfinite(depth)] = 0.0
     return (1.0 - config.edge_darkening * step) * (1.0 - config.depth_darkening * below)

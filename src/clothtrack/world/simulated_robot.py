@@ -28,13 +28,28 @@ from clothtrack.world.sensor import Sensor, top_down_camera
 from clothtrack.world.template import laid_down, random_pose
 from clothtrack.world.tool import Tool
 
+MOST_DROPS = 5
+"""How often the cloth is lifted at a random vertex and let go before an episode, at most; it stops
+as soon as the cloth is crumpled."""
+
+CRUMPLED = 0.65
+"""Share of the flat area under which the cloth counts as crumpled."""
+
+DROP_SPEED = 0.6
+"""Speed of the lifted vertex [m/s]."""
+
+LIFT_SHARE = (0.4, 0.8)
+"""Least and largest height at which the vertex is let go, as a share of that at which the cloth
+hangs clear of the table. Dropped from 1 a towel ends as a ball that no single pick-and-place opens:
+of 25 the best gained 6 % of the flat area."""
+
 _OF_STARTS = 0xF1A7
 """Keeps the draws of this module apart from those of others with the same seed."""
 
 
 @dataclass(frozen=True)
 class SimulatedRobotConfig:
-    """The robot, and how it crumples the cloth before an episode.
+    """The robot, and the world that it is in.
 
     Attributes:
         episode: garment, camera, fabric, tool and speeds; drawn from the seed as in the benchmark
@@ -43,13 +58,6 @@ class SimulatedRobotConfig:
         layers: layers of cloth that the gripper takes, the uppermost first.
         contact_s: time constant of a contact between layers [s], half the usual one (`FlexWorld`):
             a shirt that passed through itself in its fall is knotted, and nobody can flatten it.
-        drops: how often the cloth is lifted at a random vertex and let go before an episode, at
-            most; it stops as soon as the cloth is crumpled.
-        crumpled: share of the flat area under which the cloth counts as crumpled.
-        drop_speed: of the lifted vertex [m/s].
-        lift_share: least and largest height at which the vertex is let go, as a share of that at
-            which the cloth hangs clear of the table. Dropped from 1 a towel ends as a ball that no
-            single pick-and-place opens: of 25 the best gained 6 % of the flat area.
         limits: what the robot refuses.
     """
 
@@ -57,10 +65,6 @@ class SimulatedRobotConfig:
     film: bool = True
     layers: int = 1
     contact_s: float = 0.01
-    drops: int = 5
-    crumpled: float = 0.65
-    drop_speed: float = 0.6
-    lift_share: tuple[float, float] = (0.4, 0.8)
     limits: MotionLimits = field(
         default_factory=lambda: MotionLimits(workspace=Workspace((-0.45, 0.45), (-0.4, 0.4)))
     )
@@ -170,17 +174,17 @@ class SimulatedRobot:
         """Lift the cloth at a random vertex, bring it over the middle of the table, let it go."""
         episode = self._episode
         self._world.settle(speed=episode.settle_speed, limit_s=episode.settle_limit_s)
-        wanted = self.config.crumpled * projected_area(self._flat.vertices, self._flat.faces)
-        for _ in range(self.config.drops):
+        wanted = CRUMPLED * projected_area(self._flat.vertices, self._flat.faces)
+        for _ in range(MOST_DROPS):
             positions = self._world.positions
             vertex = int(self._of_start.integers(len(positions)))
             lying = self._flat.vertices
             hangs = float(np.linalg.norm(lying - lying[vertex], axis=1).max())
             start = positions[vertex]
             aside = self._of_start.uniform(-0.03, 0.03, 2)
-            share = self._of_start.uniform(*self.config.lift_share)
+            share = self._of_start.uniform(*LIFT_SHARE)
             end = np.array([*aside, share * hangs])
-            steps = int(np.linalg.norm(end - start) / (self.config.drop_speed * TIME_STEP_S)) + 1
+            steps = int(np.linalg.norm(end - start) / (DROP_SPEED * TIME_STEP_S)) + 1
             self._world.grasp(np.array([vertex]), start)
             for way in np.linspace(0.0, 1.0, steps + 1)[1:]:
                 self._world.move(start + way * (end - start))

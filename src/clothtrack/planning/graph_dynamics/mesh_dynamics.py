@@ -26,6 +26,7 @@ from clothtrack.planning.graph_dynamics.mesh_network import (
 )
 from clothtrack.planning.graph_dynamics.mesh_prior import Springs
 from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
 
 @dataclass(frozen=True)
@@ -34,13 +35,11 @@ class MeshDynamicsConfig:
 
     Attributes:
         motion: of the tip; its time step is the model's.
-        resting_height_m: of a vertex on the table [m].
         together: about how many candidates are rolled out at once on a processor, whose caches
             few fit; a GPU takes them all.
     """
 
     motion: MotionConfig = field(default_factory=lambda: MotionConfig(time_step_s=0.2))
-    resting_height_m: float = 0.0015
     together: int = 10
 
 
@@ -93,14 +92,14 @@ class MeshDynamics:
     def _placed(self, cloth: PlannedCloth) -> np.ndarray:
         """The vertices [m] with none under the table."""
         placed = np.array(cloth.positions, dtype=np.float64)
-        lowest = cloth.table_height_m + self.config.resting_height_m
+        lowest = cloth.table_height_m + RESTING_HEIGHT_M
         placed[:, 2] = np.maximum(placed[:, 2], lowest)
         return placed
 
     def _rolled(self, cloth: PlannedCloth, held: HeldPaths) -> np.ndarray:
         """Some of the candidates."""
         config, device = self.config, self._device
-        lowest = cloth.table_height_m + config.resting_height_m
+        lowest = cloth.table_height_m + RESTING_HEIGHT_M
         start = torch.tensor(self._placed(cloth), dtype=torch.float32, device=device)
         ways = Ways(
             torch.tensor(held.vertices, device=device),
