@@ -53,10 +53,13 @@ class TimedEyes:
 def configured(solver: str) -> TrackerConfig:
     """The default mode without calibration, aligned with one solver."""
     config = mode("default")
+    iterations = {"adam": 400, "icp": 20}[solver]
     return replace(
         config,
         calibration=CalibrationConfig(method="none"),
-        alignment=replace(config.alignment, solver=solver, iterations=400),
+        alignment=replace(
+            config.alignment, solver=solver, iterations={"adam": 400, "icp": 20}[solver]
+        ),
     )
 
 

@@ -36,12 +36,8 @@ def plan(setup: Setup) -> list[Run]:
 
 
 def weighted(config: TrackerConfig, **weights: float) -> TrackerConfig:
-    """The configuration with these weights in both alignments."""
-    return replace(
-        config,
-        alignment=replace(config.alignment, **weights),
-        final_alignment=replace(config.final_alignment, **weights),
-    )
+    """The configuration with these weights in the objective of both alignments."""
+    return replace(config, alignment=replace(config.alignment, **weights))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

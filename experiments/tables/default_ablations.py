@@ -40,10 +40,11 @@ def steps() -> dict[str, TrackerConfig]:
         two_way_weight=default.alignment.two_way_weight,
         length_weight=default.alignment.length_weight,
     )
+    unslid = replace(default.final_alignment, slide=False)
     # Everything that is left but the search and the slide: release of velocity, TTO2 rolled out.
     rolled = replace(
         default,
-        final_slide=False,
+        final_alignment=unslid,
         score_frames=paper.score_frames,
         parameters=paper.parameters,
         calibration=paper.calibration,
@@ -54,7 +55,7 @@ def steps() -> dict[str, TrackerConfig]:
         "+ only observed and uncrossed vertices": observed,
         "+ two-way loss and edge lengths": losses,
         "+ TTO2 carried out by the dynamics": rolled,
-        "+ parameters and layers searched by tracking": replace(default, final_slide=False),
+        "+ parameters and layers searched by tracking": replace(default, final_alignment=unslid),
         "default": default,
     }
 

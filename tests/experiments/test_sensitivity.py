@@ -37,5 +37,5 @@ def test_one_threshold_holds_whatever_the_picker_does():
 
 def test_a_weight_goes_to_both_alignments():
     config = weighted(mode("default"), rigidity_weight=0.0)
-    assert config.alignment.rigidity_weight == config.final_alignment.rigidity_weight == 0.0
+    assert config.alignment.rigidity_weight == config.last_alignment.rigidity_weight == 0.0
     assert config.alignment.length_weight == mode("default").alignment.length_weight

@@ -27,7 +27,7 @@ def attributes(title):
 @pytest.fixture(scope="module")
 def calibrated(recording):
     """A run with a final alignment and candidates, so that no array is empty."""
-    return ct.track(recording, settings=("tracker.alignment.icp_outer=1",))
+    return ct.track(recording, settings=("tracker.alignment.iterations=1",))
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.tracking.calibration import CalibrationConfig
-from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
+from clothtrack.tracking.configuration import MODES, FinalAlignmentConfig, TrackerConfig, mode
 
 
 @pytest.mark.parametrize(
@@ -14,8 +14,6 @@ from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
     [
         ("attachment_strength", 0.0),
         ("attachment_strength", 1.5),
-        ("final_rounds", 0),
-        ("final_roll_s", -0.1),
         ("score_frames", 0),
         ("parameters", {"stretch_compliance": 0.0}),
     ],
@@ -23,6 +21,15 @@ from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
 def test_contradictions_name_the_field(field: str, value: object) -> None:
     with pytest.raises(InvalidConfigError, match=field):
         replace(TrackerConfig(), **{field: value})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("solver", "newton"), ("iterations", 0), ("rounds", 0), ("roll_s", -0.1)],
+)
+def test_a_final_alignment_that_cannot_be_is_refused(field: str, value: object) -> None:
+    with pytest.raises(InvalidConfigError, match=rf"final_alignment\.{field} is "):
+        FinalAlignmentConfig(**{field: value})
 
 
 @pytest.mark.parametrize(

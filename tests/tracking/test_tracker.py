@@ -74,7 +74,7 @@ def test_a_cloth_that_must_not_slide_is_left_where_it_is(recording, config, slid
     elif why == "no table":
         recording = replace(recording, table=None)
     elif why == "switched off":
-        config = replace(config, final_slide=False)
+        config = replace(config, final_alignment=replace(config.final_alignment, slide=False))
     else:
         config = replace(config, use_final_alignment=False)
     tracked(recording, config)

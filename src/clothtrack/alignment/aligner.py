@@ -35,7 +35,7 @@ class Alignment:
         corrections: displacement of every vertex [m], world frame.
         losses: objective [m^2] at the start and after every iteration.
         terms: the same per weighted term: "chamfer", "rigidity", "two_way", "length", "table".
-        iterations: iterations done (outer ones for the icp solver).
+        iterations: iterations done.
         reason: why it ended: "iterations", or "no points", "no visible vertex" or "not finite",
             in which cases the corrections are zero.
     """

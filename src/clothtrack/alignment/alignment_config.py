@@ -23,15 +23,14 @@ class AlignmentConfig(Checked):
     Attributes:
         solver: "adam" follows the paper; "icp" (fixed matches, Gauss-Newton, conjugate gradients)
             is several times faster and ends a few percent higher.
-        iterations: steps of Adam (the paper: 200).
+        iterations: steps of Adam (the paper: 200), or how often icp renews its matches.
         chamfer_weight: cloud point to nearest visible vertex (the paper: 1).
         rigidity_weight: difference of the displacements along edges (the paper: 10).
         two_way_weight: trusted visible vertex to nearest cloud point, within `TWO_WAY_RANGE_M`; 0
             is the paper.
         length_weight: stretch of edges against the first mesh; 0 is the paper.
-        icp_outer: how often the icp solver renews matches and linearisation.
-        icp_inner: conjugate gradient steps in between.
-        icp_momentum: part of the last outer step that is added to the next.
+        icp_inner: conjugate gradient steps in each of its iterations.
+        icp_momentum: part of its last step that is added to the next.
     """
 
     solver: Literal["adam", "icp"] = "adam"
@@ -40,6 +39,5 @@ class AlignmentConfig(Checked):
     rigidity_weight: NotNegative = 10.0
     two_way_weight: NotNegative = 1.0
     length_weight: NotNegative = 300.0
-    icp_outer: Count = 8
     icp_inner: Count = 12
     icp_momentum: float = 0.8

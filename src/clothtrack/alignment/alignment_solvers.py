@@ -116,7 +116,7 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
     initial, matcher = problem.initial, problem.matcher
     device = initial.device
     positions, displacements = wp.clone(initial), problem.vectors()
-    sums = problem.sums(config.icp_outer + 1)
+    sums = problem.sums(config.iterations + 1)
     conjugate, strips = _conjugate(problem)
     solved = problem.vectors()
 
@@ -125,7 +125,7 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
     on_cpu = wp.get_device(device).is_cpu
     linearise = [*problem.objective, positions, displacements, sums, conjugate]
     apply = [
-        problem.weights, matcher.progress, sums, config.icp_momentum, config.icp_outer - 1,
+        problem.weights, matcher.progress, sums, config.icp_momentum, config.iterations - 1,
         matcher.searched, matcher.grid.recorded, initial, conjugate, solved, positions,
         displacements,
     ]  # fmt: skip
@@ -149,7 +149,7 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
     repeat = (
         partial(_do_all, made_ready(step)) if on_cpu else _captured(partial(_do_all, step), device)
     )
-    for _ in range(config.icp_outer):
+    for _ in range(config.iterations):
         repeat()
     problem.measure(positions, displacements, sums)
     return displacements.numpy(), sums.numpy()

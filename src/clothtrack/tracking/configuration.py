@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from clothtrack.alignment.aligner import AlignmentConfig
 from clothtrack.errors import InvalidConfigError
@@ -26,11 +27,6 @@ def _default_parameters() -> dict[str, float]:
     }
 
 
-def _final_alignment() -> AlignmentConfig:
-    # Once per action it may take its time; what is left to correct may be far.
-    return AlignmentConfig(iterations=400)
-
-
 def _calibration() -> CalibrationConfig:
     # Judged by tracking, a candidate costs a pass: the start is one, each axis adds its others.
     axes = {
@@ -43,7 +39,31 @@ def _calibration() -> CalibrationConfig:
 
 def _alignment() -> AlignmentConfig:
     # As near to the cloud as 400 steps of Adam in a quarter of the time.
-    return AlignmentConfig(solver="icp", icp_outer=20)
+    return AlignmentConfig(solver="icp", iterations=20)
+
+
+@dataclass(frozen=True)
+class FinalAlignmentConfig(Checked):
+    """How TTO2 minimises the objective at the end of an action, and carries out what comes of it.
+
+    Attributes:
+        solver: "adam" or "icp".
+        iterations: of the solver. Once per action it may take its time; what is left to correct may
+            be far.
+        slide: before, slide and turn a cloth that nobody holds on its table as a whole until its
+            outline fits: nearest points alone hold a slipped cloth where it is.
+        rounds: how often the alignment is computed and applied; each round starts from what the
+            dynamics made of the last.
+        roll_s: time over which the dynamics carry it out [s], as a soft pseudo-action from which
+            the cloth is left at rest: short, so that gravity has no say, but layers keep their
+            sides. 0 displaces the vertices at once, through whatever is in the way (the paper).
+    """
+
+    solver: Literal["adam", "icp"] = "adam"
+    iterations: Count = 400
+    slide: bool = True
+    rounds: Count = 2
+    roll_s: NotNegative = 0.1
 
 
 @dataclass(frozen=True)
@@ -60,15 +80,6 @@ class TrackerConfig(Checked):
         attachment_strength: 1 holds the attached vertices at their targets ("held", the paper's
             pseudo-action); less pulls them there inside the solver loop ("soft"), so that
             contacts, stretch and table win over the observation.
-        final_slide: before the final alignment, slide and turn a cloth that nobody holds on its
-            table as a whole until its outline fits: nearest points alone hold a slipped cloth where
-            it is.
-        final_rounds: how often the final alignment is computed and applied; each round starts from
-            what the dynamics made of the last.
-        final_roll_s: time over which the dynamics carry the final alignment out [s], as a soft
-            pseudo-action from which the cloth is left at rest: short, so that gravity has no say,
-            but layers keep their sides. 0 displaces the vertices at once, through whatever is in
-            the way (the paper).
         attach_observed_only: attach only vertices that the sensor could have contradicted; the
             paper attaches every visible vertex.
         attach_crossed: attach vertices, too, where the predicted cloth passes through itself; the
@@ -78,8 +89,8 @@ class TrackerConfig(Checked):
             ending with the last; 1 in the paper.
         parameters: cloth parameters and grasp offset before any calibration.
         calibration: what is searched per action.
-        alignment: test-time optimisation at every frame (TTO1).
-        final_alignment: test-time optimisation at the end of an action (TTO2).
+        alignment: test-time optimisation at every frame (TTO1); its objective is TTO2's, too.
+        final_alignment: how TTO2 differs.
         line_search: when a pseudo-action is too much.
         dynamics: how a frame is cut into simulator steps.
         solver: the cloth simulator.
@@ -90,16 +101,13 @@ class TrackerConfig(Checked):
     use_action: bool = True
     use_final_alignment: bool = True
     attachment_strength: PositiveShare = 0.999
-    final_slide: bool = True
-    final_rounds: Count = 2
-    final_roll_s: NotNegative = 0.1
     attach_observed_only: bool = True
     attach_crossed: bool = False
     score_frames: Count = 3
     parameters: Mapping[str, float] = field(default_factory=_default_parameters)
     calibration: CalibrationConfig = field(default_factory=_calibration)
     alignment: AlignmentConfig = field(default_factory=_alignment)
-    final_alignment: AlignmentConfig = field(default_factory=_final_alignment)
+    final_alignment: FinalAlignmentConfig = field(default_factory=FinalAlignmentConfig)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
     dynamics: DynamicsConfig = field(default_factory=lambda: DynamicsConfig(velocity_kept=0.0))
     solver: SolverConfig = field(default_factory=SolverConfig)
@@ -120,6 +128,12 @@ class TrackerConfig(Checked):
         for name, value in self.parameters.items():
             check_parameter(name, value)
 
+    @property
+    def last_alignment(self) -> AlignmentConfig:
+        """What TTO2 minimises, and how."""
+        last = self.final_alignment
+        return replace(self.alignment, solver=last.solver, iterations=last.iterations)
+
 
 _PAPER = TrackerConfig(
     parameters={
@@ -130,15 +144,12 @@ _PAPER = TrackerConfig(
     },
     calibration=CalibrationConfig(),
     attachment_strength=1.0,
-    final_slide=False,
-    final_rounds=1,
-    final_roll_s=0.0,
     attach_observed_only=False,
     attach_crossed=True,
     score_frames=1,
     dynamics=DynamicsConfig(velocity_kept=1.0),
     alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),
-    final_alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),
+    final_alignment=FinalAlignmentConfig(iterations=200, slide=False, rounds=1, roll_s=0.0),
 )
 
 MODES: Mapping[str, TrackerConfig] = {

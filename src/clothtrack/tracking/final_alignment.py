@@ -46,7 +46,7 @@ class FinalAlignment:
             device: "cpu" or "cuda:0".
         """
         self._name, self._table, self._mesh = recording.name, recording.table, mesh
-        self._config, self._align, self._dynamics = config, align, dynamics
+        self._config, self._align, self._dynamics = config.final_alignment, align, dynamics
         self._device = device
 
     def __call__(
@@ -62,10 +62,10 @@ class FinalAlignment:
         Returns:
             The state, and the objective [m^2] before and after; NaN where there was no cloud.
         """
-        if self._config.final_slide and not held:
+        if self._config.slide and not held:
             state = self._slid(state, observation)
         losses = (np.nan, np.nan)
-        for _ in range(self._config.final_rounds):
+        for _ in range(self._config.rounds):
             correction = self._align.aligned(state.positions[0], observation)
             if correction is None:
                 break
@@ -88,11 +88,11 @@ class FinalAlignment:
         """The state after a correction: rolled there, or displaced at once; at rest."""
         solver, config = self._dynamics.solver, self._config
         targets = state.positions + correction.displacement[None]
-        if config.final_roll_s == 0.0:
+        if config.roll_s == 0.0:
             return self._at_rest(state, targets)
         strength = np.where(correction.attached, FINAL_STRENGTH, 0.0).astype(np.float32)
         pseudo_action = Attachment(targets.astype(np.float32), strength[None])
-        rolled = self._dynamics.roll_out(state, None, config.final_roll_s, pseudo_action)
+        rolled = self._dynamics.roll_out(state, None, config.roll_s, pseudo_action)
         if not np.isfinite(rolled.positions).all():
             logger.warning("%s: the final alignment diverges, dropped", self._name)
             solver.restore(state)

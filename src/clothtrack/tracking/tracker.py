@@ -113,7 +113,7 @@ def _parts(
     align_last = no_final_alignment
     if config.use_final_alignment:
         align_last = FinalAlignment(
-            recording, mesh, config, aligned(alignment=config.final_alignment), dynamics,
+            recording, mesh, config, aligned(alignment=config.last_alignment), dynamics,
             device=device,
         )  # fmt: skip
 
