@@ -57,9 +57,7 @@ def configured(solver: str) -> TrackerConfig:
     return replace(
         config,
         calibration=CalibrationConfig(method="none"),
-        alignment=replace(
-            config.alignment, solver=solver, iterations={"adam": 400, "icp": 20}[solver]
-        ),
+        alignment=replace(config.alignment, solver=solver, iterations=iterations),
     )
 
 

@@ -44,8 +44,8 @@ from clothtrack.planning import (
     SimulatorConfig,
     improvement,
 )
-from clothtrack.planning.actions import in_picture
-from clothtrack.planning.dynamics import SHIPPED_WEIGHTS, MotionConfig
+from clothtrack.planning.action_space import in_picture
+from clothtrack.planning.planning_dynamics import SHIPPED_WEIGHTS, MotionConfig
 from clothtrack.planning.flatten_config import episode_identity
 from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings import read_recording

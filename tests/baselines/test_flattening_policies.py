@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from clothtrack.baselines.flattening_policies import POLICIES, farthest_corner
-from clothtrack.planning.actions import ActionSpace, SeenCloth, Workspace, off_cloth
+from clothtrack.planning.action_space import ActionSpace, SeenCloth, Workspace, off_cloth
 from clothtrack.planning.planner import PlannerConfig
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from clothtrack.planning.coarse_cloth import CoarseConfig
-from clothtrack.planning.dynamics import MotionConfig
 from clothtrack.planning.graph_dynamics.roll_outs import RollOutConfig, generate_roll_outs
+from clothtrack.planning.planning_dynamics import MotionConfig
 from clothtrack.reconstruction.data.crumpling import CrumplingConfig
 from clothtrack.reconstruction.data.states import StatesConfig
 

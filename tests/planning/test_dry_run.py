@@ -8,7 +8,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import PickPlace, Workspace
+from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.planning.arrows import draw_action, shown_depth
 from clothtrack.planning.robots.dry_run import STOPPED, DryRunRobot
 from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame

@@ -12,12 +12,12 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.planning.actions import Workspace
-from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
+from clothtrack.planning.action_space import Workspace
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
 from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area, improvement
 from clothtrack.planning.perception import Estimate, PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.planning_dynamics import MotionConfig, SimulatorConfig
 from clothtrack.planning.robots.robot import Execution, Reachability, RgbdFrame
 from clothtrack.planning.seen import seen_area, table_pixel_areas
 from clothtrack.recordings.inspection import inspect

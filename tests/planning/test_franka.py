@@ -9,7 +9,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import PickPlace, Workspace
+from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.planning.robots.franka import FrankaConfig, FrankaRobot, FrankyArm, subdivided
 from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
 

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.planning.actions import PickPlace
-from clothtrack.planning.dynamics import MotionConfig, PlannedCloth, PlanningDynamics
+from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.graph_dynamics.mesh_dynamics import (
     MeshDynamics,
     MeshDynamicsConfig,
@@ -24,6 +23,7 @@ from clothtrack.planning.graph_dynamics.mesh_training import (
     WindowExamples,
     train_mesh_dynamics,
 )
+from clothtrack.planning.planning_dynamics import MotionConfig, PlannedCloth, PlanningDynamics
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.simulation.garments import towel
 
@@ -134,7 +134,7 @@ def test_the_held_vertex_ends_at_the_place():
 
 def test_planning_does_not_import_torch():
     code = (
-        "import sys, clothtrack.planning.actions, clothtrack.planning.dynamics, "
+        "import sys, clothtrack.planning.action_space, clothtrack.planning.planning_dynamics, "
         "clothtrack.planning.reward, clothtrack.planning.graph_dynamics.roll_outs; "
         "sys.exit('torch' in sys.modules)"
     )

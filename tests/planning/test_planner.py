@@ -5,9 +5,9 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import SeenCloth
-from clothtrack.planning.dynamics import PlannedCloth, SimulatorDynamics
+from clothtrack.planning.action_space import SeenCloth
 from clothtrack.planning.planner import Hypothesis, Planner, PlannerConfig
+from clothtrack.planning.planning_dynamics import PlannedCloth, SimulatorDynamics
 from clothtrack.simulation.garments import towel
 
 FLAT = towel(0.2, 0.2, 0.02)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clothtrack.planning.actions import PickPlace, Workspace
+from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.planning.robots.robot import MotionLimits, waypoints
 
 LIMITS = MotionLimits(Workspace((-0.2, 0.2), (-0.1, 0.1), (0.0, 0.3)), 0.05, clearance_m=0.01)

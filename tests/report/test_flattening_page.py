@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
 from clothtrack.planning.flatten_config import FlattenConfig
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.planning_dynamics import MotionConfig, SimulatorConfig
 from clothtrack.report.flattening_page import (
     CONTROL,
     watched_live,

@@ -8,10 +8,10 @@ import torch
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.files.settings import with_settings
-from clothtrack.planning.dynamics import MotionConfig, SimulatorConfig
 from clothtrack.planning.flatten_config import FlattenConfig
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.planning_dynamics import MotionConfig, SimulatorConfig
 from clothtrack.reconstruction.data.state_store import LIST_FILE
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK

@@ -5,7 +5,7 @@ Each policy proposes actions for what is seen, the best first (`planning.flatten
 
 import numpy as np
 
-from clothtrack.planning.actions import (
+from clothtrack.planning.action_space import (
     ActionSpace,
     PickPlace,
     SeenCloth,

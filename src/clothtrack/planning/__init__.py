@@ -5,24 +5,24 @@ from typing import TYPE_CHECKING
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.planning.actions import (
+    from clothtrack.planning.action_space import (
         ActionSpace,
         PickPlace,
         SeenCloth,
         Workspace,
         sample_actions,
     )
-    from clothtrack.planning.dynamics import (
-        PlannedCloth,
-        PlanningDynamics,
-        SimulatorConfig,
-        SimulatorDynamics,
-    )
     from clothtrack.planning.episode_store import EpisodeStore
     from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
     from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area, improvement
     from clothtrack.planning.perception import Estimate, Perception, PerceptionConfig, perception_of
     from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
+    from clothtrack.planning.planning_dynamics import (
+        PlannedCloth,
+        PlanningDynamics,
+        SimulatorConfig,
+        SimulatorDynamics,
+    )
     from clothtrack.planning.reward import coverage
 else:
     __getattr__, __dir__ = lazy_names(__name__)

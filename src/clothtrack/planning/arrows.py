@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.action_space import PickPlace
 
 ARROW = (217, 70, 50)
 OUTLINE = (255, 255, 255)

@@ -8,15 +8,15 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.extras import install_command
-from clothtrack.planning.dynamics import (
+from clothtrack.planning.perception import PerceptionConfig
+from clothtrack.planning.planner import PlannerConfig
+from clothtrack.planning.planning_dynamics import (
     SHIPPED_WEIGHTS,
     PlanningDynamics,
     SimulatorConfig,
     SimulatorDynamics,
     several_materials,
 )
-from clothtrack.planning.perception import PerceptionConfig
-from clothtrack.planning.planner import PlannerConfig
 from clothtrack.reconstruction.availability import missing_modules, shipped_weights
 
 Policy = Literal["planned", "random", "outwards", "heuristic"]

@@ -15,12 +15,12 @@ import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.coverage import projected_area
-from clothtrack.planning.actions import PickPlace, SeenCloth
-from clothtrack.planning.dynamics import PlanningDynamics
+from clothtrack.planning.action_space import PickPlace, SeenCloth
 from clothtrack.planning.episode_store import EpisodeStore, write_step
 from clothtrack.planning.flatten_config import FlattenConfig, episode_identity, weights_used
 from clothtrack.planning.perception import Estimate, Look, Perception, label_of
 from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
+from clothtrack.planning.planning_dynamics import PlanningDynamics
 from clothtrack.planning.robots.robot import Execution, PickPlaceRobot
 from clothtrack.planning.seen import seen_area, seen_cloth
 from clothtrack.recordings.recording import ClothDescription, Table

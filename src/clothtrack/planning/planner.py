@@ -15,7 +15,7 @@ from jaxtyping import Float
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Checked, Count, Natural, NotNegative
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.planning.actions import (
+from clothtrack.planning.action_space import (
     ActionSpace,
     PickPlace,
     SeenCloth,
@@ -24,7 +24,7 @@ from clothtrack.planning.actions import (
     sample_actions,
 )
 from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
-from clothtrack.planning.dynamics import PlannedCloth, PlanningDynamics
+from clothtrack.planning.planning_dynamics import PlannedCloth, PlanningDynamics
 from clothtrack.planning.reward import coverage
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.coverage import projected_area
-from clothtrack.planning.actions import in_picture
+from clothtrack.planning.action_space import in_picture
 
 
 def coverage(

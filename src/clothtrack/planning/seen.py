@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import SeenCloth
+from clothtrack.planning.action_space import SeenCloth
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame, Recording, Table

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.arrows import draw_action, shown_depth
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flattening import Watch, improvement

@@ -31,7 +31,7 @@ from clothtrack.world.appearance import Appearance
 from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, misplaced, top_down_camera
-from clothtrack.world.template import TemplateConfig, laid_down, random_pose, template_mesh
+from clothtrack.world.template_mesh import TemplateConfig, laid_down, random_pose, template_mesh
 from clothtrack.world.tool import Tool
 
 logger = logging.getLogger(__name__)

@@ -17,11 +17,11 @@ import numpy as np
 
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.coverage import projected_area
-from clothtrack.planning.dynamics import PlanningDynamics
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
 from clothtrack.planning.flattening import EpisodeScene, Flattening, Propose, Watch
 from clothtrack.planning.perception import Perception, perception_of
+from clothtrack.planning.planning_dynamics import PlanningDynamics
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig

@@ -14,7 +14,7 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.planning.actions import PickPlace, Workspace
+from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.planning.robots.robot import Execution, MotionLimits, Reachability, RgbdFrame
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
@@ -25,7 +25,7 @@ from clothtrack.world.episodes import EpisodeConfig
 from clothtrack.world.flex import TIME_STEP_S, USUAL_CONTACT_S, FlexWorld
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, top_down_camera
-from clothtrack.world.template import laid_down, random_pose
+from clothtrack.world.template_mesh import laid_down, random_pose
 from clothtrack.world.tool import Tool
 
 MOST_DROPS = 5

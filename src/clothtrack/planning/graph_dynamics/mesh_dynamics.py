@@ -16,8 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.planning.actions import PickPlace
-from clothtrack.planning.dynamics import HeldPaths, MotionConfig, PlannedCloth
+from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.graph_dynamics.mesh_network import (
     MeshNetwork,
     MeshNetworkConfig,
@@ -25,6 +24,7 @@ from clothtrack.planning.graph_dynamics.mesh_network import (
     roll_out,
 )
 from clothtrack.planning.graph_dynamics.mesh_prior import Springs
+from clothtrack.planning.planning_dynamics import HeldPaths, MotionConfig, PlannedCloth
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 

@@ -25,9 +25,9 @@ from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import begin_run
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.planning.actions import ActionSpace, SeenCloth, pick_weights, sample_actions
+from clothtrack.planning.action_space import ActionSpace, SeenCloth, pick_weights, sample_actions
 from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
-from clothtrack.planning.dynamics import HeldPaths, MotionConfig, PlannedCloth
+from clothtrack.planning.planning_dynamics import HeldPaths, MotionConfig, PlannedCloth
 from clothtrack.reconstruction.data.crumpling import Crumpler
 from clothtrack.reconstruction.data.states import StatesConfig, draw_garment, draw_parameters
 from clothtrack.recordings.recording import Table

@@ -8,7 +8,7 @@ import numpy as np
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import write_file
-from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.arrows import draw_action, shown_depth
 from clothtrack.planning.robots.robot import (
     Execution,

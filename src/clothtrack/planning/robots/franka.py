@@ -18,7 +18,7 @@ from jaxtyping import Float
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Checked, NotNegative, Positive
 from clothtrack.files.extras import install_command
-from clothtrack.planning.actions import PickPlace, Workspace
+from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.planning.robots.robot import (
     Execution,
     MotionLimits,

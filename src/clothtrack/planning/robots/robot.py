@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import PickPlace, Workspace
+from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.recordings.recording import PickerPath
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from clothtrack.files.bounds import Checked, Count, Positive
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.planning.actions import PickPlace
+from clothtrack.planning.action_space import PickPlace
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver

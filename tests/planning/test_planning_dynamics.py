@@ -5,8 +5,8 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.coverage import projected_area
-from clothtrack.planning.actions import PickPlace
-from clothtrack.planning.dynamics import (
+from clothtrack.planning.action_space import PickPlace
+from clothtrack.planning.planning_dynamics import (
     HeldPaths,
     MotionConfig,
     PlannedCloth,

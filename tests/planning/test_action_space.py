@@ -7,7 +7,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
-from clothtrack.planning.actions import (
+from clothtrack.planning.action_space import (
     PICTURE_MARGIN,
     RELEASE_HEIGHT_M,
     ActionSpace,
