@@ -116,8 +116,8 @@ def slide_to_outline(
         return vertices
     simplex = np.vstack([np.zeros(3), FIRST_STEP_M * np.eye(3)])
     options = {"initial_simplex": simplex, "maxfev": trials, "xatol": 3e-4, "fatol": 1e-4}
-    found = minimize(gap, np.zeros(3), method="Nelder-Mead", options=options)
-    return moved(found.x) if found.fun < first else vertices
+    best = minimize(gap, np.zeros(3), method="Nelder-Mead", options=options)
+    return moved(best.x) if best.fun < first else vertices
 
 
 def _picture(

@@ -109,7 +109,7 @@ def label_evidence(
     Raises:
         InvalidResultError: a label belongs to a frame that the recording does not have.
     """
-    found = []
+    evidence = []
     travelled, previous = 0.0, np.asarray(mesh.vertices, np.float64)
     for number, label in enumerate(labels, 1):
         if label.frame >= len(recording.frames):
@@ -123,7 +123,7 @@ def label_evidence(
         cloud = thin(dense.points, CLOUD_SPACING_M)
         seen = visible_vertices(label.vertices, mesh.faces, recording.cameras, device=device)
         judged = seen & ~dense.unobservable(label.vertices)
-        found.append(
+        evidence.append(
             LabelEvidence(
                 silhouette_gap=silhouette_gap(mesh, label.vertices, dense, device=device),
                 cloud_gap_m=cloud_gap_m(mesh, label.vertices, cloud),
@@ -136,7 +136,7 @@ def label_evidence(
                 action=number,
             )
         )
-    return tuple(found)
+    return tuple(evidence)
 
 
 def cloud_gap_m(

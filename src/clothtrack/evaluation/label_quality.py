@@ -132,8 +132,8 @@ class QualityModel(Checked):
         """
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
-            found = document["format"], document["version"]
-            if found == (FORMAT, FORMAT_VERSION):
+            stored = document["format"], document["version"]
+            if stored == (FORMAT, FORMAT_VERSION):
                 keys = ("log_error", "weights", "typical_error_m", "provenance")
                 return cls(**{key: document[key] for key in keys})
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -142,7 +142,7 @@ class QualityModel(Checked):
                 "python experiments label_quality --fit writes one"
             ) from error
         raise InvalidResultError(
-            f"{path}: format and version are {found}, expected {(FORMAT, FORMAT_VERSION)}; "
+            f"{path}: format and version are {stored}, expected {(FORMAT, FORMAT_VERSION)}; "
             "fit it again with python experiments label_quality --fit"
         )
 

@@ -68,12 +68,13 @@ class LabelReview:
     @property
     def rejected(self) -> frozenset[int]:
         """Numbers of the actions whose label was rejected."""
-        return frozenset(one.action for one in self.labels if one.verdict == "rejected")
+        return frozenset(label.action for label in self.labels if label.verdict == "rejected")
 
     def decided(self, action: int, verdict: Verdict) -> "LabelReview":
         """The same review with one decision more, or another one."""
         labels = tuple(
-            replace(one, verdict=verdict) if one.action == action else one for one in self.labels
+            replace(label, verdict=verdict) if label.action == action else label
+            for label in self.labels
         )
         return replace(self, labels=labels)
 
@@ -83,7 +84,7 @@ class LabelReview:
             "format": FORMAT,
             "version": FORMAT_VERSION,
             "trajectory": self.name,
-            "labels": [vars(one) for one in self.labels],
+            "labels": [vars(label) for label in self.labels],
         }
 
     def save(self, path: Path) -> None:
@@ -113,10 +114,10 @@ def read_review(path: Path, tracked: TrackedTrajectory) -> LabelReview:
         return blank
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        found = document["format"], document["version"]
-        if found != (FORMAT, FORMAT_VERSION):
-            raise ValueError(f"format and version are {found}")
-        verdicts = {_key(one): one["verdict"] for one in document["labels"]}
+        stored = document["format"], document["version"]
+        if stored != (FORMAT, FORMAT_VERSION):
+            raise ValueError(f"format and version are {stored}")
+        verdicts = {_key(label): label["verdict"] for label in document["labels"]}
         for verdict in verdicts.values():
             if verdict not in get_args(Verdict):
                 raise ValueError(f"a verdict is {verdict!r}")
@@ -126,14 +127,14 @@ def read_review(path: Path, tracked: TrackedTrajectory) -> LabelReview:
             f"{path}: not a review of version {FORMAT_VERSION} ({error}); remove it, and review "
             f"the labels again with: clothtrack view {tracked.name}.zarr"
         ) from error
-    expected = [_key(vars(one)) for one in blank.labels]
+    expected = [_key(vars(label)) for label in blank.labels]
     if name != tracked.name or list(verdicts) != expected:
         raise InvalidResultError(
             f"{path}: reviews other meshes than {tracked.name} has now (it was tracked again "
             "since, or the file belongs elsewhere); remove it, and review the labels again"
         )
     labels = zip(blank.labels, verdicts.values(), strict=True)
-    return replace(blank, labels=tuple(replace(one, verdict=text) for one, text in labels))
+    return replace(blank, labels=tuple(replace(label, verdict=text) for label, text in labels))
 
 
 def _key(label: Mapping[str, Any]) -> tuple[int, int, str]:

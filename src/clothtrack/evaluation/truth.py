@@ -55,8 +55,8 @@ class Truth:
 
     def at(self, frame: int) -> Float[np.ndarray, "vertices 3"] | None:
         """True vertices [m] at a frame of the recording; None when that frame is not known."""
-        found = np.flatnonzero(self.frames == frame)
-        return None if len(found) == 0 else self.positions[found[0]]
+        places = np.flatnonzero(self.frames == frame)
+        return None if len(places) == 0 else self.positions[places[0]]
 
 
 def material_map(

@@ -193,24 +193,24 @@ def sample_actions(
     cloud = seen.cloud
     weights = pick_weights(cloud) if weights is None else weights
     middle = cloud[:, :2].mean(axis=0)
-    found: list[PickPlace] = []
+    actions: list[PickPlace] = []
     for _ in range(20):
-        wanted = 2 * (count - len(found))
-        if wanted <= 0:
+        missing = 2 * (count - len(actions))
+        if missing <= 0:
             break
-        near = rng.choice(len(cloud), wanted, p=weights)
+        near = rng.choice(len(cloud), missing, p=weights)
         picks = np.where(
-            rng.random(wanted) < space.edges, near, rng.integers(len(cloud), size=wanted)
+            rng.random(missing) < space.edges, near, rng.integers(len(cloud), size=missing)
         )
         pick = cloud[picks].astype(np.float64)
         outward = np.arctan2(*(pick[:, :2] - middle).T[::-1])
-        spread = np.where(rng.random(wanted) < OUTWARDS, np.pi / 3.0, np.pi)
-        heading = outward + spread * rng.uniform(-1.0, 1.0, wanted)
-        way = rng.uniform(*space.distance_m, wanted)
+        spread = np.where(rng.random(missing) < OUTWARDS, np.pi / 3.0, np.pi)
+        heading = outward + spread * rng.uniform(-1.0, 1.0, missing)
+        way = rng.uniform(*space.distance_m, missing)
         step = way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        lift = rng.uniform(*space.lift_m, wanted)
-        found += within_limits(seen, pick, pick[:, :2] + step, lift, space)
-    return found[:count]
+        lift = rng.uniform(*space.lift_m, missing)
+        actions += within_limits(seen, pick, pick[:, :2] + step, lift, space)
+    return actions[:count]
 
 
 def within_limits(
@@ -275,5 +275,5 @@ def in_picture(
 
 def off_cloth(seen: SeenCloth, actions: Sequence[PickPlace]) -> Float[np.ndarray, " actions"]:
     """How far each place is from the nearest cloth that is seen, from above [m]."""
-    places = np.array([one.place[:2] for one in actions]).reshape(-1, 2)
+    places = np.array([action.place[:2] for action in actions]).reshape(-1, 2)
     return cKDTree(seen.cloud[:, :2]).query(places)[0]

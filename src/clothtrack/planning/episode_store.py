@@ -61,7 +61,7 @@ class EpisodeStore:
         self.folder = Path(folder)
         path = self.folder / DOCUMENT
         if not path.exists():
-            names = {name: one.name for name, one in (weights or {}).items()}
+            names = {name: weights_file.name for name, weights_file in (weights or {}).items()}
             self.document: dict[str, Any] = {
                 "asked": as_plain(asked),
                 "made_with": {**made_with(PACKAGES), "weights": names},
@@ -71,9 +71,9 @@ class EpisodeStore:
             self.write()
             return
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))
+            document = json.loads(path.read_text(encoding="utf-8"))
             parts = ("asked", "made_with", "status", "steps")
-            self.document = {name: found[name] for name in parts}
+            self.document = {name: document[name] for name in parts}
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InvalidResultError(
                 f"{path}: not an episode ({error}); remove its folder and begin again"
@@ -120,13 +120,15 @@ class EpisodeStore:
             StorageError: the disk refuses.
         """
         path = self.folder / "estimates" / f"{step:02d}.npz"
-        arrays: dict[str, np.ndarray] = {"sources": np.array([one.source for one in estimates])}
-        for number, one in enumerate(estimates):
-            arrays[f"flat_{number}"] = one.flat.vertices
-            arrays[f"faces_{number}"] = one.flat.faces
-            arrays[f"positions_{number}"] = one.positions
-            if one.flat.canonical is not None:
-                arrays[f"canonical_{number}"] = one.flat.canonical
+        arrays: dict[str, np.ndarray] = {
+            "sources": np.array([estimate.source for estimate in estimates])
+        }
+        for number, estimate in enumerate(estimates):
+            arrays[f"flat_{number}"] = estimate.flat.vertices
+            arrays[f"faces_{number}"] = estimate.flat.faces
+            arrays[f"positions_{number}"] = estimate.positions
+            if estimate.flat.canonical is not None:
+                arrays[f"canonical_{number}"] = estimate.flat.canonical
         with atomic_file(path) as unfinished:
             np.savez_compressed(unfinished, **arrays)
 

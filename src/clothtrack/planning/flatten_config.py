@@ -92,5 +92,5 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningD
         weights = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
         return [load_mesh_dynamics(weights, device=device)]
     materials = several_materials(config.simulator.parameters, config.materials, _OF_MATERIALS)
-    asked = [replace(config.simulator, parameters=one) for one in materials]
-    return [SimulatorDynamics(one, device=device) for one in asked]
+    configs = [replace(config.simulator, parameters=material) for material in materials]
+    return [SimulatorDynamics(simulator, device=device) for simulator in configs]

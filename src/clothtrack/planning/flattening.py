@@ -211,8 +211,8 @@ class Flattening:
             table=self._scene.table, execution=execution,
         )  # fmt: skip
         look = Look(recording, acted=True, before=estimates)
-        text = _told(number + 1, decision, decision.action, execution)
-        return look, self._finish_step(store, look, text)
+        row = _step_row(number + 1, decision, decision.action, execution)
+        return look, self._finish_step(store, look, row)
 
     def _decide(
         self, look: Look, estimates: Sequence[Estimate], number: int, again: int = 0
@@ -225,7 +225,7 @@ class Flattening:
             proposed = self._propose(seen, self._config.planner, rng)
             return Decision(self._reachable(proposed), 0.0)
         kind = self._scene.cloth.kind
-        beliefs = [Hypothesis(one.flat, one.positions, kind) for one in estimates]
+        beliefs = [Hypothesis(estimate.flat, estimate.positions, kind) for estimate in estimates]
         decision = self._planner.decide(beliefs, seen, rng)
         order = np.argsort(-decision.worth_m2, kind="stable")
         good = [k for k in order if decision.gains_m2[k] > 0.0]
@@ -239,30 +239,30 @@ class Flattening:
     def _reachable(self, actions: Sequence[PickPlace]) -> PickPlace | None:
         """The first of the actions that the robot does not refuse."""
         for action in actions:
-            found = self._robot.check(action)
-            if found.reachable:
+            reachability = self._robot.check(action)
+            if reachability.reachable:
                 return action
-            logger.info("an action is not reachable: %s", found.reason)
+            logger.info("an action is not reachable: %s", reachability.reason)
         return None
 
-    def _finish_step(self, store: EpisodeStore, look: Look, told: dict[str, Any]) -> list[Estimate]:
+    def _finish_step(self, store: EpisodeStore, look: Look, row: dict[str, Any]) -> list[Estimate]:
         """Perceive, measure, and write everything down; the step is finished then."""
         clock, cpu = time.perf_counter(), time.process_time()
         estimates = [] if self._perception is None else self._perception.perceive(look)
-        told["perception_s"] = time.perf_counter() - clock
-        told["perception_cpu_s"] = time.process_time() - cpu
-        told["sources"] = [one.source for one in estimates]
+        row["perception_s"] = time.perf_counter() - clock
+        row["perception_cpu_s"] = time.process_time() - cpu
+        row["sources"] = [estimate.source for estimate in estimates]
         flat = self._scene.flat_area_m2
         if flat is None and estimates:
             flat = projected_area(estimates[0].flat.vertices, estimates[0].flat.faces)
-        told["seen_m2"] = seen_area(look.recording, look.frame)
-        told["flat_m2"] = flat
-        told["true_m2"] = None if self._score is None else self._score()
+        row["seen_m2"] = seen_area(look.recording, look.frame)
+        row["flat_m2"] = flat
+        row["true_m2"] = None if self._score is None else self._score()
         if estimates:
-            store.add_estimates(told["step"], estimates)
+            store.add_estimates(row["step"], estimates)
         if self._checkpoint is not None:
-            self._checkpoint.save(told["step"])
-        store.steps.append(told)
+            self._checkpoint.save(row["step"])
+        store.steps.append(row)
         store.write()
         return estimates
 
@@ -278,7 +278,7 @@ class Flattening:
         return ""
 
 
-def _told(
+def _step_row(
     number: int, decision: Decision, action: PickPlace, execution: Execution
 ) -> dict[str, Any]:
     return {

@@ -153,14 +153,14 @@ class NetworkPerception:
         depth, mask, camera = cloth_picture(recording, look.frame)
         picture = DepthInput(depth, mask, camera, recording.table, self._kind)
         views, observation = self._config.views, look.observation()
-        made = [
+        attempts = [
             self._reconstructed(picture, 2.0 * np.pi * view / views, recording, observation)
             for view in range(views)
         ]
-        estimates = [one for one in made if isinstance(one, Estimate)]
+        estimates = [estimate for estimate in attempts if isinstance(estimate, Estimate)]
         if not estimates:
             raise InvalidRecordingError(
-                f"{recording.folder}: the network makes no mesh of it ({made[0]}); flattening "
+                f"{recording.folder}: the network makes no mesh of it ({attempts[0]}); flattening "
                 "needs a table and a mesh"
             )
         return estimates
@@ -176,7 +176,7 @@ class NetworkPerception:
         from clothtrack.reconstruction.from_picture import laid_flat, network_mesh
 
         config = self._config
-        found = network_mesh(
+        result = network_mesh(
             self._model,
             picture,
             self._kind,
@@ -187,10 +187,10 @@ class NetworkPerception:
             observation=observation,
             device=self._device,
         )
-        rest = found.reconstruction.rest
-        if found.mesh is None or rest is None or recording.table is None:
-            return found.reconstruction.status
-        positions = found.mesh.vertices.astype(np.float64)
+        rest = result.reconstruction.rest
+        if result.mesh is None or rest is None or recording.table is None:
+            return result.reconstruction.status
+        positions = result.mesh.vertices.astype(np.float64)
         flat = laid_flat(rest, positions, recording.table, RESTING_HEIGHT_M)
         return Estimate(flat, positions, "network")
 
@@ -204,7 +204,7 @@ class TrackerPerception:
 
     def perceive(self, look: Look) -> list[Estimate]:
         """The tracked estimate; a fresh one before any action, or when nothing can be tracked."""
-        before = [one for one in look.before if one.source != "control: truth"]
+        before = [estimate for estimate in look.before if estimate.source != "control: truth"]
         if not look.acted or not before or not look.recording.actions:
             return self._first.perceive(look)
         recording, start = look.recording, before[0]

@@ -125,11 +125,12 @@ class HeldPaths:
         cls, cloth: PlannedCloth, actions: Sequence[PickPlace | None], motion: MotionConfig
     ) -> "HeldPaths":
         """The held vertices' ways: they keep their place beside the tip."""
-        held = [None if one is None else held_vertex(cloth, one) for one in actions]
+        held = [None if action is None else held_vertex(cloth, action) for action in actions]
         paths = [
-            np.zeros((0, 3)) if one is None or vertex is None
-            else one.path(motion.speed, motion.time_step_s) + cloth.positions[vertex] - one.pick
-            for one, vertex in zip(actions, held, strict=True)
+            np.zeros((0, 3)) if action is None or vertex is None
+            else action.path(motion.speed, motion.time_step_s)
+            + cloth.positions[vertex] - action.pick
+            for action, vertex in zip(actions, held, strict=True)
         ]  # fmt: skip
         steps = np.array([len(path) for path in paths], dtype=np.int64)
         ways = np.zeros((len(actions), int(steps.max(initial=0)), 3))
@@ -137,7 +138,7 @@ class HeldPaths:
             if len(path):
                 ways[index, : len(path)] = path
                 ways[index, len(path) :] = path[-1]
-        vertices = np.array([-1 if one is None else one for one in held], dtype=np.int64)
+        vertices = np.array([-1 if vertex is None else vertex for vertex in held], dtype=np.int64)
         return cls(vertices, ways, steps)
 
     def batches(self, size: int) -> list[Int[np.ndarray, " chosen"]]:

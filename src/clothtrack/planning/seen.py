@@ -51,7 +51,7 @@ def picture_mask(recording: Recording, frame: Frame) -> PictureMask:
     Raises:
         InvalidRecordingError: no camera has depth, or a file cannot be read.
     """
-    camera = next((one for one in recording.cameras if one.name in frame.depth), None)
+    camera = next((camera for camera in recording.cameras if camera.name in frame.depth), None)
     if camera is None:
         raise InvalidRecordingError(
             f"{recording.folder}: frame {frame.index} has no depth picture; record one"

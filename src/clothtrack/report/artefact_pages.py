@@ -36,13 +36,13 @@ class IndexEntry:
     Attributes:
         name: of the trajectory.
         page: its report, beside the index; None where there is none.
-        told: what is known of it: what was tracked, or why there is no report.
+        description: what is known of it: what was tracked, or why there is no report.
         verdicts: what a person decided about its labels.
     """
 
     name: str
     page: Path | None
-    told: str
+    description: str
     verdicts: str = ""
 
 
@@ -148,8 +148,9 @@ def write_index(entries: Sequence[IndexEntry], title: str, path: Path) -> Path:
         StorageError: when the disk refuses.
     """
     rows = "".join(
-        f"<tr><th>{_link(one)}</th><td>{escape(one.told)}</td><td>{escape(one.verdicts)}</td></tr>"
-        for one in entries
+        f"<tr><th>{_link(entry)}</th><td>{escape(entry.description)}</td>"
+        f"<td>{escape(entry.verdicts)}</td></tr>"
+        for entry in entries
     )
     body = (
         f'<p class="lead">{len(entries)} tracked trajectories</p><table class="index"><thead><tr>'

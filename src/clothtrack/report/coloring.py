@@ -59,12 +59,12 @@ def colorings(
     Raises:
         InvalidResultError: the truth is of another garment or another recording.
     """
-    found = [cloud_gaps(tracked, clouds)]
+    colorings = [cloud_gaps(tracked, clouds)]
     if judged:
-        found.append(expected_errors(tracked, judged))
+        colorings.append(expected_errors(tracked, judged))
     if truth is not None:
-        found.append(truth_errors(tracked, truth))
-    return tuple(found)
+        colorings.append(truth_errors(tracked, truth))
+    return tuple(colorings)
 
 
 def judged_or_none(tracked: TrackedTrajectory, recording: Recording) -> tuple[LabelQuality, ...]:

@@ -59,8 +59,8 @@ def observed_points(
     recording: Recording, frame: Frame, observer: Observer = observed
 ) -> Float[np.ndarray, "points 3"]:
     """The observed cloth of a frame [m, world]; empty when it cannot be had."""
-    found = observer(recording, frame)
-    return np.empty((0, 3)) if found is None else found.points
+    observation = observer(recording, frame)
+    return np.empty((0, 3)) if observation is None else observation.points
 
 
 def evidence_of(
@@ -71,11 +71,11 @@ def evidence_of(
     clouds, rms_mm = [], np.full(len(tracked.frames), np.nan)
     steps = zip(tracked.frames.tolist(), tracked.time_s.tolist(), strict=True)
     for step, (index, time_s) in enumerate(steps):
-        found = observer(recording, frames.get(index) or Frame(index, time_s))
-        clouds.append(np.empty((0, 3)) if found is None else found.points)
-        if found is not None:
+        observation = observer(recording, frames.get(index) or Frame(index, time_s))
+        clouds.append(np.empty((0, 3)) if observation is None else observation.points)
+        if observation is not None:
             vertices = tracked.positions[step].astype(np.float64)
-            chamfer = observed_chamfer(vertices, tracked.visible[step], found)
+            chamfer = observed_chamfer(vertices, tracked.visible[step], observation)
             rms_mm[step] = root_mean_square_mm(chamfer)
     return Evidence(clouds, rms_mm)
 

@@ -67,10 +67,10 @@ class Layers:
         centres = corners.mean(axis=1)
         radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
         reach = 1.01 * radii + np.linalg.norm(self._aside)
-        found = cKDTree(flat).query_ball_point(centres, reach, return_sorted=False)
-        counts = np.array([len(one) for one in found])
-        vertex = np.fromiter(chain.from_iterable(found), np.int64, count=int(counts.sum()))
-        return np.repeat(np.arange(len(found)), counts), vertex
+        near = cKDTree(flat).query_ball_point(centres, reach, return_sorted=False)
+        counts = np.array([len(one) for one in near])
+        vertex = np.fromiter(chain.from_iterable(near), np.int64, count=int(counts.sum()))
+        return np.repeat(np.arange(len(near)), counts), vertex
 
 
 def _wedge(

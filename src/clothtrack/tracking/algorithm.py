@@ -73,9 +73,9 @@ def follow(
         picker_action = grasps.action(before.time_s, frame.time_s)
         predicted = dyn(state, picker_action)  # x'_{t+1} = dyn(x_t, a_t)
         correction = align(predicted, observe(frame))  # TTO1, Sec. III-B.2
-        found = line_search(dyn, state, picker_action, predicted, correction)  # Sec. III-B.3
-        notes.step(frame, correction, found)
-        state = found.state  # x_{t+1} = dyn(x_t, a_t, a~_t)
+        corrected = line_search(dyn, state, picker_action, predicted, correction)  # Sec. III-B.3
+        notes.step(frame, correction, corrected)
+        state = corrected.state  # x_{t+1} = dyn(x_t, a_t, a~_t)
     last = parts.align_last(state, observe(frames[-1]), grasps.closed_at(frames[-1].time_s))  # TTO2
     return notes.finished(theta, grasps, last)
 

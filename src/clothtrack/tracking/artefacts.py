@@ -44,7 +44,7 @@ def recording_of(tracked: "TrackedTrajectory", path: Path, artefact: Path) -> "R
 
     folder = path if (path / "recording.json").exists() else inside(path, tracked.name)
     recording = read_recording(folder)
-    if tracked.provenance.get(DIGEST_FIELD, found := recording_digest(recording)) != found:
+    if tracked.provenance.get(DIGEST_FIELD, digest := recording_digest(recording)) != digest:
         logger.warning(
             "%s is older than its recording %s (which was changed since, or is another one); "
             "track it again",

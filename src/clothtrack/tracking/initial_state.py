@@ -117,22 +117,22 @@ def _doubt(recording: Recording, misfit_m: float) -> None:
 def _weights(recording: Recording, config: InitialStateConfig) -> Path | None:
     """The weights to ask, or None for the flat fit; what was asked for by name is not left out."""
     kind = recording.cloth.kind
-    given = Path(config.weights) if config.weights else None
-    wanted = config.source == "network" or given is not None
+    named = Path(config.weights) if config.weights else None
+    asked = config.source == "network" or named is not None
     obstacle = _obstacle(recording)
-    if wanted and obstacle:
+    if asked and obstacle:
         raise InvalidRecordingError(
             f"{recording.folder}: {obstacle}, so that the network cannot be asked for the first "
             "mesh; use initial_state.source=flat, or give cloth.template"
         )
     missing = missing_modules()
-    if wanted and missing:
+    if asked and missing:
         raise InvalidConfigError(
             f"the first mesh is to come from the network, which needs {', '.join(missing)}; "
             f"install with: {install_command('learn')}, or use initial_state.source=flat"
         )
-    weights = given or shipped_weights(kind)
-    if weights is None and wanted:
+    weights = named or shipped_weights(kind)
+    if weights is None and asked:
         raise InvalidConfigError(
             f"initial_state.source is network, and no weights for {kind!r} come with this "
             "installation; name some with --weights, or use initial_state.source=flat"
@@ -177,7 +177,7 @@ def _from_network(
 
     kind, table = recording.cloth.kind, recording.table
     depth, mask, camera = cloth_picture(recording, recording.frames[0], segmenter)
-    found = network_mesh(
+    result = network_mesh(
         load_model(kind, weights, device=device),
         DepthInput(depth, mask, camera, table, kind),
         kind,
@@ -187,18 +187,18 @@ def _from_network(
         observation=observation,
         device=device,
     )
-    rest = found.reconstruction.rest
-    if found.mesh is None or rest is None or table is None:
+    rest = result.reconstruction.rest
+    if result.mesh is None or rest is None or table is None:
         raise InvalidRecordingError(
             f"{recording.folder}: the network makes no mesh of the first frame "
-            f"({found.reconstruction.status}); use initial_state.source=flat"
+            f"({result.reconstruction.status}); use initial_state.source=flat"
         )
-    positions = front_up(rest, found.mesh.vertices.astype(np.float64), kind)
+    positions = front_up(rest, result.mesh.vertices.astype(np.float64), kind)
     origin = {
         "source": "network",
         "weights": weights.name,
         "weights_sha256": content_hash(weights),
-        "refined": found.refinement is not None and found.refinement.chosen > 0,
+        "refined": result.refinement is not None and result.refinement.chosen > 0,
     }
     mesh = laid_flat(rest, positions, table, RESTING_HEIGHT_M)
     return InitialState(mesh, positions, origin)

@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 CLOUDS_KEPT = 128
 """Most clouds in memory, however long an action is: some 50 MB with pictures of 640 x 480."""
 
-PARTS = tuple(one.name for one in fields(Parts))
+PARTS = tuple(part.name for part in fields(Parts))
 """The parts of Algorithm 1 that a caller may replace (`tracking.seams.Parts`)."""
 
 
@@ -248,11 +248,11 @@ def _track_folder(
 
 
 def _refuse_other_settings(path: Path, earlier: Mapping[str, Any], config: RunConfig) -> None:
-    found = earlier.get("config_hash")
-    if found != config_hash(config):
+    earlier_hash = earlier.get("config_hash")
+    if earlier_hash != config_hash(config):
         raise InvalidConfigError(
-            f"{path} was tracked with other settings or by another version (hash {found}, now "
-            f"{config_hash(config)}); choose another --output, or remove it and track again"
+            f"{path} was tracked with other settings or by another version (hash {earlier_hash}, "
+            f"now {config_hash(config)}); choose another --output, or remove it and track again"
         )
 
 

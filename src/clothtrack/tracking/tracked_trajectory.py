@@ -242,15 +242,15 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
 
 
 def _read(group: zarr.Group) -> TrackedTrajectory:
-    found = group.attrs.get("format"), group.attrs.get("version")
-    if found[0] != FORMAT:
+    stored = group.attrs.get("format"), group.attrs.get("version")
+    if stored[0] != FORMAT:
         raise InvalidResultError(
-            f"its format is {found[0]!r}, expected {FORMAT!r}: it was not finished or is something "
-            "else"
+            f"its format is {stored[0]!r}, expected {FORMAT!r}: it was not finished or is "
+            "something else"
         )
-    if found[1] != FORMAT_VERSION:
+    if stored[1] != FORMAT_VERSION:
         raise InvalidResultError(
-            f"it is of version {found[1]!r}, this clothtrack reads {FORMAT_VERSION}: another one "
+            f"it is of version {stored[1]!r}, this clothtrack reads {FORMAT_VERSION}: another one "
             "wrote it"
         )
     attributes = sealed_attributes(group)

@@ -40,7 +40,7 @@ Entry = dict[str, Any]
 
 def generate_bench(
     out: Path,
-    wanted: Sequence[BenchTrajectory] | None = None,
+    selected: Sequence[BenchTrajectory] | None = None,
     *,
     processes: int = 1,
     progress: Progress | None = None,
@@ -52,7 +52,7 @@ def generate_bench(
 
     Args:
         out: folder of the benchmark.
-        wanted: which trajectories; all of the benchmark when None.
+        selected: which trajectories; all of the benchmark when None.
         processes: worker processes.
         progress: called after each trajectory, kept ones included.
 
@@ -67,28 +67,28 @@ def generate_bench(
         StorageError: the disk refuses.
     """
     require_workers(processes)
-    out, wanted = Path(out), list(trajectories() if wanted is None else wanted)
+    out, selected = Path(out), list(trajectories() if selected is None else selected)
     listed = _read_list(out)
-    for one in wanted:
-        _refuse_other_settings(out, one, listed.get(one.name))
+    for trajectory in selected:
+        _refuse_other_settings(out, trajectory, listed.get(trajectory.name))
     missing, done = [], 0
-    for one in wanted:
-        if one.name in listed and not damage(out, listed[one.name]):
+    for trajectory in selected:
+        if trajectory.name in listed and not damage(out, listed[trajectory.name]):
             done += 1
             if progress is not None:
-                progress(one.name, done, len(wanted))
+                progress(trajectory.name, done, len(selected))
         else:
-            missing.append(one)
-            listed.pop(one.name, None)
-            _remove(out, one.name)
+            missing.append(trajectory)
+            listed.pop(trajectory.name, None)
+            _remove(out, trajectory.name)
     with closing(_filmed(missing, out, processes)) as entries:
         for entry in entries:
             listed[entry["name"]] = entry
             _write_list(out, listed)
             done += 1
             if progress is not None:
-                progress(entry["name"], done, len(wanted))
-    return [listed[one.name] for one in wanted]
+                progress(entry["name"], done, len(selected))
+    return [listed[trajectory.name] for trajectory in selected]
 
 
 def table(entries: Sequence[Entry]) -> str:
@@ -104,12 +104,12 @@ def table(entries: Sequence[Entry]) -> str:
     return "\n".join(lines)
 
 
-def verify_bench(out: Path, wanted: Sequence[BenchTrajectory] | None = None) -> list[str]:
+def verify_bench(out: Path, selected: Sequence[BenchTrajectory] | None = None) -> list[str]:
     """What is wrong with a benchmark on disk: one line per trajectory that is not as listed.
 
     Args:
         out: folder of the benchmark.
-        wanted: trajectories that must be there; those of the list when None.
+        selected: trajectories that must be there; those of the list when None.
 
     Raises:
         InvalidResultError: there is no list, or it cannot be read.
@@ -120,13 +120,13 @@ def verify_bench(out: Path, wanted: Sequence[BenchTrajectory] | None = None) -> 
             f"{out}: no {LIST_FILE} with trajectories in it; give the folder that the benchmark "
             "was generated or unpacked into"
         )
-    names = listed if wanted is None else [one.name for one in wanted]
-    found = []
+    names = listed if selected is None else [trajectory.name for trajectory in selected]
+    problems = []
     for name in names:
         wrong = damage(out, listed[name]) if name in listed else f"not in {LIST_FILE}"
         if wrong:
-            found.append(f"{name}: {wrong}")
-    return found
+            problems.append(f"{name}: {wrong}")
+    return problems
 
 
 def damage(out: Path, entry: Mapping[str, Any]) -> str:
@@ -212,7 +212,7 @@ def _filmed(
     missing: Sequence[BenchTrajectory], out: Path, processes: int
 ) -> Generator[Entry, None, None]:
     """Film trajectories; their entries in the order in which they are finished."""
-    unfinished = {one.name for one in missing}
+    unfinished = {trajectory.name for trajectory in missing}
     try:
         with closing(finished_in_workers(partial(_film, out=out), missing, processes)) as entries:
             for entry in entries:
@@ -280,8 +280,11 @@ def _read_list(out: Path) -> dict[str, Entry]:
 
 def _write_list(out: Path, listed: Mapping[str, Entry]) -> None:
     """Write the list under a temporary name, then rename it."""
-    order = {one.name: number for number, one in enumerate(trajectories())}
-    entries = sorted(listed.values(), key=lambda one: (order.get(one["name"], -1), one["name"]))
+    order = {trajectory.name: number for number, trajectory in enumerate(trajectories())}
+    entries = sorted(
+        listed.values(),
+        key=lambda entry: (order.get(entry["name"], -1), entry["name"]),
+    )
     document = {
         "name": NAME,
         "format": FORMAT,

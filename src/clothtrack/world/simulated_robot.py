@@ -133,9 +133,9 @@ class SimulatedRobot:
 
     def execute(self, action: PickPlace) -> Execution:
         """Pick up what lies at the pick, carry it, let it go, and wait until it rests."""
-        found = self.check(action)
-        if not found.reachable:
-            raise InvalidConfigError(f"refused before moving: {found.reason}")
+        reachability = self.check(action)
+        if not reachability.reachable:
+            raise InvalidConfigError(f"refused before moving: {reachability.reason}")
         episode = self._episode
         way = _Path(self)
         away = self._scene.out_of_picture(action.pick)
@@ -174,7 +174,7 @@ class SimulatedRobot:
         """Lift the cloth at a random vertex, bring it over the middle of the table, let it go."""
         episode = self._episode
         self._world.settle(speed=episode.settle_speed, limit_s=episode.settle_limit_s)
-        wanted = CRUMPLED * projected_area(self._flat.vertices, self._flat.faces)
+        most_area_m2 = CRUMPLED * projected_area(self._flat.vertices, self._flat.faces)
         for _ in range(MOST_DROPS):
             positions = self._world.positions
             vertex = int(self._of_start.integers(len(positions)))
@@ -191,7 +191,7 @@ class SimulatedRobot:
                 self._world.step()
             self._world.release()
             self._world.settle(speed=episode.settle_speed, limit_s=1.0 + episode.settle_limit_s)
-            if projected_area(self._world.positions, self._flat.faces) < wanted:
+            if projected_area(self._world.positions, self._flat.faces) < most_area_m2:
                 break
 
     def save(self, path: Path) -> None:

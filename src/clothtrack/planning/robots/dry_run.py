@@ -66,9 +66,9 @@ class DryRunRobot:
             InvalidConfigError: the action is outside a limit.
             StorageError: the disk refuses.
         """
-        found = self.check(action)
-        if not found.reachable:
-            raise InvalidConfigError(f"refused: {found.reason}")
+        reachability = self.check(action)
+        if not reachability.reachable:
+            raise InvalidConfigError(f"refused: {reachability.reason}")
         frame = self._latest or self.observe()
         number = len(list(self.folder.glob("action_*.json")))
         points = waypoints(action)

@@ -148,9 +148,9 @@ class FrankaRobot:
         Raises:
             InvalidConfigError: the action is outside a limit, or nothing may move; nothing has.
         """
-        found = self.check(action)
-        if not found.reachable:
-            raise InvalidConfigError(f"refused before moving: {found.reason}")
+        reachability = self.check(action)
+        if not reachability.reachable:
+            raise InvalidConfigError(f"refused before moving: {reachability.reason}")
         self._require_motion()
         way = _MeasuredPath(self)
         points = self._points(action)
