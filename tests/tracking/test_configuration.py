@@ -25,7 +25,7 @@ def test_contradictions_name_the_field(field: str, value: object) -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("solver", "newton"), ("iterations", 0), ("rounds", 0), ("roll_s", -0.1)],
+    [("iterations", 0), ("rounds", 0), ("roll_s", -0.1)],
 )
 def test_a_final_alignment_that_cannot_be_is_refused(field: str, value: object) -> None:
     with pytest.raises(InvalidConfigError, match=rf"final_alignment\.{field} is "):
