@@ -30,6 +30,7 @@ OBJECTIVES = {
     "paper": AlignmentConfig(two_way_weight=0.0, length_weight=0.0, icp_inner=6, icp_momentum=1.0),
     "two-way and length": AlignmentConfig(),
 }
+ITERATIONS = {"adam": 200, "icp": 8}
 SIZES = {"1,000": (33, 0.32, 2000), "1,500": (39, 0.38, 1700), "4,000": (64, 0.35, 3800)}
 
 
@@ -125,7 +126,8 @@ def compare(size: str, objective: str, *, repeats: int) -> dict[str, object]:
     config = OBJECTIVES[objective]
     mesh, positions, cloud, visible = folded_cloth(*SIZES[size])
     solvers = {
-        solver: CloudAligner(mesh, replace(config, solver=solver)) for solver in ("adam", "icp")
+        solver: CloudAligner(mesh, replace(config, solver=solver, iterations=iterations))
+        for solver, iterations in ITERATIONS.items()
     }
 
     def solve(solver: str) -> float:

@@ -23,7 +23,8 @@ class AlignmentConfig(Checked):
     Attributes:
         solver: "adam" follows the paper; "icp" (fixed matches, Gauss-Newton, conjugate gradients)
             is several times faster and ends a few percent higher.
-        iterations: steps of Adam (the paper: 200), or how often icp renews its matches.
+        iterations: steps of Adam (the paper: 200), or how often icp renews its
+            matches; 20 do.
         chamfer_weight: cloud point to nearest visible vertex (the paper: 1).
         rigidity_weight: difference of the displacements along edges (the paper: 10).
         two_way_weight: trusted visible vertex to nearest cloud point, within `TWO_WAY_RANGE_M`; 0
