@@ -45,8 +45,8 @@ from clothtrack.planning import (
     improvement,
 )
 from clothtrack.planning.action_space import in_picture
-from clothtrack.planning.planning_dynamics import SHIPPED_WEIGHTS, MotionConfig
 from clothtrack.planning.flatten_config import episode_identity
+from clothtrack.planning.planning_dynamics import SHIPPED_WEIGHTS, MotionConfig
 from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings import read_recording
 from clothtrack.report.flattening_page import write_film_strip
