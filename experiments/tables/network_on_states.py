@@ -36,7 +36,7 @@ from clothtrack.reconstruction.data.state_examples import RenderConfig, render
 from clothtrack.reconstruction.data.state_store import open_states, read_shard
 from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.from_picture import figures_of, network_mesh
-from clothtrack.reconstruction.load_model import load_model
+from clothtrack.reconstruction.model_loading import load_model
 from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.recording import Table
 

@@ -16,8 +16,8 @@ from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError, InvalidResultError
 from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.depth_input import from_picture
-from clothtrack.reconstruction.load_model import load_model
 from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.model_loading import load_model
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
 from clothtrack.reconstruction.training.checkpoint import save_weights
 

@@ -58,7 +58,11 @@ def examples_of(folder, kind, *, count=4, turn=False):
         mirror=False,
         winding=WindingConfig(pool=2048),
     )
-    filming = RenderConfig(sensor=SensorConfig.perfect(), mask_jitter=0.0)
+    exact = SensorConfig.perfect()
+    filming = RenderConfig(
+        stereo=exact, structured_light=exact, time_of_flight=exact,
+        mask_jitter=0.0, tool=0.0, cut=0.0,
+    )  # fmt: skip
     return StateExamples([write_states(folder, kind, [shard], {})], TINY, config, rendering=filming)
 
 

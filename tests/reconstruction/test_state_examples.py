@@ -19,7 +19,10 @@ from clothtrack.reconstruction.training.batches import loader
 from clothtrack.simulation.garments import garment
 
 NETWORK = NetworkConfig()
-PERFECT = RenderConfig(sensor=SensorConfig.perfect(), mask_jitter=0.0)
+EXACT = SensorConfig.perfect()
+PERFECT = RenderConfig(
+    stereo=EXACT, structured_light=EXACT, time_of_flight=EXACT, mask_jitter=0.0, tool=0.0, cut=0.0
+)
 CONFIG = ExampleConfig(surface_queries=4096, winding=WindingConfig(pool=4096))
 
 

@@ -19,10 +19,10 @@ from clothtrack.files.worker_pool import PATIENCE_S
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.crumpling import Crumpler, CrumplingConfig
+from clothtrack.reconstruction.data.garment_draws import draw_garment
 from clothtrack.reconstruction.data.state_store import open_states, read_shard, shard_path
 from clothtrack.reconstruction.data.states import (
     StatesConfig,
-    draw_garment,
     generate_states,
     make_shard,
 )
@@ -323,7 +323,7 @@ def test_states_are_not_filmed(
 
 def test_a_towel_is_at_least_as_wide_as_long() -> None:
     for number in range(20):
-        mesh = draw_garment("towel", TINY, np.random.default_rng(number))
+        mesh = draw_garment("towel", TINY.garments, 120, np.random.default_rng(number))
         width, length, _ = np.ptp(mesh.vertices, axis=0)
         assert width >= length
 

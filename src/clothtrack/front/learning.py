@@ -130,7 +130,7 @@ def reconstructed(
     require_learning()
     from clothtrack.reconstruction import depth_input
     from clothtrack.reconstruction.from_picture import network_mesh
-    from clothtrack.reconstruction.load_model import load_model
+    from clothtrack.reconstruction.model_loading import load_model
     from clothtrack.reconstruction.refinement import RefinementConfig
     from clothtrack.reconstruction.training.processes import require_torch_device
 

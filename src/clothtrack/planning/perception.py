@@ -134,7 +134,7 @@ class NetworkPerception:
         Raises:
             InvalidResultError: there are no weights, or not for this garment.
         """
-        from clothtrack.reconstruction.load_model import load_model
+        from clothtrack.reconstruction.model_loading import load_model
 
         self._kind, self._config, self._device = kind, config, device
         path = Path(config.weights) if config.weights else None

@@ -173,7 +173,7 @@ def _from_network(
 ) -> InitialState:
     from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
     from clothtrack.reconstruction.depth_input import DepthInput
-    from clothtrack.reconstruction.load_model import load_model
+    from clothtrack.reconstruction.model_loading import load_model
 
     kind, table = recording.cloth.kind, recording.table
     depth, mask, camera = cloth_picture(recording, recording.frames[0], segmenter)

@@ -170,7 +170,7 @@ def _require_inputs(
 ) -> None:
     """Refuse now what a round would trip over hours later."""
     from clothtrack.reconstruction.data.state_store import open_states
-    from clothtrack.reconstruction.load_model import load_model
+    from clothtrack.reconstruction.model_loading import load_model
     from clothtrack.reconstruction.training.processes import require_torch_device
 
     require_torch_device(device)

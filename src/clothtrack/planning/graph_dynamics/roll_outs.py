@@ -29,7 +29,11 @@ from clothtrack.planning.action_space import ActionSpace, SeenCloth, pick_weight
 from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
 from clothtrack.planning.planning_dynamics import HeldPaths, MotionConfig, PlannedCloth
 from clothtrack.reconstruction.data.crumpling import Crumpler
-from clothtrack.reconstruction.data.states import StatesConfig, draw_garment, draw_parameters
+from clothtrack.reconstruction.data.garment_draws import (
+    draw_garment,
+    draw_parameters,
+)
+from clothtrack.reconstruction.data.states import StatesConfig
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.parameters import SolverConfig
@@ -41,6 +45,13 @@ logger = logging.getLogger(__name__)
 LIST_FILE = "roll_outs.json"
 _OF_ROLL_OUTS = 0x5017
 """Keeps the draws of this module apart from those of others with the same seed."""
+
+
+def _of_flattening() -> StatesConfig:
+    """States of garments as large as those that are flattened."""
+    shirts_m = 0.38, 0.48
+    sizes = GarmentRanges(towel_side_m=(0.22, 0.34), shirt_length_m=shirts_m, long_sleeves=0.0)
+    return StatesConfig(garments=sizes)
 
 
 @dataclass(frozen=True)
@@ -67,7 +78,7 @@ class RollOutConfig(Checked):
         default_factory=lambda: MotionConfig(time_step_s=0.025, rest_s=0.4)
     )
     space: ActionSpace = field(default_factory=lambda: ActionSpace(distance_m=(0.05, 0.25)))
-    states: StatesConfig = field(default_factory=StatesConfig)
+    states: StatesConfig = field(default_factory=_of_flattening)
 
     def __post_init__(self) -> None:
         """Refuse what cannot be made.
@@ -185,7 +196,7 @@ def make_roll_outs(
     """
     rng = np.random.default_rng([_OF_ROLL_OUTS, seed, number, list(DEFAULT_SIZES_M).index(kind)])
     states = replace(config.states, vertex_count=config.vertex_count)
-    fine = draw_garment(kind, states, rng)
+    fine = draw_garment(kind, states.garments, states.vertex_count, rng)
     coarsen = Coarsener(fine, kind, config.coarse)
     table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     solver_config = SolverConfig(**{**vars(states.solver), "table": table})

@@ -27,13 +27,19 @@ from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain, require_same
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.coverage import projected_area
-from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.crumpling import (
     REFERENCE_SIZE_M,
     CrumpledState,
     Crumpler,
     CrumplingConfig,
+)
+from clothtrack.reconstruction.data.garment_draws import (
+    BEND_LENGTH_M,
+    ClothRanges,
+    GarmentRanges,
+    draw_garment,
+    draw_parameters,
 )
 from clothtrack.reconstruction.data.state_store import (
     LIST_FILE,
@@ -51,11 +57,8 @@ from clothtrack.reconstruction.data.states_card import dataset_card
 from clothtrack.simulation.garments import (
     DEFAULT_SIZES_M,
     GarmentKind,
-    garment,
-    shirt,
 )
-from clothtrack.simulation.outlines import draw_shirt
-from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.parameters import SolverConfig
 
 logger = logging.getLogger(__name__)
 
@@ -69,56 +72,8 @@ _OF_STATES = 0x57A7E
 """Keeps the draws of this module apart from those of others with the same seed."""
 
 
-BEND_LENGTH_M = 0.016
-"""Length of an edge [m] for which a bend compliance is drawn. Between vertices that are farther
-apart the same cloth gives more, by the square of their distance."""
-
 THICKEST_M = 0.008
 """Largest distance of layers [m]."""
-
-
-@dataclass(frozen=True)
-class GarmentRanges:
-    """How large garments are, and how they are cut: bounds of an even draw.
-
-    Attributes:
-        towel_side_m: longer side of a towel [m]; its logarithm is drawn evenly.
-        towel_aspect: shorter side over the longer one.
-        square: share of towels whose sides are equal.
-        shirt_length_m: from the hem to the neck [m]; its logarithm is drawn evenly.
-        long_sleeves: share of shirts with long sleeves (`simulation.outlines.draw_shirt`).
-    """
-
-    towel_side_m: tuple[float, float] = (0.2, 1.5)
-    towel_aspect: tuple[float, float] = (0.5, 1.0)
-    square: float = 0.3
-    shirt_length_m: tuple[float, float] = (0.3, 0.85)
-    long_sleeves: float = 0.35
-
-
-@dataclass(frozen=True)
-class ClothRanges:
-    """What garments are made of: bounds of an even draw.
-
-    Attributes:
-        thickness_m: distance that layers keep [m] in a garment of `REFERENCE_SIZE_M`; it grows with
-            the root of the size. A little more than the benchmark's cloth, which halves the
-            crossings.
-        area_density: mass per area [kg/m^2].
-        bend_compliance: inverse stiffness between vertices that face each other across an edge of
-            `BEND_LENGTH_M` [m/N]; its logarithm is drawn evenly.
-        stretch_compliance: inverse stiffness of an edge [m/N]; its logarithm is drawn evenly. At 0
-            a sheet of 16 mm edges is too stiff to wrinkle: a dropped T-shirt may spring out flat.
-        table_friction: Coulomb coefficient between cloth and table.
-        particle_friction: Coulomb coefficient between cloth and cloth.
-    """
-
-    thickness_m: tuple[float, float] = (0.0035, 0.0042)
-    area_density: tuple[float, float] = (0.12, 0.3)
-    bend_compliance: tuple[float, float] = (3.0, 100.0)
-    stretch_compliance: tuple[float, float] = (1e-3, 8e-3)
-    table_friction: tuple[float, float] = (0.3, 0.9)
-    particle_friction: tuple[float, float] = (0.25, 0.75)
 
 
 def _fast_contact() -> SolverConfig:
@@ -258,7 +213,7 @@ def make_shard(kind: GarmentKind, number: int, seed: int, config: StatesConfig) 
         SimulationDivergedError: when hardly any state is sound.
     """
     rng = np.random.default_rng([_OF_STATES, seed, number, list(DEFAULT_SIZES_M).index(kind)])
-    mesh = draw_garment(kind, config, rng)
+    mesh = draw_garment(kind, config.garments, config.vertex_count, rng)
     size_m = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
     thickness = float(rng.uniform(*config.cloth.thickness_m))
     thickness = min(THICKEST_M, thickness * max(1.0, math.sqrt(size_m / REFERENCE_SIZE_M)))
@@ -317,48 +272,6 @@ def _sound_states(
     raise SimulationDivergedError(
         f"only {found} of {wanted} states of a {len(crumpler.mesh.vertices)}-vertex garment were "
         "sound; use a shorter solver.substep_s, a thicker cloth or a higher crossings_limit"
-    )
-
-
-def draw_garment(kind: GarmentKind, config: StatesConfig, rng: np.random.Generator) -> ClothMesh:
-    """A flat garment of any size; a towel's width is its longer side.
-
-    Args:
-        kind: "towel", or "tshirt" for shirts with sleeves of any length.
-        config: how many vertices, and the ranges of sizes.
-        rng: of its size, outline and triangulation.
-    """
-    ranges = config.garments
-    towel = kind == "towel"
-    bounds = ranges.towel_side_m if towel else ranges.shirt_length_m
-    length_m = float(np.exp(rng.uniform(*np.log(bounds))))
-    if towel:
-        square = rng.random() < ranges.square
-        aspect = 1.0 if square else float(rng.uniform(*ranges.towel_aspect))
-        return garment(
-            "towel",
-            vertex_count=config.vertex_count,
-            size_m=(length_m, aspect * length_m),
-            pattern="random",
-            seed=int(rng.integers(1 << 31)),
-        )
-    outline = draw_shirt(rng, long_sleeves=ranges.long_sleeves)
-    return shirt(
-        outline, length_m, vertex_count=config.vertex_count, seed=int(rng.integers(1 << 31))
-    )
-
-
-def draw_parameters(ranges: ClothRanges, rng: np.random.Generator) -> ClothParameters:
-    """What one cloth is made of, drawn from the ranges."""
-    bend, stretch = (
-        float(np.exp(rng.uniform(*np.log(bounds))))
-        for bounds in (ranges.bend_compliance, ranges.stretch_compliance)
-    )
-    return ClothParameters(
-        stretch_compliance=stretch,
-        bend_compliance=bend,
-        table_friction=float(rng.uniform(*ranges.table_friction)),
-        particle_friction=float(rng.uniform(*ranges.particle_friction)),
     )
 
 
