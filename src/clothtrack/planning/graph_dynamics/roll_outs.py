@@ -30,6 +30,7 @@ from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
 from clothtrack.planning.planning_dynamics import HeldPaths, MotionConfig, PlannedCloth
 from clothtrack.reconstruction.data.crumpling import Crumpler
 from clothtrack.reconstruction.data.garment_draws import (
+    GarmentRanges,
     draw_garment,
     draw_parameters,
 )
