@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     )
     from clothtrack.capture.realsense_camera import RealSenseCamera, open_realsense
     from clothtrack.capture.segmentation_setup import SegmentationSetup
-    from clothtrack.capture.table_plane import TableFit, fit_recorded_table
+    from clothtrack.capture.recorded_table import fit_recorded_table
     from clothtrack.capture.tip_finder import TipFinder
 else:
     __getattr__, __dir__ = lazy_names(__name__)
@@ -31,7 +31,6 @@ __all__ = [
     "ReplayedCamera",
     "RobotPose",
     "SegmentationSetup",
-    "TableFit",
     "TipFinder",
     "calibrate_hand_eye",
     "fit_recorded_table",

@@ -12,15 +12,11 @@ from jaxtyping import Float
 from clothtrack.capture.amendment import amend_document
 from clothtrack.capture.board import Board, BoardPose, locate_board, locate_boards
 from clothtrack.capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye
-from clothtrack.capture.table_plane import (
-    TableFit,
-    fit_recorded_table,
-    moved_along,
-    world_from_table,
-)
+from clothtrack.capture.recorded_table import fit_recorded_table, moved_along
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.files.atomic_write import write_file
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.table_plane import TableFit, world_from_table
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Recording, Table
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.geometry.quality import close_pairs, crossings, edge_strain
     from clothtrack.geometry.sampling import sample_surface
+    from clothtrack.geometry.table_plane import TableFit, TableFitConfig, fit_plane
     from clothtrack.geometry.visibility import (
         DepthBuffer,
         Rasteriser,
@@ -27,12 +28,15 @@ __all__ = [
     "ClothMesh",
     "DepthBuffer",
     "Rasteriser",
+    "TableFit",
+    "TableFitConfig",
     "VisibilityCheck",
     "close_pairs",
     "closest_on_mesh",
     "crossings",
     "distance_to_mesh",
     "edge_strain",
+    "fit_plane",
     "one_way",
     "projected_area",
     "quiet_warp",

@@ -5,24 +5,18 @@ x = (column - cx)/fx and y = (row - cy)/fy. The noise of a stereo camera is even
 with the square of the depth), so plain least squares weighs near and far pixels rightly.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.recording import Frame, Recording
-from clothtrack.recordings.segmentation import ColorSegmenter, MaskFolder, Segmenter
 
-_LEAST_POINTS = 200
+LEAST_POINTS = 200
+"""Fewer measurements than this show no plane."""
+
 _ROUNDS = 8
-_MARGIN = np.ones((13, 13), np.uint8)
-FRAMES = 8
-"""Frames that are looked at, spread over the recording."""
 PIXELS = 40_000
 """About how many measurements are taken from them together; they bound the time."""
 TRIALS = 400
@@ -64,55 +58,6 @@ class TableFit:
     def tilt_deg(self) -> float:
         """Angle between the optical axis and the table's normal [degrees]."""
         return float(np.degrees(np.arccos(np.clip(-self.normal[2], -1.0, 1.0))))
-
-
-def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
-    """The table in a recording: what most of the depth that is not cloth lies on.
-
-    The cloth is left out where masks or its colour name tell it; the tool is too small to matter.
-
-    Args:
-        recording: with depth from the camera.
-        camera: the one that looks at the table.
-
-    Raises:
-        InvalidRecordingError: there is no depth, nothing but cloth, or no plane that dominates.
-    """
-    frames = [frame for frame in recording.frames if camera.name in frame.depth]
-    if not frames:
-        raise InvalidRecordingError(
-            f"{recording.folder}: camera {camera.name!r} has no depth to fit a table to; name "
-            "another camera, or give a board"
-        )
-    chosen = np.unique(np.linspace(0, len(frames) - 1, FRAMES).round().astype(int))
-    looks = [_look(recording, frames[place], camera) for place in chosen]
-    measured = sum(int((depth > 0).sum()) for depth, _ in looks)
-    kept = [np.where(cloth, 0.0, depth) for depth, cloth in looks]
-    excluded = any(cloth.any() for _, cloth in looks)
-    left = sum(int((depth > 0).sum()) for depth in kept)
-    if left < 0.05 * measured or left < _LEAST_POINTS:
-        raise InvalidRecordingError(
-            f"{recording.folder}: camera {camera.name!r} sees hardly anything but the cloth "
-            f"({left} of {measured} measurements); let it see the table, or give a board"
-        )
-    stride = max(1, left // PIXELS)
-    sight, inverse = _concatenated(
-        [sight_lines(depth, camera, stride=stride, offset=n) for n, depth in enumerate(kept)]
-    )
-    try:
-        fit = fit_plane(sight, inverse)
-    except InvalidRecordingError as error:
-        raise InvalidRecordingError(
-            f"{recording.folder}: camera {camera.name!r}: {error}"
-        ) from error
-    return TableFit(
-        fit.normal,
-        fit.distance_m,
-        fit.residual_m,
-        fit.inlier_share,
-        excluded,
-        len(chosen),
-    )
 
 
 def sight_lines(
@@ -201,62 +146,16 @@ def world_from_table(camera: Camera, table: TableFit) -> Float[np.ndarray, "4 4"
     return pose
 
 
-def moved_along(
-    recording: Recording, camera: Camera, world_from_camera: Float[np.ndarray, "4 4"]
-) -> Mapping[str, Float[np.ndarray, "4 4"]]:
-    """New poses of all cameras of a recording when one of them gets this one.
-
-    The others keep their place relative to it.
-    """
-    change = world_from_camera @ np.linalg.inv(camera.world_from_camera)
-    poses = {}
-    for other in recording.cameras:
-        pose = change @ other.world_from_camera
-        left, _, right = np.linalg.svd(pose[:3, :3])
-        pose[:3, :3], pose[3] = left @ right, (0.0, 0.0, 0.0, 1.0)
-        poses[other.name] = pose
-    poses[camera.name] = world_from_camera
-    return poses
-
-
-def _look(
-    recording: Recording, frame: Frame, camera: Camera
-) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
-    """Depth [m] of a frame and what of it is cloth, with a margin; nothing where not known."""
-    depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
-    cloth = np.zeros(depth.shape, dtype=bool)
-    find: Segmenter | None = None
-    if camera.name in frame.mask:
-        find = MaskFolder(frame.mask)
-    elif recording.cloth.color is not None and camera.name in frame.color:
-        find = ColorSegmenter.from_name(recording.cloth.color)
-    if find is None:
-        return depth, cloth
-    color = read_color(frame.color[camera.name]) if camera.name in frame.color else None
-    try:
-        cloth = find(color, depth, camera, None)
-    except InvalidRecordingError:
-        # The background has the cloth's colour: then nothing is left out.
-        return depth, cloth
-    return depth, cv2.dilate(cloth.astype(np.uint8), _MARGIN) > 0
-
-
-def _concatenated(
-    parts: Sequence[tuple[Float[np.ndarray, "_ 3"], Float[np.ndarray, " _"]]],
-) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
-    return np.concatenate([one for one, _ in parts]), np.concatenate([one for _, one in parts])
-
-
 def _dominant(
     sight: Float[np.ndarray, "points 3"],
     inverse: Float[np.ndarray, " points"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " 3"]:
     """The plane (a, b, c) with most measurements, of those through three random ones."""
-    if len(sight) < _LEAST_POINTS:
+    if len(sight) < LEAST_POINTS:
         raise InvalidRecordingError(
             f"only {len(sight)} measurements are left to find a plane in (at least "
-            f"{_LEAST_POINTS}); let the table be seen"
+            f"{LEAST_POINTS}); let the table be seen"
         )
     judges = rng.choice(len(sight), min(len(sight), 3000), replace=False)
     triples = rng.integers(len(sight), size=(TRIALS, 3))
@@ -301,7 +200,7 @@ def _lower(
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
     off = inverse - sight @ plane
     under = (height > -LOWER_M) & (height < 0.0) & (off < -TOLERANCE)
-    if under.sum() < max(LOWER_SHARE * len(sight), _LEAST_POINTS):
+    if under.sum() < max(LOWER_SHARE * len(sight), LEAST_POINTS):
         return plane
     lower = _dominant(sight[under], inverse[under], rng)
     shown = float((np.abs(inverse - sight @ lower) < TOLERANCE).mean())
@@ -320,7 +219,7 @@ def _require_single(
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
     beside = (height < -LOWER_M) | (height > LOWER_M)
     first = float((np.abs(inverse - sight @ plane) < TOLERANCE).mean())
-    if beside.mean() < RIVAL_SHARE * first or beside.sum() < _LEAST_POINTS:
+    if beside.mean() < RIVAL_SHARE * first or beside.sum() < LEAST_POINTS:
         return
     rival = _dominant(sight[beside], inverse[beside], rng)
     second = float((np.abs(inverse[beside] - sight[beside] @ rival) < TOLERANCE).mean())
