@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -13,6 +12,7 @@ from clothtrack.geometry.table_plane import (
     PIXELS,
     TableFit,
     fit_plane,
+    off_cloth,
     sight_lines,
 )
 from clothtrack.recordings.pictures import read_color, read_depth
@@ -21,8 +21,6 @@ from clothtrack.recordings.segmentation import ColorSegmenter, MaskFolder, Segme
 
 FRAMES = 8
 """Frames that are looked at, spread over the recording."""
-
-_MARGIN = np.ones((13, 13), np.uint8)
 
 
 def fit_recorded_table(
@@ -48,7 +46,7 @@ def fit_recorded_table(
     chosen = np.unique(np.linspace(0, len(frames) - 1, FRAMES).round().astype(int))
     looks = [_look(recording, frames[place], camera) for place in chosen]
     measured = sum(int((depth > 0).sum()) for depth, _ in looks)
-    kept = [np.where(cloth, 0.0, depth) for depth, cloth in looks]
+    kept = [off_cloth(depth, cloth) for depth, cloth in looks]
     excluded = any(cloth.any() for _, cloth in looks)
     left = sum(int((depth > 0).sum()) for depth in kept)
     if left < 0.05 * measured or left < LEAST_POINTS:
@@ -64,7 +62,8 @@ def fit_recorded_table(
         fit = fit_plane(sight, inverse)
     except InvalidRecordingError as error:
         raise InvalidRecordingError(
-            f"{recording.folder}: camera {camera.name!r}: {error}"
+            f"{recording.folder}: camera {camera.name!r}: {error}; cloth.color or masks say it, "
+            "and a board needs no plane"
         ) from error
     return TableFit(
         fit.normal,
@@ -97,7 +96,7 @@ def moved_along(
 def _look(
     recording: Recording, frame: Frame, camera: Camera
 ) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
-    """Depth [m] of a frame and what of it is cloth, with a margin; nothing where not known."""
+    """Depth [m] of a frame and what of it is cloth; nothing where not known."""
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
     cloth = np.zeros(depth.shape, dtype=bool)
     find: Segmenter | None = None
@@ -113,7 +112,7 @@ def _look(
     except InvalidRecordingError:
         # The background has the cloth's colour: then nothing is left out.
         return depth, cloth
-    return depth, cv2.dilate(cloth.astype(np.uint8), _MARGIN) > 0
+    return depth, cloth
 
 
 def _concatenated(

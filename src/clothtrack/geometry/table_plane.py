@@ -7,6 +7,7 @@ with the square of the depth), so plain least squares weighs near and far pixels
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -17,6 +18,7 @@ LEAST_POINTS = 200
 """Fewer measurements than this show no plane."""
 
 _ROUNDS = 8
+_MARGIN = np.ones((13, 13), np.uint8)
 PIXELS = 40_000
 """About how many measurements are taken from them together; they bound the time."""
 TRIALS = 400
@@ -60,6 +62,13 @@ class TableFit:
         return float(np.degrees(np.arccos(np.clip(-self.normal[2], -1.0, 1.0))))
 
 
+def off_cloth(
+    depth_m: Float[np.ndarray, "height width"], cloth: Bool[np.ndarray, "height width"]
+) -> Float[np.ndarray, "height width"]:
+    """The depth [m] without the cloth and the pixels around it: masks are wrong by some."""
+    return np.where(cv2.dilate(cloth.astype(np.uint8), _MARGIN) > 0, 0.0, depth_m)
+
+
 def sight_lines(
     depth_m: Float[np.ndarray, "height width"], camera: Camera, *, stride: int = 1, offset: int = 0
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
@@ -101,7 +110,7 @@ def fit_plane(
         raise InvalidRecordingError(
             f"no plane dominates: the best one holds {100 * share:.0f} % of the depth that is not "
             f"cloth (at least {100 * LEAST_SHARE:.0f} %); let the table fill most of the "
-            "picture, name the cloth's colour (cloth.color) or give masks, or use a board"
+            "picture, and say what is cloth"
         )
     plane = _lower(sight, inverse, plane, rng)
     on_it = np.abs(inverse - sight @ plane) < TOLERANCE
@@ -175,14 +184,19 @@ def _refined(
     inverse: Float[np.ndarray, " points"],
     plane: Float[np.ndarray, " 3"],
 ) -> tuple[Float[np.ndarray, " 3"], Bool[np.ndarray, " points"]]:
-    """Least squares over the inliers, whose band narrows to three times their own spread."""
+    """Least squares over the inliers, whose band narrows to three times their own spread.
+
+    It stays wider than the steps of the depth: most of the pixels may lie on one of them.
+    """
     band = TOLERANCE
     used = np.abs(inverse - sight @ plane) < band
+    steps = np.diff(np.unique(inverse[used]))
+    narrowest = max(1.5 * float(np.median(steps)) if len(steps) else 0.0, 1e-6)
     for _ in range(_ROUNDS):
         plane, *_ = np.linalg.lstsq(sight[used], inverse[used], rcond=None)
         off = np.abs(inverse - sight @ plane)
         spread = 1.4826 * float(np.median(off[off < TOLERANCE]))
-        band = min(TOLERANCE, max(3.0 * spread, 1e-6))
+        band = min(TOLERANCE, max(3.0 * spread, narrowest))
         used = off < band
         if used.sum() < 3:
             break
@@ -227,5 +241,5 @@ def _require_single(
     if second > RIVAL_SHARE * first:
         raise InvalidRecordingError(
             f"two planes are about as large, with {100 * first:.0f} and {100 * second:.0f} % of "
-            "the depth: which is the table? Let it fill most of the picture, or use a board"
+            "the depth: which is the table? Let it fill most of the picture"
         )

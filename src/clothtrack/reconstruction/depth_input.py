@@ -2,12 +2,21 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera, about_vertical
+from clothtrack.geometry.table_plane import (
+    LEAST_POINTS,
+    PIXELS,
+    fit_plane,
+    off_cloth,
+    sight_lines,
+    world_from_table,
+)
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
 from clothtrack.recordings.pictures import read_depth, read_mask
 from clothtrack.recordings.point_cloud import cloth_measured
@@ -17,6 +26,12 @@ from clothtrack.recordings.store import read_recording
 
 USUAL_FOCAL = 0.94
 """Focal length per width of the picture of a usual depth camera: 56 degrees across."""
+
+_DISTANCES_M = (0.05, 20.0)
+"""Between which a table is looked for: beyond, the depth's unit is another."""
+
+LEAST_TABLE = 0.05
+"""Where the cloth leaves less than this share of the picture to the table, no plane is fitted."""
 
 _DISTANCE_STEP_M = 0.004
 
@@ -31,6 +46,10 @@ class DepthInput:
         camera: that took it; world z up.
         table: what the cloth lies on.
         kind: the garment, when it is known.
+        table_source: where the camera's place over the table is from: the recording says it, a
+            plane is fitted to the depth, or the camera is assumed to look straight down.
+        table_residual_m: root mean square distance of the table's pixels from the fitted plane
+            [m]; None where none is fitted.
     """
 
     depth_m: Float[np.ndarray, "height width"]
@@ -38,14 +57,21 @@ class DepthInput:
     camera: Camera
     table: Table | None
     kind: str | None = None
+    table_source: Literal["recorded", "fitted", "assumed"] = "recorded"
+    table_residual_m: float | None = None
 
     def scaled(self, factor: float) -> "DepthInput":
         """The same picture of a world that is larger by a factor."""
         table = self.table
         if table is not None:
             table = replace(table, point=np.asarray(table.point) * factor)
+        residual_m = self.table_residual_m
         return replace(
-            self, depth_m=self.depth_m * factor, camera=self.camera.scaled(factor), table=table
+            self,
+            depth_m=self.depth_m * factor,
+            camera=self.camera.scaled(factor),
+            table=table,
+            table_residual_m=None if residual_m is None else residual_m * factor,
         )
 
     def turned(self, angle_rad: float) -> "DepthInput":
@@ -77,24 +103,35 @@ def from_picture(
     mask: Path | None = None,
     depth_unit_m: float = 0.001,
     focal: float | None = None,
+    principal_point: tuple[float, float] | None = None,
     table_distance_m: float | None = None,
 ) -> DepthInput:
-    """A 16-bit depth picture of a camera that looks straight down on a table.
+    """A 16-bit depth picture of a camera that looks down on a table.
 
     Args:
         path: PNG file.
         mask: picture of where the cloth is; what stands out of the table when None.
         depth_unit_m: metres per unit of the file.
         focal: focal length [pixels]; that of a usual camera when None.
-        table_distance_m: from the camera to the table [m]; the most frequent depth when None.
+        principal_point: column and row [pixels]; the middle of the picture when None.
+        table_distance_m: from a camera that looks straight down to the table [m]; when None, the
+            table's plane is fitted to the depth (`from_depth`).
 
     Raises:
-        InvalidRecordingError: a file cannot be read, sizes differ, or nothing was measured.
+        InvalidRecordingError: a file cannot be read, sizes differ, nothing was measured, or no
+            plane is the table.
         InvalidConfigError: a number that must be positive is not.
     """
     _require_positive(depth_unit=depth_unit_m)
     depth = read_depth(path, depth_unit_m)
-    return from_depth(depth, str(path), mask=mask, focal=focal, table_distance_m=table_distance_m)
+    return from_depth(
+        depth,
+        str(path),
+        mask=mask,
+        focal=focal,
+        principal_point=principal_point,
+        table_distance_m=table_distance_m,
+    )
 
 
 def from_depth(
@@ -103,42 +140,102 @@ def from_depth(
     *,
     mask: Path | None = None,
     focal: float | None = None,
+    principal_point: tuple[float, float] | None = None,
     table_distance_m: float | None = None,
 ) -> DepthInput:
-    """Measured depth [m] of a camera that looks straight down on a table.
+    """Measured depth [m] of a camera that looks down on a table.
+
+    The table is the plane that most of the depth beside the cloth lies on, however tilted. It is
+    the world's z = 0, and the origin is in the middle of the picture. Where the cloth leaves
+    hardly any table (`LEAST_TABLE`), the camera is assumed to look straight down, from the most
+    frequent depth.
 
     Args:
         depth: 0 where nothing was measured.
         name: what messages call it.
         mask: as for `from_picture`, and so are the others.
         focal: focal length [pixels].
-        table_distance_m: from the camera to the table [m].
+        principal_point: column and row [pixels].
+        table_distance_m: from a camera that looks straight down to the table [m].
 
     Raises:
-        InvalidRecordingError: the mask cannot be read, sizes differ, or nothing was measured.
+        InvalidRecordingError: the mask cannot be read, sizes differ, nothing was measured, no
+            plane dominates, or two do.
         InvalidConfigError: a number that must be positive is not.
     """
     _require_positive(focal=focal, table_distance=table_distance_m)
     height, width = depth.shape
     focal = focal or USUAL_FOCAL * width
-    distance = table_distance_m or _usual_depth(depth, name)
-    pose = np.diag([1.0, -1.0, -1.0, 1.0])
-    pose[2, 3] = distance
-    camera = Camera("top", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, pose)
+    column, row = principal_point or ((width - 1) / 2, (height - 1) / 2)
+    camera = Camera("top", width, height, focal, focal, column, row)
+    marked = None if mask is None else _read_mask(mask, depth, name)
+    fitted = None if table_distance_m is not None else _fitted_table(depth, marked, camera, name)
+    if fitted is None:
+        pose = np.diag([1.0, -1.0, -1.0, 1.0])
+        pose[2, 3] = table_distance_m or _usual_depth(depth, name)
+        residual_m = None
+    else:
+        pose, residual_m = fitted
+    camera = replace(camera, world_from_camera=pose)
     table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    found = HeightSegmenter()(None, depth, camera, table) if mask is None else read_mask(mask)
-    if found.shape != depth.shape:
-        raise InvalidRecordingError(
-            f"{mask} has {found.shape[1]} x {found.shape[0]} pixels, {name} has {width} x "
-            f"{height}; give a mask of the same picture"
-        )
-    return DepthInput(depth, cloth_measured(depth, found, camera), camera, table)
+    cloth = HeightSegmenter()(None, depth, camera, table) if marked is None else marked
+    return DepthInput(
+        depth,
+        cloth_measured(depth, cloth, camera),
+        camera,
+        table,
+        table_source="assumed" if fitted is None else "fitted",
+        table_residual_m=residual_m,
+    )
 
 
 def _require_positive(**given: float | None) -> None:
     for name, value in given.items():
         if value is not None and not 0.0 < value < float("inf"):
             raise InvalidConfigError(f"{name} is {value}; it must be positive and finite")
+
+
+def _read_mask(
+    file: Path, depth: Float[np.ndarray, "height width"], name: str
+) -> Bool[np.ndarray, "height width"]:
+    mask = read_mask(file)
+    if mask.shape != depth.shape:
+        raise InvalidRecordingError(
+            f"{file} has {mask.shape[1]} x {mask.shape[0]} pixels, {name} has {depth.shape[1]} x "
+            f"{depth.shape[0]}; give a mask of the same picture"
+        )
+    return mask
+
+
+def _fitted_table(
+    depth: Float[np.ndarray, "height width"],
+    cloth: Bool[np.ndarray, "height width"] | None,
+    camera: Camera,
+    name: str,
+) -> tuple[Float[np.ndarray, "4 4"], float] | None:
+    """World from camera on the table beside the cloth, and the table's residual [m].
+
+    None where hardly any table was measured.
+    """
+    beside = depth if cloth is None else off_cloth(depth, cloth)
+    measured = int((beside > 0).sum())
+    if measured < max(LEAST_TABLE * depth.size, LEAST_POINTS):
+        return None
+    typical_m = float(np.median(beside[beside > 0]))
+    if not _DISTANCES_M[0] < typical_m < _DISTANCES_M[1]:
+        raise InvalidRecordingError(
+            f"{name}: what it shows is {typical_m:.4g} m away (allowed {_DISTANCES_M[0]:g} to "
+            f"{_DISTANCES_M[1]:g} m); is the depth's unit another?"
+        )
+    stride = max(1, measured // PIXELS)
+    try:
+        fit = fit_plane(*sight_lines(beside, camera, stride=stride))
+        return world_from_table(camera, fit), fit.residual_m
+    except InvalidRecordingError as error:
+        raise InvalidRecordingError(
+            f"{name}: {error}; a mask says it, and --table-distance is for a camera that looks "
+            "straight down"
+        ) from error
 
 
 def _usual_depth(depth: Float[np.ndarray, "height width"], name: str) -> float:
