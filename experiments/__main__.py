@@ -1,7 +1,7 @@
 """Run one experiment, from any folder.
 
     python experiments                      the list, which is README.md
-    python experiments NAME [OPTION ...]    a script of tables/ or figures/; NAME --help for options
+    python experiments NAME [OPTION ...]    one of its scripts; NAME --help for options
 
 Python looks for imports beside this file, so that scripts share modules by their full names
 (`from shared.bench_runs import Task`) and nothing has to be installed.
@@ -14,15 +14,16 @@ from pathlib import Path
 from shared.figures import say
 
 HERE = Path(__file__).parent
-FOLDERS = ("tables", "figures")
+FOLDERS = ("tables", "figures", "real")
 
 
 def scripts() -> dict[str, str]:
-    """The module of every script by its name."""
+    """The module of every script by its name: of every file that has a `main`."""
     return {
         file.stem: f"{folder}.{file.stem}"
         for folder in FOLDERS
         for file in sorted((HERE / folder).glob("[!_]*.py"))
+        if "\ndef main(" in file.read_text(encoding="utf-8")
     }
 
 

@@ -11,8 +11,9 @@ import pytest
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 SCRIPTS = {
     file.stem: f"{folder}.{file.stem}"
-    for folder in ("tables", "figures")
+    for folder in ("tables", "figures", "real")
     for file in sorted((EXPERIMENTS / folder).glob("[!_]*.py"))
+    if "\ndef main(" in file.read_text("utf-8")
 }
 LINES = re.findall(
     r"^\| `(\w+)`( \(s\))? \| .+ \| `(\w+) (.+)` \|$",

@@ -1,0 +1,404 @@
+"""How well single real pictures are reconstructed: garments folded by hand, crumpled cloths.
+
+Claim judged: the network knows real cloth. No true mesh is known. A garment is judged by its
+silhouette and by its visible surface against the measured one (two-way Chamfer distance, summed).
+A cloth with stickers on its corners is judged by them too: each sticker that can be seen is given
+to one corner of the mesh, where a sticker's middle lies, and so that the distances are least.
+They are in parts of the cloth's longer side, over all stickers. The control asks no network: the
+corners of the least rectangle around the silhouette. A picture without a mesh has no overlap, an
+infinite Chamfer distance, and all its corners in the middle of its silhouette.
+
+    python experiments real_pictures --data DIR --json OUT
+
+DIR has `garments`, `stickers` or both (`real/topdown.py` has the layout). A row is written when it
+is known; a second call with the same weights, commit and data goes on where the first one stopped.
+`--smoke` asks an untrained network about two drawn pictures: its figures mean nothing.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import _path  # noqa: F401
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+from shared.bench_measures import Row, finite
+from shared.figures import say, write_json, write_png
+from shared.learning_experiment import tiny_network
+from shared.learning_runs import kind_of
+
+from clothtrack import __version__
+from clothtrack.errors import ClothTrackError, InvalidRecordingError
+from clothtrack.files.atomic_write import content_hash
+from clothtrack.files.provenance import commit
+from clothtrack.geometry.chamfer import two_way
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.availability import shipped_weights
+from clothtrack.reconstruction.depth_input import load_model
+from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, figures_of, network_mesh
+from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.refinement import RefinementConfig
+from clothtrack.recordings.mesh_file import read_mesh, write_mesh
+from real import drawn_topdown
+from real.picture_sheet import Picture, drawn_depth, sheet, tile
+from real.topdown import (
+    GARMENTS,
+    PIXEL_M,
+    SETS,
+    STICKERS,
+    USUAL_SIDE_M,
+    Entry,
+    RealPicture,
+    least_rectangle,
+)
+
+STICKER_INSET = 0.045
+"""From a corner to the middle of its sticker, in parts of the longer side; along the diagonal."""
+
+NEAR = 0.1
+"""A sticker nearer than this to its corner, in parts of the longer side, is right."""
+
+NO_FIGURES: Row = {
+    "iou": 0.0, "chamfer_m2": None, "cloud_to_mesh_m": None, "trusted": False,
+    "expected_error_m": None, "scale": None, "seconds": None, "cpu_s": None, "tilt_deg": None,
+}  # fmt: skip
+"""Of a picture that became no mesh."""
+
+Points = Float[np.ndarray, "points 2"]
+
+
+@dataclass
+class Networks:
+    """The network of each garment, loaded when it is first asked for.
+
+    Attributes:
+        weights: by the garment that they are for, or "any"; those that come with clothtrack where
+            none are.
+        device: where to compute.
+    """
+
+    weights: Mapping[str, Path] = field(default_factory=dict)
+    device: str = "cpu"
+    _models: dict[str, MeshReconstructor] = field(default_factory=dict)
+
+    def model(self, kind: str) -> MeshReconstructor:
+        """The network for a garment.
+
+        Raises:
+            InvalidResultError: there is none, or its weights are damaged.
+        """
+        if kind not in self._models:
+            self._models[kind] = load_model(kind, self._weights(kind), device=self.device)
+        return self._models[kind]
+
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of the weights for each garment."""
+        files = {kind: self._weights(kind) or shipped_weights(kind) for kind in ("towel", "tshirt")}
+        return {kind: content_hash(path) for kind, path in files.items() if path is not None}
+
+    def _weights(self, kind: str) -> Path | None:
+        return self.weights.get(kind, self.weights.get("any"))
+
+
+def silhouette_iou(
+    drawn: Bool[np.ndarray, "height width"], shown: Bool[np.ndarray, "height width"]
+) -> float:
+    """Shared pixels over all pixels of both silhouettes."""
+    return float((drawn & shown).sum() / max((drawn | shown).sum(), 1))
+
+
+def assigned(stickers: Points, corners: Points) -> Float[np.ndarray, " stickers"]:
+    """Distance of each sticker to the corner that it is given: one to one, least in sum."""
+    apart = cdist(stickers, corners)
+    rows, columns = linear_sum_assignment(apart)
+    return apart[rows, columns]
+
+
+def sticker_places(mesh: ClothMesh) -> Float[np.ndarray, "4 3"]:
+    """Where the stickers on the corners of a towel are in the world [m]."""
+    flat = np.asarray(mesh.canonical, np.float64)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    inset = STICKER_INSET / np.sqrt(2.0) * (high - low).max()
+    x, y = (np.array([low[axis] + inset, high[axis] - inset]) for axis in (0, 1))
+    wanted = np.array([(a, b, 0.5 * (low[2] + high[2])) for a in x for b in y])
+    face, weights = closest_on_mesh(wanted, flat, mesh.faces)
+    corners = mesh.vertices.astype(np.float64)[mesh.faces[face]]
+    return np.einsum("ij,ijk->ik", weights, corners)
+
+
+def moved_in(rectangle: Float[np.ndarray, "4 2"], inset: float) -> Float[np.ndarray, "4 2"]:
+    """Corners moved along their diagonal's two sides so that they are `inset` from where they were.
+
+    At most to the middle of a side.
+    """
+    moved = rectangle.copy()
+    for way in (1, -1):
+        side = np.roll(rectangle, way, axis=0) - rectangle
+        length = np.linalg.norm(side, axis=1, keepdims=True)
+        step = np.minimum(inset / np.sqrt(2.0), 0.5 * length)
+        moved += side / np.maximum(length, 1e-9) * step
+    return moved
+
+
+def judged(entry: Entry, networks: Networks, keep: Path | None) -> Row:
+    """The row of one picture; its mesh is left in `keep`, PLY."""
+    model = networks.model(entry.kind)
+    row: Row = {"picture": entry.name, "garment": entry.garment, "kind": entry.kind, **NO_FIGURES}
+    wall, used = time.perf_counter(), time.process_time()
+    try:
+        picture = entry.read()
+    except InvalidRecordingError as error:
+        return {**row, "error": str(error)}
+    mesh = None
+    try:
+        made = network_mesh(
+            model,
+            picture.depth,
+            entry.kind,
+            size_m=picture.size_m,
+            refinement=RefinementConfig(),
+            device=networks.device,
+        )
+        mesh = made.mesh
+        row |= {"status": made.reconstruction.status, "scale": made.scale}
+        if mesh is not None:
+            figures = figures_of(made, mesh, picture.depth)
+            loose = figures["cloud_to_mesh_m"] > LOOSE_FIT_M
+            row |= {
+                "cloud_to_mesh_m": figures["cloud_to_mesh_m"],
+                "trusted": bool(figures.get("trusted", not loose)),
+                "expected_error_m": figures.get("expected_error_m"),
+            }
+    except ClothTrackError as error:
+        row["error"] = str(error)
+    row |= {"seconds": time.perf_counter() - wall, "cpu_s": time.process_time() - used}
+    if mesh is not None and keep is not None:
+        write_mesh(mesh, keep / f"{entry.name}.ply")
+    up = picture.depth.camera.world_from_camera[2, 2]
+    row |= {
+        "table_source": picture.depth.table_source,
+        "table_residual_m": picture.depth.table_residual_m,
+        "tilt_deg": float(np.degrees(np.arccos(np.clip(-up, -1.0, 1.0)))),
+        **_surface_scores(mesh, picture),
+    }
+    if picture.stickers is not None:
+        row |= _sticker_scores(mesh, picture, picture.stickers)
+    return row
+
+
+def _surface_scores(mesh: ClothMesh | None, picture: RealPicture) -> Row:
+    if mesh is None:
+        return {}
+    camera = picture.depth.camera
+    drawn = drawn_depth(mesh, camera)
+    cloud = camera.back_project(picture.depth.depth_m, picture.depth.mask)
+    surface = camera.back_project(drawn)
+    return {
+        "iou": silhouette_iou(drawn > 0, picture.silhouette),
+        "chamfer_m2": two_way(surface, cloud) if len(surface) and len(cloud) else None,
+    }
+
+
+def _sticker_scores(mesh: ClothMesh | None, picture: RealPicture, stickers: Points) -> Row:
+    rectangle = least_rectangle(picture.silhouette)
+    longer = max(picture.size_m or (USUAL_SIDE_M,)) / PIXEL_M
+    if mesh is None:
+        rows, columns = np.nonzero(picture.silhouette)
+        corners = np.tile((columns.mean(), rows.mean()), (4, 1))
+    else:
+        corners, _ = picture.depth.camera.project(sticker_places(mesh))
+
+    def sides(places: Points) -> list[float]:
+        return [float(each) for each in assigned(stickers, places) / longer]
+
+    return {
+        "corners_px": corners.tolist(),
+        "sticker_side": sides(corners),
+        "control_side": sides(rectangle),
+        "control_moved_in_side": sides(moved_in(rectangle, STICKER_INSET * longer)),
+    }
+
+
+def garments_summary(rows: Sequence[Row]) -> dict[str, object]:
+    """Rows of the garments with their means."""
+    trusted = [_or_infinite(row["chamfer_m2"]) for row in rows if row["trusted"]]
+    return {
+        "rows": list(rows),
+        "iou": _mean([row["iou"] for row in rows]),
+        "chamfer_median_m2": float(np.median([_or_infinite(row["chamfer_m2"]) for row in rows])),
+        "trusted_share": _mean([row["trusted"] for row in rows]),
+        "trusted_worst_m2": max(trusted, default=None),
+    }
+
+
+def stickers_summary(rows: Sequence[Row]) -> dict[str, object]:
+    """Rows of the cloths with stickers, their mean, and means over all stickers."""
+    network, control = (
+        [apart for row in rows for apart in row.get(key, [])]
+        for key in ("sticker_side", "control_side")
+    )
+    return {
+        "rows": list(rows),
+        "iou": _mean([row["iou"] for row in rows]),
+        "one_to_one_side": _mean(network),
+        "within_0_1": _mean([apart < NEAR for apart in network]),
+        "control_one_to_one_side": _mean(control),
+        "control_within_0_1": _mean([apart < NEAR for apart in control]),
+    }
+
+
+SUMMARIES = {GARMENTS: garments_summary, STICKERS: stickers_summary}
+
+
+def table(name: str, rows: Sequence[Row]) -> str:
+    """The rows as text, one line each, and what they come to."""
+    heads = ["picture", "IoU", "Chamfer, 1e-4 m2", "cloud to mesh, mm", "trusted", "s", "CPU s"]
+    heads += ["scale", "tilt", "in sides"] if name == STICKERS else ["scale", "tilt"]
+    lines = ["  ".join(f"{head:>17}" if head == "picture" else head for head in heads)]
+    for row in rows:
+        cells = [
+            f"{row['iou']:.2f}", _number(row["chamfer_m2"], 1e4),
+            _number(row["cloud_to_mesh_m"], 1e3), "yes" if row["trusted"] else "no",
+            _number(row["seconds"]), _number(row["cpu_s"]), _number(row["scale"], digits=2),
+            _number(row["tilt_deg"]),
+            " ".join(f"{each:.3f}" for each in row.get("sticker_side", [])),
+        ]  # fmt: skip
+        widths = [len(head) for head in heads[1:]]
+        figures = "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=False))
+        words = f"{row['picture']} {row['garment']}"
+        lines.append(f"{words[:17]:>17}  {figures}  {row.get('error', '')}".rstrip())
+    summary = SUMMARIES[name](rows)
+    if name == STICKERS:
+        inside = _pooled(rows, "control_moved_in_side")
+        summary["control, moved in"] = _mean(inside)
+        summary["control, moved in, within 0.1"] = _mean([apart < NEAR for apart in inside])
+    means = (f"{key} {value:.3g}" for key, value in summary.items() if isinstance(value, float))
+    return "\n".join([f"{name}: {len(rows)} pictures", *lines, ", ".join(means)]) + "\n\n"
+
+
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Judge all pictures of the sets that are there; the report is written after each of them.
+
+    Raises:
+        InvalidRecordingError: `meta.json` of a set cannot be read.
+        InvalidResultError: weights are missing or damaged.
+    """
+    networks = Networks({kind_of(path): path for path in options.weights}, options.device)
+    folders = {name: options.data / name for name in SETS if (options.data / name).is_dir()}
+    stamp = {
+        "clothtrack": __version__, "commit": commit(), "weights_sha256": networks.digests(),
+        "meta_sha256": {n: content_hash(folder / "meta.json") for n, folder in folders.items()},
+    }  # fmt: skip
+    report: dict[str, object] = {"provenance": stamp}
+    known = _rows_of(options.json, stamp)
+    for name, folder in folders.items():
+        keep = None if options.keep is None else options.keep / name
+        rows: list[Row] = []
+        entries = SETS[name](folder)
+        for number, entry in enumerate(entries, start=1):
+            row = known.get((name, entry.name))
+            if row is None or not _complete(row, keep and keep / f"{entry.name}.ply"):
+                row = finite(judged(entry, networks, keep))
+                sys.stderr.write(f"{name}: {number} of {len(entries)}\n")
+            rows.append(row)
+            report[name] = SUMMARIES[name](rows)
+            if options.json is not None:
+                write_json(options.json, report)
+        say(table(name, rows))
+        if keep is not None:
+            write_png(options.keep / f"{name}.png", _sheet(entries, rows, keep))
+    for name in SETS:
+        if name not in folders:
+            say(f"{name}: skipped, there is no {options.data / name}\n")
+    return report
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the experiment; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, help="folder with garments/, stickers/ or both")
+    parser.add_argument("--json", type=Path, help="rows and means; a second call goes on from it")
+    parser.add_argument("--keep", type=Path, help="folder of the meshes and a picture of each set")
+    parser.add_argument(
+        "--weights", type=Path, nargs="+", default=[], help="other than those that are shipped"
+    )
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--smoke", action="store_true", help="two drawn pictures, a tiny network")
+    options = parser.parse_args(arguments)
+    if options.data is None and not options.smoke:
+        parser.error("give --data DIR, or --smoke")
+    quiet_warp()
+    with tempfile.TemporaryDirectory(prefix="real-pictures-") as temporary:
+        if options.smoke:
+            options.data = options.data or drawn_topdown.write(Path(temporary) / "data")
+            options.weights = options.weights or [
+                tiny_network(Path(temporary) / f"{kind}.safetensors", kind)
+                for kind in ("towel", "tshirt")
+            ]
+        try:
+            report = run(options)
+        except ClothTrackError as error:
+            sys.stderr.write(f"{error}\n")
+            return 1
+    return 0 if len(report) > 1 else 1
+
+
+def _rows_of(file: Path | None, stamp: Mapping[str, object]) -> dict[tuple[str, str], Row]:
+    """Rows by set and picture of an earlier call that had the same stamp."""
+    if file is None or not file.exists():
+        return {}
+    report = json.loads(file.read_text(encoding="utf-8"))
+    if report.get("provenance") != finite(stamp):
+        return {}
+    return {(n, row["picture"]): row for n in SETS for row in report.get(n, {}).get("rows", [])}
+
+
+def _complete(row: Row, mesh: Path | None) -> bool:
+    """Whether a row's mesh is kept where meshes are, or there is none."""
+    return mesh is None or row["cloud_to_mesh_m"] is None or mesh.exists()
+
+
+def _sheet(entries: Sequence[Entry], rows: Sequence[Row], keep: Path) -> Picture:
+    """All pictures of a set with their meshes, to look at."""
+    tiles = []
+    for entry, row in zip(entries, rows, strict=True):
+        try:
+            picture = entry.read()
+        except InvalidRecordingError:
+            continue
+        file = keep / f"{entry.name}.ply"
+        mesh = read_mesh(file) if row["cloud_to_mesh_m"] is not None else None
+        words = f"{entry.name} {entry.garment}: IoU {row['iou']:.2f}, "
+        words += f"{_number(row['chamfer_m2'], 1e4)}e-4 m2"
+        words += ", trusted" if row["trusted"] else ", not trusted"
+        tiles.append(tile(picture, mesh, words, np.array(row.get("corners_px", [])).reshape(-1, 2)))
+    return sheet(tiles)
+
+
+def _pooled(rows: Sequence[Row], key: str) -> list[float]:
+    return [apart for row in rows for apart in row.get(key, [])]
+
+
+def _number(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
+    return "-" if value is None else f"{factor * value:.{digits}f}"
+
+
+def _or_infinite(value: float | None) -> float:
+    return np.inf if value is None else value
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
+
+
+if __name__ == "__main__":
+    sys.exit(main())
