@@ -12,7 +12,15 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.garments import garment
 from real.picture_sheet import drawn_depth
-from real.topdown import CAMERA_HEIGHT_M, GARMENTS, LEVEL, LEVELS_PER_M, PIXEL_M, STICKERS
+from real.topdown import (
+    CAMERA_HEIGHT_M,
+    GARMENTS,
+    LEVEL,
+    LEVELS_PER_M,
+    PIXEL_M,
+    STICKER_INSET,
+    STICKERS,
+)
 
 SIDE_M = 0.16
 TILT_DEG, DISTANCE_M = 6.0, 0.6
@@ -67,9 +75,12 @@ def _write_stickers(folder: Path) -> None:
         height_m = np.where(drawn > 0, CAMERA_HEIGHT_M - drawn, 0.0)
         level = np.where(drawn > 0, LEVEL - LEVELS_PER_M * height_m, 255)
         _write_picture(folder, name, np.clip(level, 0, 255).astype(np.uint8), drawn > 0)
-        # The two corners that are not folded over: those at the left.
+        # On the two corners that are not folded over: those at the left.
         corners = mesh.vertices[np.abs(mesh.canonical[:, :2]).min(axis=1) > 0.499 * SIDE_M]
-        places, _ = camera.project(corners.astype(np.float64)[corners[:, 0] < -0.4 * SIDE_M])
+        left = corners[corners[:, 0] < -0.4 * SIDE_M].astype(np.float64)
+        inset = STICKER_INSET / np.sqrt(2.0) * SIDE_M
+        left[:, :2] -= inset * np.sign(left[:, :2])
+        places, _ = camera.project(left)
         marks = [{"u": float(u), "v": float(v)} for u, v in places]
         frames.append({"frame": name, "cloth": "square", "corner_stickers": marks})
     _write_meta(folder, {"frames": frames})

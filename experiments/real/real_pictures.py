@@ -54,15 +54,13 @@ from real.topdown import (
     GARMENTS,
     PIXEL_M,
     SETS,
+    STICKER_INSET,
     STICKERS,
     USUAL_SIDE_M,
     Entry,
     RealPicture,
     least_rectangle,
 )
-
-STICKER_INSET = 0.045
-"""From a corner to the middle of its sticker, in parts of the longer side; along the diagonal."""
 
 NEAR = 0.1
 """A sticker nearer than this to its corner, in parts of the longer side, is right."""

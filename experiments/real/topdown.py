@@ -30,6 +30,9 @@ KINDS = {"tshirt": "tshirt", "polo": "tshirt", "sweater": "tshirt"}
 PIXEL_M = 0.30 / 480
 """Side of a pixel of `stickers/` [m]: the flat square fills 480, and is taken for 30 cm."""
 
+STICKER_INSET = 0.045
+"""From a corner to the middle of its sticker, in parts of the longer side; along the diagonal."""
+
 USUAL_SIDE_M = 0.30
 """Longer side of a cloth in `stickers/` that has no flat picture [m]."""
 
