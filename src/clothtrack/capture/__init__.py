@@ -14,8 +14,8 @@ if TYPE_CHECKING:
         ReplayedCamera,
     )
     from clothtrack.capture.realsense_camera import RealSenseCamera, open_realsense
-    from clothtrack.capture.segmentation_setup import SegmentationSetup
     from clothtrack.capture.recorded_table import fit_recorded_table
+    from clothtrack.capture.segmentation_setup import SegmentationSetup
     from clothtrack.capture.tip_finder import TipFinder
 else:
     __getattr__, __dir__ = lazy_names(__name__)

@@ -23,9 +23,7 @@ FRAMES = 8
 """Frames that are looked at, spread over the recording."""
 
 
-def fit_recorded_table(
-    recording: Recording, camera: Camera
-) -> TableFit:
+def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
     """The table in a recording: what most of the depth that is not cloth lies on.
 
     The cloth is left out where masks or its colour name tell it; the tool is too small to matter.

@@ -186,7 +186,7 @@ def reconstruct(
     """Reconstruct the whole cloth, hidden layers included, from one depth picture.
 
     Args:
-        depth: a 16-bit depth PNG of a camera that looks straight down, or a recording.
+        depth: a 16-bit depth PNG of a camera that looks down on a table, or a recording.
         output: mesh file to write: .obj, .ply or .stl [m]; table at z = 0 for a PNG.
         garment: what it is; must be said for a PNG.
         weights: model.safetensors; the ones that come with clothtrack by default.

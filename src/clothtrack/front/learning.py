@@ -88,7 +88,7 @@ def reconstruct(
     """The whole cloth, hidden layers included, from one depth picture (needs the extra [learn]).
 
     Args:
-        picture: depth [m] of a camera that looks straight down on a table, 0 where nothing was
+        picture: depth [m] of a camera that looks down on a table, 0 where nothing was
             measured; a 16-bit depth PNG of one; or the folder of a recording.
         garment: what it is; a recording may say so itself.
         frame: of a recording; the first by default.

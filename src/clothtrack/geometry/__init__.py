@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.geometry.quality import close_pairs, crossings, edge_strain
     from clothtrack.geometry.sampling import sample_surface
-    from clothtrack.geometry.table_plane import TableFit, TableFitConfig, fit_plane
+    from clothtrack.geometry.table_plane import TableFit, fit_plane
     from clothtrack.geometry.visibility import (
         DepthBuffer,
         Rasteriser,
@@ -29,7 +29,6 @@ __all__ = [
     "DepthBuffer",
     "Rasteriser",
     "TableFit",
-    "TableFitConfig",
     "VisibilityCheck",
     "close_pairs",
     "closest_on_mesh",
