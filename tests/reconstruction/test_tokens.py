@@ -231,15 +231,18 @@ def test_one_network_learns_from_towels_and_shirts_and_goes_on_to_the_same_bits(
     folders: list[Path], tmp_path: Path
 ) -> None:
     sets = [open_states(folder) for folder in folders]
-    _, whole = pretrain_tokens(sets, TINY, _learning(), tmp_path / "whole")
+    whole = pretrain_tokens(sets, TINY, _learning(), tmp_path / "whole").model
     pretrain_tokens(sets, TINY, _learning(), tmp_path / "parts", progress=_StopAfter(4))
-    outcome, parts = pretrain_tokens(sets, TINY, _learning(), tmp_path / "parts")
+    learned = pretrain_tokens(sets, TINY, _learning(), tmp_path / "parts")
+    outcome = learned.stages["tokens"]
     assert outcome.status == "finished"
-    first, second = (TokenReconstructor.load(path).model.state_dict() for path in (whole, parts))
+    first, second = (
+        TokenReconstructor.load(path).model.state_dict() for path in (whole, learned.model)
+    )
     for name, value in first.items():
         assert torch.equal(value, second[name]), name
-    further, _ = pretrain_tokens(sets, TINY, _learning(), tmp_path / "further", start=whole)
-    assert further.best_score <= outcome.best_score
+    further = pretrain_tokens(sets, TINY, _learning(), tmp_path / "further", start=whole)
+    assert further.stages["tokens"].best_score <= outcome.best_score
 
 
 class _StopAfter:

@@ -15,6 +15,7 @@ from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress
 from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
+    from clothtrack.reconstruction.data.state_store import StateSet
     from clothtrack.reconstruction.two_stages import LearningConfig, LearningOutcome
 
 GarmentChoice = Literal["as recorded", "towel", "tshirt"]
@@ -76,7 +77,7 @@ def pretrain(
     states: Positional[tuple[Path, ...]],
     *,
     output: Path,
-    network: Literal["small", "reference"] = "small",
+    network: Literal["tokens", "small", "reference"] = "tokens",
     start: Path | None = None,
     settings: Settings = (),
     device: Device = "cpu",
@@ -89,11 +90,13 @@ def pretrain(
     torchrun --nproc-per-node N --module clothtrack.cli pretrain ... --device cuda
 
     Args:
-        states: folders of states, all of one kind of garment.
+        states: folders of states; of one kind of garment for a published network.
         output: folder for progress, scalars and model.safetensors.
-        network: its sizes: small for two processor cores, reference as published.
+        network: the token network, for every garment; or the published one, in the size for two
+            processor cores (small) or as published (reference).
         start: model.safetensors of the same garment and sizes to begin with.
-        settings: changes, such as canonicalisation.epochs=20 or completion.batch_size=8.
+        settings: changes, such as tokens.epochs=20, or canonicalisation.epochs=20 of a published
+            network.
         device: where to compute.
         seed: of weights, order, cameras and noise.
         json: machine-readable.
@@ -106,9 +109,12 @@ def pretrain(
     if not states:
         complain("no states given; make some with: clothtrack simulate OUT --states N")
         return 2
+    sets = [open_states(folder) for folder in states]
+    if network == "tokens":
+        learn = _token_training(sets, settings, output, start=start, seed=seed)
+        return _learn(learn, device, json=json)
     name = "pretrain" if network == "small" else "pretrain_reference"
     config = _learning_config(name, settings, seed=seed)
-    sets = [open_states(folder) for folder in states]
     learn = partial(two_stages.pretrain, sets, preset(network), config, output, start=start)
     return _learn(learn, device, json=json)
 
@@ -172,6 +178,8 @@ def reconstruct(
     *,
     output: Path = Path("out/mesh.obj"),
     garment: GarmentChoice = "as recorded",
+    size: tuple[float, float] | None = None,
+    template: Path | None = None,
     weights: Path | None = None,
     method: Literal["template", "implicit"] = "template",
     refined: bool = True,
@@ -188,7 +196,9 @@ def reconstruct(
     Args:
         depth: a 16-bit depth PNG of a camera that looks down on a table, or a recording.
         output: mesh file to write: .obj, .ply or .stl [m]; table at z = 0 for a PNG.
-        garment: what it is; must be said for a PNG.
+        garment: what it is; must be said for a PNG, unless a template says so.
+        size: width and length of the flat garment [m]; several are tried where nobody says.
+        template: the flat garment itself, instead of a size.
         weights: model.safetensors; the ones that come with clothtrack by default.
         method: the garment's own mesh laid into the picture, or the surface of the predicted
             winding number, which may find none.
@@ -203,29 +213,29 @@ def reconstruct(
     """
     require_learning()
     from clothtrack.front.learning import reconstructed
-    from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, figures_of
+    from clothtrack.reconstruction.from_picture import figures_of
     from clothtrack.recordings.mesh_file import require_mesh_format, write_mesh
 
     require_mesh_format(output)
     mesh, network, picture = reconstructed(
-        depth, None if garment == "as recorded" else garment, frame=frame, weights=weights,
-        method=method, refined=refined, device=device, mask=mask, depth_unit_m=depth_unit,
+        depth, None if garment == "as recorded" else garment, frame=frame, size_m=size,
+        template=template, weights=weights, method=method, refined=refined, device=device,
+        mask=mask, depth_unit_m=depth_unit,
         focal=focal, table_distance_m=table_distance,
     )  # fmt: skip
     write_mesh(mesh, output)
     report = {"mesh": str(output), **figures_of(network, mesh, picture)}
-    apart_mm = 1e3 * report["cloud_to_mesh_m"]
-    summary = "{mesh}   {vertices} vertices, confidence {confidence:.2f}, ".format(**report)
-    summary += f"{apart_mm:.1f} mm from the cloud"
+    summary = "{mesh}   {vertices} vertices, ".format(**report)
+    summary += f"{1e3 * report['cloud_to_mesh_m']:.1f} mm from the cloud"
+    if report["expected_error_m"] is not None:
+        summary += f", expected error {1e3 * report['expected_error_m']:.0f} mm"
     if network.scale != 1.0:
         summary += f", seen as if {network.scale:g} times as large"
     say_result(summary, report, json=json)
-    if apart_mm > 1e3 * LOOSE_FIT_M:
+    if not report["trusted"]:
         complain(
-            f"{depth}: the mesh is {apart_mm:.0f} mm from what was measured (more than "
-            f"{1e3 * LOOSE_FIT_M:.0f}): do not trust it. The network knows a {picture.kind} on a "
-            "table, of the sizes in its model card; is the garment, its mask or the depth's unit "
-            "another?"
+            f"{depth}: do not trust this mesh: {report['why_not']}. Is the garment, its size, its "
+            "mask or the depth's unit another?"
         )
     return 0
 
@@ -235,6 +245,27 @@ def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "Learn
     from clothtrack.reconstruction.two_stages import LearningConfig
 
     return with_settings(LearningConfig.preset(name, seed=seed), settings)
+
+
+def _token_training(
+    sets: "Sequence[StateSet]",
+    settings: Sequence[str],
+    output: Path,
+    *,
+    start: Path | None,
+    seed: int,
+) -> "Callable[..., LearningOutcome]":
+    from clothtrack.files.settings import with_settings
+    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
+    from clothtrack.reconstruction.tokens.token_training import (
+        TokenLearningConfig,
+        pretrain_tokens,
+    )
+
+    config = TokenLearningConfig()
+    config = replace(config, tokens=replace(config.tokens, seed=seed))
+    config = with_settings(config, settings)
+    return partial(pretrain_tokens, sets, TokenNetworkConfig(), config, output, start=start)
 
 
 def _learn(learn: "Callable[..., LearningOutcome]", device: str, *, json: bool) -> int:
@@ -249,7 +280,7 @@ def _learn(learn: "Callable[..., LearningOutcome]", device: str, *, json: bool) 
     end_progress()
     lines = [
         f"{name}  {stage.status} after {stage.steps} steps; best held-out error "
-        f"{stage.best_score:.1f} mm after {stage.best_step}"
+        f"{stage.best_score:.4g} {stage.unit} after {stage.best_step}"
         for name, stage in outcome.stages.items()
     ]
     if outcome.model is not None:

@@ -79,6 +79,8 @@ def reconstruct(
     garment: GarmentKind | None = None,
     *,
     frame: int | None = None,
+    size_m: tuple[float, float] | None = None,
+    template: ClothMesh | Path | str | None = None,
     weights: Path | str | None = None,
     method: Literal["template", "implicit"] = "template",
     refined: bool = True,
@@ -92,6 +94,9 @@ def reconstruct(
             measured; a 16-bit depth PNG of one; or the folder of a recording.
         garment: what it is; a recording may say so itself.
         frame: of a recording; the first by default.
+        size_m: width and length of the flat garment [m]; a recording may say so itself. Several
+            are tried where nobody does.
+        template: the flat garment itself, or its file (`clothtrack garment`), instead of a size.
         weights: model.safetensors; the ones that come with clothtrack by default.
         method: the garment's own mesh laid into the picture, or the surface of the predicted
             winding number, which may find none.
@@ -110,8 +115,8 @@ def reconstruct(
         InvalidResultError: weights are missing, or no mesh was found.
     """
     return reconstructed(
-        picture, garment, frame=frame, weights=weights, method=method, refined=refined,
-        device=device, **of_picture,
+        picture, garment, frame=frame, size_m=size_m, template=template, weights=weights,
+        method=method, refined=refined, device=device, **of_picture,
     )[0]  # fmt: skip
 
 
@@ -120,6 +125,8 @@ def reconstructed(
     garment: GarmentKind | None,
     *,
     frame: int | None,
+    size_m: tuple[float, float] | None,
+    template: ClothMesh | Path | str | None,
     weights: Path | str | None,
     method: Literal["template", "implicit"],
     refined: bool,
@@ -147,15 +154,38 @@ def reconstructed(
             shown = depth_input.from_depth(picture, named, **options)
         else:
             shown = depth_input.from_picture(Path(picture), **options)
-    kind = _kind(garment or shown.kind, named)
+    if size_m is not None and not 0.0 < min(size_m) <= max(size_m) < float("inf"):
+        raise InvalidConfigError(
+            f"the size is {size_m[0]:g} x {size_m[1]:g} m; give width and length in metres, above 0"
+        )
+    if size_m is not None and template is not None:
+        raise InvalidConfigError("a template has its size; give either a size or a template")
+    flat = read_template(Path(template)) if isinstance(template, str | Path) else template
+    kind = _kind(garment or shown.kind or _kind_of(flat), named)
     model = load_model(kind, weights and Path(weights), device=device)
     refinement = RefinementConfig() if refined else None
-    network = network_mesh(model, shown, kind, method=method, refinement=refinement, device=device)
+    network = network_mesh(
+        model,
+        shown,
+        kind,
+        method=method,
+        size_m=size_m or shown.size_m,
+        template=flat,
+        refinement=refinement,
+        device=device,
+    )
     if network.mesh is None:
         raise InvalidResultError(
             f"{named}: no mesh ({network.reconstruction.status}); try --method template"
         )
     return network.mesh, network, replace(shown, kind=kind)
+
+
+def _kind_of(flat: ClothMesh | None) -> GarmentKind | None:
+    """What a template is: of two layers, or of one."""
+    if flat is None or flat.canonical is None:
+        return None
+    return "tshirt" if np.ptp(flat.canonical[:, 2]) > 0.0 else "towel"
 
 
 def _kind(garment: str | None, source: str) -> GarmentKind:

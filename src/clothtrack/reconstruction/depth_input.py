@@ -46,6 +46,7 @@ class DepthInput:
         camera: that took it; world z up.
         table: what the cloth lies on.
         kind: the garment, when it is known.
+        size_m: its width and length [m], when they are known.
         table_source: where the camera's place over the table is from: the recording says it, a
             plane is fitted to the depth, or the camera is assumed to look straight down.
         table_residual_m: root mean square distance of the table's pixels from the fitted plane
@@ -57,6 +58,7 @@ class DepthInput:
     camera: Camera
     table: Table | None
     kind: str | None = None
+    size_m: tuple[float, float] | None = None
     table_source: Literal["recorded", "fitted", "assumed"] = "recorded"
     table_residual_m: float | None = None
 
@@ -71,6 +73,9 @@ class DepthInput:
             depth_m=self.depth_m * factor,
             camera=self.camera.scaled(factor),
             table=table,
+            size_m=None
+            if self.size_m is None
+            else (self.size_m[0] * factor, self.size_m[1] * factor),
             table_residual_m=None if residual_m is None else residual_m * factor,
         )
 
@@ -94,7 +99,8 @@ def from_recording(folder: Path, frame: int) -> DepthInput:
             f"{folder}: there is no frame {frame}; it has 0 to {len(recording.frames) - 1}"
         )
     depth, mask, camera = cloth_picture(recording, recording.frames[frame])
-    return DepthInput(depth, mask, camera, recording.table, recording.cloth.kind)
+    cloth = recording.cloth
+    return DepthInput(depth, mask, camera, recording.table, cloth.kind, cloth.size_m)
 
 
 def from_picture(

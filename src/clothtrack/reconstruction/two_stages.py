@@ -14,6 +14,7 @@ from clothtrack.reconstruction.data.examples import ExampleConfig, collate
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, PseudoLabelExamples
 from clothtrack.reconstruction.data.state_examples import RenderConfig, StateExamples
 from clothtrack.reconstruction.data.state_store import StateSet
+from clothtrack.reconstruction.learning_outcome import LearningOutcome
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.model_card import PACKAGES, write_model_card
 from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
@@ -71,19 +72,6 @@ class LearningConfig:
         """
         stages = {stage: replace(training_preset(name, stage), seed=seed) for stage in STAGES}
         return cls(**stages)
-
-
-@dataclass(frozen=True)
-class LearningOutcome:
-    """What came of a training.
-
-    Attributes:
-        stages: how each stage that was begun ended, by name.
-        model: the file with the weights of both stages; None after an interrupt.
-    """
-
-    stages: Mapping[str, TrainingOutcome]
-    model: Path | None
 
 
 def pretrain(

@@ -117,6 +117,7 @@ class TokenStage(Stage):
 
     name = "tokens"
     score = "place_error"
+    unit = "of the garment's side"
     kind = "any"
 
     def __init__(self, model: TokenNetwork) -> None:

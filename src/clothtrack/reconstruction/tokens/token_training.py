@@ -13,6 +13,7 @@ from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain
 from clothtrack.reconstruction.data.state_examples import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
+from clothtrack.reconstruction.learning_outcome import LearningOutcome
 from clothtrack.reconstruction.model_card import PACKAGES
 from clothtrack.reconstruction.tokens.token_examples import TokenExamples
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
@@ -21,7 +22,7 @@ from clothtrack.reconstruction.training.batches import Subset, split_by_group
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights, save_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.reconstruction.training.training_loop import TrainingOutcome, train
+from clothtrack.reconstruction.training.training_loop import train
 
 MODEL = "model.safetensors"
 KIND = "any"
@@ -63,7 +64,7 @@ def pretrain_tokens(
     start: Path | None = None,
     processes: Processes | None = None,
     progress: Progress | None = None,
-) -> tuple[TrainingOutcome, Path | None]:
+) -> LearningOutcome:
     """Train on states of any garments; a second call goes on where the first one stopped.
 
     Garments are held out as a whole.
@@ -78,7 +79,7 @@ def pretrain_tokens(
         progress: called after every step.
 
     Returns:
-        How it ended, and the file with the best weights; None after an interrupt.
+        How it ended, and the file with the best weights.
 
     Raises:
         InvalidConfigError: the states are too few.
@@ -116,7 +117,7 @@ def pretrain_tokens(
         progress=progress,
     )
     if outcome.status == "interrupted" or outcome.weights is None:
-        return outcome, None
+        return LearningOutcome({"tokens": outcome}, None)
     file = folder / MODEL
     if processes is None or processes.writes:
         best = load_weights(outcome.weights)
@@ -124,7 +125,7 @@ def pretrain_tokens(
             **best.provenance, "cpu_s": outcome.cpu_s, "made_with": made_with(PACKAGES)
         }  # fmt: skip
         save_weights(file, best.tensors, network, kind=KIND, provenance=provenance)
-    return outcome, file
+    return LearningOutcome({"tokens": outcome}, file)
 
 
 def require_tokens(weights: Weights) -> TokenNetworkConfig:

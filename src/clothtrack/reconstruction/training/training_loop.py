@@ -45,6 +45,7 @@ class Stage(nn.Module, ABC):
     Attributes:
         name: of the stage.
         score: the measure that selects; lower is better.
+        unit: of that measure.
         network: configuration of the networks, stored with the weights.
         kind: the garment, stored with the weights.
         trained: the part whose parameters change, and which the weights file holds.
@@ -52,6 +53,7 @@ class Stage(nn.Module, ABC):
 
     name: str
     score: str
+    unit: str = "mm"
     network: Any
     kind: str
     trained: nn.Module
@@ -72,6 +74,7 @@ class TrainingOutcome:
         best_step: after how many steps that was.
         weights: file with the weights of that step; None when nothing was measured yet.
         cpu_s: CPU time of this process and of those it goes on from [s].
+        unit: of the score.
     """
 
     status: Literal["finished", "converged", "interrupted"]
@@ -80,6 +83,7 @@ class TrainingOutcome:
     best_step: int
     weights: Path | None
     cpu_s: float = 0.0
+    unit: str = "mm"
 
 
 def train(
@@ -302,7 +306,15 @@ class _Run:
         """How it ended."""
         weights = self.folder / WEIGHTS
         best = weights if np.isfinite(self.best_score) else None
-        return TrainingOutcome(status, self.step, self.best_score, self.best_step, best, self.cpu_s)
+        return TrainingOutcome(
+            status,
+            self.step,
+            self.best_score,
+            self.best_step,
+            best,
+            self.cpu_s,
+            self.stage.unit,
+        )
 
 
 class _Measurement:
