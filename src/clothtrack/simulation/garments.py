@@ -13,7 +13,12 @@ from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.outlines import ShirtOutline, shirt_spans, tshirt_corners
+from clothtrack.simulation.outlines import (
+    ShirtOutline,
+    TrousersOutline,
+    shirt_spans,
+    tshirt_corners,
+)
 from clothtrack.simulation.triangulation import (
     Piece,
     Span,
@@ -162,14 +167,65 @@ def shirt(
     """
     front = outline.spans(length_m, depth=outline.front_depth)
     back = outline.spans(length_m, depth=outline.back_depth)
-    corners = np.concatenate([span.points[:-1] for span in front])
-    x, y = corners.T
-    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    # Equilateral triangles: a vertex for every sqrt(3)/2 of a squared edge, on two layers.
-    spacing = math.sqrt(4.0 / math.sqrt(3.0) * area / vertex_count)
+    return sewn(front, back, vertex_count=vertex_count, seed=seed)
+
+
+def trousers(
+    outline: TrousersOutline, length_m: float, *, vertex_count: int = 1000, seed: int = 0
+) -> ClothMesh:
+    """Trousers of any cut, lying flat, waist towards +y; waist and two cuffs are open.
+
+    Args:
+        outline: their proportions.
+        length_m: from the cuffs to the waist [m].
+        vertex_count: wanted number of vertices.
+        seed: turns and shifts the lattice of each layer.
+    """
+    spans = outline.spans(length_m)
+    return sewn(spans, spans, vertex_count=vertex_count, seed=seed)
+
+
+def sewn(
+    front: list[Span], back: list[Span], *, vertex_count: int = 1000, seed: int = 0
+) -> ClothMesh:
+    """A garment of two layers (`two_layers`) with about the wanted number of vertices.
+
+    Args:
+        front: outline [m] of the front, counter-clockwise.
+        back: outline of the back; its seams are those of the front.
+        vertex_count: wanted number of vertices.
+        seed: turns and shifts the lattice of each layer.
+    """
     return with_vertices(
-        lambda edge_m: two_layers(front, back, edge_m, seed=seed), vertex_count, spacing
+        lambda edge_m: two_layers(front, back, edge_m, seed=seed),
+        vertex_count,
+        _edge_for(vertex_count, front, layers=2),
     )
+
+
+def one_layer(spans: list[Span], *, vertex_count: int = 1000, seed: int = 0) -> ClothMesh:
+    """A cloth of one layer and any outline in the plane z = 0, as `towel` is.
+
+    Args:
+        spans: its outline [m], counter-clockwise.
+        vertex_count: wanted number of vertices.
+        seed: turns and shifts the lattice.
+    """
+
+    def cut(edge_m: float) -> ClothMesh:
+        piece = triangulate(spans, edge_m, seed)
+        vertices = np.column_stack([piece.points, np.zeros(len(piece.points))])
+        return ClothMesh(vertices, piece.faces, vertices.copy())
+
+    return with_vertices(cut, vertex_count, _edge_for(vertex_count, spans, layers=1))
+
+
+def _edge_for(vertex_count: int, spans: list[Span], *, layers: int) -> float:
+    """Length of an edge [m] with which layers of this outline have so many vertices."""
+    x, y = np.concatenate([span.points[:-1] for span in spans]).T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    # Equilateral triangles: a vertex for every sqrt(3)/2 of a squared edge.
+    return math.sqrt(2.0 * layers / math.sqrt(3.0) * area / vertex_count)
 
 
 def garment(

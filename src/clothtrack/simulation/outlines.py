@@ -104,6 +104,86 @@ def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> Shirt
         return outline
 
 
+@dataclass(frozen=True)
+class TrousersOutline:
+    """Proportions of trousers, with legs of any length, over their length from cuffs to waist.
+
+    Attributes:
+        waist: half the width of the waist.
+        hip: half the width at the hips, the outer seam's middle between waist and crotch.
+        rise: from the waist down to the crotch.
+        spread_rad: how far a leg's middle line points outwards [rad].
+        thigh: width of a leg at the crotch.
+        cuff: width of a leg's end.
+    """
+
+    waist: float = 0.19
+    hip: float = 0.25
+    rise: float = 0.28
+    spread_rad: float = 0.12
+    thigh: float = 0.26
+    cuff: float = 0.17
+
+    def spans(self, length_m: float) -> list[Span]:
+        """The outline of one layer of trousers of this length [m], counter-clockwise.
+
+        Raises:
+            InvalidConfigError: the outline crosses itself.
+        """
+        along = np.array([np.sin(self.spread_rad), -np.cos(self.spread_rad)])
+        across = np.array([np.cos(self.spread_rad), np.sin(self.spread_rad)])
+        crotch = np.array([0.0, 0.5 - self.rise])
+        leg = crotch + 0.5 * self.thigh * across
+        end = leg + along * (0.5 + leg[1]) / -along[1]
+        right = np.array(
+            [
+                crotch,
+                end - 0.5 * self.cuff * across,
+                end + 0.5 * self.cuff * across,
+                crotch + self.thigh * across,
+                (self.hip, 0.5 - 0.5 * self.rise),
+                (self.waist, 0.5),
+            ]
+        )
+        if not (right[1:, 0] > 0.0).all() or _crosses_itself(right):
+            raise InvalidConfigError(
+                f"the outline of {self} crosses itself; spread the legs, or make them narrower"
+            )
+        right = right * length_m
+        left = right * (-1.0, 1.0)
+        cuff = 1
+        steps = list(enumerate(pairwise(range(len(right)))))
+        up = [Span(right[[a, b]], sewn=number != cuff) for number, (a, b) in steps]
+        down = [Span(left[[b, a]], sewn=number != cuff) for number, (a, b) in steps]
+        return [*up, Span(np.stack([right[-1], left[-1]])), *down[::-1]]
+
+
+def draw_trousers(rng: np.random.Generator, *, short: float = 0.35) -> TrousersOutline:
+    """Proportions of trousers.
+
+    Args:
+        rng: of the draw.
+        short: share of those with short legs.
+    """
+    # Short legs leave a waist and a rise that are long for the whole.
+    scale = rng.uniform(1.5, 2.2) if rng.random() < short else 1.0
+    hip = scale * rng.uniform(0.22, 0.28)
+    while True:
+        outline = TrousersOutline(
+            waist=hip * rng.uniform(0.72, 0.95),
+            hip=hip,
+            rise=scale * rng.uniform(0.24, 0.32),
+            spread_rad=rng.uniform(0.08, 0.3),
+            thigh=hip * rng.uniform(0.98, 1.12),
+            cuff=hip * rng.uniform(0.5, 0.95),
+        )
+        try:
+            outline.spans(1.0)
+        except InvalidConfigError:
+            continue
+        return outline
+
+
 def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
     """Right half of the usual T-shirt [m], from the hem up to the neck.
 

@@ -1,0 +1,327 @@
+"""A garment's template mesh from the outline of the flat garment: layers, seams and openings."""
+
+import itertools
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation.garments import one_layer, sewn, towel, with_vertices
+from clothtrack.simulation.openings import OPENINGS, SewnKind, find_openings, openings_at
+from clothtrack.simulation.outlines import NECK_POINTS
+from clothtrack.simulation.silhouettes import Outline, Silhouette, signed_area
+from clothtrack.simulation.triangulation import Span
+
+TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
+"""Garments that a template can be made of."""
+
+USUAL_FRONT_NECK_SHARE = 0.10
+"""Depth of the front's neck over the garment's length: the picture shows the back's."""
+
+RECTANGLE_SHARE = 0.02
+"""A towel whose area differs less than this from a rectangle's is one."""
+
+MIRROR_LIMIT_SHARE = 0.05
+"""Halves farther apart than this share of the garment's extent (root mean square) are left so."""
+
+CORNER_SHARE = 0.012
+"""A bend that leaves the straight way by this share of the garment's extent is a corner."""
+
+STRETCH_POINTS = 241
+"""Points of a stretch after both halves were compared; odd, so that one is in the middle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A named part of a garment's outline.
+
+    Attributes:
+        name: hem, side, cuff, shoulder, neck, waist, outer seam, inner seam or edge.
+        points: on the upright garment [m].
+        pixels: in the picture; column and row.
+    """
+
+    name: str
+    points: Outline
+    pixels: Outline
+
+    @property
+    def sewn(self) -> bool:
+        """Whether front and back are sewn together here."""
+        return self.name not in (*OPENINGS, "edge")
+
+    @property
+    def length_m(self) -> float:
+        """Length [m]."""
+        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class FlatTemplate:
+    """A garment's template and what it was made from.
+
+    Attributes:
+        kind: the garment.
+        mesh: lying flat, neck or waist towards +y; canonical coordinates included.
+        stretches: its outline, counter-clockwise.
+        asymmetry_m: how far its halves were from each other's mirror image, root of the mean
+            square [m].
+        mirrored: whether the halves were made equal.
+        neck_seen: whether the neck's ends were seen, or are a guess.
+    """
+
+    kind: TemplateKind
+    mesh: ClothMesh
+    stretches: tuple[Stretch, ...]
+    asymmetry_m: float = 0.0
+    mirrored: bool = False
+    neck_seen: bool = True
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """Width and length [m], area of the outline [m^2], mean length of each stretch [m]."""
+        points = np.concatenate([stretch.points[:-1] for stretch in self.stretches])
+        width, length = np.ptp(points, axis=0).tolist()
+        lengths: dict[str, list[float]] = {}
+        for stretch in self.stretches:
+            name = "sleeve" if stretch.name == "shoulder" else stretch.name.replace(" ", "_")
+            lengths.setdefault(f"{name}_m", []).append(stretch.length_m)
+        means = {name: float(np.mean(values)) for name, values in lengths.items()}
+        return {"width_m": width, "length_m": length, "area_m2": signed_area(points), **means}
+
+
+def make_template(
+    outline: Silhouette,
+    kind: TemplateKind,
+    *,
+    vertex_count: int = 1000,
+    front_neck_m: float | None = None,
+    openings: Float[np.ndarray, "ends 2"] | None = None,
+    mirrored: bool = True,
+    seed: int = 0,
+    name: str = "the picture",
+) -> FlatTemplate:
+    """The template of a garment from the outline of it lying flat, its front up.
+
+    Args:
+        outline: as seen from above.
+        kind: the garment.
+        vertex_count: about how many vertices.
+        front_neck_m: how deep the front's neck is cut [m]; a tenth of the length when None.
+        openings: pixels of the ends of its openings (`openings_at`); looked for when None.
+        mirrored: whether halves that are nearly mirror images are made so.
+        seed: of the triangulation.
+        name: what messages call the picture.
+
+    Raises:
+        InvalidConfigError: another kind, or a number that does not fit.
+        InvalidRecordingError: the outline is not that of such a garment.
+    """
+    if kind not in get_args(TemplateKind):
+        raise InvalidConfigError(
+            f"kind is {kind!r}; a template can be made of: {', '.join(get_args(TemplateKind))}"
+        )
+    if front_neck_m is not None and kind in ("towel", "trousers"):
+        raise InvalidConfigError(f"front_neck_m: a {kind} has no neck; leave it out")
+    if kind == "towel":
+        if openings is not None:
+            raise InvalidConfigError("openings: a towel has none; leave them out")
+        return _towel_template(outline, vertex_count, seed)
+    return _sewn_template(
+        outline, kind, openings, vertex_count=vertex_count, front_neck_m=front_neck_m,
+        mirrored=mirrored, seed=seed, name=name,
+    )  # fmt: skip
+
+
+def _sewn_template(
+    outline: Silhouette,
+    kind: SewnKind,
+    pixels: Float[np.ndarray, "ends 2"] | None,
+    *,
+    vertex_count: int,
+    front_neck_m: float | None,
+    mirrored: bool,
+    seed: int,
+    name: str,
+) -> FlatTemplate:
+    found = find_openings(outline, kind, name) if pixels is None else openings_at(
+        outline, kind, pixels
+    )  # fmt: skip
+    numbers = range(len(found.names))
+    evenly = [_resampled(found.stretch(number)) for number in numbers]
+    in_picture = [_resampled(found.stretch_pixels(number)) for number in numbers]
+    parts, asymmetry = _about_their_axis(evenly)
+    extent = float(np.ptp(np.concatenate(parts), axis=0).max())
+    mirrored = mirrored and asymmetry <= MIRROR_LIMIT_SHARE * extent
+    if mirrored:
+        parts = [0.5 * (part + other) for part, other in zip(parts, _images(parts), strict=True)]
+    around = np.concatenate([part[:-1] for part in parts])
+    middle = 0.5 * (around.min(axis=0) + around.max(axis=0))
+    parts = [part - (0.0 if mirrored else middle[0], middle[1]) for part in parts]
+    stretches = tuple(Stretch(*each) for each in zip(found.names, parts, in_picture, strict=True))
+    back = [span for stretch in stretches for span in _spans(stretch, CORNER_SHARE * extent)]
+    front = back
+    if kind != "trousers":
+        length = float(np.ptp(around[:, 1]))
+        depth = USUAL_FRONT_NECK_SHARE * length if front_neck_m is None else front_neck_m
+        if not 0.0 < depth < 0.5 * length:
+            raise InvalidConfigError(
+                f"front_neck_m is {depth:.3g} for a length of {length:.3g} m; it must be above 0 "
+                "and less than half of the length"
+            )
+        front = [
+            span
+            for stretch in stretches
+            for span in (
+                [Span(_front_neck(stretch.points, depth))]
+                if stretch.name == "neck"
+                else _spans(stretch, CORNER_SHARE * extent)
+            )
+        ]
+    mesh = sewn(front, back, vertex_count=vertex_count, seed=seed)
+    return FlatTemplate(kind, mesh, stretches, asymmetry, mirrored, found.neck_seen)
+
+
+def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTemplate:
+    """One layer: the rectangle when the outline is one, its own outline else."""
+    upright = _levelled(outline)
+    corners = _rectangle(upright.points)
+    width, length = (corners[2] - corners[0]).tolist()
+    extent = max(width, length)
+    area = signed_area(upright.points)
+    spread = np.abs(_to_rectangle(upright.points, width, length))
+    if abs(area / (width * length) - 1.0) < RECTANGLE_SHARE and spread.mean() < 0.01 * extent:
+        mesh = with_vertices(
+            lambda edge_m: towel(width, length, edge_m),
+            vertex_count,
+            float(np.sqrt(width * length / vertex_count)),
+        )
+        at = [int(np.linalg.norm(upright.points - corner, axis=1).argmin()) for corner in corners]
+        sides = [
+            Stretch("edge", corners[[k, (k + 1) % 4]], upright.pixels[[at[k], at[(k + 1) % 4]]])
+            for k in range(4)
+        ]
+        return FlatTemplate("towel", mesh, tuple(sides))
+    closed = np.concatenate([upright.points, upright.points[:1]])
+    closed = closed - 0.5 * (closed.min(axis=0) + closed.max(axis=0))
+    pixels = np.concatenate([upright.pixels, upright.pixels[:1]])
+    # The way around begins at a corner: the first point is kept as one.
+    start = int(np.linalg.norm(closed[:-1], axis=1).argmax())
+    order = np.append(np.roll(np.arange(len(closed) - 1), -start), start)
+    edge = Stretch("edge", closed[order], pixels[order])
+    mesh = one_layer(_spans(edge, CORNER_SHARE * extent), vertex_count=vertex_count, seed=seed)
+    return FlatTemplate("towel", mesh, (edge,))
+
+
+def _levelled(outline: Silhouette) -> Silhouette:
+    """Turned by less than an eighth so that the longest straight edges run along the axes."""
+    (_, _, degrees) = cv2.minAreaRect(outline.points.astype(np.float32))
+    steps = np.roll(outline.points, -8, axis=0) - np.roll(outline.points, 8, axis=0)
+    angles = np.arctan2(steps[:, 1], steps[:, 0])
+    angle = np.radians(degrees)
+    for reach in (0.2, 0.1, 0.05):
+        # Angles of the edges modulo a quarter turn, near the present one.
+        off = (angles - angle + np.pi / 4) % (np.pi / 2) - np.pi / 4
+        near = off[np.abs(off) < reach]
+        angle += float(np.mean(near)) if len(near) else 0.0
+    angle = (angle + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    return outline.upright(np.pi / 2 + angle)
+
+
+def _rectangle(points: Outline) -> Float[np.ndarray, "4 2"]:
+    """The level rectangle whose sides lie in the middle of the outline's, counter-clockwise."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = high - low
+    sides = []
+    for axis in (0, 1):
+        other = points[:, 1 - axis]
+        central = np.abs(other - 0.5 * (low + high)[1 - axis]) < 0.4 * size[1 - axis]
+        near_low = central & (points[:, axis] < low[axis] + 0.25 * size[axis])
+        near_high = central & (points[:, axis] > high[axis] - 0.25 * size[axis])
+        sides.append((np.median(points[near_low, axis]), np.median(points[near_high, axis])))
+    (x0, x1), (y0, y1) = sides
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+
+def _to_rectangle(points: Outline, width: float, length: float) -> Float[np.ndarray, " points"]:
+    """Signed distance [m] of points to a rectangle around their middle; negative inside."""
+    centred = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
+    beyond = np.abs(centred) - 0.5 * np.array([width, length])
+    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+    return outside + np.minimum(beyond.max(axis=1), 0.0)
+
+
+def _about_their_axis(parts: list[Outline]) -> tuple[list[Outline], float]:
+    """Stretches turned and moved so that their mirror images lie nearest; how far apart [m]."""
+    count = len(parts)
+    ours = np.concatenate(parts)
+    theirs = np.concatenate([parts[-number % count][::-1] for number in range(count)])
+    middle = ours.mean(axis=0)
+    moment = (theirs - middle).T @ (ours - middle)
+    axis = 0.5 * np.arctan2(moment[0, 1] + moment[1, 0], moment[0, 0] - moment[1, 1])
+    if np.sin(axis) < 0.0:
+        axis += np.pi
+    cosine, sine = np.cos(axis - np.pi / 2), np.sin(axis - np.pi / 2)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    upright = [(part - middle) @ turn for part in parts]
+    apart = np.concatenate(upright) - np.concatenate(_images(upright))
+    return upright, float(np.sqrt(np.mean((apart**2).sum(axis=1))))
+
+
+def _images(parts: list[Outline]) -> list[Outline]:
+    """The mirror image of each stretch's counterpart, in the stretch's own direction."""
+    count = len(parts)
+    return [parts[-number % count][::-1] * (-1.0, 1.0) for number in range(count)]
+
+
+def _resampled(points: Outline) -> Outline:
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.linspace(0.0, along[-1], STRETCH_POINTS)
+    return np.stack([np.interp(at, along, axis) for axis in points.T], axis=1)
+
+
+def _spans(stretch: Stretch, bend_m: float) -> list[Span]:
+    """A stretch cut at its corners, alike on both sides of the garment."""
+    points = stretch.points
+    last = len(points) - 1
+    if not stretch.sewn and stretch.name != "edge":
+        return [Span(points)]
+    if stretch.name == "inner seam":
+        half = _corners(points[: last // 2 + 1], bend_m)
+        corners = sorted({*half, *(last - index for index in half)})
+    elif points[0, 0] + points[-1, 0] < 0.0:
+        corners = [last - index for index in _corners(points[::-1] * (-1.0, 1.0), bend_m)][::-1]
+    else:
+        corners = _corners(points, bend_m)
+    return [Span(points[a : b + 1], sewn=stretch.sewn) for a, b in itertools.pairwise(corners)]
+
+
+def _corners(points: Outline, bend_m: float) -> list[int]:
+    """Indices of an open polyline's corners, both ends included (Douglas and Peucker)."""
+    start, end = points[0], points[-1]
+    along = end - start
+    length = float(np.linalg.norm(along))
+    offset = points - start
+    if length < 1e-9:
+        off = np.linalg.norm(offset, axis=1)
+    else:
+        off = np.abs(offset[:, 0] * along[1] - offset[:, 1] * along[0]) / length
+    worst = int(off.argmax())
+    if len(points) < 3 or off[worst] <= bend_m:
+        return [0, len(points) - 1]
+    after = [worst + index for index in _corners(points[worst:], bend_m)]
+    return [*_corners(points[: worst + 1], bend_m), *after[1:]]
+
+
+def _front_neck(back: Outline, depth_m: float) -> Outline:
+    """The front's neckline: half an ellipse, or the back's own line where that is deeper."""
+    start, end = back[0], back[-1]
+    middle, half = 0.5 * (start + end), 0.5 * (start - end)
+    if middle[1] - back[len(back) // 2, 1] >= depth_m:
+        return back
+    turn = np.linspace(0.0, np.pi, NECK_POINTS)[:, None]
+    return middle + np.cos(turn) * half - np.sin(turn) * (0.0, depth_m)

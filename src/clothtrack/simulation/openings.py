@@ -1,0 +1,295 @@
+"""Where the openings of a flat garment are: found on its outline, or pointed at by a person.
+
+Landmarks are indices of the outline's points. A garment stands upright here: neck or waist towards
++y, its line of symmetry at x = 0, its outline counter-clockwise.
+"""
+
+import itertools
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.simulation.silhouettes import Outline, Silhouette, mirror_axis
+
+SewnKind = Literal["tshirt", "polo", "sweater", "trousers"]
+"""Garments of two layers."""
+
+SHIRT_STRETCHES = ("hem", "side", "cuff", "shoulder", "neck", "shoulder", "cuff", "side")
+TROUSERS_STRETCHES = ("waist", "outer seam", "cuff", "inner seam", "cuff", "outer seam")
+"""Stretches of an outline, counter-clockwise; each begins where the one before ends."""
+
+OPENINGS = ("hem", "cuff", "neck", "waist")
+"""Stretches where front and back are not sewn together."""
+
+NOTCH_SHARE = 0.015
+"""A notch of less than this share of the garment's extent is no armpit and no crotch."""
+
+NECK_DIP_SHARE = 0.008
+"""A neck less deep than this share of the garment's length cannot be told from noise."""
+
+USUAL_NECK_SHARE = 0.28
+"""Width of a neck that cannot be seen, over the width between the armpits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Openings:
+    """An upright outline, cut at the ends of its openings.
+
+    Attributes:
+        outline: upright and counter-clockwise.
+        starts: index of the first point of every stretch.
+        names: what each stretch is, as in `SHIRT_STRETCHES`.
+        neck_seen: whether the neck's ends were seen, or are a guess.
+    """
+
+    outline: Silhouette
+    starts: tuple[int, ...]
+    names: tuple[str, ...]
+    neck_seen: bool = True
+
+    def stretch(self, number: int) -> Outline:
+        """Points [m] of a stretch, both ends included."""
+        return _between(self.outline.points, self.starts[number], self._end(number))
+
+    def stretch_pixels(self, number: int) -> Outline:
+        """The same points in the picture."""
+        return _between(self.outline.pixels, self.starts[number], self._end(number))
+
+    def _end(self, number: int) -> int:
+        return self.starts[(number + 1) % len(self.starts)]
+
+
+def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture") -> Openings:
+    """Turn a flat garment upright and find its openings.
+
+    Args:
+        outline: as seen from above.
+        kind: the garment.
+        name: what messages call the picture.
+
+    Raises:
+        InvalidRecordingError: the outline is not that of such a garment.
+    """
+    angle, through = mirror_axis(outline.points)
+    centred = outline.shifted(-through)
+    search = _trousers_landmarks if kind == "trousers" else _shirt_landmarks
+    candidates = []
+    for turn in (angle, angle + np.pi):
+        upright = centred.upright(turn)
+        right, left = search(upright), search(upright.mirrored())
+        if right is not None and left is not None:
+            candidates.append((min(right.clarity, left.clarity), upright, right, left))
+    if not candidates:
+        notch = "the legs" if kind == "trousers" else "sleeves and body"
+        raise InvalidRecordingError(
+            f"{name}: this is not the outline of a flat {kind}: there is no gap between {notch}; "
+            "lay it out again with a gap there, check --kind, or point at the ends of its openings "
+            "with --openings"
+        )
+    _, upright, right, left = max(candidates, key=lambda candidate: candidate[0])
+    count = len(upright.points)
+    mirrored = [count - 1 - index for index in left.indices]
+    if kind == "trousers":
+        inner, outer, waist = right.indices
+        other_inner, other_outer, other_waist = mirrored
+        starts = (waist, other_waist, other_outer, other_inner, inner, outer)
+        return Openings(upright, starts, TROUSERS_STRETCHES)
+    hem, low, high, neck = right.indices
+    other_hem, other_low, other_high, other_neck = mirrored
+    starts = (other_hem, hem, low, high, neck, other_neck, other_high, other_low)
+    seen = right.neck_seen and left.neck_seen
+    return Openings(upright, starts, SHIRT_STRETCHES, neck_seen=seen)
+
+
+def openings_at(
+    outline: Silhouette, kind: SewnKind, pixels: Float[np.ndarray, "ends 2"]
+) -> Openings:
+    """Openings whose ends a person has pointed at.
+
+    Args:
+        outline: as seen from above.
+        kind: the garment.
+        pixels: column and row of the ends of hem, cuff, neck, cuff, or of waist, cuff, cuff, in
+            their order around the garment, either way; the nearest point of the outline is taken.
+
+    Raises:
+        InvalidConfigError: there are too many or too few, or they are not in order.
+    """
+    names = TROUSERS_STRETCHES if kind == "trousers" else SHIRT_STRETCHES
+    wanted = 2 * sum(name in OPENINGS for name in names)
+    if pixels.shape != (wanted, 2):
+        order = "waist, cuff, cuff" if kind == "trousers" else "hem, cuff, neck, cuff"
+        raise InvalidConfigError(
+            f"--openings has {len(pixels)} places; a {kind} needs {wanted}: both ends of "
+            f"{order}, in this order around the garment"
+        )
+    apart = np.linalg.norm(outline.pixels[None] - pixels[:, None], axis=2)
+    ends = [int(index) for index in apart.argmin(axis=1)]
+    count = len(outline.points)
+    if not _once_around(ends, count):
+        ends = ends[1::-1] + ends[:1:-1]
+    if not _once_around(ends, count):
+        raise InvalidConfigError(
+            f"--openings are not in order around the garment: {pixels.tolist()}; go once around "
+            "it, naming both ends of each opening"
+        )
+    top, bottom = (ends[:2], ends[2:]) if kind == "trousers" else (ends[4:6], ends[:2])
+    up = outline.points[top].mean(axis=0) - outline.points[bottom].mean(axis=0)
+    upright = outline.upright(float(np.arctan2(up[1], up[0])))
+    return Openings(upright, tuple(ends), names)
+
+
+@dataclass(frozen=True)
+class _Landmarks:
+    """The right half's ends of openings, from the bottom up, and how clear they are."""
+
+    indices: tuple[int, ...]
+    clarity: float
+    neck_seen: bool = True
+
+
+def _shirt_landmarks(upright: Silhouette) -> _Landmarks | None:
+    """Hem, lower and upper end of the cuff, and neck."""
+    half = _right_half(upright.points)
+    if half is None:
+        return None
+    points, first = half
+    notch = _deepest_notch(points)
+    extent = float(np.ptp(upright.points, axis=0).max())
+    if notch is None or notch.depth < NOTCH_SHARE * extent:
+        return None
+    armpit, low = notch.deepest, notch.end
+    hem = _farthest_from_chord(points, 0, armpit)
+    out = points[low] - points[armpit]
+    for _ in range(3):
+        out = out / np.linalg.norm(out)
+        low = armpit + _extreme(points[armpit:], _turned(out, -np.pi / 4))
+        high = armpit + _extreme(points[armpit:], _turned(out, np.pi / 4))
+        if high <= low:
+            return None
+        # The cuff is square to the sleeve, whose two edges may converge.
+        across = points[high] - points[low]
+        square = _turned(across / np.linalg.norm(across), -np.pi / 2)
+        along = points[low] - points[armpit]
+        out = square + along / max(float(np.linalg.norm(along)), 1e-9)
+    neck, seen = _neck(points, armpit, high)
+    if not hem < armpit < low < high < neck:
+        return None
+    # The notch opens towards the hem.
+    opens = points[armpit, 1] - (points[hem, 1] + points[armpit, 1] + points[low, 1]) / 3.0
+    count = len(upright.points)
+    indices = tuple((first + index) % count for index in (hem, low, high, neck))
+    return _Landmarks(indices, float(opens) / extent, seen)
+
+
+def _trousers_landmarks(upright: Silhouette) -> _Landmarks | None:
+    """Inner and outer end of the cuff, and waist."""
+    half = _right_half(upright.points)
+    if half is None:
+        return None
+    points, first = half
+    extent = float(np.ptp(upright.points, axis=0).max())
+    gap = float(points[0, 1] - points[:, 1].min())
+    if gap < NOTCH_SHARE * extent:
+        return None
+    foot = points[int(points[:, 1].argmin())]
+    out = foot - points[0]
+    for _ in range(3):
+        out = out / np.linalg.norm(out)
+        inner = _extreme(points, _turned(out, -np.pi / 4))
+        outer = _extreme(points, _turned(out, np.pi / 4))
+        if outer <= inner:
+            return None
+        across = points[outer] - points[inner]
+        out = _turned(across / np.linalg.norm(across), -np.pi / 2)
+    waist = outer + _extreme(points[outer:], np.array([np.sqrt(0.5), np.sqrt(0.5)]))
+    if not 0 < inner < outer < waist < len(points) - 1:
+        return None
+    count = len(upright.points)
+    indices = tuple((first + index) % count for index in (inner, outer, waist))
+    return _Landmarks(indices, gap / extent)
+
+
+@dataclass(frozen=True)
+class _Notch:
+    deepest: int
+    end: int
+    depth: float
+
+
+def _right_half(points: Outline) -> tuple[Outline, int] | None:
+    """The outline from the bottom of the axis x = 0 counter-clockwise to its top."""
+    x, ahead = points[:, 0], np.roll(points[:, 0], -1)
+    rising = np.flatnonzero((x <= 0.0) & (ahead > 0.0))
+    falling = np.flatnonzero((x > 0.0) & (ahead <= 0.0))
+    if not len(rising) or not len(falling):
+        return None
+    # An outline that crosses the axis more than twice crosses it at its ends, too.
+    start = int(rising[points[rising, 1].argmin()]) + 1
+    stop = int(falling[points[falling, 1].argmax()])
+    count = len(points)
+    half = points[np.arange(start, start + (stop - start) % count + 1) % count]
+    return (half, start) if len(half) > count // 6 else None
+
+
+def _deepest_notch(half: Outline) -> _Notch | None:
+    """The deepest dent of a half of an outline, closed along the axis."""
+    # OpenCV takes pixels; it wants whole numbers to keep the hull's order.
+    scaled = np.rint((half - half.min(axis=0)) / np.ptp(half, axis=0).max() * 1e6).astype(np.int32)
+    hull = np.unique(cv2.convexHull(scaled, returnPoints=False).ravel())
+    best = None
+    for start, end in itertools.pairwise(hull):
+        if end - start < 3:
+            continue
+        along = half[end] - half[start]
+        normal = _turned(along / max(float(np.linalg.norm(along)), 1e-12), np.pi / 2)
+        depth = (half[start : end + 1] - half[start]) @ normal
+        deepest = int(depth.argmax())
+        # The neck is a dent beside the axis; the armpit is not.
+        if end < len(half) - 1 and (best is None or depth[deepest] > best.depth):
+            best = _Notch(int(start) + deepest, int(end), float(depth[deepest]))
+    return best
+
+
+def _farthest_from_chord(half: Outline, start: int, end: int) -> int:
+    """The point farthest to the right of the way from one point to another."""
+    along = half[end] - half[start]
+    normal = _turned(along, -np.pi / 2)
+    return start + int(((half[start : end + 1] - half[start]) @ normal).argmax())
+
+
+def _neck(half: Outline, armpit: int, high: int) -> tuple[int, bool]:
+    """The neck's end: where the shoulder is highest, or a usual place when there is no dip."""
+    rest = half[high:]
+    peak = int(rest[:, 1].argmax())
+    dip = float(rest[peak, 1] - rest[-1, 1])
+    width = 2.0 * float(half[armpit, 0])
+    wide = 0.06 * width < rest[peak, 0] < 0.35 * width
+    if dip >= NECK_DIP_SHARE * float(np.ptp(half[:, 1])) and wide:
+        return high + peak, True
+    beyond = np.flatnonzero(rest[:, 0] > 0.5 * USUAL_NECK_SHARE * width)
+    return high + (int(beyond[-1]) if len(beyond) else peak), False
+
+
+def _once_around(indices: list[int], count: int) -> bool:
+    """Whether points of a closed outline are named in its own order, each once."""
+    steps = np.diff([*indices, indices[0]]) % count
+    return bool((steps > 0).all() and steps.sum() == count)
+
+
+def _extreme(points: Outline, direction: Float[np.ndarray, " 2"]) -> int:
+    return int((points @ direction).argmax())
+
+
+def _turned(vector: Float[np.ndarray, " 2"], angle: float) -> Float[np.ndarray, " 2"]:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1]])
+
+
+def _between(points: Outline, start: int, end: int) -> Outline:
+    count = len(points)
+    return points[np.arange(start, start + (end - start) % count + 1) % count]
