@@ -11,7 +11,14 @@ from jaxtyping import Float
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.garments import one_layer, sewn, towel, with_vertices
-from clothtrack.simulation.openings import OPENINGS, SewnKind, find_openings, openings_at
+from clothtrack.simulation.openings import (
+    CORNER_SHARE,
+    OPENINGS,
+    SewnKind,
+    corners_of,
+    find_openings,
+    openings_at,
+)
 from clothtrack.simulation.outlines import NECK_POINTS
 from clothtrack.simulation.silhouettes import Outline, Silhouette, signed_area
 from clothtrack.simulation.triangulation import Span
@@ -27,9 +34,6 @@ RECTANGLE_SHARE = 0.02
 
 MIRROR_LIMIT_SHARE = 0.05
 """Halves farther apart than this share of the garment's extent (root mean square) are left so."""
-
-CORNER_SHARE = 0.012
-"""A bend that leaves the straight way by this share of the garment's extent is a corner."""
 
 STRETCH_POINTS = 241
 """Points of a stretch after both halves were compared; odd, so that one is in the middle."""
@@ -291,30 +295,13 @@ def _spans(stretch: Stretch, bend_m: float) -> list[Span]:
     if not stretch.sewn and stretch.name != "edge":
         return [Span(points)]
     if stretch.name == "inner seam":
-        half = _corners(points[: last // 2 + 1], bend_m)
+        half = corners_of(points[: last // 2 + 1], bend_m)
         corners = sorted({*half, *(last - index for index in half)})
     elif points[0, 0] + points[-1, 0] < 0.0:
-        corners = [last - index for index in _corners(points[::-1] * (-1.0, 1.0), bend_m)][::-1]
+        corners = [last - index for index in corners_of(points[::-1] * (-1.0, 1.0), bend_m)][::-1]
     else:
-        corners = _corners(points, bend_m)
+        corners = corners_of(points, bend_m)
     return [Span(points[a : b + 1], sewn=stretch.sewn) for a, b in itertools.pairwise(corners)]
-
-
-def _corners(points: Outline, bend_m: float) -> list[int]:
-    """Indices of an open polyline's corners, both ends included (Douglas and Peucker)."""
-    start, end = points[0], points[-1]
-    along = end - start
-    length = float(np.linalg.norm(along))
-    offset = points - start
-    if length < 1e-9:
-        off = np.linalg.norm(offset, axis=1)
-    else:
-        off = np.abs(offset[:, 0] * along[1] - offset[:, 1] * along[0]) / length
-    worst = int(off.argmax())
-    if len(points) < 3 or off[worst] <= bend_m:
-        return [0, len(points) - 1]
-    after = [worst + index for index in _corners(points[worst:], bend_m)]
-    return [*_corners(points[: worst + 1], bend_m), *after[1:]]
 
 
 def _front_neck(back: Outline, depth_m: float) -> Outline:

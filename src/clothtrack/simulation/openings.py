@@ -4,8 +4,8 @@ Landmarks are indices of the outline's points. A garment stands upright here: ne
 +y, its line of symmetry at x = 0, its outline counter-clockwise.
 """
 
-import itertools
 from dataclasses import dataclass
+from itertools import combinations, pairwise
 from typing import Literal
 
 import cv2
@@ -24,6 +24,9 @@ TROUSERS_STRETCHES = ("waist", "outer seam", "cuff", "inner seam", "cuff", "oute
 
 OPENINGS = ("hem", "cuff", "neck", "waist")
 """Stretches where front and back are not sewn together."""
+
+CORNER_SHARE = 0.012
+"""A bend that leaves the straight way by this share of the garment's extent is a corner."""
 
 NOTCH_SHARE = 0.015
 """A notch of less than this share of the garment's extent is no armpit and no crotch."""
@@ -162,22 +165,14 @@ def _shirt_landmarks(upright: Silhouette) -> _Landmarks | None:
     extent = float(np.ptp(upright.points, axis=0).max())
     if notch is None or notch.depth < NOTCH_SHARE * extent:
         return None
-    armpit, low = notch.deepest, notch.end
+    armpit = notch.deepest
     hem = _farthest_from_chord(points, 0, armpit)
-    out = points[low] - points[armpit]
-    for _ in range(3):
-        out = out / np.linalg.norm(out)
-        low = armpit + _extreme(points[armpit:], _turned(out, -np.pi / 4))
-        high = armpit + _extreme(points[armpit:], _turned(out, np.pi / 4))
-        if high <= low:
-            return None
-        # The cuff is square to the sleeve, whose two edges may converge.
-        across = points[high] - points[low]
-        square = _turned(across / np.linalg.norm(across), -np.pi / 2)
-        along = points[low] - points[armpit]
-        out = square + along / max(float(np.linalg.norm(along)), 1e-9)
-    neck, seen = _neck(points, armpit, high)
-    if not hem < armpit < low < high < neck:
+    neck, seen = _neck(points, armpit)
+    cuff = _cuff(points[armpit : neck + 1], CORNER_SHARE * extent)
+    if cuff is None:
+        return None
+    low, high = armpit + cuff[0], armpit + cuff[1]
+    if not hem < armpit <= low < high < neck:
         return None
     # The notch opens towards the hem.
     opens = points[armpit, 1] - (points[hem, 1] + points[armpit, 1] + points[low, 1]) / 3.0
@@ -242,7 +237,7 @@ def _deepest_notch(half: Outline) -> _Notch | None:
     scaled = np.rint((half - half.min(axis=0)) / np.ptp(half, axis=0).max() * 1e6).astype(np.int32)
     hull = np.unique(cv2.convexHull(scaled, returnPoints=False).ravel())
     best = None
-    for start, end in itertools.pairwise(hull):
+    for start, end in pairwise(hull):
         if end - start < 3:
             continue
         along = half[end] - half[start]
@@ -262,17 +257,62 @@ def _farthest_from_chord(half: Outline, start: int, end: int) -> int:
     return start + int(((half[start : end + 1] - half[start]) @ normal).argmax())
 
 
-def _neck(half: Outline, armpit: int, high: int) -> tuple[int, bool]:
-    """The neck's end: where the shoulder is highest, or a usual place when there is no dip."""
-    rest = half[high:]
-    peak = int(rest[:, 1].argmax())
-    dip = float(rest[peak, 1] - rest[-1, 1])
+def _cuff(sleeve: Outline, bend_m: float) -> tuple[int, int] | None:
+    """Both ends of the cuff, on the way from the armpit around the sleeve to the neck.
+
+    Between any two corners may be the cuff: a straight edge that is square to the sleeve's upper
+    edge, and mostly to its lower one, which a short sleeve hardly has.
+    """
+    corners = corners_of(sleeve, bend_m)
+    best, best_score = None, 1.0
+    for first, last in combinations(corners[:-1], 2):
+        across = sleeve[last] - sleeve[first]
+        width = float(np.linalg.norm(across))
+        out = _turned(across / width, -np.pi / 2)
+        bulge = float(np.abs((sleeve[first : last + 1] - sleeve[first]) @ out).max())
+        upper = sleeve[last] - sleeve[corners[corners.index(last) + 1]]
+        lower = sleeve[first] - sleeve[0]
+        below = float(np.linalg.norm(lower))
+        score = 2.0 * float(upper @ out) / float(np.linalg.norm(upper)) - 4.0 * bulge / width
+        if first > 0:
+            score += float(lower @ out) / below * min(1.0, 2.0 * below / width)
+        if score > best_score:
+            best, best_score = (first, last), score
+    return best
+
+
+def _neck(half: Outline, armpit: int) -> tuple[int, bool]:
+    """The neck's end, where the shoulder ends; a usual place when no dip shows it."""
     width = 2.0 * float(half[armpit, 0])
-    wide = 0.06 * width < rest[peak, 0] < 0.35 * width
-    if dip >= NECK_DIP_SHARE * float(np.ptp(half[:, 1])) and wide:
-        return high + peak, True
+    shoulder = int(np.flatnonzero(half[:, 0] > 0.36 * width)[-1])
+    rest = half[shoulder:]
+    along = rest[-1] - rest[0]
+    normal = _turned(along / np.linalg.norm(along), -np.pi / 2)
+    height = (rest - rest[0]) @ normal
+    peak = int(height.argmax())
+    if height[peak] >= NECK_DIP_SHARE * float(np.ptp(half[:, 1])) and (
+        rest[peak, 0] > 0.06 * width
+    ):
+        return shoulder + peak, True
     beyond = np.flatnonzero(rest[:, 0] > 0.5 * USUAL_NECK_SHARE * width)
-    return high + (int(beyond[-1]) if len(beyond) else peak), False
+    return shoulder + int(beyond[-1]), False
+
+
+def corners_of(points: Outline, bend_m: float) -> list[int]:
+    """Indices of an open polyline's corners, both ends included (Douglas and Peucker)."""
+    start, end = points[0], points[-1]
+    along = end - start
+    length = float(np.linalg.norm(along))
+    offset = points - start
+    if length < 1e-9:
+        off = np.linalg.norm(offset, axis=1)
+    else:
+        off = np.abs(offset[:, 0] * along[1] - offset[:, 1] * along[0]) / length
+    worst = int(off.argmax())
+    if len(points) < 3 or off[worst] <= bend_m:
+        return [0, len(points) - 1]
+    after = [worst + index for index in corners_of(points[worst:], bend_m)]
+    return [*corners_of(points[: worst + 1], bend_m), *after[1:]]
 
 
 def _once_around(indices: list[int], count: int) -> bool:

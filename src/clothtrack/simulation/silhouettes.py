@@ -26,8 +26,8 @@ out right to one, and a corner keeps its place within two."""
 SPECK_SHARE = 0.02
 """A second piece or a hole of more than this share of the cloth is none of the sensor's specks."""
 
-GAP_PX = 2
-"""Missing pixels in a row that belong to the cloth none the less."""
+MEDIAN_PX = 5
+"""Side of the square [pixels] whose majority a pixel of the mask follows: gaps and hairs go."""
 
 _SUBPIXELS = 4
 _ANGLES = 180
@@ -168,10 +168,7 @@ def _whole_cloth(
     mask: Bool[np.ndarray, "height width"], name: str
 ) -> Bool[np.ndarray, "height width"]:
     """The one piece of cloth of a mask, its specks filled."""
-    size = 2 * GAP_PX + 1
-    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    padded = np.pad(mask, size).astype(np.uint8)
-    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disk)[size:-size, size:-size]
+    closed = cv2.medianBlur(mask.astype(np.uint8), MEDIAN_PX)
     _, label, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
