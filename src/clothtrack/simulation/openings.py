@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
-from clothtrack.simulation.silhouettes import Outline, Silhouette, mirror_axis
+from clothtrack.simulation.silhouettes import Outline, Silhouette, mirror_axis, symmetric
 
 SewnKind = Literal["tshirt", "polo", "sweater", "trousers"]
 """Garments of two layers."""
@@ -27,6 +27,9 @@ OPENINGS = ("hem", "cuff", "neck", "waist")
 
 CORNER_SHARE = 0.012
 """A bend that leaves the straight way by this share of the garment's extent is a corner."""
+
+SNAP_SHARE = 0.025
+"""Landmarks go to a corner that is nearer than this share of the garment's extent."""
 
 NOTCH_SHARE = 0.015
 """A notch of less than this share of the garment's extent is no armpit and no crotch."""
@@ -83,9 +86,9 @@ def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture"
     candidates = []
     for turn in (angle, angle + np.pi):
         upright = centred.upright(turn)
-        right, left = search(upright), search(upright.mirrored())
-        if right is not None and left is not None:
-            candidates.append((min(right.clarity, left.clarity), upright, right, left))
+        landmarks = search(symmetric(upright.points))
+        if landmarks is not None:
+            candidates.append((landmarks.clarity, upright, landmarks))
     if not candidates:
         notch = "the legs" if kind == "trousers" else "sleeves and body"
         raise InvalidRecordingError(
@@ -93,19 +96,20 @@ def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture"
             "lay it out again with a gap there, check --kind, or point at the ends of its openings "
             "with --openings"
         )
-    _, upright, right, left = max(candidates, key=lambda candidate: candidate[0])
-    count = len(upright.points)
-    mirrored = [count - 1 - index for index in left.indices]
+    _, upright, landmarks = max(candidates, key=lambda candidate: candidate[0])
+    right = landmarks.places
+    left = right[::-1] * (-1.0, 1.0)
     if kind == "trousers":
-        inner, outer, waist = right.indices
-        other_inner, other_outer, other_waist = mirrored
-        starts = (waist, other_waist, other_outer, other_inner, inner, outer)
-        return Openings(upright, starts, TROUSERS_STRETCHES)
-    hem, low, high, neck = right.indices
-    other_hem, other_low, other_high, other_neck = mirrored
-    starts = (other_hem, hem, low, high, neck, other_neck, other_high, other_low)
-    seen = right.neck_seen and left.neck_seen
-    return Openings(upright, starts, SHIRT_STRETCHES, neck_seen=seen)
+        names, ends = TROUSERS_STRETCHES, np.concatenate([right[2:], left, right[:2]])
+    else:
+        names, ends = SHIRT_STRETCHES, np.concatenate([left[3:], right, left[:3]])
+    starts = _snapped(upright.points, ends)
+    if not _once_around(starts, len(upright.points)):
+        raise InvalidRecordingError(
+            f"{name}: the halves of the {kind} differ too much to find its openings; lay it out "
+            "again, or point at their ends with --openings"
+        )
+    return Openings(upright, tuple(starts), names, neck_seen=landmarks.neck_seen)
 
 
 def openings_at(
@@ -146,23 +150,22 @@ def openings_at(
     return Openings(upright, tuple(ends), names)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Landmarks:
-    """The right half's ends of openings, from the bottom up, and how clear they are."""
+    """The right half's ends of openings [m], from the bottom up, and how clear they are."""
 
-    indices: tuple[int, ...]
+    places: Outline
     clarity: float
     neck_seen: bool = True
 
 
-def _shirt_landmarks(upright: Silhouette) -> _Landmarks | None:
-    """Hem, lower and upper end of the cuff, and neck."""
-    half = _right_half(upright.points)
-    if half is None:
+def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
+    """Hem, lower and upper end of the cuff, and neck, of an outline that is symmetric."""
+    points = _right_half(upright)
+    if points is None:
         return None
-    points, first = half
     notch = _deepest_notch(points)
-    extent = float(np.ptp(upright.points, axis=0).max())
+    extent = float(np.ptp(upright, axis=0).max())
     if notch is None or notch.depth < NOTCH_SHARE * extent:
         return None
     armpit = notch.deepest
@@ -176,18 +179,15 @@ def _shirt_landmarks(upright: Silhouette) -> _Landmarks | None:
         return None
     # The notch opens towards the hem.
     opens = points[armpit, 1] - (points[hem, 1] + points[armpit, 1] + points[low, 1]) / 3.0
-    count = len(upright.points)
-    indices = tuple((first + index) % count for index in (hem, low, high, neck))
-    return _Landmarks(indices, float(opens) / extent, seen)
+    return _Landmarks(points[[hem, low, high, neck]], float(opens) / extent, seen)
 
 
-def _trousers_landmarks(upright: Silhouette) -> _Landmarks | None:
-    """Inner and outer end of the cuff, and waist."""
-    half = _right_half(upright.points)
-    if half is None:
+def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
+    """Inner and outer end of the cuff, and waist, of an outline that is symmetric."""
+    points = _right_half(upright)
+    if points is None:
         return None
-    points, first = half
-    extent = float(np.ptp(upright.points, axis=0).max())
+    extent = float(np.ptp(upright, axis=0).max())
     gap = float(points[0, 1] - points[:, 1].min())
     if gap < NOTCH_SHARE * extent:
         return None
@@ -204,9 +204,7 @@ def _trousers_landmarks(upright: Silhouette) -> _Landmarks | None:
     waist = outer + _extreme(points[outer:], np.array([np.sqrt(0.5), np.sqrt(0.5)]))
     if not 0 < inner < outer < waist < len(points) - 1:
         return None
-    count = len(upright.points)
-    indices = tuple((first + index) % count for index in (inner, outer, waist))
-    return _Landmarks(indices, gap / extent)
+    return _Landmarks(points[[inner, outer, waist]], gap / extent)
 
 
 @dataclass(frozen=True)
@@ -216,7 +214,7 @@ class _Notch:
     depth: float
 
 
-def _right_half(points: Outline) -> tuple[Outline, int] | None:
+def _right_half(points: Outline) -> Outline | None:
     """The outline from the bottom of the axis x = 0 counter-clockwise to its top."""
     x, ahead = points[:, 0], np.roll(points[:, 0], -1)
     rising = np.flatnonzero((x <= 0.0) & (ahead > 0.0))
@@ -226,9 +224,8 @@ def _right_half(points: Outline) -> tuple[Outline, int] | None:
     # An outline that crosses the axis more than twice crosses it at its ends, too.
     start = int(rising[points[rising, 1].argmin()]) + 1
     stop = int(falling[points[falling, 1].argmax()])
-    count = len(points)
-    half = points[np.arange(start, start + (stop - start) % count + 1) % count]
-    return (half, start) if len(half) > count // 6 else None
+    half = _between(points, start, stop)
+    return half if len(half) > len(points) // 6 else None
 
 
 def _deepest_notch(half: Outline) -> _Notch | None:
@@ -319,6 +316,19 @@ def _once_around(indices: list[int], count: int) -> bool:
     """Whether points of a closed outline are named in its own order, each once."""
     steps = np.diff([*indices, indices[0]]) % count
     return bool((steps > 0).all() and steps.sum() == count)
+
+
+def _snapped(outline: Outline, places: Outline) -> list[int]:
+    """Index of the outline's corner that is nearest to each place, or of its nearest point."""
+    reach = SNAP_SHARE * float(np.ptp(outline, axis=0).max())
+    apart = np.linalg.norm(outline[None] - places[:, None], axis=2)
+    corners = corners_of(outline, CORNER_SHARE * reach / SNAP_SHARE)[1:-1]
+    snapped = []
+    for distances in apart:
+        nearest = int(distances.argmin())
+        corner = min(corners, key=distances.__getitem__, default=nearest)
+        snapped.append(corner if distances[corner] < reach else nearest)
+    return snapped
 
 
 def _extreme(points: Outline, direction: Float[np.ndarray, " 2"]) -> int:
