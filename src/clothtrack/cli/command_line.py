@@ -23,6 +23,7 @@ from clothtrack.cli.capture import (
     record,
     segment,
 )
+from clothtrack.cli.garment import garment
 from clothtrack.cli.learn import finetune, label, pretrain, reconstruct
 from clothtrack.cli.look import evaluate, export, view
 from clothtrack.cli.recordings import import_, inspect
@@ -32,7 +33,7 @@ from clothtrack.cli.track import demo, track
 
 VERBS: tuple[Callable[..., int], ...] = (
     demo, inspect, import_, record, calibrate_camera, calibrate_hand_eye, segment, find_picker,
-    simulate, bench, track, label, pretrain, finetune, reconstruct, flatten, train_dynamics,
+    garment,     simulate, bench, track, label, pretrain, finetune, reconstruct, flatten, train_dynamics,
     improve, evaluate, view, export,
 )  # fmt: skip
 """The functions behind the verbs, in the order of the README."""

@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothtrack.errors import InvalidMeshError, InvalidRecordingError
+from clothtrack.errors import InvalidConfigError, InvalidMeshError, InvalidRecordingError
+from clothtrack.files.atomic_write import atomic_file, write_file
 from clothtrack.files.csv_table import Column, finite, read_csv
 from clothtrack.geometry.mesh import ClothMesh
+
+TEMPLATE_SUFFIXES = (".npz", ".obj")
 
 CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write metres"))
 
@@ -67,6 +70,76 @@ def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
     """
     rows = [row for _, row in read_csv(path, CANONICAL_COLUMNS)]
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def read_template(path: Path) -> ClothMesh:
+    """A template that `write_template` has written, or any OBJ mesh [m].
+
+    Args:
+        path: .npz; or .obj, with canonical coordinates in NAME_canonical.csv beside it, if any.
+
+    Raises:
+        InvalidRecordingError: a file is missing or damaged.
+        InvalidMeshError: the mesh cannot be a cloth.
+        InvalidConfigError: another suffix.
+    """
+    require_template_format(path)
+    if path.suffix.lower() == ".obj":
+        canonical = _canonical_path(path)
+        return read_obj(path, canonical if canonical.exists() else None)
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in ("vertices", "faces", "canonical")}
+    except Exception as error:
+        # NumPy and zipfile refuse a damaged file with a dozen kinds of exception.
+        raise InvalidRecordingError(
+            f"{path}: no template can be read from it ({error}); make one with: clothtrack garment"
+        ) from error
+    try:
+        return ClothMesh(
+            arrays["vertices"].astype(np.float64),
+            arrays["faces"].astype(np.int32),
+            arrays["canonical"].astype(np.float64),
+        )
+    except InvalidMeshError as error:
+        raise InvalidMeshError(f"{path}: {error}") from error
+
+
+def write_template(mesh: ClothMesh, path: Path) -> None:
+    """Write a garment's mesh with its canonical coordinates, whole or not at all.
+
+    Args:
+        mesh: lying flat [m].
+        path: .npz; or .obj, which gets NAME_canonical.csv beside it.
+
+    Raises:
+        InvalidConfigError: another suffix.
+        StorageError: when the disk refuses.
+    """
+    require_template_format(path)
+    canonical = mesh.vertices if mesh.canonical is None else mesh.canonical
+    if path.suffix.lower() == ".obj":
+        write_file(_canonical_path(path), canonical_text(canonical).encode())
+        write_file(path, obj_text(mesh).encode())
+        return
+    with atomic_file(path) as unfinished:
+        np.savez_compressed(
+            unfinished, vertices=mesh.vertices, faces=mesh.faces, canonical=canonical
+        )
+
+
+def require_template_format(path: Path) -> None:
+    """Refuse a template file whose suffix names no format of one.
+
+    Raises:
+        InvalidConfigError: naming those that do.
+    """
+    if path.suffix.lower() not in TEMPLATE_SUFFIXES:
+        raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; a template is .npz or .obj")
+
+
+def _canonical_path(path: Path) -> Path:
+    return path.with_name(f"{path.stem}_canonical.csv")
 
 
 def obj_text(mesh: ClothMesh) -> str:

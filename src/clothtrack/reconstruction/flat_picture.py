@@ -1,0 +1,181 @@
+"""A picture of a flat garment, and where its pixels are on the table."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.files.extras import install_command
+from clothtrack.geometry.camera import Camera
+from clothtrack.reconstruction.availability import missing_modules
+from clothtrack.recordings.pictures import GREY, read_color, read_depth, read_header, read_mask
+from clothtrack.recordings.recording import Table
+from clothtrack.recordings.segmentation import (
+    ColorSegmenter,
+    HeightSegmenter,
+    default_segmenter,
+    height_picture,
+)
+from clothtrack.recordings.store import read_recording
+from clothtrack.simulation.silhouettes import Silhouette, silhouette
+
+FLATTEST_M = 0.05
+"""A garment with a twentieth of its pixels higher above the table than this [m] is not flat."""
+
+_RIM_SHARE = 0.04
+
+
+@dataclass(frozen=True, eq=False)
+class FlatPicture:
+    """A flat garment as a camera saw it from above.
+
+    Attributes:
+        outline: of the garment, on the table [m].
+        shown: the picture to draw on, red first.
+        name: what messages call it.
+    """
+
+    outline: Silhouette
+    shown: UInt8[np.ndarray, "height width 3"]
+    name: str
+
+
+def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
+    """A frame of a recording in which the garment lies flat.
+
+    Raises:
+        InvalidRecordingError: it cannot be read, has no table, depth or cloth there, or the cloth
+            is not flat.
+    """
+    recording = read_recording(folder)
+    if not 0 <= frame < len(recording.frames):
+        raise InvalidRecordingError(
+            f"{folder}: there is no frame {frame}; it has 0 to {len(recording.frames) - 1}"
+        )
+    shown_by, name = recording.frames[frame], f"{folder}, frame {frame}"
+    camera = next((one for one in recording.cameras if one.name in shown_by.depth), None)
+    if camera is None or recording.table is None:
+        missing = "table" if camera else "depth picture"
+        raise InvalidRecordingError(
+            f"{name}: it has no {missing}, so that nothing says how large the garment is; give a "
+            "recording with table and depth, or a picture with --metres-per-pixel"
+        )
+    depth = read_depth(shown_by.depth[camera.name], recording.depth_units_m[camera.name])
+    color = read_color(shown_by.color[camera.name]) if camera.name in shown_by.color else None
+    mask = default_segmenter(recording, shown_by, camera)(color, depth, camera, recording.table)
+    return _measured(depth, mask, camera, recording.table, name, color)
+
+
+def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> FlatPicture:
+    """A 16-bit depth picture; `of_picture` as for `depth_input.from_picture`.
+
+    Raises:
+        InvalidRecordingError: a file cannot be read, or the cloth is not flat.
+        InvalidConfigError: the extra [learn], which reads single depth pictures, is missing.
+    """
+    if missing := missing_modules():
+        raise InvalidConfigError(
+            f"{path}: a single depth picture needs {', '.join(missing)}; install with: "
+            f"{install_command('learn')}, or give a recording or a colour picture"
+        )
+    from clothtrack.reconstruction.depth_input import from_picture
+
+    picture = from_picture(path, mask=mask, **of_picture)
+    table = picture.table or Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    # The rim that depth leaves out belongs to the outline.
+    whole = (
+        read_mask(mask)
+        if mask is not None
+        else HeightSegmenter()(None, picture.depth_m, picture.camera, table)
+    )
+    return _measured(picture.depth_m, whole, picture.camera, table, str(path), None)
+
+
+def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None) -> FlatPicture:
+    """A colour picture or a mask of a camera that looks straight down.
+
+    Args:
+        path: PNG; a grey one is the mask itself, in a colour one the garment is what the middle
+            has and the rim has not.
+        metres_per_pixel: on the table.
+        mask: picture of where the garment is.
+
+    Raises:
+        InvalidRecordingError: a file cannot be read, or sizes differ.
+        InvalidConfigError: the scale is not positive, or nothing tells garment from background.
+    """
+    if not 0.0 < metres_per_pixel < 0.1:
+        raise InvalidConfigError(
+            f"metres_per_pixel is {metres_per_pixel}; give the size of a pixel on the table in "
+            "metres, such as 0.0015"
+        )
+    shown = read_color(path)
+    height, width = shown.shape[:2]
+    if mask is not None:
+        marked = read_mask(mask)
+    elif read_header(path).color_type == GREY:
+        marked = read_mask(path)
+    else:
+        rim = round(_RIM_SHARE * width), round(_RIM_SHARE * height)
+        box = (rim[0], rim[1], width - rim[0], height - rim[1])
+        segment = ColorSegmenter.from_box(shown, box)
+        camera = Camera("top", width, height, 1.0, 1.0, 0.0, 0.0, np.eye(4))
+        marked = segment(shown, np.zeros((height, width)), camera, None)
+    if marked.shape != (height, width):
+        raise InvalidRecordingError(
+            f"{mask} has {marked.shape[1]} x {marked.shape[0]} pixels, {path} has {width} x "
+            f"{height}; give a mask of the same picture"
+        )
+    scale = np.array([metres_per_pixel, -metres_per_pixel])
+    return FlatPicture(
+        silhouette(marked, lambda pixels: pixels * scale, str(path)), shown, str(path)
+    )
+
+
+def _measured(
+    depth: Float[np.ndarray, "height width"],
+    mask: Bool[np.ndarray, "height width"],
+    camera: Camera,
+    table: Table,
+    name: str,
+    color: UInt8[np.ndarray, "height width 3"] | None,
+) -> FlatPicture:
+    heights = height_picture(depth, camera, table)[mask & (depth > 0)]
+    top = float(np.percentile(heights, 95)) if len(heights) else 0.0
+    if top > FLATTEST_M:
+        raise InvalidRecordingError(
+            f"{name}: the cloth rises {100 * top:.0f} cm above the table (at most "
+            f"{100 * FLATTEST_M:.0f}): it is not flat, or the mask shows something else; smooth it "
+            "out and take the picture again"
+        )
+
+    def to_plane(pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
+        focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+        local = np.column_stack([(pixels - centre) / focal, np.ones(len(pixels))])
+        rays = local @ camera.world_from_camera[:3, :3].T
+        reach = ((table.point - camera.position) @ table.normal) / (rays @ table.normal)
+        return (camera.position + reach[:, None] * rays - table.point) @ _plane_axes(table).T
+
+    return FlatPicture(
+        silhouette(mask, to_plane, name), _shades(depth) if color is None else color, name
+    )
+
+
+def _plane_axes(table: Table) -> Float[np.ndarray, "2 3"]:
+    """Two directions in the table that are a right-handed pair seen from above."""
+    along = np.eye(3)[int(np.abs(table.normal).argmin())]
+    first = along - (along @ table.normal) * table.normal
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(table.normal, first)])
+
+
+def _shades(depth: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width 3"]:
+    """A depth picture in grey, near things bright."""
+    seen = depth[depth > 0]
+    low, high = np.percentile(seen, [1, 99]) if len(seen) else (0.0, 1.0)
+    share = np.clip((high - depth) / max(float(high - low), 1e-6), 0.0, 1.0)
+    grey = np.where(depth > 0, 60 + 180 * share, 0).astype(np.uint8)
+    return np.repeat(grey[:, :, None], 3, axis=2)
