@@ -16,9 +16,9 @@ from clothtrack.cli.options import (
     Settings,
     ShowSettings,
     list_settings,
-    require_weights,
 )
 from clothtrack.cli.terminal import complain, progress, say
+from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
     from clothtrack.tracking.pipeline import Outcome
@@ -69,6 +69,7 @@ def track(
     *,
     output: Path | None = None,
     mode: Mode = "default",
+    template: Path | None = None,
     weights: Path | None = None,
     settings: Settings = (),
     show_settings: ShowSettings = False,
@@ -85,6 +86,8 @@ def track(
             so that an interrupted run goes on when it is started again. One whose recording has
             changed since is tracked again.
         mode: the tracker's default, the paper's method, or an ablation of it.
+        template: the garment's own mesh (`clothtrack garment`), laid on the flat cloth of the first
+            frame; the recording's, or a fit, by default.
         weights: of the network that makes the first mesh of a recording without a template; the
             ones that come with clothtrack by default, and without any a flat garment is fitted.
         settings: changes to the mode, or initial_state.source=template, network or flat.
@@ -104,9 +107,7 @@ def track(
     if not recordings:
         complain("no recording given; name at least one recording folder")
         return 2
-    if weights is not None:
-        require_weights(weights)
-        settings = (f"initial_state.weights={json_module.dumps(str(weights))}", *settings)
+    settings = (*_file_settings(template=template, weights=weights), *settings)
     outcomes = _track(recordings, output, mode, settings, seed=seed, device=device, workers=workers)
     if json:
         say(json_module.dumps([asdict(outcome) for outcome in outcomes], indent=2, default=str))
@@ -116,6 +117,15 @@ def track(
         elif not json:
             say(_line(outcome))
     return 1 if any(outcome.result is None for outcome in outcomes) else 0
+
+
+def _file_settings(**files: Path | None) -> list[str]:
+    """Settings of the first mesh that name a file; refuses a name that is none."""
+    named = {name: path for name, path in files.items() if path is not None}
+    for name, path in named.items():
+        if not path.is_file():
+            raise InvalidConfigError(f"{path}: there is no such {name} file; check the name")
+    return [f"initial_state.{name}={json_module.dumps(str(path))}" for name, path in named.items()]
 
 
 def _track(

@@ -9,7 +9,7 @@ import numpy as np
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import write_file
 from clothtrack.recordings.pictures import encode_png, read_header
-from clothtrack.recordings.template import require_template_format, write_template
+from clothtrack.recordings.template_file import require_template_format, write_template
 from clothtrack.simulation.flat_template import FlatTemplate, TemplateKind, make_template
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
@@ -14,10 +15,10 @@ from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings.pictures import GREY, read_color, read_depth, read_header, read_mask
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.segmentation import (
-    ColorSegmenter,
     HeightSegmenter,
     default_segmenter,
     height_picture,
+    main_components,
 )
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.silhouettes import Silhouette, silhouette
@@ -25,7 +26,8 @@ from clothtrack.simulation.silhouettes import Silhouette, silhouette
 FLATTEST_M = 0.05
 """A garment with a twentieth of its pixels higher above the table than this [m] is not flat."""
 
-_RIM_SHARE = 0.04
+_RIM_SHARE = 0.06
+"""The rim of a colour picture, over its width, that shows nothing but the table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
     depth = read_depth(shown_by.depth[camera.name], recording.depth_units_m[camera.name])
     color = read_color(shown_by.color[camera.name]) if camera.name in shown_by.color else None
     mask = default_segmenter(recording, shown_by, camera)(color, depth, camera, recording.table)
-    return _measured(depth, mask, camera, recording.table, name, color)
+    return _measured(depth, mask, camera, recording.table, name=name, color=color)
 
 
 def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> FlatPicture:
@@ -91,21 +93,21 @@ def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> Fl
         if mask is not None
         else HeightSegmenter()(None, picture.depth_m, picture.camera, table)
     )
-    return _measured(picture.depth_m, whole, picture.camera, table, str(path), None)
+    return _measured(picture.depth_m, whole, picture.camera, table, name=str(path))
 
 
 def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None) -> FlatPicture:
     """A colour picture or a mask of a camera that looks straight down.
 
     Args:
-        path: PNG; a grey one is the mask itself, in a colour one the garment is what the middle
-            has and the rim has not.
+        path: PNG; a grey one is the mask itself, in a colour one the garment is what has another
+            colour than the rim.
         metres_per_pixel: on the table.
         mask: picture of where the garment is.
 
     Raises:
         InvalidRecordingError: a file cannot be read, or sizes differ.
-        InvalidConfigError: the scale is not positive, or nothing tells garment from background.
+        InvalidConfigError: the scale is not positive.
     """
     if not 0.0 < metres_per_pixel < 0.1:
         raise InvalidConfigError(
@@ -119,11 +121,7 @@ def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None)
     elif read_header(path).color_type == GREY:
         marked = read_mask(path)
     else:
-        rim = round(_RIM_SHARE * width), round(_RIM_SHARE * height)
-        box = (rim[0], rim[1], width - rim[0], height - rim[1])
-        segment = ColorSegmenter.from_box(shown, box)
-        camera = Camera("top", width, height, 1.0, 1.0, 0.0, 0.0, np.eye(4))
-        marked = segment(shown, np.zeros((height, width)), camera, None)
+        marked = _unlike_the_rim(shown)
     if marked.shape != (height, width):
         raise InvalidRecordingError(
             f"{mask} has {marked.shape[1]} x {marked.shape[0]} pixels, {path} has {width} x "
@@ -140,8 +138,9 @@ def _measured(
     mask: Bool[np.ndarray, "height width"],
     camera: Camera,
     table: Table,
+    *,
     name: str,
-    color: UInt8[np.ndarray, "height width 3"] | None,
+    color: UInt8[np.ndarray, "height width 3"] | None = None,
 ) -> FlatPicture:
     heights = height_picture(depth, camera, table)[mask & (depth > 0)]
     top = float(np.percentile(heights, 95)) if len(heights) else 0.0
@@ -162,6 +161,23 @@ def _measured(
     return FlatPicture(
         silhouette(mask, to_plane, name), _shades(depth) if color is None else color, name
     )
+
+
+def _unlike_the_rim(
+    shown: UInt8[np.ndarray, "height width 3"],
+) -> Bool[np.ndarray, "height width"]:
+    """What has another colour than the table, whose light may change across the picture."""
+    height, width = shown.shape[:2]
+    lab = cv2.cvtColor(shown.astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB)
+    y, x = np.mgrid[-1.0 : 1.0 : height * 1j, -1.0 : 1.0 : width * 1j]
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    rim = np.maximum(np.abs(x), np.abs(y)) > 1.0 - 2.0 * _RIM_SHARE
+    light = np.linalg.lstsq(terms[rim], lab[rim], rcond=None)[0]
+    # A shadow changes the lightness alone.
+    apart = np.linalg.norm((lab - terms @ light) * (0.5, 1.0, 1.0), axis=2)
+    apart = cv2.GaussianBlur(np.clip(4.0 * apart, 0, 255).astype(np.uint8), (0, 0), 1.0)
+    _, marked = cv2.threshold(apart, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    return main_components(marked > 0)
 
 
 def _plane_axes(table: Table) -> Float[np.ndarray, "2 3"]:

@@ -8,6 +8,7 @@ towel from another: the front is taken to face up.
 """
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -23,6 +24,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
+from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
@@ -48,6 +50,8 @@ class InitialStateConfig(Checked):
             picture, whether or not there is a template; "flat": a flat garment fitted to the first
             cloud, likewise; "auto": the template, else the flat fit of a cloth that lies flat, else
             the network where there are weights for the garment.
+        template: file of the garment's own mesh, lying flat (`clothtrack garment`), which is fitted
+            to the first cloud in place of a garment of the recording's kind; empty: none.
         weights: file with the network's weights; empty: those that come with the package, if any.
         refined: whether a network's mesh is fine-tuned to the first cloud.
         refinement: how.
@@ -59,6 +63,7 @@ class InitialStateConfig(Checked):
     vertex_count: int = 1000
     doubtful_m: float = 0.01
     source: Source = "auto"
+    template: str = ""
     weights: str = ""
     refined: bool = True
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
@@ -88,7 +93,7 @@ def flat_fit(recording: Recording, observation: Observation, config: InitialStat
     Raises:
         InvalidRecordingError: the kind has no outline, or table or cloud are missing.
     """
-    if recording.cloth.kind not in FITTED_KINDS:
+    if not config.template and recording.cloth.kind not in FITTED_KINDS:
         raise InvalidRecordingError(
             f"{recording.folder}: cloth.kind is {recording.cloth.kind!r} and there is no template; "
             f"give cloth.template, or a kind that can be fitted: {', '.join(FITTED_KINDS)}"
@@ -113,17 +118,25 @@ def _fitted(
 ) -> FlatFit:
     axes = _plane_axes(table)
     covered = CoveredRegion((points - table.point) @ axes[:2].T, RIM_M)
-    cloth, unit = recording.cloth, unit_outline(recording.cloth.kind)
+    cloth = recording.cloth
+    if config.template:
+        template = read_template(Path(config.template))
+        unit, size_m = outline_of(template), (1.0, 1.0)
+    else:
+        template, unit, size_m = None, unit_outline(cloth.kind), cloth.size_m
     fits = [
-        _fit_outline(unit, covered, angle, cloth.size_m)
+        _fit_outline(unit, covered, angle, size_m)
         for angle in np.linspace(0.0, 2.0 * np.pi, STARTS, endpoint=False)
     ]
     best = min(fits, key=lambda fit: fit.cost)
     misfit = float(np.sqrt(np.mean(best.fun**2)))
     x, y, angle = best.x[:3]
-    width, length = cloth.size_m or np.exp(best.x[3:])
-    size_m = (float(width), float(length))
-    mesh = garment(cloth.kind, vertex_count=config.vertex_count, size_m=size_m)
+    if template is None:
+        width, length = size_m or np.exp(best.x[3:])
+        size_m = (float(width), float(length))
+        mesh = garment(cloth.kind, vertex_count=config.vertex_count, size_m=size_m)
+    else:
+        mesh = template
     placed = mesh.vertices.astype(np.float64).copy()
     placed[:, :2] = _rotated(placed[:, :2], angle) + (x, y)
     placed[:, 2] += RESTING_HEIGHT_M - placed[:, 2].min()
@@ -193,14 +206,19 @@ def unit_outline(kind: str) -> Float[np.ndarray, "corners 2"]:
 
     Garments grow along x and y in proportion, so that this is the outline of every size.
     """
-    flat = garment(kind, vertex_count=1000, size_m=(1.0, 1.0))
+    return outline_of(garment(kind, vertex_count=1000, size_m=(1.0, 1.0)))
+
+
+def outline_of(flat: ClothMesh) -> Float[np.ndarray, "corners 2"]:
+    """The silhouette of a flat garment that lies around the origin [m], as `unit_outline`."""
     pixels = 2000
-    corners = np.rint((flat.vertices[:, :2] + 0.55) * pixels).astype(np.int32)
-    drawn = np.zeros((round(1.1 * pixels),) * 2, dtype=np.uint8)
+    half = float(np.abs(flat.vertices[:, :2]).max()) + 0.05
+    corners = np.rint((flat.vertices[:, :2] + half) * pixels).astype(np.int32)
+    drawn = np.zeros((round(2.0 * half * pixels),) * 2, dtype=np.uint8)
     for face in flat.faces:
         cv2.fillConvexPoly(drawn, corners[face], 1)
     contour = _largest_outline(drawn > 0)
-    return _even_steps(contour[:, 0] / pixels - 0.55, 0.008)
+    return _even_steps(contour[:, 0] / pixels - half, 0.008)
 
 
 def _fit_outline(

@@ -68,6 +68,8 @@ def find_initial_state(
         InvalidResultError: weights are missing, damaged or for another garment.
     """
     template = recording.cloth.template
+    if config.template and config.source in ("auto", "flat"):
+        return _from_file(recording, observation, config)
     if config.source == "template" and template is None:
         raise InvalidRecordingError(
             f"{recording.folder}: initial_state.source is template, and the recording has none; "
@@ -81,12 +83,7 @@ def find_initial_state(
                 recording.folder, config.weights,
             )  # fmt: skip
         return InitialState(template, None, {"source": "template"})
-    if recording.cloth.held_vertices:
-        raise InvalidRecordingError(
-            f"{recording.folder}: cloth.held_vertices are numbers of the template's vertices, and "
-            f"initial_state.source is {config.source}; use initial_state.source=template, or take "
-            "them out"
-        )
+    _refuse_held_vertices(recording, f"initial_state.source is {config.source}")
     weights = None if config.source == "flat" else _weights(recording, config)
     if weights is None or not (config.source == "network" or config.weights):
         # A cloth that lies flat needs no guess: its outline says where all of it is.
@@ -104,6 +101,31 @@ def find_initial_state(
     return _from_network(
         recording, observation, config, weights, segmenter=segmenter, device=device
     )
+
+
+def _from_file(
+    recording: Recording, observation: Observation, config: InitialStateConfig
+) -> InitialState:
+    """The garment's own mesh, laid flat on the first cloud."""
+    path = Path(config.template)
+    _refuse_held_vertices(recording, f"the template is {path}")
+    fit = flat_fit(recording, observation, config)
+    if fit.misfit_m > config.doubtful_m:
+        logger.warning(
+            "%s: the template %s does not match the first cloud, outlines differ by %.1f mm; "
+            "flatten the cloth, its front up, or make its template again: clothtrack garment",
+            recording.folder, path, 1e3 * fit.misfit_m,
+        )  # fmt: skip
+    origin = {"source": "file", "template": path.name, "template_sha256": content_hash(path)}
+    return InitialState(fit.mesh, None, origin)
+
+
+def _refuse_held_vertices(recording: Recording, why: str) -> None:
+    if recording.cloth.held_vertices:
+        raise InvalidRecordingError(
+            f"{recording.folder}: cloth.held_vertices are numbers of the template's vertices, and "
+            f"{why}; use initial_state.source=template, or take them out"
+        )
 
 
 def _doubt(recording: Recording, misfit_m: float) -> None:

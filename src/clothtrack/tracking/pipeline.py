@@ -263,12 +263,13 @@ def config_hash(config: RunConfig) -> str:
 
 
 def counted_settings(config: RunConfig) -> dict[str, Any]:
-    """The settings that a kept result is known by: weights by what is in their file."""
+    """The settings that a kept result is known by: files by what is in them."""
     settings = asdict(config)
     first = settings["initial_state"]
-    if first["weights"]:
-        with suppress(StorageError):
-            first["weights"] = content_hash(Path(first["weights"]))
+    for name in ("weights", "template"):
+        if first[name]:
+            with suppress(StorageError):
+                first[name] = content_hash(Path(first[name]))
     return settings
 
 
