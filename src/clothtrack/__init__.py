@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from clothtrack.evaluation.truth import Truth
     from clothtrack.files.settings import with_settings
     from clothtrack.front.flattening import flatten, simulate
+    from clothtrack.front.garment import garment_template
     from clothtrack.front.learning import label, reconstruct
     from clothtrack.front.look import export, view, write_report
     from clothtrack.front.run import Label, Run, evaluate, load, track
@@ -71,6 +72,7 @@ __all__ = [
     "evaluate",
     "export",
     "flatten",
+    "garment_template",
     "inspect_recording",
     "judge_labels",
     "label",

@@ -16,6 +16,7 @@ from clothtrack.front.look import review_of
 from clothtrack.front.run import Run, recording_of
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.garments import GarmentKind
 
 if TYPE_CHECKING:

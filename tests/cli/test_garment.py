@@ -1,0 +1,69 @@
+"""`garment` makes a template of a picture, and says in one line where it cannot."""
+
+import json
+
+import cv2
+import numpy as np
+
+from clothtrack.cli import command_line as cli
+from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.template import read_template
+from clothtrack.simulation.outlines import ShirtOutline
+
+
+def picture(path, *, sixteen=False):
+    """A red shirt of 60 cm on a grey table, 2 mm a pixel; light falls from one side."""
+    spans = ShirtOutline().spans(0.6, depth=0.018)
+    corners = np.concatenate([span.points[:-1] for span in spans]) / 0.002 * (1, -1) + (320, 240)
+    light = np.linspace(90, 170, 640)[None, :, None]
+    shown = np.broadcast_to(light, (480, 640, 3)).astype(np.uint8).copy()
+    cv2.fillPoly(shown, [np.rint(corners).astype(np.int32)], (40, 30, 180))
+    cv2.imwrite(str(path), shown[:, :, 0].astype(np.uint16) * 10 if sixteen else shown)
+    return path
+
+
+def test_a_colour_picture_becomes_a_template_and_its_outline_is_drawn(tmp_path, capsys):
+    shown, output = picture(tmp_path / "flat.png"), tmp_path / "shirt.npz"
+    words = ["garment", str(shown), "--kind", "tshirt", "--metres-per-pixel", "0.002"]
+    assert cli.main([*words, "--output", str(output), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert abs(report["length_m"] / 0.6 - 1.0) < 0.02
+    assert report["neck_seen"]
+    assert report["mirrored"]
+    mesh = read_template(output)
+    assert mesh.vertex_count == report["vertices"]
+    assert cv2.imread(report["outline"]).shape[1] == 1200
+    as_obj = tmp_path / "shirt.obj"
+    assert cli.main([*words, "--output", str(as_obj)]) == 0
+    assert np.allclose(read_template(as_obj).canonical, mesh.canonical)
+
+
+def test_a_recording_becomes_a_template_of_the_size_that_it_states(tmp_path, capsys):
+    words = ["garment", str(shipped_recording()), "--kind", "tshirt", "--json"]
+    assert cli.main([*words, "--output", str(tmp_path / "shirt.npz")]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert abs(report["width_m"] / 0.5 - 1.0) < 0.03
+    assert abs(report["length_m"] / 0.45 - 1.0) < 0.03
+
+
+def test_what_means_nothing_is_refused_in_one_line(tmp_path, capsys):
+    shown, output = str(picture(tmp_path / "flat.png")), ["--output", str(tmp_path / "t.npz")]
+    recording = str(shipped_recording())
+    for words, said in (
+        ([shown, "--kind", "tshirt", *output], "--metres-per-pixel"),
+        ([recording, "--kind", "tshirt", "--focal", "500", *output], "--focal"),
+        ([recording, "--kind", "trousers", *output], "no gap between the legs"),
+        ([recording, "--kind", "tshirt", "--openings", "a,b", *output], "COLUMN,ROW"),
+        ([recording, "--kind", "tshirt", "--output", str(tmp_path / "t.stl")], ".npz or .obj"),
+    ):
+        assert cli.main(["garment", *words]) == 1
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+    assert not list(tmp_path.glob("t.*"))
+
+
+def test_a_template_that_is_not_there_is_refused_by_track(tmp_path, capsys):
+    words = ["track", str(shipped_recording()), "--output", str(tmp_path / "out")]
+    assert cli.main([*words, "--template", str(tmp_path / "none.npz")]) == 1
+    assert "no such template file" in capsys.readouterr().err
