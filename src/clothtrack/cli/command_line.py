@@ -33,8 +33,8 @@ from clothtrack.cli.track import demo, track
 
 VERBS: tuple[Callable[..., int], ...] = (
     demo, inspect, import_, record, calibrate_camera, calibrate_hand_eye, segment, find_picker,
-    garment,     simulate, bench, track, label, pretrain, finetune, reconstruct, flatten, train_dynamics,
-    improve, evaluate, view, export,
+    garment, simulate, bench, track, label, pretrain, finetune, reconstruct, flatten,
+    train_dynamics, improve, evaluate, view, export,
 )  # fmt: skip
 """The functions behind the verbs, in the order of the README."""
 
