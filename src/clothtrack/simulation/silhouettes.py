@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 
 from clothtrack.errors import InvalidRecordingError
 
-Outline = Float[np.ndarray, "points 2"]
+Outline = Float[np.ndarray, "_ 2"]
 ToPlane = Callable[[Outline], Outline]
 
 OUTLINE_POINTS = 1200
