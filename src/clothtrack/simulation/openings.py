@@ -193,6 +193,7 @@ def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
         return None
     foot = points[int(points[:, 1].argmin())]
     out = foot - points[0]
+    inner, outer = 0, 0
     for _ in range(3):
         out = out / np.linalg.norm(out)
         inner = _extreme(points, _turned(out, -np.pi / 4))

@@ -145,7 +145,7 @@ def symmetric(points: Outline) -> Outline:
     )
     contour = max(contours, key=cv2.contourArea)[:, 0].astype(np.float64)
     outline = _evenly((contour + 0.5) / scale - reach, OUTLINE_POINTS)
-    outline = savgol_filter(outline, 11, 2, axis=0, mode="wrap")
+    outline = np.asarray(savgol_filter(outline, 11, 2, axis=0, mode="wrap"))
     return outline if signed_area(outline) > 0.0 else outline[::-1]
 
 
