@@ -14,7 +14,7 @@ WIDTH_PX = 1200
 """Width of the picture that is drawn."""
 
 
-def outline_picture(template: FlatTemplate, shown: Picture) -> Picture:
+def outline_picture(template: FlatTemplate, shown: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
     """The picture with the outline on it: openings red, seams blue, a towel's edge violet.
 
     Args:
