@@ -4,10 +4,10 @@ import json
 
 import cv2
 import numpy as np
-from clothtrack.recordings.template_file import read_template
 
 from clothtrack.cli import command_line as cli
 from clothtrack.recordings.shipped import shipped_recording
+from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.outlines import ShirtOutline
 
 

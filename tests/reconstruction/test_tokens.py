@@ -9,6 +9,7 @@ import torch
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.availability import published_weights
 from clothtrack.reconstruction.data.crumpling import CrumplingConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_examples import RenderConfig, render
@@ -269,10 +270,8 @@ def test_an_example_is_a_function_of_index_epoch_and_seed(folders: list[Path]) -
 
 
 def test_weights_of_another_network_are_refused(folders: list[Path], tmp_path: Path) -> None:
-    from clothtrack.reconstruction.availability import shipped_weights
-
     with pytest.raises(InvalidResultError, match="token network"):
-        TokenReconstructor.load(shipped_weights("towel"))
+        TokenReconstructor.load(published_weights("towel"))
     path = tmp_path / "no.safetensors"
     with pytest.raises(InvalidResultError, match="no such"):
         TokenReconstructor.load(path)

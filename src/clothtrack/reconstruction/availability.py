@@ -10,7 +10,8 @@ EXTRA = ("torch", "safetensors", "igl", "skimage")
 """Modules of the extra [learn] without which nothing can be learned or reconstructed."""
 
 SHIPPED = Path(__file__).parent / "weights"
-"""Folder of the weights that come with the package, KIND.safetensors."""
+"""Folder of the weights that come with the package: KIND.tokens.safetensors of the token network,
+KIND.safetensors of the published one."""
 
 
 def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
@@ -19,6 +20,15 @@ def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
 
 
 def shipped_weights(kind: str) -> Path | None:
-    """The weights for a kind of garment that come with the package; None when none do."""
+    """The weights for a kind of garment that come with the package; None when none do.
+
+    Those of the token network, where it was trained on such garments.
+    """
+    tokens = SHIPPED / f"{kind}.tokens.safetensors"
+    return tokens if tokens.is_file() else published_weights(kind)
+
+
+def published_weights(kind: str) -> Path | None:
+    """The published network's weights for a kind of garment, as `shipped_weights`."""
     path = SHIPPED / f"{kind}.safetensors"
     return path if path.is_file() else None
