@@ -38,7 +38,8 @@ def test_wishes_that_exclude_each_other_are_usage_errors(tmp_path, capsys):
 
 
 def test_what_cannot_be_read_is_refused_before_a_start_is_made(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("clothtrack.reconstruction.model_loading.shipped_weights", lambda kind: None)
+    weights = "clothtrack.reconstruction.model_loading.shipped_weights"
+    monkeypatch.setattr(weights, lambda kind: None)
     bad = tmp_path / "bad.safetensors"
     bad.write_bytes(b"not weights")
     out = tmp_path / "out"
