@@ -8,7 +8,7 @@ from clothtrack.report.lettering import caption, text_width, write
 from clothtrack.report.palette import HIDDEN, INK, OUTSIDE, PAPER, PICKER_CLOSED, rgb255
 from clothtrack.simulation.flat_template import FlatTemplate
 
-Picture = UInt8[np.ndarray, "height width 3"]
+Picture = UInt8[np.ndarray, "_ _ 3"]
 
 WIDTH_PX = 1200
 """Width of the picture that is drawn."""
