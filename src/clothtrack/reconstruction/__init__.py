@@ -10,10 +10,10 @@ if TYPE_CHECKING:
         DepthInput,
         from_depth,
         from_recording,
-        load_model,
     )
     from clothtrack.reconstruction.from_picture import NetworkMesh, network_mesh
     from clothtrack.reconstruction.model import MeshReconstructor, Reconstruction
+    from clothtrack.reconstruction.model_loading import load_model
     from clothtrack.reconstruction.refinement import Refinement, RefinementConfig, Refiner
     from clothtrack.reconstruction.template_fit import TemplateFitConfig
     from clothtrack.reconstruction.two_stages import LearningConfig, finetune, pretrain
