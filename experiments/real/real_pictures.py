@@ -26,29 +26,27 @@ from pathlib import Path
 
 import _path  # noqa: F401
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
 from shared.bench_measures import Row, finite
 from shared.figures import say, write_json, write_png
 from shared.learning_experiment import tiny_network
 from shared.learning_runs import kind_of
 
 from clothtrack import __version__
-from clothtrack.errors import ClothTrackError, InvalidRecordingError
+from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
 from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.provenance import commit
 from clothtrack.geometry.chamfer import two_way
-from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import shipped_weights
-from clothtrack.reconstruction.depth_input import load_model
-from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, figures_of, network_mesh
+from clothtrack.reconstruction.from_picture import figures_of, network_mesh
 from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.model_loading import load_model
 from clothtrack.reconstruction.refinement import RefinementConfig
+from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 from clothtrack.recordings.mesh_file import read_mesh, write_mesh
 from real import drawn_topdown
+from real.picture_scores import Points, assigned, moved_in, silhouette_iou, sticker_places
 from real.picture_sheet import Picture, drawn_depth, sheet, tile
 from real.topdown import (
     GARMENTS,
@@ -71,8 +69,6 @@ NO_FIGURES: Row = {
 }  # fmt: skip
 """Of a picture that became no mesh."""
 
-Points = Float[np.ndarray, "points 2"]
-
 
 @dataclass
 class Networks:
@@ -86,9 +82,9 @@ class Networks:
 
     weights: Mapping[str, Path] = field(default_factory=dict)
     device: str = "cpu"
-    _models: dict[str, MeshReconstructor] = field(default_factory=dict)
+    _models: dict[str, MeshReconstructor | TokenReconstructor] = field(default_factory=dict)
 
-    def model(self, kind: str) -> MeshReconstructor:
+    def model(self, kind: str) -> MeshReconstructor | TokenReconstructor:
         """The network for a garment.
 
         Raises:
@@ -105,46 +101,6 @@ class Networks:
 
     def _weights(self, kind: str) -> Path | None:
         return self.weights.get(kind, self.weights.get("any"))
-
-
-def silhouette_iou(
-    drawn: Bool[np.ndarray, "height width"], shown: Bool[np.ndarray, "height width"]
-) -> float:
-    """Shared pixels over all pixels of both silhouettes."""
-    return float((drawn & shown).sum() / max((drawn | shown).sum(), 1))
-
-
-def assigned(stickers: Points, corners: Points) -> Float[np.ndarray, " stickers"]:
-    """Distance of each sticker to the corner that it is given: one to one, least in sum."""
-    apart = cdist(stickers, corners)
-    rows, columns = linear_sum_assignment(apart)
-    return apart[rows, columns]
-
-
-def sticker_places(mesh: ClothMesh) -> Float[np.ndarray, "4 3"]:
-    """Where the stickers on the corners of a towel are in the world [m]."""
-    flat = np.asarray(mesh.canonical, np.float64)
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    inset = STICKER_INSET / np.sqrt(2.0) * (high - low).max()
-    x, y = (np.array([low[axis] + inset, high[axis] - inset]) for axis in (0, 1))
-    wanted = np.array([(a, b, 0.5 * (low[2] + high[2])) for a in x for b in y])
-    face, weights = closest_on_mesh(wanted, flat, mesh.faces)
-    corners = mesh.vertices.astype(np.float64)[mesh.faces[face]]
-    return np.einsum("ij,ijk->ik", weights, corners)
-
-
-def moved_in(rectangle: Float[np.ndarray, "4 2"], inset: float) -> Float[np.ndarray, "4 2"]:
-    """Corners moved along their diagonal's two sides so that they are `inset` from where they were.
-
-    At most to the middle of a side.
-    """
-    moved = rectangle.copy()
-    for way in (1, -1):
-        side = np.roll(rectangle, way, axis=0) - rectangle
-        length = np.linalg.norm(side, axis=1, keepdims=True)
-        step = np.minimum(inset / np.sqrt(2.0), 0.5 * length)
-        moved += side / np.maximum(length, 1e-9) * step
-    return moved
 
 
 def judged(entry: Entry, networks: Networks, keep: Path | None) -> Row:
@@ -170,12 +126,7 @@ def judged(entry: Entry, networks: Networks, keep: Path | None) -> Row:
         row |= {"status": made.reconstruction.status, "scale": made.scale}
         if mesh is not None:
             figures = figures_of(made, mesh, picture.depth)
-            loose = figures["cloud_to_mesh_m"] > LOOSE_FIT_M
-            row |= {
-                "cloud_to_mesh_m": figures["cloud_to_mesh_m"],
-                "trusted": bool(figures.get("trusted", not loose)),
-                "expected_error_m": figures.get("expected_error_m"),
-            }
+            row |= {key: figures[key] for key in ("cloud_to_mesh_m", "trusted", "expected_error_m")}
     except ClothTrackError as error:
         row["error"] = str(error)
     row |= {"seconds": time.perf_counter() - wall, "cpu_s": time.process_time() - used}
@@ -259,9 +210,19 @@ SUMMARIES = {GARMENTS: garments_summary, STICKERS: stickers_summary}
 
 def table(name: str, rows: Sequence[Row]) -> str:
     """The rows as text, one line each, and what they come to."""
-    heads = ["picture", "IoU", "Chamfer, 1e-4 m2", "cloud to mesh, mm", "trusted", "s", "CPU s"]
-    heads += ["scale", "tilt", "in sides"] if name == STICKERS else ["scale", "tilt"]
-    lines = ["  ".join(f"{head:>17}" if head == "picture" else head for head in heads)]
+    heads = [
+        "IoU",
+        "Chamfer, 1e-4 m2",
+        "cloud to mesh, mm",
+        "trusted",
+        "s",
+        "CPU s",
+        "scale",
+        "tilt",
+    ]
+    heads += ["in sides"] if name == STICKERS else []
+    wide = max(len(row["picture"]) for row in rows)
+    lines = [f"{'picture':<{wide}}  garment          {'  '.join(heads)}"]
     for row in rows:
         cells = [
             f"{row['iou']:.2f}", _number(row["chamfer_m2"], 1e4),
@@ -270,10 +231,9 @@ def table(name: str, rows: Sequence[Row]) -> str:
             _number(row["tilt_deg"]),
             " ".join(f"{each:.3f}" for each in row.get("sticker_side", [])),
         ]  # fmt: skip
-        widths = [len(head) for head in heads[1:]]
-        figures = "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=False))
-        words = f"{row['picture']} {row['garment']}"
-        lines.append(f"{words[:17]:>17}  {figures}  {row.get('error', '')}".rstrip())
+        figures = "  ".join(f"{c:>{len(head)}}" for c, head in zip(cells, heads, strict=False))
+        line = f"{row['picture']:<{wide}}  {row['garment']:<15}  {figures}  {row.get('error', '')}"
+        lines.append(line.rstrip())
     summary = SUMMARIES[name](rows)
     if name == STICKERS:
         inside = _pooled(rows, "control_moved_in_side")
@@ -289,8 +249,11 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     Raises:
         InvalidRecordingError: `meta.json` of a set cannot be read.
         InvalidResultError: weights are missing or damaged.
+        InvalidConfigError: two of them are for the same garment.
     """
     networks = Networks({kind_of(path): path for path in options.weights}, options.device)
+    if len(networks.weights) < len(options.weights):
+        raise InvalidConfigError("two of the weights are for the same garment; name one of them")
     folders = {name: options.data / name for name in SETS if (options.data / name).is_dir()}
     stamp = {
         "clothtrack": __version__, "commit": commit(), "weights_sha256": networks.digests(),

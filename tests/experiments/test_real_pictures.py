@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from real import drawn_topdown, real_pictures, topdown
-from real.real_pictures import assigned, moved_in, silhouette_iou, sticker_places
+from real.picture_scores import assigned, moved_in, silhouette_iou, sticker_places
 
 from clothtrack.reconstruction.from_picture import NetworkMesh
 from clothtrack.reconstruction.model import Reconstruction

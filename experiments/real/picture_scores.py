@@ -1,0 +1,52 @@
+"""How near a mesh is to one real picture: its silhouette, and the stickers on its corners."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from real.topdown import STICKER_INSET
+
+Points = Float[np.ndarray, "points 2"]
+
+
+def silhouette_iou(
+    drawn: Bool[np.ndarray, "height width"], shown: Bool[np.ndarray, "height width"]
+) -> float:
+    """Shared pixels over all pixels of both silhouettes."""
+    return float((drawn & shown).sum() / max((drawn | shown).sum(), 1))
+
+
+def assigned(stickers: Points, corners: Points) -> Float[np.ndarray, " stickers"]:
+    """Distance of each sticker to the corner that it is given: one to one, least in sum."""
+    apart = cdist(stickers, corners)
+    rows, columns = linear_sum_assignment(apart)
+    return apart[rows, columns]
+
+
+def sticker_places(mesh: ClothMesh) -> Float[np.ndarray, "4 3"]:
+    """Where the stickers on the corners of a towel are in the world [m]."""
+    flat = np.asarray(mesh.canonical, np.float64)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    inset = STICKER_INSET / np.sqrt(2.0) * (high - low).max()
+    x, y = (np.array([low[axis] + inset, high[axis] - inset]) for axis in (0, 1))
+    wanted = np.array([(a, b, 0.5 * (low[2] + high[2])) for a in x for b in y])
+    face, weights = closest_on_mesh(wanted, flat, mesh.faces)
+    corners = mesh.vertices.astype(np.float64)[mesh.faces[face]]
+    return np.einsum("ij,ijk->ik", weights, corners)
+
+
+def moved_in(rectangle: Float[np.ndarray, "4 2"], inset: float) -> Float[np.ndarray, "4 2"]:
+    """Corners moved along their diagonal's two sides so that they are `inset` from where they were.
+
+    At most to the middle of a side.
+    """
+    moved = rectangle.copy()
+    for way in (1, -1):
+        side = np.roll(rectangle, way, axis=0) - rectangle
+        length = np.linalg.norm(side, axis=1, keepdims=True)
+        step = np.minimum(inset / np.sqrt(2.0), 0.5 * length)
+        moved += side / np.maximum(length, 1e-9) * step
+    return moved
