@@ -6,11 +6,7 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.data.state_store import open_states, read_shard, write_states
-    from clothtrack.reconstruction.depth_input import (
-        DepthInput,
-        from_depth,
-        from_recording,
-    )
+    from clothtrack.reconstruction.depth_input import DepthInput, from_depth, from_recording
     from clothtrack.reconstruction.from_picture import NetworkMesh, network_mesh
     from clothtrack.reconstruction.model import MeshReconstructor, Reconstruction
     from clothtrack.reconstruction.model_loading import load_model
