@@ -5,8 +5,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from clothtrack.geometry.closest_point import closest_on_mesh
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry import ClothMesh, closest_on_mesh
 from real.topdown import STICKER_INSET
 
 Points = Float[np.ndarray, "points 2"]

@@ -6,9 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry import Camera, ClothMesh, Rasteriser
 from clothtrack.recordings.segmentation import height_picture
 from clothtrack.report.lettering import caption
 from clothtrack.report.palette import PAPER, rgb255

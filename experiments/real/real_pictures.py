@@ -33,18 +33,14 @@ from shared.learning_runs import kind_of
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
-from clothtrack.files.atomic_write import content_hash
+from clothtrack.files import content_hash
 from clothtrack.files.provenance import commit
-from clothtrack.geometry.chamfer import two_way
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry import ClothMesh, quiet_warp, two_way
+from clothtrack.reconstruction import MeshReconstructor, RefinementConfig, load_model, network_mesh
 from clothtrack.reconstruction.availability import shipped_weights
-from clothtrack.reconstruction.from_picture import figures_of, network_mesh
-from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.model_loading import load_model
-from clothtrack.reconstruction.refinement import RefinementConfig
+from clothtrack.reconstruction.from_picture import figures_of
 from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
-from clothtrack.recordings.mesh_file import read_mesh, write_mesh
+from clothtrack.recordings import read_mesh, write_mesh
 from real import drawn_topdown
 from real.picture_scores import Points, assigned, moved_in, silhouette_iou, sticker_places
 from real.picture_sheet import Picture, drawn_depth, sheet, tile
