@@ -29,7 +29,9 @@ CHAPTERS = {
         "Camera", "Table", "PickerPath", "ClothDescription", "ClothMesh", "observe",
         "ColorSegmenter", "read_color", "read_depth",
     ],
-    "Learn, flatten, simulate": ["reconstruct", "label", "flatten", "simulate"],
+    "Learn, flatten, simulate": [
+        "garment_template", "reconstruct", "label", "flatten", "simulate",
+    ],  # fmt: skip
     "Errors": [
         "ClothTrackError", "InvalidRecordingError", "InvalidMeshError", "InvalidResultError",
         "InvalidConfigError", "SimulationDivergedError", "StorageError",

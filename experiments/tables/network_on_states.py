@@ -26,19 +26,20 @@ from shared.figures import say
 from shared.table_column import table
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.files.atomic_write import atomic_file, content_hash
+from clothtrack.files import atomic_file, content_hash
 from clothtrack.files.provenance import commit
-from clothtrack.geometry.closest_point import closest_on_mesh
-from clothtrack.geometry.devices import quiet_warp
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry import ClothMesh, Rasteriser, closest_on_mesh, quiet_warp
+from clothtrack.reconstruction import (
+    DepthInput,
+    RefinementConfig,
+    load_model,
+    network_mesh,
+    open_states,
+    read_shard,
+)
 from clothtrack.reconstruction.data.state_examples import RenderConfig, render
-from clothtrack.reconstruction.data.state_store import open_states, read_shard
-from clothtrack.reconstruction.depth_input import DepthInput
-from clothtrack.reconstruction.from_picture import figures_of, network_mesh
-from clothtrack.reconstruction.model_loading import load_model
-from clothtrack.reconstruction.refinement import RefinementConfig
-from clothtrack.recordings.recording import Table
+from clothtrack.reconstruction.from_picture import figures_of
+from clothtrack.recordings import Table
 
 COVERAGES = (0.0, 0.55, 0.85, np.inf)
 """Bounds of the bands of true coverage in which errors are given."""

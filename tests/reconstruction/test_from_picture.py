@@ -131,19 +131,22 @@ def test_a_garment_of_another_size_is_tried_at_other_sizes(picture):
     assert network_mesh(OneSize(picture, 9.0), picture, "towel").scale == 1.0
 
 
-@pytest.mark.parametrize("limit_m", [1e-6, 1.0])
+@pytest.mark.parametrize(("least_iou", "largest_m2"), [(0.999, 1.0), (0.0, 1e-12), (0.0, 10.0)])
 def test_a_mesh_that_does_not_fit_is_not_to_be_trusted(
-    limit_m, model, tmp_path, capsys, monkeypatch
+    least_iou, largest_m2, model, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr("clothtrack.reconstruction.from_picture.LOOSE_FIT_M", limit_m)
+    monkeypatch.setattr("clothtrack.reconstruction.trust.LEAST_IOU", least_iou)
+    monkeypatch.setattr("clothtrack.reconstruction.trust.LARGEST_CHAMFER_M2", largest_m2)
     (recording,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)
     weights = tmp_path / "towel.safetensors"
     save_weights(weights, model.state_dict(), TINY_NETWORK, kind="towel")
-    words = ["reconstruct", str(recording), "--weights", str(weights), "--no-refined"]
+    words = ["reconstruct", str(recording), "--weights", str(weights), "--no-refined", "--json"]
     assert cli.main([*words, "--output", str(tmp_path / "mesh.obj")]) == 0
-    told = capsys.readouterr()
-    assert "mm from the cloud" in told.out
-    assert ("do not trust it" in told.err) == (limit_m < 1.0)
+    said = capsys.readouterr()
+    report, trusted = json.loads(said.out), largest_m2 == 10.0
+    assert report["trusted"] == trusted == (not report["why_not"])
+    assert report["expected_error_m"] is None
+    assert ("do not trust this mesh" in said.err) != trusted
 
 
 @pytest.mark.parametrize("over", [False, True])

@@ -112,11 +112,11 @@ def network_mesh(
         InvalidConfigError: the networks are for another category, or make no mesh by this method.
         InvalidRecordingError: there is no cloth in the picture.
     """
-    from clothtrack.reconstruction.model import MeshReconstructor
+    from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 
     if template is None and size_m is not None and method == "template":
         template = garment(kind, vertex_count=vertex_count, size_m=size_m)
-    ask = _by_published_network if isinstance(model, MeshReconstructor) else _by_token_network
+    ask = _by_token_network if isinstance(model, TokenReconstructor) else _by_published_network
     shown = picture.turned(turn_rad)
     answer = ask(model, shown, kind, template, method=method, vertex_count=vertex_count)
     reconstruction = answer.reconstruction.turned(-turn_rad)

@@ -5,6 +5,7 @@ layers may be wrong under a silhouette that fits.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -12,8 +13,10 @@ from jaxtyping import Float
 from clothtrack.geometry.chamfer import two_way
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.recordings.point_cloud import thin
+
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.depth_input import DepthInput
 
 LEAST_IOU = 0.8
 """Overlap of silhouettes (intersection over union) below which a mesh is not trusted."""
@@ -60,7 +63,7 @@ class Agreement:
         return ""
 
 
-def agreement_of(mesh: ClothMesh, picture: DepthInput) -> Agreement:
+def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> Agreement:
     """How a mesh agrees with a picture, by rendering it into the picture's own camera."""
     camera = picture.camera
     vertices = np.asarray(mesh.vertices, np.float64)

@@ -10,22 +10,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothtrack.files.bounds import Checked, Count, Fraction
 from clothtrack.simulation.dynamics import PickerAction
 from clothtrack.simulation.state import Attachment
 from clothtrack.tracking.seams import Corrected, Correction, Dyn, Prediction, State
 
-DECAY = 0.7
-"""Factor between one trial and the next: gamma in the paper."""
-
-TRIALS = 10
-"""Roll-outs before the pseudo-action is dropped, as in the paper."""
-
 
 @dataclass(frozen=True)
-class LineSearchConfig:
-    """What counts as an explosion.
+class LineSearchConfig(Checked):
+    """Settings of the line search.
 
     Attributes:
+        decay: factor between one trial and the next; gamma = 0.7 in the paper.
+        trials: roll-outs before the pseudo-action is dropped; 10 in the paper.
         explosion_speed: a vertex faster than this [m/s] is an explosion, whatever the picker does.
         explosion_ratio: with a fast picker the threshold is this many times the picker's speed.
             The paper's threshold is not stated; 1 m/s was seen to give up on sound steps.
@@ -33,6 +30,8 @@ class LineSearchConfig:
             least this many times the prediction's highest speed.
     """
 
+    decay: Fraction = 0.7
+    trials: Count = 10
     explosion_speed: float = 3.0
     explosion_ratio: float = 15.0
     prediction_ratio: float = 1.5
@@ -55,7 +54,7 @@ class PseudoActionSearch:
         """Take the settings.
 
         Args:
-            config: what counts as divergence.
+            config: decay, number of trials and what counts as divergence.
             strength: 1 holds attached vertices at their targets, less pulls them there.
         """
         self._config, self._strength = config, strength
@@ -79,14 +78,14 @@ class PseudoActionSearch:
         """
         if correction is None:
             return Corrected(predicted)
-        scale = 1.0
-        threshold = self._config.threshold(action.speed, float(predicted.highest_speed.max()))
-        for trial in range(1, TRIALS + 1):
+        config, scale = self._config, 1.0
+        threshold = config.threshold(action.speed, float(predicted.highest_speed.max()))
+        for trial in range(1, config.trials + 1):
             rolled = dyn(state, action, self._pseudo_action(correction, scale))
             if is_stable(rolled, threshold):
                 return Corrected(rolled, scale, trial)
-            scale *= DECAY
-        return Corrected(predicted, 0.0, TRIALS, gave_up=True)
+            scale *= config.decay
+        return Corrected(predicted, 0.0, config.trials, gave_up=True)
 
     def _pseudo_action(self, correction: Correction, scale: float) -> Attachment:
         """a~_t: the attached vertices are wanted where this part of the correction takes them."""
