@@ -148,20 +148,22 @@ def test_the_network_answers_each_picture_by_itself(told) -> None:
 
 
 def test_the_loss_does_not_ask_which_of_two_look_alikes_it_is(told) -> None:
-    _, mesh, tokens = told
+    name, mesh, tokens = told
+    # A towel's tokens lie on one another exactly when it is turned, a shirt's nearly.
+    tolerance = 2e-3 if name in {"square", "rectangle"} else 0.03
     torch.manual_seed(1)
     network = TokenNetwork(TINY).eval()
     network.examples.fill_(HARDENING_EXAMPLES)
     stage = TokenStage(network).eval()
     drawn = example(mesh, tokens, 5)
     for row in tokens.labellings[tokens.is_labelling]:
-        places = np.empty_like(drawn.places)
+        places = drawn.places.copy()
         places[row] = drawn.places
         other = replace(drawn, pixel_tokens=row[drawn.pixel_tokens], places=places)
         with torch.no_grad():
             first, second = (stage.measure(collate_tokens([one])) for one in (drawn, other))
-        for name, value in first.items():
-            torch.testing.assert_close(value, second[name], atol=2e-3, rtol=2e-3)
+        for part, value in first.items():
+            torch.testing.assert_close(value, second[part], atol=tolerance, rtol=tolerance)
 
 
 class _PlacesOfPixels(TokenNetwork):

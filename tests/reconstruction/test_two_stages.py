@@ -62,7 +62,15 @@ def labels_of(folder, count=3):
 
 def test_pretrained_weights_are_finetuned(towels, capsys):
     run, tuned, labels = towels / "run", towels / "tuned", towels / "labels"
-    words = ["pretrain", str(towels / "states"), "--output", str(run), *settings()]
+    words = [
+        "pretrain",
+        str(towels / "states"),
+        "--network",
+        "small",
+        "--output",
+        str(run),
+        *settings(),
+    ]
     assert cli.main(words) == 0
     weights = load_weights(run / "model.safetensors")
     assert weights.kind == "towel"
@@ -100,7 +108,16 @@ def test_pretraining_goes_on_from_weights(towels):
     # At such a rate nothing moves: what comes out is what went in, and not a fresh network.
     rates = ("low_rate", "high_rate")
     still = [f"{stage}.{rate}=1e-12" for stage in STAGES for rate in rates]
-    words = ["pretrain", str(towels / "states"), "--output", str(run), "--start", str(start)]
+    words = [
+        "pretrain",
+        str(towels / "states"),
+        "--network",
+        "small",
+        "--output",
+        str(run),
+        "--start",
+        str(start),
+    ]
     assert cli.main([*words, *settings(*still)]) == 0
     after = load_weights(run / "model.safetensors")
     for name, value in before.tensors.items():
@@ -111,7 +128,15 @@ def test_pretraining_goes_on_from_weights(towels):
 
 def test_pretraining_does_not_go_on_from_another_garment_or_network(towels, capsys, monkeypatch):
     start = towels / "start.safetensors"
-    words = ["pretrain", str(towels / "states"), "--output", str(towels / "run"), *settings()]
+    words = [
+        "pretrain",
+        str(towels / "states"),
+        "--network",
+        "small",
+        "--output",
+        str(towels / "run"),
+        *settings(),
+    ]
     start_of(start, "tshirt")
     assert cli.main([*words, "--start", str(start)]) == 1
     assert "is for 'tshirt', the states are of 'towel'" in capsys.readouterr().err

@@ -13,6 +13,7 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.canonical_frame import canonical_frame
 from clothtrack.reconstruction.data.examples import (
     Example,
     ExampleConfig,
@@ -28,6 +29,7 @@ from clothtrack.recordings.point_cloud import flying_pixels
 
 _MARGIN_PIXELS = 6
 _ATTEMPTS = 4
+_ROOM = 0.98
 
 
 def _structured_light() -> SensorConfig:
@@ -161,7 +163,7 @@ class StateExamples:
 
     def _shard(self, number: int) -> StateShard:
         if number not in self._shards:
-            self._shards[number] = read_shard(self._paths[number])
+            self._shards[number] = _in_cube(read_shard(self._paths[number]))
         return self._shards[number]
 
     def _garment(self, number: int) -> Garment:
@@ -169,6 +171,21 @@ class StateExamples:
             mesh = self._shard(number).mesh
             self._garments[number] = Garment.of(mesh, self.kind, self.config.winding, seed=number)
         return self._garments[number]
+
+
+def _in_cube(shard: StateShard) -> StateShard:
+    """The states as those of a garment that its category's canonical cube has room for.
+
+    A larger one is shown in a smaller world, as a picture of a garment of unknown size is
+    (`from_picture`); folds look much alike at all sizes.
+    """
+    reach_m = float(np.abs(np.asarray(shard.mesh.canonical)).max())
+    room_m = _ROOM * 0.5 / canonical_frame(shard.kind).scale
+    if reach_m <= room_m:
+        return shard
+    factor = room_m / reach_m
+    positions = (shard.positions * factor).astype(np.float32)
+    return replace(shard, mesh=shard.mesh.scaled(factor), positions=positions)
 
 
 def render(
