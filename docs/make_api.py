@@ -31,7 +31,7 @@ CHAPTERS = {
     ],
     "Learn, flatten, simulate": [
         "garment_template", "reconstruct", "label", "flatten", "simulate",
-    ],  # fmt: skip
+    ],
     "Errors": [
         "ClothTrackError", "InvalidRecordingError", "InvalidMeshError", "InvalidResultError",
         "InvalidConfigError", "SimulationDivergedError", "StorageError",

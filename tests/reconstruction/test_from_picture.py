@@ -131,10 +131,11 @@ def test_a_garment_of_another_size_is_tried_at_other_sizes(picture):
     assert network_mesh(OneSize(picture, 9.0), picture, "towel").scale == 1.0
 
 
-@pytest.mark.parametrize(("least_iou", "largest_m2"), [(0.999, 1.0), (0.0, 1e-12), (0.0, 10.0)])
+@pytest.mark.parametrize("limits", [(0.999, 1.0), (0.0, 1e-12), (0.0, 10.0)])
 def test_a_mesh_that_does_not_fit_is_not_to_be_trusted(
-    least_iou, largest_m2, model, tmp_path, capsys, monkeypatch
+    limits, model, tmp_path, capsys, monkeypatch
 ):
+    least_iou, largest_m2 = limits
     monkeypatch.setattr("clothtrack.reconstruction.trust.LEAST_IOU", least_iou)
     monkeypatch.setattr("clothtrack.reconstruction.trust.LARGEST_CHAMFER_M2", largest_m2)
     (recording,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)

@@ -33,6 +33,9 @@ FEW = [
 ]
 
 
+PRETRAIN = ("pretrain", "--network", "small")
+
+
 def settings(*more):
     return [word for one in (*FEW, *more) for word in ("--set", one)]
 
