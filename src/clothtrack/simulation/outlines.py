@@ -13,6 +13,9 @@ from jaxtyping import Float
 from clothtrack.errors import InvalidConfigError
 from clothtrack.simulation.triangulation import Span
 
+UNDERARM = 0.04
+"""A drawn sleeve's end stands off the body by more than this, over the shirt's length."""
+
 NECK_POINTS = 65
 """Corners of a neckline's half ellipse."""
 
@@ -98,10 +101,13 @@ def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> Shirt
             back_depth=rng.uniform(0.015, 0.04),
         )
         try:
-            outline.spans(1.0, depth=outline.front_depth)
+            spans = outline.spans(1.0, depth=outline.front_depth)
         except InvalidConfigError:
             continue
-        return outline
+        # Of the spans, up from the hem: the right side, the sleeve's lower edge.
+        armpit, cuff = spans[2].points
+        if cuff[0] - max(armpit[0], spans[1].points[0, 0]) > UNDERARM:
+            return outline
 
 
 @dataclass(frozen=True)
