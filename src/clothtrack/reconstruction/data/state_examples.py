@@ -1,9 +1,10 @@
 """Simulated states as examples, drawn on the fly: a fresh camera, its noise, a fresh rotation."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -26,6 +27,9 @@ from clothtrack.reconstruction.data.state_store import StateSet, StateShard, rea
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.training.batches import Draw
 from clothtrack.recordings.point_cloud import flying_pixels
+
+GarmentPart = TypeVar("GarmentPart")
+Drawn = TypeVar("Drawn")
 
 _MARGIN_PIXELS = 6
 _ATTEMPTS = 4
@@ -83,11 +87,92 @@ class RenderConfig:
     cut: float = 0.08
 
 
-class StateExamples:
-    """Labelled states of simulated garments as examples.
+class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
+    """States as examples of some network, each a function of index, epoch and seed.
 
-    An example is a function of index, epoch and seed. Shards are read when the set is made, and
-    again in each process that makes examples.
+    Shards are read when the set is made, and again in each process that makes examples.
+
+    Args:
+        sets: folders of states.
+        rendering: the cameras.
+        seed: of everything random.
+
+    Raises:
+        InvalidResultError: a shard is damaged.
+    """
+
+    def __init__(self, sets: Sequence[StateSet], rendering: RenderConfig, seed: int) -> None:
+        self.rendering = rendering
+        self.seed = seed
+        self._paths = [path for states in sets for path in states.shards]
+        self._shards: dict[int, StateShard] = {}
+        self._garments: dict[int, GarmentPart] = {}
+        self._places = [
+            (number, state)
+            for number in range(len(self._paths))
+            for state in range(len(self._shard(number).positions))
+        ]
+
+    @abstractmethod
+    def _garment_of(self, shard: StateShard, number: int) -> GarmentPart:
+        """What all states of a shard have in common."""
+
+    @abstractmethod
+    def _drawn(
+        self,
+        picture: LabelledPicture,
+        shard: StateShard,
+        garment: GarmentPart,
+        rng: np.random.Generator,
+    ) -> Drawn:
+        """The example of a rendered state."""
+
+    def __len__(self) -> int:
+        """Number of states."""
+        return len(self._places)
+
+    def __getitem__(self, draw: Draw) -> Drawn:
+        """The state, rendered and augmented for this epoch."""
+        index, epoch = draw
+        number, state = self._places[index]
+        shard = self._shard(number)
+        if number not in self._garments:
+            self._garments[number] = self._garment_of(shard, number)
+        garment = self._garments[number]
+        rng = np.random.default_rng([self.seed, epoch, index])
+        positions = shard.positions[state].astype(np.float64)
+
+        def drawn() -> Drawn:
+            return self._drawn(
+                render(positions, shard.mesh, self.rendering, rng), shard, garment, rng
+            )
+
+        for _ in range(_ATTEMPTS - 1):
+            # So little cloth may be measured that the network could not be asked: render it again.
+            with suppress(InvalidRecordingError):
+                return drawn()
+        try:
+            return drawn()
+        except InvalidRecordingError as error:
+            where = f"{self._paths[number]}, state {state}"
+            raise InvalidRecordingError(f"{where}: {error}") from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the shards: a process reads its own."""
+        return {**self.__dict__, "_shards": {}, "_garments": {}}
+
+    def _shard(self, number: int) -> StateShard:
+        if number not in self._shards:
+            self._shards[number] = self._fitted(read_shard(self._paths[number]))
+        return self._shards[number]
+
+    def _fitted(self, shard: StateShard) -> StateShard:
+        """The states as the network can take them."""
+        return shard
+
+
+class StateExamples(RenderedStates[Garment, Example]):
+    """Labelled states of simulated garments as examples of the published network.
 
     Args:
         sets: folders of states, all of one kind of garment.
@@ -110,7 +195,7 @@ class StateExamples:
         rendering: RenderConfig | None = None,
         seed: int = 0,
     ) -> None:
-        kinds = sorted({one.kind for one in sets})
+        kinds = sorted({states.kind for states in sets})
         if len(kinds) != 1:
             raise InvalidConfigError(
                 f"states of {', '.join(kinds) or 'no garment'} were given; a network is trained "
@@ -119,58 +204,26 @@ class StateExamples:
         self.kind = kinds[0]
         self.network = network
         self.config = config or ExampleConfig()
-        self.rendering = rendering or RenderConfig()
-        self.seed = seed
-        self._paths = [path for one in sets for path in one.shards]
-        self._shards: dict[int, StateShard] = {}
-        self._garments: dict[int, Garment] = {}
-        self._places: list[tuple[int, int]] = []
-        self.groups: list[tuple[int, int]] = []
-        for number in range(len(self._paths)):
-            episodes = self._shard(number).episodes.tolist()
-            self._places += [(number, state) for state in range(len(episodes))]
-            self.groups += [(number, episode) for episode in episodes]
+        super().__init__(sets, rendering or RenderConfig(), seed)
+        self.groups = [
+            (number, int(self._shard(number).episodes[state])) for number, state in self._places
+        ]
 
-    def __len__(self) -> int:
-        """Number of states."""
-        return len(self._places)
+    def _garment_of(self, shard: StateShard, number: int) -> Garment:
+        return Garment.of(shard.mesh, self.kind, self.config.winding, seed=number)
 
-    def __getitem__(self, draw: Draw) -> Example:
-        """The state, filmed and augmented for this epoch."""
-        index, epoch = draw
-        number, state = self._places[index]
-        shard, garment = self._shard(number), self._garment(number)
-        rng = np.random.default_rng([self.seed, epoch, index])
-        positions = shard.positions[state].astype(np.float64)
+    def _drawn(
+        self,
+        picture: LabelledPicture,
+        shard: StateShard,
+        garment: Garment,
+        rng: np.random.Generator,
+    ) -> Example:
+        del shard
+        return draw_example(picture, garment, self.network, self.config, rng)
 
-        def drawn() -> Example:
-            picture = render(positions, shard.mesh, self.rendering, rng)
-            return draw_example(picture, garment, self.network, self.config, rng)
-
-        for _ in range(_ATTEMPTS - 1):
-            # So little cloth may be measured that the network could not be asked: film it again.
-            with suppress(InvalidRecordingError):
-                return drawn()
-        try:
-            return drawn()
-        except InvalidRecordingError as error:
-            where = f"{self._paths[number]}, state {state}"
-            raise InvalidRecordingError(f"{where}: {error}") from error
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Without the shards: a process reads its own."""
-        return {**self.__dict__, "_shards": {}, "_garments": {}}
-
-    def _shard(self, number: int) -> StateShard:
-        if number not in self._shards:
-            self._shards[number] = _in_cube(read_shard(self._paths[number]))
-        return self._shards[number]
-
-    def _garment(self, number: int) -> Garment:
-        if number not in self._garments:
-            mesh = self._shard(number).mesh
-            self._garments[number] = Garment.of(mesh, self.kind, self.config.winding, seed=number)
-        return self._garments[number]
+    def _fitted(self, shard: StateShard) -> StateShard:
+        return _in_cube(shard)
 
 
 def _in_cube(shard: StateShard) -> StateShard:

@@ -1,8 +1,6 @@
 """Simulated states as examples of the token network: seen anew in every epoch."""
 
 from collections.abc import Sequence
-from contextlib import suppress
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,13 +8,12 @@ from jaxtyping import Float, Int
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction.data.examples import LabelledPicture, faces_of_points
-from clothtrack.reconstruction.data.state_examples import RenderConfig, render
-from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
+from clothtrack.reconstruction.data.state_examples import RenderConfig, RenderedStates
+from clothtrack.reconstruction.data.state_store import StateSet, StateShard
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenExample
-from clothtrack.reconstruction.training.batches import Draw
 
 PIXELS = 512
 """Pixels per example that are asked for their name."""
@@ -33,7 +30,7 @@ SIZE_ERROR = 0.02
 _ATTEMPTS = 4
 
 
-class TokenExamples:
+class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):
     """States of garments as examples; each is a function of index, epoch and seed.
 
     Args:
@@ -56,59 +53,23 @@ class TokenExamples:
         seed: int = 0,
     ) -> None:
         self.network = network
-        self.rendering = rendering or RenderConfig()
-        self.seed = seed
-        self._paths = [path for one in sets for path in one.shards]
-        if not self._paths:
+        super().__init__(sets, rendering or RenderConfig(), seed)
+        if not len(self):
             raise InvalidConfigError("there are no states; make some with clothtrack simulate")
-        self._shards: dict[int, StateShard] = {}
-        self._garments: dict[int, GarmentTokens] = {}
-        self._places: list[tuple[int, int]] = []
-        self.groups: list[int] = []
-        for number in range(len(self._paths)):
-            count = len(self._shard(number).positions)
-            self._places += [(number, state) for state in range(count)]
-            self.groups += [number] * count
+        self.groups = [number for number, _ in self._places]
 
-    def __len__(self) -> int:
-        """Number of states."""
-        return len(self._places)
+    def _garment_of(self, shard: StateShard, number: int) -> GarmentTokens:
+        del number
+        return GarmentTokens.of(shard.mesh)
 
-    def __getitem__(self, draw: Draw) -> TokenExample:
-        """The state, seen by a camera of this epoch."""
-        index, epoch = draw
-        number, state = self._places[index]
-        shard, garment = self._shard(number), self._garment(number)
-        rng = np.random.default_rng([self.seed, epoch, index])
-        positions = shard.positions[state].astype(np.float64)
-
-        def drawn() -> TokenExample:
-            picture = render(positions, shard.mesh, self.rendering, rng)
-            return token_example(picture, shard.mesh.faces, garment, self.network, rng)
-
-        for _ in range(_ATTEMPTS - 1):
-            # So little cloth may be measured that the network could not be asked.
-            with suppress(InvalidRecordingError):
-                return drawn()
-        try:
-            return drawn()
-        except InvalidRecordingError as error:
-            where = f"{self._paths[number]}, state {state}"
-            raise InvalidRecordingError(f"{where}: {error}") from error
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Without the shards: a process reads its own."""
-        return {**self.__dict__, "_shards": {}, "_garments": {}}
-
-    def _shard(self, number: int) -> StateShard:
-        if number not in self._shards:
-            self._shards[number] = read_shard(self._paths[number])
-        return self._shards[number]
-
-    def _garment(self, number: int) -> GarmentTokens:
-        if number not in self._garments:
-            self._garments[number] = GarmentTokens.of(self._shard(number).mesh)
-        return self._garments[number]
+    def _drawn(
+        self,
+        picture: LabelledPicture,
+        shard: StateShard,
+        garment: GarmentTokens,
+        rng: np.random.Generator,
+    ) -> TokenExample:
+        return token_example(picture, shard.mesh.faces, garment, self.network, rng)
 
 
 def token_example(
