@@ -13,7 +13,7 @@ from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import ClothState
-from clothtrack.tracking.calibration import Score
+from clothtrack.tracking.calibration import BATCH, Score
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.picking import Grasp, held_motion
 from clothtrack.tracking.theta import PARAMETERS, cloth_parameters, grasp_offset
@@ -39,7 +39,7 @@ class OpenLoopScore:
         """Take what all roll-outs share; solvers are built when they are first needed."""
         widest = max(len(values) for values in config.calibration.axes.values())
         if config.calibration.method != "descent":
-            widest = min(config.calibration.batch, config.calibration.size)
+            widest = min(BATCH, config.calibration.size)
         self._widest, self._device = widest, device
         self._mesh, self._solver_config, self._config = mesh, config.solver, config.dynamics
         self._dynamics: dict[int, ClothDynamics] = {}
