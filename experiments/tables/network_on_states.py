@@ -115,9 +115,21 @@ def run(options: argparse.Namespace) -> list[Row]:
             row |= {"error_mm": float(apart.mean()), "seen_mm": float(apart[seen].mean())}
             row |= {"hidden_mm": float(apart[~seen].mean())} if (~seen).any() else {}
             rows.append({**row, **figures_of(result, result.mesh, picture)})
+        # After every state: a run that breaks off has lost nothing that it had measured.
+        write(rows, options)
         sys.stderr.write(f"\r{len(rows)} rows")
     sys.stderr.write("\n")
     return rows
+
+
+def write(rows: Sequence[Row], options: argparse.Namespace) -> None:
+    """Write the rows with what they were made of."""
+    document = {
+        "commit": commit(), "states": options.states.name, "rows": rows,
+        "weights_sha256": {str(path): content_hash(path) for path in options.weights},
+    }  # fmt: skip
+    with atomic_file(options.json) as unfinished:
+        unfinished.write_text(json.dumps(document, indent=1), encoding="utf-8")
 
 
 def markdown(rows: Sequence[Row]) -> str:
@@ -181,12 +193,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ClothTrackError as error:
         sys.stderr.write(f"{error}\n")
         return 1
-    document = {
-        "commit": commit(), "states": str(options.states.name), "rows": rows,
-        "weights_sha256": {str(path): content_hash(path) for path in options.weights},
-    }  # fmt: skip
-    with atomic_file(options.json) as unfinished:
-        unfinished.write_text(json.dumps(document, indent=1), encoding="utf-8")
     say(f"{__doc__.splitlines()[0]}\n\n{markdown(rows)}\n")
     return 0
 
