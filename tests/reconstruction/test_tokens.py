@@ -69,6 +69,17 @@ def told(request: pytest.FixtureRequest) -> tuple[str, ClothMesh, GarmentTokens]
     return request.param, mesh, GarmentTokens.of(mesh)
 
 
+def test_a_larger_garment_is_told_alike(told: tuple[str, ClothMesh, GarmentTokens]) -> None:
+    _, mesh, tokens = told
+    anew, scaled = GarmentTokens.of(mesh.scaled(1.5)), tokens.scaled(1.5)
+    assert anew.size_m == pytest.approx(scaled.size_m)
+    np.testing.assert_allclose(anew.canonical, scaled.canonical, atol=1e-9)
+    np.testing.assert_allclose(anew.features, scaled.features, atol=1e-6)
+    # Of equally near tokens either may be taken, so that shares differ and what they say does not.
+    said, wanted = anew.at_vertices(anew.canonical), scaled.at_vertices(scaled.canonical)
+    assert np.linalg.norm(said - wanted, axis=1).mean() < 1e-3 * anew.size_m
+
+
 def example(mesh: ClothMesh, tokens: GarmentTokens, seed: int) -> TokenExample:
     rng = np.random.default_rng(seed)
     positions = np.asarray(mesh.vertices, float) + [0.0, 0.0, 0.01]

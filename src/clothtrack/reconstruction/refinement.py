@@ -23,11 +23,11 @@ from clothtrack.geometry.chamfer import two_way
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
-from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.reconstruction.template_fit import CLOTH, SeenPoints
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.dynamics import ClothDynamics, DynamicsConfig
-from clothtrack.simulation.parameters import ClothParameters, SolverConfig
+from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
 
@@ -41,10 +41,6 @@ _LIFT_M = 0.05
 
 ALIGNMENT = AlignmentConfig(iterations=50)
 """Chamfer, table and length of edges of each round: two of 50 steps are the reference's 100."""
-
-CLOTH = ClothParameters(stretch_compliance=3e-3, table_friction=0.0, particle_friction=0.0)
-"""What the garment is made of while a correction is carried out: it slides freely, for a correction
-is no motion, and gives a little."""
 
 ROLL_S = 0.1
 """Time over which the solver carries a correction out [s]: short, so that gravity has no say."""

@@ -22,9 +22,16 @@ from clothtrack.reconstruction.alignment_frame import align
 from clothtrack.reconstruction.canonical_frame import CanonicalFrame
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
-from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
+
+CLOTH = ClothParameters(
+    stretch_compliance=3e-3, bend_compliance=0.3, table_friction=0.0, particle_friction=0.0
+)
+"""What the garment is made of while it is laid into a picture. It slides freely, for a correction
+is no motion, and gives a little. It is stiff: what a network places too near together must slide
+apart, where soft cloth would fall into wrinkles that nobody saw."""
 
 NO_CANONICAL = "the template has no canonical coordinates; make it with clothtrack's garments"
 
@@ -236,7 +243,7 @@ def _pulled_straight(
     """The fit after the solver has had its say; seen vertices are pulled to where they are seen."""
     solver_config = SolverConfig(thickness_m=config.thickness_m, table=table)
     flat = template.vertices + table.point + (0.0, 0.0, 0.05)
-    solver = ClothSolver(replace(template, vertices=flat), solver_config)
+    solver = ClothSolver(replace(template, vertices=flat), solver_config, parameters=CLOTH)
     # At rest the solver learns on which side of each other a garment's layers are.
     solver.step(1e-3)
     solver.place(start)

@@ -5,7 +5,7 @@ one set of tokens says what a pixel shows and where a vertex is. Neighbours are 
 the cloth, never across the gap between a sleeve and the body.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
@@ -137,6 +137,10 @@ class GarmentTokens:
     ) -> Float[np.ndarray, "tokens 3"]:
         """Where the tokens are [m] when the vertices are there."""
         return np.einsum("tc,tcx->tx", self.blend, positions[faces[self.face]])
+
+    def scaled(self, factor: float) -> "GarmentTokens":
+        """The tokens of the same garment, larger by a factor (`ClothMesh.scaled`)."""
+        return replace(self, size_m=self.size_m * factor, canonical=self.canonical * factor)
 
     def at_vertices(
         self, values: Float[np.ndarray, "tokens ..."]

@@ -104,34 +104,41 @@ class TokenReconstructor:
         weights.load_into(model, prefix=PREFIX)
         return cls(model.to(device))
 
-    def answer(self, picture: DepthInput, garment: ClothMesh, *, views: int = VIEWS) -> TokenAnswer:
+    def answer(
+        self,
+        picture: DepthInput,
+        garment: ClothMesh,
+        *,
+        tokens: GarmentTokens | None = None,
+        views: int = VIEWS,
+    ) -> TokenAnswer:
         """Names and places for one picture: of rival answers the one that agrees best with it.
 
         Args:
             picture: depth, mask, camera and table; world z up.
             garment: its flat mesh, canonical coordinates filled.
+            tokens: of the garment, where they are known.
             views: quarter turns and mirror images that are asked about, 1 to 8.
 
         Raises:
             InvalidRecordingError: there is no cloth in the picture.
             InvalidResultError: the network's answer is not finite.
         """
-        rivals = self.rivals(picture, garment, views=views)
+        rivals = self.rivals(picture, tokens or GarmentTokens.of(garment), views=views)
         if len(rivals) == 1:
             return rivals[0]
         return max(rivals, key=lambda answer: agreement(answer, garment))
 
     def rivals(
-        self, picture: DepthInput, garment: ClothMesh, *, views: int = VIEWS
+        self, picture: DepthInput, tokens: GarmentTokens, *, views: int = VIEWS
     ) -> list[TokenAnswer]:
         """What the views say: all of them joined, and joined with those only that say the same.
 
         Args:
             picture: as for `answer`, and so are the others.
-            garment: its flat mesh.
+            tokens: of the garment.
             views: that are asked about.
         """
-        tokens = GarmentTokens.of(garment)
         view = crop(picture.depth_m, picture.mask, picture.camera, self.config)
         seen = cloth_pixels(view.depth, self.config)
         points = points_of(view.depth, view.camera, seen.sources)
