@@ -21,6 +21,7 @@ from clothtrack.planning.perception import (
 from clothtrack.planning.robots.robot import Execution, RgbdFrame
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
+from clothtrack.recordings.template_file import write_template
 from clothtrack.simulation.garments import towel
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
@@ -57,6 +58,17 @@ def test_every_view_is_a_belief_of_the_same_cloth(look, views):
     if views > 1:
         # The network sees another picture, or all of this would be for nothing.
         assert np.abs(beliefs[0].positions - beliefs[1].positions).max() > 1e-3
+
+
+def test_the_belief_is_of_the_template_that_was_given(look, tmp_path):
+    pytest.importorskip("torch")
+    cut = towel(*SIZE_M, 0.03)
+    write_template(cut, tmp_path / "cut.npz")
+    own = replace(CONFIG, template=str(tmp_path / "cut.npz"))
+    (belief,) = NetworkPerception("towel", own).perceive(look)
+    np.testing.assert_array_equal(belief.flat.faces, cut.faces)
+    cloud = look.observation().points
+    assert np.median(distance_to_mesh(cloud, belief.positions, cut.faces)) < 0.01
 
 
 @pytest.mark.parametrize("views", [0, 17])

@@ -7,9 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.store import read_recording
+from clothtrack.recordings.template_file import write_template
+from clothtrack.simulation.garments import trousers
+from clothtrack.simulation.outlines import TrousersOutline
 from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack.world.episodes import PICKER, SMALL_WORLD, TemplateConfig, simulate
 
@@ -65,6 +69,23 @@ def test_picker_path_is_near_the_moved_cloth_while_closed(out: Path) -> None:
     ]
     assert max(gaps) < 0.01
     assert np.linalg.norm(path.positions[-1] - path.positions[closed[-1]]) > 0.2
+
+
+def test_a_garment_of_its_own_template_is_filmed(tmp_path: Path) -> None:
+    legs = trousers(TrousersOutline(), 0.3, vertex_count=150)
+    # A template may lie anywhere in its own frame.
+    write_template(legs.with_vertices(legs.vertices + (0.5, -0.2, 0.0)), tmp_path / "legs.npz")
+    own = replace(TINY, size_m=None, garment=str(tmp_path / "legs.npz"))
+    (folder,) = simulate(tmp_path, "tshirt", 1, seed=3, config=own)
+    cloth = read_recording(folder).cloth
+    width, length = np.ptp(legs.vertices[:, :2], axis=0)
+    assert cloth.size_m == pytest.approx((width, length))
+    assert cloth.template is not None
+    np.testing.assert_array_equal(cloth.template.faces, legs.faces)
+    truth = np.load(tmp_path / "truth" / "tshirt_0003.npz")["positions"]
+    assert np.linalg.norm(truth[0] - cloth.template.vertices, axis=1).mean() < 0.01
+    with pytest.raises(InvalidConfigError, match="two layers, and the garment is 'towel'"):
+        simulate(tmp_path, "towel", 1, config=own)
 
 
 def test_last_frame_shows_what_the_truth_says(out: Path) -> None:

@@ -35,6 +35,7 @@ def flatten(
     output: Positional[Path],
     *,
     garment: Literal["towel", "tshirt"] = "towel",
+    template: Path | None = None,
     robot: Literal["simulated", "dry-run"] = "simulated",
     perception: PerceptionChoice = "network",
     weights: Path | None = None,
@@ -58,6 +59,8 @@ def flatten(
         output: folder for episodes/, recordings/, truth/ and one report per episode; an
             interrupted episode goes on with the same command.
         garment: what lies on the table.
+        template: the garment's own mesh (`clothtrack garment`), of one layer for a towel, of two
+            for a tshirt.
         robot: one in the stand-in world, or none: plans are written down and nothing moves.
         perception: the network's mesh of each picture, or the tracker's carried on; truth is a
             control (an upper bound, no result) and simulated only.
@@ -79,8 +82,9 @@ def flatten(
         json: machine-readable.
     """
     config = _config(
-        policy, perception, weights, dynamics, dynamics_weights, actions=actions, settings=settings
-    )
+        policy, perception, weights, dynamics, dynamics_weights, template=template,
+        actions=actions, settings=settings,
+    )  # fmt: skip
     if show_settings:
         return list_settings(config)
     if robot == "dry-run":
@@ -108,12 +112,9 @@ def flatten(
                 output, garment, config=config, seed=seed + number, device=device,
                 parts=parts, watch=watch,
             )  # fmt: skip
-            row = _summary(store, output)
-            rows.append(row)
+            rows.append(_summary(store, output))
             if not json:
-                control = "   CONTROL" if row["control"] else ""
-                say(f"{row['report']}   improvement {row['improvement'][-1]:.2f} after "
-                    f"{row['actions']} actions; {row['status']}{control}")  # fmt: skip
+                say(_in_words(rows[-1]))
     if json:
         say(json_module.dumps(rows, indent=2))
     return 0
@@ -266,6 +267,7 @@ def _config(
     dynamics: Literal["simulator", "mesh"],
     dynamics_weights: Path | None,
     *,
+    template: Path | None = None,
     actions: int,
     settings: Settings,
 ) -> "FlattenConfig":
@@ -280,12 +282,23 @@ def _config(
         require_learning()
     config = FlattenConfig(
         policy=policy,
-        perception=PerceptionConfig(name=perception, weights=str(weights or "")),
+        perception=PerceptionConfig(
+            name=perception, weights=str(weights or ""), template=str(template or "")
+        ),
         dynamics=dynamics,
         dynamics_weights=str(dynamics_weights or ""),
         actions=actions,
     )
     return with_settings(config, settings)
+
+
+def _in_words(row: dict[str, Any]) -> str:
+    """A summary in a line."""
+    control = "   CONTROL" if row["control"] else ""
+    return (
+        f"{row['report']}   improvement {row['improvement'][-1]:.2f} after {row['actions']} "
+        f"actions; {row['status']}{control}"
+    )
 
 
 def _summary(store: "EpisodeStore", output: Path) -> dict[str, Any]:

@@ -187,6 +187,7 @@ def reconstruct(
     mask: Path | None = None,
     depth_unit: float | None = None,
     focal: float | None = None,
+    principal_point: tuple[float, float] | None = None,
     table_distance: float | None = None,
     device: Device = "cpu",
     json: AsJson = False,
@@ -207,7 +208,9 @@ def reconstruct(
         mask: picture of where the cloth is, for a PNG; else what stands out of the table.
         depth_unit: metres per unit of a PNG; 0.001 if not given.
         focal: focal length of a PNG's camera [pixels]; 0.94 of its width if not given.
-        table_distance: from a PNG's camera to the table [m]; the most frequent depth by default.
+        principal_point: its column and row [pixels]; the middle of the PNG if not given.
+        table_distance: from a PNG's camera, looking straight down, to the table [m]; if not given,
+            the table's plane is fitted to the depth.
         device: where to compute.
         json: machine-readable.
     """
@@ -221,7 +224,7 @@ def reconstruct(
         depth, None if garment == "as recorded" else garment, frame=frame, size_m=size,
         template=template, weights=weights, method=method, refined=refined, device=device,
         mask=mask, depth_unit_m=depth_unit,
-        focal=focal, table_distance_m=table_distance,
+        focal=focal, principal_point=principal_point, table_distance_m=table_distance,
     )  # fmt: skip
     write_mesh(mesh, output)
     report = {"mesh": str(output), **figures_of(network, mesh, picture)}

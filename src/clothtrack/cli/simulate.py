@@ -14,6 +14,7 @@ def simulate(
     output: Positional[Path],
     *,
     garment: Annotated[Literal["towel", "tshirt"], arg(aliases=["--kind"])] = "towel",
+    template: Path | None = None,
     states: int | None = None,
     trajectories: int | None = None,
     actions: int | None = None,
@@ -26,6 +27,8 @@ def simulate(
     Args:
         output: folder for recordings/ and truth/, or shards/; what is finished there is kept.
         garment: what lies on the table.
+        template: the garment's own mesh (`clothtrack garment`), of one layer for a towel, of two
+            for a tshirt.
         states: record nothing; make at least so many labelled states with our own solver.
         trajectories: how many recordings, 1 by default; they get the seeds SEED, SEED + 1, ...
         actions: pick-and-places per recording, 3 by default.
@@ -37,6 +40,9 @@ def simulate(
         from clothtrack.files.settings import with_settings
         from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 
+        if template is not None:
+            complain("--states draws garments of many cuts; leave --template out")
+            return 2
         if trajectories is not None or actions is not None:
             complain(
                 "--states records nothing, so that --trajectories and --actions mean nothing; "
@@ -52,7 +58,9 @@ def simulate(
     count = 1 if trajectories is None else trajectories
     if actions is not None:
         settings = (f"actions={actions}", *settings)
-    folders = ct.simulate(output, garment, count, seed=seed, settings=settings, workers=workers)
+    folders = ct.simulate(
+        output, garment, count, seed=seed, template=template, settings=settings, workers=workers
+    )
     say("\n".join(map(str, folders)))
     return 0 if len(folders) == count else 1
 

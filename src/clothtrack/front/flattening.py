@@ -18,18 +18,21 @@ from clothtrack.planning.seen import seen_area
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.world import episodes
+from clothtrack.world.bench import vary
 from clothtrack.world.simulated_episodes import (
     EpisodeParts,
     SimulatedEpisode,
     flatten_simulated,
     shared_parts,
 )
+from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
 
 def flatten(
     output: Path | str,
     garment: GarmentKind = "towel",
     *,
+    template: Path | str | None = None,
     config: FlattenConfig | None = None,
     settings: Sequence[str] = (),
     seed: int = 0,
@@ -42,6 +45,7 @@ def flatten(
     Args:
         output: folder for the episode, its recording and its truth; an interrupted episode goes on.
         garment: what lies on the table.
+        template: file of its own template (`clothtrack garment`); a usual cut by default.
         config: how; `settings` change it.
         settings: such as "actions=3" or "planner.candidates=300".
         seed: of garment, start, noise and candidates.
@@ -58,10 +62,15 @@ def flatten(
     """
     quiet_warp()
     changed = with_settings(config or FlattenConfig(), settings)
+    if template is not None:
+        changed = replace(changed, perception=replace(changed.perception, template=str(template)))
     parts = parts or episode_parts(garment, changed, device=device)
-    episode = SimulatedEpisode(garment, seed)
+    episode, robot = SimulatedEpisode(garment, seed), None
+    if changed.perception.template:
+        own = replace(vary(garment, seed), size_m=None, garment=changed.perception.template)
+        robot = SimulatedRobotConfig(episode=own)
     return flatten_simulated(
-        Path(output), episode, changed, parts=parts, device=device, watch=watch
+        Path(output), episode, changed, robot_config=robot, parts=parts, device=device, watch=watch
     )
 
 
@@ -107,6 +116,7 @@ def simulate(
     trajectories: int = 1,
     *,
     seed: int = 0,
+    template: Path | str | None = None,
     small: bool = False,
     settings: Sequence[str] = (),
     workers: int = 1,
@@ -118,6 +128,7 @@ def simulate(
         garment: what lies on the table.
         trajectories: how many recordings, with the seeds `seed`, `seed` + 1 and so on.
         seed: of garment, pose, actions, camera and noise.
+        template: file of the garment's own template (`clothtrack garment`); a usual cut by default.
         small: one action with a napkin before a small camera, in a few seconds.
         settings: changes to what is recorded, such as "sensor.width=320" or "actions=2".
         workers: processes.
@@ -127,6 +138,8 @@ def simulate(
     """
     quiet_warp()
     config = with_settings(episodes.SMALL_WORLD if small else episodes.EpisodeConfig(), settings)
+    if template is not None:
+        config = replace(config, size_m=None, garment=str(template))
     return episodes.simulate(
         Path(output), garment, trajectories, seed=seed, config=config, processes=workers
     )

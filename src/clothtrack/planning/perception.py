@@ -20,6 +20,7 @@ from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, distance_from_cl
 from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
@@ -57,6 +58,8 @@ class PerceptionConfig(Checked):
         name: "network": reconstructed anew from each picture; "tracker": reconstructed once, then
             followed through every action; "truth": the control.
         weights: file with the network's weights; empty: those that come with the package, if any.
+        template: file of the garment's own template (`clothtrack garment`); empty: a garment of
+            usual cut, in the size that the recording says.
         views: from so many directions around the vertical the network is shown the cloth; what it
             makes of each is a hypothesis, and where they differ it guessed.
         refined: fine-tune the network's mesh to the picture.
@@ -69,6 +72,7 @@ class PerceptionConfig(Checked):
 
     name: PerceptionName = "network"
     weights: str = ""
+    template: str = ""
     views: Annotated[int, Bounds(least=1, most=MOST_VIEWS)] = 1
     refined: bool = True
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
@@ -139,6 +143,7 @@ class NetworkPerception:
         self._kind, self._config, self._device = kind, config, device
         path = Path(config.weights) if config.weights else None
         self._model: Any = load_model(kind, path, device=device)
+        self._template = read_template(Path(config.template)) if config.template else None
 
     def perceive(self, look: Look) -> list[Estimate]:
         """One estimate per view, from the latest picture alone.
@@ -180,7 +185,8 @@ class NetworkPerception:
             self._model,
             picture,
             self._kind,
-            size_m=recording.cloth.size_m,
+            size_m=None if self._template is not None else recording.cloth.size_m,
+            template=self._template,
             vertex_count=config.vertex_count,
             turn_rad=turn_rad,
             refinement=config.refinement if config.refined else None,

@@ -25,13 +25,20 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
+from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.pick_and_place import ActionConfig, carrying_path, free_path, plan_action
 from clothtrack.world.appearance import Appearance
 from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, misplaced, top_down_camera
-from clothtrack.world.template_mesh import TemplateConfig, laid_down, random_pose, template_mesh
+from clothtrack.world.template_mesh import (
+    TemplateConfig,
+    flat_garment,
+    laid_down,
+    misjudged,
+    random_pose,
+    size_of,
+)
 from clothtrack.world.tool import Tool
 
 logger = logging.getLogger(__name__)
@@ -45,6 +52,8 @@ class EpisodeConfig:
 
     Attributes:
         size_m: width and length of the garment [m]; usual for its kind when None.
+        garment: file of the garment's own template (`clothtrack garment`), which has its size and
+            its vertices; empty for a garment of usual cut.
         vertex_count: about how many vertices the world's cloth has.
         actions: number of pick-and-places.
         settle_speed: rms speed [m/s] of the cloth below which it is at rest.
@@ -63,6 +72,7 @@ class EpisodeConfig:
     """
 
     size_m: tuple[float, float] | None = None
+    garment: str = ""
     vertex_count: int = 1000
     actions: int = 3
     settle_speed: float = 0.01
@@ -164,13 +174,8 @@ def simulate_trajectory(
     of_world, of_actions, of_sensor, of_template, of_picker, of_calibration = map(
         np.random.default_rng, root.spawn(6)
     )
-    flat = garment(
-        kind,
-        vertex_count=config.vertex_count,
-        size_m=config.size_m,
-        pattern="random",
-        seed=2 * seed,
-    )
+    cut = partial(flat_garment, kind, config.garment, size_m=config.size_m)
+    flat = cut(vertex_count=config.vertex_count, pattern="random", seed=2 * seed)
     pose = random_pose(of_world)
     # Drawn even when it is given, so that nothing else depends on whether it is.
     drawn = Fabric.sample(of_world)
@@ -191,10 +196,15 @@ def simulate_trajectory(
         cloth=ClothDescription(
             kind=kind,
             color=appearance.cloth,
-            size_m=config.size_m or DEFAULT_SIZES_M[kind],
+            size_m=size_of(flat) if config.garment else config.size_m or DEFAULT_SIZES_M[kind],
             template=None
             if wrong is None
-            else template_mesh(kind, seed, wrong, size_m=config.size_m, laid=laid, rng=of_template),
+            else misjudged(
+                cut(vertex_count=wrong.vertex_count, pattern="alternating", seed=2 * seed + 1),
+                wrong,
+                laid=laid,
+                rng=of_template,
+            ),
         ),
         provenance=_provenance(seed, config),
     ) as writer:

@@ -17,7 +17,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.planning.robots.robot import Execution, MotionLimits, Reachability, RgbdFrame
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment
+from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.pick_and_place import PlannedAction, carrying_path, free_path
 from clothtrack.world.appearance import Appearance
 from clothtrack.world.bench import vary
@@ -25,7 +25,7 @@ from clothtrack.world.episodes import EpisodeConfig
 from clothtrack.world.flex import TIME_STEP_S, USUAL_CONTACT_S, FlexWorld
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, top_down_camera
-from clothtrack.world.template_mesh import laid_down, random_pose
+from clothtrack.world.template_mesh import flat_garment, laid_down, random_pose, size_of
 from clothtrack.world.tool import Tool
 
 MOST_DROPS = 5
@@ -97,9 +97,9 @@ class SimulatedRobot:
         of_world, of_sensor, of_start, of_picker = map(np.random.default_rng, root.spawn(4))
         self._of_start, self._of_picker = of_start, of_picker
         episode = self._episode
-        self._flat = garment(
-            kind, vertex_count=episode.vertex_count, size_m=episode.size_m, pattern="random",
-            seed=2 * seed,
+        self._flat = flat_garment(
+            kind, episode.garment, size_m=episode.size_m, vertex_count=episode.vertex_count,
+            pattern="random", seed=2 * seed,
         )  # fmt: skip
         fabric = episode.fabric or vary(kind, seed).fabric
         if fabric is None:
@@ -115,7 +115,11 @@ class SimulatedRobot:
         self._pictures = 0
         self._bias = episode.picker_bias_m * of_picker.standard_normal(3)
         self.cloth = ClothDescription(
-            kind=kind, color=appearance.cloth, size_m=episode.size_m or DEFAULT_SIZES_M[kind]
+            kind=kind,
+            color=appearance.cloth,
+            size_m=size_of(self._flat)
+            if episode.garment
+            else episode.size_m or DEFAULT_SIZES_M[kind],
         )
         self.table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 

@@ -1,4 +1,4 @@
-"""Where the flat garment lies before anybody moves it, and the first mesh that a tracker gets.
+"""The flat garment, where it lies before anybody moves it, and the first mesh that a tracker gets.
 
 That mesh has another triangulation than the world's cloth, is misplaced, mis-scaled and noisy, as
 a first mesh measured by hand would be.
@@ -6,12 +6,15 @@ a first mesh measured by hand would be.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import GarmentKind, garment
+from clothtrack.recordings.template_file import read_template
+from clothtrack.simulation.garments import GarmentKind, TowelPattern, garment
 from clothtrack.world.flex import CONTACT_RADIUS_M
 
 
@@ -34,6 +37,52 @@ class TemplateConfig:
     noise_m: float = 0.0005
 
 
+def flat_garment(
+    kind: GarmentKind,
+    file: str,
+    *,
+    size_m: tuple[float, float] | None,
+    vertex_count: int,
+    pattern: TowelPattern,
+    seed: int,
+) -> ClothMesh:
+    """The garment at rest, around the origin: of a usual cut, or the template of a file.
+
+    Args:
+        kind: the garment.
+        file: of the template (`clothtrack garment`), which has its own size; empty: none.
+        size_m: width and length [m]; usual for its kind when None.
+        vertex_count: about how many vertices.
+        pattern: triangulation of a towel.
+        seed: of the triangulation.
+
+    Raises:
+        InvalidConfigError: the template is of another kind of garment, or a size is given too.
+        InvalidRecordingError: the file is missing or damaged.
+    """
+    if not file:
+        return garment(kind, vertex_count=vertex_count, size_m=size_m, pattern=pattern, seed=seed)
+    mesh = read_template(Path(file))
+    if mesh.canonical is None:
+        raise InvalidConfigError(
+            f"{file}: it has no canonical coordinates; make it with: clothtrack garment"
+        )
+    found = "tshirt" if np.ptp(np.asarray(mesh.canonical)[:, 2]) > 0.0 else "towel"
+    if found != kind:
+        layers = "two layers" if found == "tshirt" else "one layer"
+        raise InvalidConfigError(
+            f"{file}: the template has {layers}, and the garment is {kind!r}; say {found!r}"
+        )
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    return mesh.with_vertices(mesh.vertices - 0.5 * (low + high) * (1.0, 1.0, 0.0))
+
+
+def size_of(flat: ClothMesh) -> tuple[float, float]:
+    """Width and length of a flat garment [m]."""
+    width, length = np.ptp(flat.vertices[:, :2], axis=0)
+    return float(width), float(length)
+
+
 def random_pose(rng: np.random.Generator) -> Float[np.ndarray, "2 3"]:
     """A turn about the vertical and a place on the table [m], near the middle of the picture."""
     angle = np.radians(rng.uniform(-12.0, 12.0))
@@ -52,32 +101,21 @@ def laid_down(
     return mesh.with_vertices(vertices)
 
 
-def template_mesh(
-    kind: GarmentKind,
-    seed: int,
+def misjudged(
+    mesh: ClothMesh,
     wrong: TemplateConfig,
     *,
-    size_m: tuple[float, float] | None,
     laid: Callable[[ClothMesh], ClothMesh],
     rng: np.random.Generator,
 ) -> ClothMesh:
-    """The tracker's first mesh: another triangulation, wrong as `TemplateConfig` says.
+    """The tracker's first mesh: a flat garment on the table, wrong as `TemplateConfig` says.
 
     Args:
-        kind: the garment.
-        seed: of its triangulation.
-        wrong: how wrong it is.
-        size_m: width and length of the garment [m]; usual for its kind when None.
+        mesh: the flat garment, of another triangulation than the world's where there is one.
+        wrong: how wrong it becomes.
         laid: lays a flat garment on the table where the true one lies.
         rng: source of the errors.
     """
-    mesh = garment(
-        kind,
-        vertex_count=wrong.vertex_count,
-        size_m=size_m,
-        pattern="alternating",
-        seed=2 * seed + 1,
-    )
     vertices = laid(mesh).vertices
     angle = np.radians(wrong.turn_deg) * rng.standard_normal()
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
