@@ -126,7 +126,7 @@ class Tuner:
         return self.store / labels[0].kind / _digest(settings)
 
     def _old(self, kind: str) -> tuple[StateSet, ...]:
-        stages = self.config.canonicalisation, self.config.completion
+        stages = self.config.canonicalisation, self.config.completion, self.config.tokens
         mixed = any(one.old_share > 0.0 for one in stages)
         return (open_states(self.old[kind]),) if mixed and kind in self.old else ()
 

@@ -59,14 +59,13 @@ def known_settings():
     from clothtrack.planning.graph_dynamics.roll_outs import RollOutConfig
     from clothtrack.reconstruction import LearningConfig
     from clothtrack.reconstruction.data.states import StatesConfig
-    from clothtrack.reconstruction.tokens.token_training import TokenLearningConfig
     from clothtrack.tracking import RunConfig
     from clothtrack.world import EpisodeConfig
     from clothtrack.world.self_improvement import ImprovementConfig
 
     configs = [
         RunConfig(), FlattenConfig(), DynamicsTrainingConfig(), LearningConfig.preset("pretrain"),
-        TokenLearningConfig(), StatesConfig(), EpisodeConfig(), ImprovementConfig(),
+        StatesConfig(), EpisodeConfig(), ImprovementConfig(),
     ]  # fmt: skip
     names = {setting.name for config in configs for setting in settings_of(config)}
     return names | {setting.name for setting in settings_of(RollOutConfig(), "roll_outs")}

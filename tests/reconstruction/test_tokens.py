@@ -7,17 +7,24 @@ import numpy as np
 import pytest
 import torch
 
-from clothtrack.errors import InvalidResultError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import published_weights
 from clothtrack.reconstruction.data.crumpling import CrumplingConfig
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_examples import RenderConfig, render
 from clothtrack.reconstruction.data.state_store import open_states
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.depth_input import DepthInput
+from clothtrack.reconstruction.fine_tuning import finetune
+from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.garment_tokens import TOKENS, GarmentTokens
-from clothtrack.reconstruction.tokens.token_examples import TokenExamples, token_example
+from clothtrack.reconstruction.tokens.token_examples import (
+    LabelledTokenExamples,
+    TokenExamples,
+    token_example,
+)
 from clothtrack.reconstruction.tokens.token_network import (
     EMPTY,
     TokenInput,
@@ -31,10 +38,8 @@ from clothtrack.reconstruction.tokens.token_stage import (
     TokenStage,
     collate_tokens,
 )
-from clothtrack.reconstruction.tokens.token_training import (
-    TokenLearningConfig,
-    pretrain_tokens,
-)
+from clothtrack.reconstruction.tokens.token_training import pretrain_tokens
+from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import garment, shirt
@@ -230,7 +235,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [out / "towel", out / "tshirt"]
 
 
-def _learning(**changes: object) -> TokenLearningConfig:
+def _learning(**changes: object) -> LearningConfig:
     training = TrainingConfig(
         **{
             "epochs": 3, "batch_size": 4, "held_out_share": 0.3, "save_steps": 1,
@@ -238,7 +243,7 @@ def _learning(**changes: object) -> TokenLearningConfig:
             **changes,
         }
     )  # fmt: skip
-    return TokenLearningConfig(tokens=training)
+    return LearningConfig(tokens=training)
 
 
 def test_one_network_learns_from_towels_and_shirts_and_goes_on_to_the_same_bits(
@@ -257,6 +262,50 @@ def test_one_network_learns_from_towels_and_shirts_and_goes_on_to_the_same_bits(
         assert torch.equal(value, second[name]), name
     further = pretrain_tokens(sets, TINY, _learning(), tmp_path / "further", start=whole)
     assert further.stages["tokens"].best_score <= outcome.best_score
+
+
+def _labelled(mesh: ClothMesh, name: str, table_m: float = 0.0) -> LabelledRecording:
+    """Two pictures of a flat garment on a table of some height."""
+    up = np.array([0.0, 0.0, table_m])
+    lying = np.asarray(mesh.vertices, float)
+    lying = lying - [0.0, 0.0, lying[:, 2].min() - 0.0015]
+    pictures = []
+    for seed in range(2):
+        drawn = render(lying, mesh, EXACT, np.random.default_rng(seed))
+        pose = drawn.camera.world_from_camera.copy()
+        pose[:3, 3] += up
+        camera = replace(drawn.camera, world_from_camera=pose)
+        pictures.append(replace(drawn, camera=camera, positions=lying + up))
+    return LabelledRecording(name, "any", mesh.with_vertices(lying + up), (0, 1), tuple(pictures))
+
+
+def test_a_label_is_seen_from_its_own_table() -> None:
+    mesh = meshes()["rectangle"]
+    low, high = (
+        LabelledTokenExamples([_labelled(mesh, "one", table_m)], TINY, seed=4)[1, 2]
+        for table_m in (0.0, 0.3)
+    )
+    np.testing.assert_allclose(low.height, high.height, atol=1e-6)
+    np.testing.assert_allclose(low.places, high.places, atol=1e-6)
+    assert low.distance == pytest.approx(high.distance)
+
+
+def test_labels_teach_the_token_network(folders: list[Path], tmp_path: Path) -> None:
+    sets = [open_states(folder) for folder in folders]
+    start = pretrain_tokens(sets, TINY, _learning(), tmp_path / "start").model
+    mesh = meshes()["rectangle"]
+    labels = [_labelled(mesh, name) for name in ("one", "two", "three")]
+    config = _learning(epochs=20, high_rate=3e-3).mixing(0.2)
+    with pytest.raises(InvalidConfigError, match="no old states"):
+        finetune(start, labels, config, tmp_path / "none")
+    learned = finetune(start, labels, config, tmp_path / "tuned", old=sets)
+    outcome = learned.stages["tokens"]
+    # The start is measured too: better than that is better than doing nothing.
+    assert outcome.best_step > 0
+    weights = load_weights(learned.model)
+    assert weights.provenance["data"]["labels"] == 6
+    assert weights.provenance["data"]["old_states"] == 16
+    TokenReconstructor.of(weights)
 
 
 class _StopAfter:

@@ -15,12 +15,13 @@ from clothtrack.front import learning_extra as learning
 from clothtrack.reconstruction.data.examples import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
+from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
 from clothtrack.reconstruction.networks.network_config import PRESETS, TINY_NETWORK
 from clothtrack.reconstruction.training.checkpoint import load_weights, save_weights
 from clothtrack.reconstruction.training.training_config import STAGES
-from clothtrack.reconstruction.two_stages import LearningConfig, network_of
+from clothtrack.reconstruction.two_stages import network_of
 from clothtrack.simulation.garments import garment
 
 FEW = [

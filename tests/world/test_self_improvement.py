@@ -13,10 +13,10 @@ from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.planning_dynamics import MotionConfig, SimulatorConfig
 from clothtrack.reconstruction.data.state_store import LIST_FILE
+from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
 from clothtrack.reconstruction.training.checkpoint import save_weights
-from clothtrack.reconstruction.two_stages import LearningConfig
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig

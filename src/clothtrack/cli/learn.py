@@ -2,7 +2,7 @@
 
 import json as json_module
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -15,8 +15,8 @@ from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress
 from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
-    from clothtrack.reconstruction.data.state_store import StateSet
-    from clothtrack.reconstruction.two_stages import LearningConfig, LearningOutcome
+    from clothtrack.reconstruction.learning_config import LearningConfig
+    from clothtrack.reconstruction.learning_outcome import LearningOutcome
 
 GarmentChoice = Literal["as recorded", "towel", "tshirt"]
 
@@ -105,16 +105,18 @@ def pretrain(
     from clothtrack.reconstruction import two_stages
     from clothtrack.reconstruction.data.state_store import open_states
     from clothtrack.reconstruction.networks.network_config import preset
+    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
+    from clothtrack.reconstruction.tokens.token_training import pretrain_tokens
 
     if not states:
         complain("no states given; make some with: clothtrack simulate OUT --states N")
         return 2
     sets = [open_states(folder) for folder in states]
-    if network == "tokens":
-        learn = _token_training(sets, settings, output, start=start, seed=seed)
-        return _learn(learn, device, json=json)
-    name = "pretrain" if network == "small" else "pretrain_reference"
+    name = "pretrain_reference" if network == "reference" else "pretrain"
     config = _learning_config(name, settings, seed=seed)
+    if network == "tokens":
+        learn = partial(pretrain_tokens, sets, TokenNetworkConfig(), config, output, start=start)
+        return _learn(learn, device, json=json)
     learn = partial(two_stages.pretrain, sets, preset(network), config, output, start=start)
     return _learn(learn, device, json=json)
 
@@ -148,7 +150,7 @@ def finetune(
         json: machine-readable.
     """
     require_learning()
-    from clothtrack.reconstruction import two_stages
+    from clothtrack.reconstruction import fine_tuning
     from clothtrack.reconstruction.data.pseudo_labels import read_labels
     from clothtrack.reconstruction.data.state_store import open_states
 
@@ -162,14 +164,10 @@ def finetune(
         return 2
     config = _learning_config(training, settings, seed=seed)
     if old is not None:
-        config = replace(
-            config,
-            canonicalisation=replace(config.canonicalisation, old_share=old_share),
-            completion=replace(config.completion, old_share=old_share),
-        )
+        config = config.mixing(old_share)
     old_states = [] if old is None else [open_states(old)]
     labelled = [read_labels(file) for file in files]
-    learn = partial(two_stages.finetune, weights, labelled, config, output, old=old_states)
+    learn = partial(fine_tuning.finetune, weights, labelled, config, output, old=old_states)
     return _learn(learn, device, json=json)
 
 
@@ -245,30 +243,9 @@ def reconstruct(
 
 def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "LearningConfig":
     from clothtrack.files.settings import with_settings
-    from clothtrack.reconstruction.two_stages import LearningConfig
+    from clothtrack.reconstruction.learning_config import LearningConfig
 
     return with_settings(LearningConfig.preset(name, seed=seed), settings)
-
-
-def _token_training(
-    sets: "Sequence[StateSet]",
-    settings: Sequence[str],
-    output: Path,
-    *,
-    start: Path | None,
-    seed: int,
-) -> "Callable[..., LearningOutcome]":
-    from clothtrack.files.settings import with_settings
-    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
-    from clothtrack.reconstruction.tokens.token_training import (
-        TokenLearningConfig,
-        pretrain_tokens,
-    )
-
-    config = TokenLearningConfig()
-    config = replace(config, tokens=replace(config.tokens, seed=seed))
-    config = with_settings(config, settings)
-    return partial(pretrain_tokens, sets, TokenNetworkConfig(), config, output, start=start)
 
 
 def _learn(learn: "Callable[..., LearningOutcome]", device: str, *, json: bool) -> int:

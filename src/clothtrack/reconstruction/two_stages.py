@@ -1,7 +1,7 @@
 """Pretraining and fine-tuning: both stages in turn, and one file of weights at the end."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +10,11 @@ import torch
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
-from clothtrack.reconstruction.data.examples import ExampleConfig, collate
+from clothtrack.reconstruction.data.examples import collate
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, PseudoLabelExamples
-from clothtrack.reconstruction.data.state_examples import RenderConfig, StateExamples
+from clothtrack.reconstruction.data.state_examples import StateExamples
 from clothtrack.reconstruction.data.state_store import StateSet
+from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.model_card import PACKAGES, write_model_card
@@ -33,45 +34,10 @@ from clothtrack.reconstruction.training.checkpoint import (
     save_weights,
 )
 from clothtrack.reconstruction.training.processes import Processes
-from clothtrack.reconstruction.training.training_config import (
-    STAGES,
-    TrainingConfig,
-    training_preset,
-)
+from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import TrainingOutcome, train
 
 MODEL = "model.safetensors"
-
-
-@dataclass(frozen=True)
-class LearningConfig:
-    """Everything that a training of both stages depends on, but for the network.
-
-    Attributes:
-        canonicalisation: the loop of stage 1.
-        completion: the loop of stage 2.
-        examples: augmentation and numbers of queries.
-        rendering: the cameras that see simulated states.
-    """
-
-    canonicalisation: TrainingConfig = field(
-        default_factory=lambda: training_preset("pretrain", "canonicalisation")
-    )
-    completion: TrainingConfig = field(
-        default_factory=lambda: training_preset("pretrain", "completion")
-    )
-    examples: ExampleConfig = field(default_factory=ExampleConfig)
-    rendering: RenderConfig = field(default_factory=RenderConfig)
-
-    @classmethod
-    def preset(cls, name: str, *, seed: int = 0) -> "LearningConfig":
-        """The settings of one of `TRAINING_PRESETS` for both stages.
-
-        Raises:
-            InvalidConfigError: there is no such preset.
-        """
-        stages = {stage: replace(training_preset(name, stage), seed=seed) for stage in STAGES}
-        return cls(**stages)
 
 
 def pretrain(
@@ -124,8 +90,8 @@ def pretrain(
     return learning.both(_Material(examples, examples.groups, data, weights))
 
 
-def finetune(
-    start: Path,
+def finetune_two_stages(
+    start: Weights,
     labels: Sequence[LabelledRecording],
     config: LearningConfig,
     folder: Path,
@@ -150,11 +116,10 @@ def finetune(
         InvalidResultError: weights, states or progress are damaged or do not belong together.
         StorageError: when the disk refuses.
     """
-    weights = load_weights(start)
-    network = network_of(weights)
+    network = network_of(start)
     seed = config.canonicalisation.seed
     examples = PseudoLabelExamples(labels, network, config.examples, seed=seed)
-    _require_kind(weights, examples.kind, "labels")
+    _require_kind(start, examples.kind, "labels")
     others = None
     if old:
         others = StateExamples(old, network, config.examples, rendering=config.rendering, seed=seed)
@@ -163,14 +128,14 @@ def finetune(
     elif config.canonicalisation.old_share or config.completion.old_share:
         raise InvalidConfigError("old_share is above 0, but no old states are given; name them")
     data = {
-        "start": _beginning(weights),
+        "start": _beginning(start),
         "recordings": sorted(set(examples.groups)),
         "labels": len(examples),
         "old_states": 0 if others is None else len(others),
         "examples": asdict(config.examples),
     }
     learning = _Learning(network, config, folder, processes=processes, progress=progress)
-    return learning.both(_Material(examples, examples.groups, data, weights, others))
+    return learning.both(_Material(examples, examples.groups, data, start, others))
 
 
 def _require_kind(weights: Weights, kind: str, material: str) -> None:

@@ -43,7 +43,7 @@ from clothtrack.world.simulated_episodes import (
 from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
 if TYPE_CHECKING:
-    from clothtrack.reconstruction.two_stages import LearningConfig
+    from clothtrack.reconstruction.learning_config import LearningConfig
 
 logger = logging.getLogger(__name__)
 
@@ -52,7 +52,7 @@ ASKED = "asked.json"
 
 
 def _finetune() -> "LearningConfig":
-    from clothtrack.reconstruction.two_stages import LearningConfig
+    from clothtrack.reconstruction.learning_config import LearningConfig
 
     return LearningConfig.preset("finetune_short")
 
@@ -305,18 +305,14 @@ def _tuned(
     """
     from clothtrack.reconstruction.data.pseudo_labels import read_labels
     from clothtrack.reconstruction.data.state_store import open_states
+    from clothtrack.reconstruction.fine_tuning import finetune
     from clothtrack.reconstruction.training.processes import Processes
-    from clothtrack.reconstruction.two_stages import finetune
 
     tuned = folder / "model.safetensors"
     if tuned.exists():
         return tuned
     share = config.old_share if old is not None else 0.0
-    learning = replace(
-        config.finetune,
-        canonicalisation=replace(config.finetune.canonicalisation, old_share=share),
-        completion=replace(config.finetune.completion, old_share=share),
-    )
+    learning = config.finetune.mixing(share)
     outcome = finetune(
         weights,
         [read_labels(path) for path in labels],

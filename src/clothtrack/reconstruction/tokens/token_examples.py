@@ -8,12 +8,15 @@ from jaxtyping import Float, Int
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction.data.examples import LabelledPicture, faces_of_points
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.state_examples import RenderConfig, RenderedStates
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenExample
+from clothtrack.reconstruction.training.batches import Draw
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
 PIXELS = 512
 """Pixels per example that are asked for their name."""
@@ -72,21 +75,72 @@ class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):
         return token_example(picture, shard.mesh.faces, garment, self.network, rng)
 
 
+class LabelledTokenExamples:
+    """Tracked recordings as examples, of any garments; each is a function of index, epoch and seed.
+
+    Args:
+        recordings: with their pseudo-labels.
+        network: what the pictures are for.
+        seed: of everything random.
+
+    Raises:
+        InvalidConfigError: there is no label, or a first mesh has no canonical coordinates.
+    """
+
+    def __init__(
+        self, recordings: Sequence[LabelledRecording], network: TokenNetworkConfig, *, seed: int = 0
+    ) -> None:
+        self.network = network
+        self.seed = seed
+        self._places = [
+            (number, picture)
+            for number, one in enumerate(recordings)
+            for picture in range(len(one.pictures))
+        ]
+        if not self._places:
+            raise InvalidConfigError(
+                "there is no labelled picture; make some with: clothtrack label TRACKED..."
+            )
+        self._recordings = recordings
+        self._garments = [GarmentTokens.of(one.mesh) for one in recordings]
+        self.groups = [recordings[number].name for number, _ in self._places]
+
+    def __len__(self) -> int:
+        """Number of labelled pictures."""
+        return len(self._places)
+
+    def __getitem__(self, draw: Draw) -> TokenExample:
+        """The picture, augmented for this epoch."""
+        index, epoch = draw
+        number, picture = self._places[index]
+        one = self._recordings[number]
+        rng = np.random.default_rng([self.seed, epoch, index])
+        # The first mesh lies flat on the table.
+        table_m = float(np.percentile(one.mesh.vertices[:, 2], 5.0)) - RESTING_HEIGHT_M
+        return token_example(
+            one.pictures[picture], one.mesh.faces, self._garments[number], self.network, rng,
+            table_m=table_m,
+        )  # fmt: skip
+
+
 def token_example(
     picture: LabelledPicture,
     faces: Int[np.ndarray, "faces 3"],
     garment: GarmentTokens,
     network: TokenNetworkConfig,
     rng: np.random.Generator,
+    *,
+    table_m: float = 0.0,
 ) -> TokenExample:
     """A labelled picture as the network takes it, mirrored and turned at random.
 
     Args:
-        picture: what was measured, and of which mesh; the table is z = 0.
+        picture: what was measured, and of which mesh.
         faces: of the mesh.
         garment: its tokens.
         network: what the picture is for.
         rng: of everything random.
+        table_m: height of the table in the world [m].
 
     Raises:
         InvalidRecordingError: there is no cloth in the picture.
@@ -107,7 +161,7 @@ def token_example(
     tokens = garment.vertex_tokens[corners].reshape(PIXELS, -1)
     shares = garment.vertex_shares[corners] * weights[known][..., None]
     size_m = garment.size_m * float(np.exp(SIZE_ERROR * rng.standard_normal()))
-    table_m = TABLE_ERROR * garment.size_m * rng.standard_normal()
+    table_m += TABLE_ERROR * garment.size_m * rng.standard_normal()
     height, distance, origin = seen_by_network(view, size_m, table_m)
     places = (garment.places(picture.positions, faces) - origin) / size_m
     if mirrored:

@@ -1,24 +1,25 @@
-"""Trains the token network on simulated states: from nothing, or further."""
+"""Trains the token network: on simulated states, from nothing or further, and on pseudo-labels."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from clothtrack.errors import InvalidResultError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain
-from clothtrack.reconstruction.data.state_examples import RenderConfig
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.state_store import StateSet
+from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
 from clothtrack.reconstruction.model_card import PACKAGES
-from clothtrack.reconstruction.tokens.token_examples import TokenExamples
+from clothtrack.reconstruction.tokens.token_examples import LabelledTokenExamples, TokenExamples
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenStage, collate_tokens
-from clothtrack.reconstruction.training.batches import Subset, split_by_group
+from clothtrack.reconstruction.training.batches import Examples, Mixture, Subset, split_by_group
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights, save_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
@@ -31,34 +32,10 @@ KIND = "any"
 PREFIX = "tokens."
 
 
-@dataclass(frozen=True)
-class TokenLearningConfig:
-    """Everything that a training depends on, but for the network.
-
-    Attributes:
-        tokens: the loop.
-        rendering: the cameras that see simulated states.
-    """
-
-    tokens: TrainingConfig = field(
-        default_factory=lambda: TrainingConfig(
-            epochs=40,
-            low_rate=1e-6,
-            high_rate=1e-3,
-            rise_epochs=1.0,
-            decay="cosine",
-            gradient_limit=1.0,
-            held_out_share=0.05,
-            bfloat16=True,
-        )
-    )
-    rendering: RenderConfig = field(default_factory=RenderConfig)
-
-
 def pretrain_tokens(
     states: Sequence[StateSet],
     network: TokenNetworkConfig,
-    config: TokenLearningConfig,
+    config: LearningConfig,
     folder: Path,
     *,
     start: Path | None = None,
@@ -94,38 +71,103 @@ def pretrain_tokens(
         "sets": [one.folder.name for one in states],
         "rendering": as_plain(asdict(config.rendering)),
     }
-    torch.manual_seed(seed)
-    # Pictures one pixel after the other: convolutions on a CPU are faster so.
-    model = TokenNetwork(network).to(memory_format=torch.channels_last)
-    stage = TokenStage(model)
+    weights = None
     if start is not None:
         weights = load_weights(start)
         require_tokens(weights)
-        weights.load_into(model, prefix=PREFIX)
         data["start"] = as_plain(dict(weights.provenance))
-    if processes is not None:
-        stage = stage.to(processes.device)
-    outcome = train(
-        stage,
-        Subset(examples, training),
-        Subset(examples, held),
-        config.tokens,
-        folder,
-        collate=collate_tokens,
-        data=data,
-        processes=processes,
-        progress=progress,
-    )
-    if outcome.status == "interrupted" or outcome.weights is None:
-        return LearningOutcome({"tokens": outcome}, None)
-    file = folder / MODEL
-    if processes is None or processes.writes:
-        best = load_weights(outcome.weights)
-        provenance: Mapping[str, Any] = {
-            **best.provenance, "cpu_s": outcome.cpu_s, "made_with": made_with(PACKAGES)
-        }  # fmt: skip
-        save_weights(file, best.tensors, network, kind=KIND, provenance=provenance)
-    return LearningOutcome({"tokens": outcome}, file)
+    learning = _Learning(network, config.tokens, folder, processes, progress)
+    return learning.of(Subset(examples, training), Subset(examples, held), data, weights)
+
+
+def finetune_tokens(
+    start: Weights,
+    labels: Sequence[LabelledRecording],
+    config: LearningConfig,
+    folder: Path,
+    *,
+    old: Sequence[StateSet] = (),
+    processes: Processes | None = None,
+    progress: Progress | None = None,
+) -> LearningOutcome:
+    """Train further on pseudo-labels; recordings are held out as a whole.
+
+    Args:
+        start: weights to begin with.
+        labels: labelled recordings, of any garments.
+        config: how; `tokens.old_share` mixes in old states.
+        folder: gets progress, scalars and `model.safetensors`.
+        old: states, against forgetting.
+        processes: who trains together.
+        progress: called after every step.
+
+    Raises:
+        InvalidConfigError: there are too few labels, or old states are asked for and not given.
+        InvalidResultError: weights, states or progress are damaged or do not belong together.
+        StorageError: when the disk refuses.
+    """
+    network, training = require_tokens(start), config.tokens
+    examples = LabelledTokenExamples(labels, network, seed=training.seed)
+    chosen, held = split_by_group(examples.groups, training.held_out_share, training.seed)
+    data: dict[str, Any] = {
+        "start": as_plain(dict(start.provenance)),
+        "recordings": sorted(set(examples.groups)),
+        "labels": len(examples),
+    }
+    taught: Examples = Subset(examples, chosen)
+    if training.old_share > 0.0:
+        if not old:
+            raise InvalidConfigError("old_share is above 0, but no old states are given; name them")
+        others = TokenExamples(old, network, rendering=config.rendering, seed=training.seed)
+        taught = Mixture(taught, others, training.old_share, seed=training.seed)
+        data["old_states"] = len(others)
+    learning = _Learning(network, training, folder, processes, progress)
+    return learning.of(taught, Subset(examples, held), data, start)
+
+
+@dataclass(frozen=True, eq=False)
+class _Learning:
+    """One training of the token network."""
+
+    network: TokenNetworkConfig
+    config: TrainingConfig
+    folder: Path
+    processes: Processes | None
+    progress: Progress | None
+
+    def of(
+        self, taught: Examples, held: Examples, data: dict[str, Any], start: Weights | None
+    ) -> LearningOutcome:
+        """Train on examples, and write the weights that were best on the others."""
+        torch.manual_seed(self.config.seed)
+        # Pictures one pixel after the other: convolutions on a CPU are faster so.
+        model = TokenNetwork(self.network).to(memory_format=torch.channels_last)
+        stage = TokenStage(model)
+        if start is not None:
+            start.load_into(model, prefix=PREFIX)
+        if self.processes is not None:
+            stage = stage.to(self.processes.device)
+        outcome = train(
+            stage,
+            taught,
+            held,
+            self.config,
+            self.folder,
+            collate=collate_tokens,
+            data=data,
+            processes=self.processes,
+            progress=self.progress,
+        )
+        if outcome.status == "interrupted" or outcome.weights is None:
+            return LearningOutcome({"tokens": outcome}, None)
+        file = self.folder / MODEL
+        if self.processes is None or self.processes.writes:
+            best = load_weights(outcome.weights)
+            provenance: Mapping[str, Any] = {
+                **best.provenance, "cpu_s": outcome.cpu_s, "made_with": made_with(PACKAGES)
+            }  # fmt: skip
+            save_weights(file, best.tensors, self.network, kind=KIND, provenance=provenance)
+        return LearningOutcome({"tokens": outcome}, file)
 
 
 def require_tokens(weights: Weights) -> TokenNetworkConfig:

@@ -1,14 +1,15 @@
 """How long, how fast and on what a stage is trained."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Bounds, Checked, Count, Fraction, Natural, NotNegative, Positive
 
-StageName = Literal["canonicalisation", "completion"]
+StageName = Literal["canonicalisation", "completion", "tokens"]
 STAGES: tuple[StageName, ...] = ("canonicalisation", "completion")
+"""Those of the published network; the token network has one of its own."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,8 @@ def training_preset(name: str, stage: StageName) -> TrainingConfig:
             three in ten held out, for one trajectory is too little to select by;
             "paper": fine-tuning as published, 1,000 and 2,000 epochs.
         stage: what is trained; batches are 8 for canonicalisation and 24 for completion, as in
-            the reference's pretraining (the paper does not say).
+            the reference's pretraining (the paper does not say). The token network is fine-tuned as
+            canonicalisation is.
 
     Raises:
         InvalidConfigError: there is no such preset.
@@ -111,6 +113,8 @@ def training_preset(name: str, stage: StageName) -> TrainingConfig:
         raise InvalidConfigError(
             f"training preset is {name!r}; known are {', '.join(TRAINING_PRESETS)}"
         )
+    if stage == "tokens":
+        return _of_tokens(name)
     first = stage == "canonicalisation"
     batch_size = 8 if first else 24
     if name == "pretrain":
@@ -138,3 +142,18 @@ def training_preset(name: str, stage: StageName) -> TrainingConfig:
         evaluate_epochs=5,
         patience=0 if name == "paper" else 20,
     )
+
+
+def _of_tokens(name: str) -> TrainingConfig:
+    if name.startswith("pretrain"):
+        return TrainingConfig(
+            epochs=40,
+            low_rate=1e-6,
+            high_rate=1e-3,
+            rise_epochs=1.0,
+            decay="cosine",
+            gradient_limit=1.0,
+            held_out_share=0.05,
+            bfloat16=True,
+        )
+    return replace(training_preset(name, "canonicalisation"), gradient_limit=1.0, bfloat16=True)
