@@ -7,7 +7,8 @@ network. The states are simulated by the solver that made the training states, f
     clothtrack simulate out/fresh --garment towel --states 200 --seed 21
     python experiments network_on_states --states out/fresh --weights FILE FILE --json OUT
 
-The first of the weights is what the others are compared with.
+The first of the weights is what the others are compared with. With --image ten of the states,
+evenly taken, are drawn: the measured picture, the mesh of each network, the truth.
 """
 
 import argparse
@@ -22,7 +23,15 @@ import _path  # noqa: F401
 import numpy as np
 from jaxtyping import Float
 from shared.bench_measures import Row
-from shared.figures import say
+from shared.figures import say, write_png
+from shared.reconstruction_pictures import (
+    HEIGHT,
+    WIDTH,
+    Picture,
+    depth_picture,
+    line,
+    mesh_picture,
+)
 from shared.table_column import table
 
 from clothtrack.errors import ClothTrackError
@@ -40,11 +49,13 @@ from clothtrack.reconstruction import (
 from clothtrack.reconstruction.data.state_examples import RenderConfig, render
 from clothtrack.reconstruction.from_picture import figures_of
 from clothtrack.recordings import Table
+from clothtrack.report.viewpoint import three_quarter_view
 
 COVERAGES = (0.0, 0.55, 0.85, np.inf)
 """Bounds of the bands of true coverage in which errors are given."""
 
 NEARLY_SQUARE = 0.85
+PICTURES = 10
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 
 
@@ -84,7 +95,10 @@ def run(options: argparse.Namespace) -> list[Row]:
     refinement = RefinementConfig() if options.refined else None
     shards = [read_shard(path) for path in states.shards]
     places = [(n, k) for n, shard in enumerate(shards) for k in range(len(shard.positions))]
-    for number, state in places[:: options.every]:
+    places = places[:: options.every]
+    pictured = set(np.linspace(0, len(places) - 1, PICTURES).round().astype(int).tolist())
+    lines: list[Picture] = []
+    for place, (number, state) in enumerate(places):
         shard = shards[number]
         true = shard.positions[state].astype(float)
         drawn = render(true, shard.mesh, RenderConfig(), np.random.default_rng([7, number, state]))
@@ -93,7 +107,9 @@ def run(options: argparse.Namespace) -> list[Row]:
         seen = np.zeros(len(true), bool)
         seen[np.unique(shard.mesh.faces[np.unique(shown[shown >= 0])])] = True
         size_m = float(np.ptp(shard.mesh.vertices[:, :2], axis=0).max())
+        meshes: list[ClothMesh | None] = []
         for path, model in models.items():
+            meshes.append(None)
             row: Row = {
                 "weights": str(path), "shard": number, "state": state,
                 "recipe": shard.recipes[state], "size_m": size_m,
@@ -111,15 +127,31 @@ def run(options: argparse.Namespace) -> list[Row]:
             if result.mesh is None:
                 rows.append({**row, "error": result.reconstruction.status})
                 continue
+            meshes[-1] = result.mesh
             apart = errors_mm(shard.mesh, result.mesh.vertices.astype(float), true)
             row |= {"error_mm": float(apart.mean()), "seen_mm": float(apart[seen].mean())}
             row |= {"hidden_mm": float(apart[~seen].mean())} if (~seen).any() else {}
             rows.append({**row, **figures_of(result, result.mesh, picture)})
         # After every state: a run that breaks off has lost nothing that it had measured.
         write(rows, options)
+        if options.image is not None and place in pictured:
+            whole = shard.mesh.with_vertices(true)
+            words = f"{states.kind}, {shard.recipes[state]}, {size_m:.2f} m"
+            lines.append(drawn_line(picture, [*meshes, whole], words))
+            write_png(options.image, np.vstack(lines))
         sys.stderr.write(f"\r{len(rows)} rows")
     sys.stderr.write("\n")
     return rows
+
+
+def drawn_line(picture: DepthInput, meshes: Sequence[ClothMesh | None], words: str) -> Picture:
+    """A picture, what each network made of it, and the truth, which is the last."""
+    assert meshes[-1] is not None
+    camera = three_quarter_view(
+        meshes[-1].vertices, width=WIDTH, height=HEIGHT, azimuth_deg=-90.0, elevation_deg=60.0
+    )
+    shown = [mesh_picture(mesh, camera, TABLE, "no mesh") for mesh in meshes]
+    return line([depth_picture(picture.depth_m, picture.mask), *shown], (words, "the last: truth"))
 
 
 def write(rows: Sequence[Row], options: argparse.Namespace) -> None:
@@ -183,6 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--weights", type=Path, nargs="+", required=True, help="of the networks")
     parser.add_argument("--json", type=Path, required=True, help="file that gets the rows")
     parser.add_argument("--every", type=int, default=1, help="so many states, one of them")
+    parser.add_argument("--image", type=Path, help="ten of the states, drawn")
     parser.add_argument("--refined", action="store_true", help="fine-tune to each picture")
     options = parser.parse_args(arguments)
     if options.every < 1:
