@@ -4,7 +4,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 from clothtrack.cli.options import AsJson
 from clothtrack.cli.terminal import complain, say, say_result
@@ -12,6 +12,8 @@ from clothtrack.cli.terminal import complain, say, say_result
 if TYPE_CHECKING:
     from clothtrack.capture.board import Board
     from clothtrack.capture.camera_pose import CameraPlacement
+    from clothtrack.geometry.camera import Camera
+    from clothtrack.recordings.recording import Recording
 
 Charuco = Annotated[
     tuple[int, int, float, float] | None,
@@ -24,6 +26,10 @@ Charuco = Annotated[
 TipClick = Annotated[
     tuple[int, int, int] | None,
     arg(metavar="FRAME COLUMN ROW", help="a click on the tip, in place of a colour name"),
+]
+
+Clicks = Annotated[
+    tuple[tuple[int, int, int], ...], arg(metavar="FRAME COLUMN ROW"), UseAppendAction
 ]
 
 
@@ -114,20 +120,28 @@ def find_picker(
     *,
     tip_color: str = "",
     tip_click: TipClick = None,
-    name: str = "tip",
+    by_hand: bool = False,
+    pick: Clicks = (),
+    place: Clicks = (),
+    name: str = "",
     camera: str = "",
     force: bool = False,
+    port: int | None = None,
     json: AsJson = False,
 ) -> int:
-    """Find the picker in the pictures: its path, and its pick-and-places; written to the recording.
+    """Find what moved the cloth, and its pick-and-places: a coloured tip, or a hand, by clicks.
 
     Args:
         recording: folder with a recording.json that has a table (see calibrate-camera).
         tip_color: name of the colour of the tool's tip, such as pink.
         tip_click: a click on the tip, in place of a colour name.
-        name: what to call the picker.
+        by_hand: a bare hand moved it; a page opens to click picks and places on.
+        pick: where and in which frame a hand took the cloth, in place of the page; repeatable.
+        place: where and in which frame it let go, one for each --pick.
+        name: what to call the picker; "tip" or "hand" by default.
         camera: which one to look through, when there are several.
         force: replace the picker paths and actions that the recording has.
+        port: of the page's server, which listens on this machine only; any free one by default.
         json: machine-readable.
     """
     from clothtrack.capture.camera_pose import camera_named
@@ -135,9 +149,21 @@ def find_picker(
     from clothtrack.capture.picker_detection import keep_picker, require_unmeasured, tip_members
     from clothtrack.recordings.store import read_recording
 
-    if bool(tip_color) == (tip_click is not None):
-        complain("say how the tip looks: --tip-color NAME, or --tip-click FRAME COLUMN ROW")
+    clicked = by_hand or bool(pick or place)
+    if [bool(tip_color), tip_click is not None, clicked].count(True) != 1:
+        complain(
+            "say what moved the cloth: --by-hand, --tip-color NAME, or --tip-click FRAME COLUMN ROW"
+        )
         return 2
+    if len(pick) != len(place):
+        complain(f"there are {len(pick)} --pick and {len(place)} --place; give one for the other")
+        return 2
+    if clicked:
+        source = read_recording(recording)
+        require_unmeasured(source, force=force)
+        chosen = camera_named(source, camera)
+        return _by_hand(source, chosen, name or "hand", (pick, place), port, json=json)
+    name = name or "tip"
     source = read_recording(recording)
     chosen = camera_named(source, camera)
     require_unmeasured(source, force=force)
@@ -167,6 +193,50 @@ def find_picker(
         *([] if vertex is None else [f"the first pick takes vertex {vertex} of the template"]),
         f"written to {recording / 'picker.csv'} and {recording / 'recording.json'}",
     ]
+    say_result("\n".join(lines), report, json=json)
+    return 0
+
+
+def _by_hand(
+    recording: "Recording",
+    camera: "Camera",
+    name: str,
+    clicks: tuple[Clicks, Clicks],
+    port: int | None,
+    *,
+    json: bool,
+) -> int:
+    """Picks and places from clicks, given or made on a page."""
+    from clothtrack.capture.clicked_picking import ClickedPicking
+    from clothtrack.capture.cloth_views import Click
+
+    picking = ClickedPicking(recording, camera)
+    for ends in zip(*clicks, strict=True):
+        for end in ends:
+            picking.add(Click(*end))
+    if picking.clicks:
+        kept = picking.keep(name)
+    else:
+        from clothtrack.capture.picking_page import pick_live
+
+        tell = complain if json else say
+        kept = pick_live(picking, name, port, opened=lambda at: tell(f"click what it did: {at}"))
+    if kept is None:
+        complain("left before it was saved; the recording is as it was")
+        return 1
+    rows = [
+        {"first_frame": span.first_frame, "last_frame": span.last_frame, **picking.summary(action)}
+        for action, span in kept
+    ]
+    report = {"picker": name, "actions": rows}
+    lines = [
+        f"action {number}: frames {row['first_frame']} to {row['last_frame']}, picks in "
+        f"{row['pick']}, has let go in {row['release']}, lifted by {row['lift_mm']} mm"
+        + ("" if row["seen"] else " (as clicked: the cloth's rise was not seen)")
+        for number, row in enumerate(rows, start=1)
+    ]
+    folder = recording.folder
+    lines.append(f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}")
     say_result("\n".join(lines), report, json=json)
     return 0
 
@@ -207,8 +277,11 @@ def segment(
         from clothtrack.capture.segmentation_page import segment_live
 
         kept = segment_live(setup, port, opened=lambda address: say(f"choose the cloth: {address}"))
-        say("nothing was kept" if kept is None else f"{kept} masks are in {recording}")
-        return 0 if kept is not None else 1
+        if kept is None:
+            say("nothing was kept")
+            return 1
+        say(f"{kept} masks are in {recording}: {setup.kept_in_words()}")
+        return 0
     from clothtrack.capture.mask_pictures import write_mask_sheet
 
     if click is not None:
@@ -217,7 +290,8 @@ def segment(
         setup.choose_box(frame, box)
     say(str(write_mask_sheet(setup, sheet)))
     if keep:
-        say(f"{setup.keep()} masks are in {recording}")
+        kept = setup.keep()
+        say(f"{kept} masks are in {recording}: {setup.kept_in_words()}")
     return 0
 
 

@@ -120,9 +120,10 @@ def _missing(
         missing.append(f"the table: clothtrack calibrate-camera {folder} finds it")
     if not pickers:
         missing.append(
-            f"the picker's path: clothtrack find-picker {folder} --tip-color NAME finds it in the "
-            "pictures; or write picker.csv (docs/data_format.md), or import again with "
-            "--picker-csv, --picker-topic or --picker-frame"
+            f"the picker's path: clothtrack find-picker {folder} finds a coloured tip in the "
+            "pictures (--tip-color NAME), or a bare hand by clicks (--by-hand); or write "
+            "picker.csv (docs/data_format.md), or import again with --picker-csv, --picker-topic "
+            "or --picker-frame"
         )
     elif not actions:
         missing.append(
