@@ -53,7 +53,6 @@ def set_actions(
     paths: Mapping[str, PickerPath],
     actions: tuple[PickAndPlace, ...],
     *,
-    grasp_uncertainty_m: float = 0.0,
     provenance: Mapping[str, object],
 ) -> None:
     """Replace the pickers' paths and the actions of a recording.
@@ -64,7 +63,6 @@ def set_actions(
         recording: to be changed.
         paths: per picker name; they replace all that were there.
         actions: in order.
-        grasp_uncertainty_m: how far the held cloth may be from the new paths [m].
         provenance: remarks to add.
 
     Raises:
@@ -74,6 +72,7 @@ def set_actions(
 
     def without_actions(document: dict[str, Any]) -> None:
         document.pop("actions", None)
+        # What is held, and how far from the tip, was said of the old paths.
         for field in ("held_vertices", "grasp_uncertainty_m"):
             document.get("cloth", {}).pop(field, None)
 
@@ -86,8 +85,6 @@ def set_actions(
             }
             for action in actions
         ]
-        if grasp_uncertainty_m:
-            document.setdefault("cloth", {})["grasp_uncertainty_m"] = grasp_uncertainty_m
         document.setdefault("provenance", {}).update(provenance)
 
     amend_document(recording.folder, without_actions)

@@ -20,9 +20,6 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
 
-GRASP_UNCERTAINTY_M = 0.01
-"""How far the held cloth may be from a path that was clicked [m]."""
-
 _ALMOST_LEAST = 0.05
 _SAME_TIME_S = 1e-6
 _REMEMBERED = 64
@@ -132,7 +129,6 @@ class ClickedPicking:
                 self.views.recording,
                 {name: self._path(clicked, spans)},
                 spans,
-                grasp_uncertainty_m=GRASP_UNCERTAINTY_M,
                 provenance={"picker_found": {"by": "clicks", "actions": text}},
             )
             return tuple(zip(clicked, spans, strict=True))

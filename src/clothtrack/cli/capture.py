@@ -145,8 +145,7 @@ def find_picker(
         json: machine-readable.
     """
     from clothtrack.capture.camera_pose import camera_named
-    from clothtrack.capture.picker_detection import find_picker as find
-    from clothtrack.capture.picker_detection import keep_picker, require_unmeasured, tip_members
+    from clothtrack.capture.picker_detection import require_unmeasured
     from clothtrack.recordings.store import read_recording
 
     clicked = by_hand or bool(pick or place)
@@ -158,17 +157,28 @@ def find_picker(
     if len(pick) != len(place):
         complain(f"there are {len(pick)} --pick and {len(place)} --place; give one for the other")
         return 2
-    if clicked:
-        source = read_recording(recording)
-        require_unmeasured(source, force=force)
-        chosen = camera_named(source, camera)
-        return _by_hand(source, chosen, name or "hand", (pick, place), port, json=json)
-    name = name or "tip"
     source = read_recording(recording)
     chosen = camera_named(source, camera)
     require_unmeasured(source, force=force)
-    picker = find(source, chosen, tip_members(source, chosen, tip_color or tip_click), name=name)
-    vertex = keep_picker(source, picker, name, tip_color or "clicked")
+    if clicked:
+        return _by_hand(source, chosen, name or "hand", (pick, place), port, json=json)
+    return _by_tip(source, chosen, name or "tip", tip_color or tip_click, json=json)
+
+
+def _by_tip(
+    recording: "Recording",
+    camera: "Camera",
+    name: str,
+    tip: str | tuple[int, int, int] | None,
+    *,
+    json: bool,
+) -> int:
+    """Picks and places from a coloured tip."""
+    from clothtrack.capture.picker_detection import find_picker as find
+    from clothtrack.capture.picker_detection import keep_picker, tip_members
+
+    picker = find(recording, camera, tip_members(recording, camera, tip), name=name)
+    vertex = keep_picker(recording, picker, name, tip if isinstance(tip, str) else "clicked")
     report = {
         "picker": name,
         "seen": int(picker.seen.sum()),
@@ -191,7 +201,7 @@ def find_picker(
             for number, action in enumerate(report["actions"], start=1)
         ),
         *([] if vertex is None else [f"the first pick takes vertex {vertex} of the template"]),
-        f"written to {recording / 'picker.csv'} and {recording / 'recording.json'}",
+        _written(recording.folder),
     ]
     say_result("\n".join(lines), report, json=json)
     return 0
@@ -235,8 +245,7 @@ def _by_hand(
         + ("" if row["seen"] else " (as clicked: the cloth's rise was not seen)")
         for number, row in enumerate(rows, start=1)
     ]
-    folder = recording.folder
-    lines.append(f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}")
+    lines.append(_written(recording.folder))
     say_result("\n".join(lines), report, json=json)
     return 0
 
@@ -347,6 +356,10 @@ def record(
         return 1
     say(f"{output}   ({len(recording.frames)} frames)")
     return 0
+
+
+def _written(folder: Path) -> str:
+    return f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}"
 
 
 def _board(charuco: tuple[int, int, float, float] | None, dictionary: str) -> "Board | None":
