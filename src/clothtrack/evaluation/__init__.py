@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     )
     from clothtrack.evaluation.results import Evaluation, Row, as_json, evaluate, save_json, table
     from clothtrack.evaluation.truth import Truth, material_map, material_points
+    from clothtrack.evaluation.verdict import Verdict, trajectory_verdict
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
@@ -32,6 +33,7 @@ __all__ = [
     "QualityModel",
     "Row",
     "Truth",
+    "Verdict",
     "as_json",
     "chamfer_pc",
     "chamfer_surface",
@@ -46,5 +48,6 @@ __all__ = [
     "review_path",
     "save_json",
     "table",
+    "trajectory_verdict",
     "vertex_error_mm",
 ]
