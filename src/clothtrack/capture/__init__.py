@@ -14,9 +14,9 @@ if TYPE_CHECKING:
         ReplayedCamera,
     )
     from clothtrack.capture.realsense_camera import RealSenseCamera, open_realsense
-    from clothtrack.capture.recorded_table import fit_recorded_table
     from clothtrack.capture.segmentation_setup import SegmentationSetup
     from clothtrack.capture.tip_finder import TipFinder
+    from clothtrack.recordings.recorded_table import fit_recorded_table
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 

@@ -12,15 +12,22 @@ from jaxtyping import Float
 from clothtrack.capture.amendment import amend_document
 from clothtrack.capture.board import Board, BoardPose, locate_board, locate_boards
 from clothtrack.capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye
-from clothtrack.capture.recorded_table import fit_recorded_table, moved_along
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.files.atomic_write import write_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.table_plane import TableFit, world_from_table
 from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack.recordings.recorded_table import fit_recorded_table, moved_along
 from clothtrack.recordings.recording import Recording, Table
 
 BOARD_PICTURES = 8
+
+DOUBTFUL_RESIDUAL_M, LARGEST_RESIDUAL_M = 0.004, 0.010
+"""Distance of the table's depth from a plane (root mean square) [m] above which a placement is
+doubted, and refused. A table 0.5 to 1 m away has 1 to 2 mm."""
+
+LEAST_INLIERS = 0.5
+"""Share of the depth that is not cloth; with less of it on the plane a placement is doubted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +73,43 @@ def camera_named(recording: Recording, name: str = "") -> Camera:
     return cameras[name] if name else recording.cameras[0]
 
 
-def place_by_table(recording: Recording, camera: Camera) -> CameraPlacement:
+def place_by_table(recording: Recording, camera: Camera, *, force: bool = False) -> CameraPlacement:
     """The camera in a world whose z = 0 is the table, from depth alone.
 
+    Args:
+        recording: with depth from the camera.
+        camera: the one to be placed.
+        force: although the depth is far from any plane.
+
     Raises:
-        InvalidRecordingError: no plane dominates the depth.
+        InvalidRecordingError: no plane dominates the depth, or it is far from the one found, and
+            `force` is not set.
     """
     fit = fit_recorded_table(recording, camera)
+    if fit.residual_m > LARGEST_RESIDUAL_M and not force:
+        raise InvalidRecordingError(
+            f"{recording.folder}: camera {camera.name!r}: the depth lies "
+            f"{1e3 * fit.residual_m:.1f} mm (rms) from the plane found (at most "
+            f"{1e3 * LARGEST_RESIDUAL_M:.0f}), which is no table then; let a bare table fill the "
+            "picture, give a board with --charuco, or use --force"
+        )
     pose = world_from_table(camera, fit)
     return CameraPlacement(camera.name, pose, _ground(), {"by": "table", **_fit_report(fit)})
+
+
+def placement_doubt(placement: CameraPlacement) -> str:
+    """Why a placement by the table's depth is doubtful; empty where it is not."""
+    if placement.fit["by"] != "table":
+        return ""
+    residual_mm, share = placement.fit["residual_mm"], placement.fit["inlier_share"]
+    if residual_mm > 1e3 * DOUBTFUL_RESIDUAL_M:
+        return (
+            f"residual_mm is {residual_mm:g} (1 to 2 for a table, doubtful above "
+            f"{1e3 * DOUBTFUL_RESIDUAL_M:g})"
+        )
+    if share < LEAST_INLIERS:
+        return f"inlier_share is {share:g} (doubtful below {LEAST_INLIERS:g})"
+    return ""
 
 
 def place_by_board(

@@ -53,7 +53,8 @@ def calibrate_camera(
         dictionary: of the board's markers.
         thickness: how high the print lies over the table [m].
         output: write the result to this JSON file, and leave the recording as it is.
-        force: although a picker path, template or clouds stand in the present world already.
+        force: although a picker path, template or clouds stand in the present world already, or
+            the depth lies more than 10 mm (rms) from the plane found.
         json: machine-readable.
     """
     from clothtrack.capture.camera_pose import camera_named, place_by_board, place_by_table
@@ -63,7 +64,7 @@ def calibrate_camera(
     chosen = camera_named(source, camera)
     board = _board(charuco, dictionary)
     if board is None:
-        placement = place_by_table(source, chosen)
+        placement = place_by_table(source, chosen, force=force)
     else:
         placement = place_by_board(source, chosen, board, thickness_m=thickness)
     return _placed(recording, placement, output, force=force, json=json)
@@ -372,7 +373,7 @@ def _placed(
     folder: Path, placement: "CameraPlacement", output: Path | None, *, force: bool, json: bool
 ) -> int:
     """Save a placement where it was wanted, and say what it is."""
-    from clothtrack.capture.camera_pose import place_camera, save_placement
+    from clothtrack.capture.camera_pose import place_camera, placement_doubt, save_placement
     from clothtrack.recordings.store import read_recording
 
     if output is not None:
@@ -389,4 +390,9 @@ def _placed(
             lines.append(f"{name:<22} {value}")
     lines.append(f"written to             {output or folder / 'recording.json'}")
     say_result("\n".join(lines), placement.as_dict(), json=json)
+    if doubt := placement_doubt(placement):
+        complain(
+            f"{folder}: {doubt}: is the plane found the table? Let a bare table fill the picture, "
+            "or give a board with --charuco"
+        )
     return 0

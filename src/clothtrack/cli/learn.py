@@ -12,6 +12,7 @@ from tyro.conf import Positional
 import clothtrack as ct
 from clothtrack.cli.options import AsJson, Device, Seed, Settings
 from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say, say_result
+from clothtrack.errors import InvalidConfigError
 from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
@@ -174,7 +175,7 @@ def finetune(
 def reconstruct(
     depth: Positional[Path],
     *,
-    output: Path = Path("out/mesh.obj"),
+    output: Path | None = None,
     garment: GarmentChoice = "as recorded",
     size: tuple[float, float] | None = None,
     template: Path | None = None,
@@ -187,6 +188,7 @@ def reconstruct(
     focal: float | None = None,
     principal_point: tuple[float, float] | None = None,
     table_distance: float | None = None,
+    force: bool = False,
     device: Device = "cpu",
     json: AsJson = False,
 ) -> int:
@@ -194,7 +196,8 @@ def reconstruct(
 
     Args:
         depth: a 16-bit depth PNG of a camera that looks down on a table, or a recording.
-        output: mesh file to write: .obj, .ply or .stl [m]; table at z = 0 for a PNG.
+        output: mesh file to write: .obj, .ply or .stl [m], table at z = 0 for a PNG; by default
+            out/NAME.obj, after the picture or recording, with its frame if one is named.
         garment: what it is; must be said for a PNG, unless a template says so.
         size: width and length of the flat garment [m]; several are tried where nobody says.
         template: the flat garment itself, instead of a size.
@@ -209,6 +212,7 @@ def reconstruct(
         principal_point: its column and row [pixels]; the middle of the PNG if not given.
         table_distance: from a PNG's camera, looking straight down, to the table [m]; if not given,
             the table's plane is fitted to the depth.
+        force: replace the mesh file that is there.
         device: where to compute.
         json: machine-readable.
     """
@@ -217,7 +221,12 @@ def reconstruct(
     from clothtrack.reconstruction.from_picture import figures_of
     from clothtrack.recordings.mesh_file import require_mesh_format, write_mesh
 
+    output = output or _mesh_of(depth, frame)
     require_mesh_format(output)
+    if output.exists() and not force:
+        raise InvalidConfigError(
+            f"{output}: is there already; give another --output, or replace it with --force"
+        )
     mesh, network, picture = reconstructed(
         depth, None if garment == "as recorded" else garment, frame=frame, size_m=size,
         template=template, weights=weights, method=method, refined=refined, device=device,
@@ -239,6 +248,12 @@ def reconstruct(
             "mask or the depth's unit another?"
         )
     return 0
+
+
+def _mesh_of(picture: Path, frame: int | None) -> Path:
+    """Where the mesh of a picture, or of a recording's frame, goes when nobody says."""
+    name = picture.resolve().name if picture.is_dir() else picture.stem
+    return Path("out") / (f"{name}.obj" if frame is None else f"{name}_{frame:06d}.obj")
 
 
 def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "LearningConfig":

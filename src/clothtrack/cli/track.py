@@ -3,8 +3,9 @@
 import json as json_module
 from collections.abc import Sequence
 from dataclasses import asdict
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
@@ -21,6 +22,7 @@ from clothtrack.cli.terminal import complain, progress, say
 from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
+    from clothtrack.evaluation.verdict import Verdict
     from clothtrack.tracking.pipeline import Outcome
 
 Mode = Literal[
@@ -76,9 +78,12 @@ def track(
     workers: int = 1,
     device: Device = "cpu",
     seed: Seed = 0,
+    force: bool = False,
     json: AsJson = False,
 ) -> int:
     """Track recordings: the full mesh at every observation (Algorithm 1).
+
+    A trajectory ends with a word: trust, look (at it first), or reject; and the expected error.
 
     Args:
         recordings: recording folders.
@@ -95,6 +100,7 @@ def track(
         workers: processes; each tracks one recording at a time.
         device: where to compute.
         seed: stored with the result.
+        force: go on although the first mesh lies more than 2 cm (rms) from its cloud.
         json: machine-readable.
     """
     if show_settings:
@@ -108,9 +114,12 @@ def track(
         complain("no recording given; name at least one recording folder")
         return 2
     settings = (*_file_settings(template=template, weights=weights), *settings)
-    outcomes = _track(recordings, output, mode, settings, seed=seed, device=device, workers=workers)
+    outcomes = _track(
+        recordings, output, mode, settings, seed=seed, device=device, workers=workers, force=force
+    )
     if json:
-        say(json_module.dumps([asdict(outcome) for outcome in outcomes], indent=2, default=str))
+        rows = [{**asdict(outcome), "verdict": _verdict_fields(outcome)} for outcome in outcomes]
+        say(json_module.dumps(rows, indent=2, default=str))
     for outcome in outcomes:
         if outcome.result is None:
             complain(outcome.error)
@@ -137,6 +146,7 @@ def _track(
     seed: int = 0,
     device: str,
     workers: int = 1,
+    force: bool = False,
 ) -> "list[Outcome]":
     from clothtrack.front.run import run_config
     from clothtrack.geometry.devices import require_device
@@ -145,11 +155,26 @@ def _track(
     require_device(device)
     config = run_config(mode, settings, seed=seed)
     return track_recordings(
-        recordings, output, config, workers=workers, device=device, progress=progress
+        recordings, output, config, workers=workers, device=device, progress=progress, force=force
     )
 
 
 def _line(outcome: "Outcome") -> str:
-    """Where a result lies, and why it was tracked again or was not."""
+    """Where a result lies, what it is worth, and why it was tracked again or was not."""
     again = "   (recording changed, tracked again)" if outcome.tracked_again else ""
-    return f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)
+    line = f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)
+    return f"{line}\n  {_verdict(outcome)}"
+
+
+def _verdict(outcome: "Outcome") -> "Verdict":
+    assert outcome.result is not None
+    return ct.load(outcome.result, outcome.recording).verdict
+
+
+def _verdict_fields(outcome: "Outcome") -> dict[str, Any] | None:
+    """The verdict as JSON holds it; None where nothing was tracked."""
+    if outcome.result is None:
+        return None
+    verdict = _verdict(outcome)
+    expected = verdict.expected_error_m
+    return {**asdict(verdict), "expected_error_m": expected if isfinite(expected) else None}

@@ -16,8 +16,9 @@ from clothtrack.errors import (
     InvalidRecordingError,
 )
 from clothtrack.evaluation import results
-from clothtrack.evaluation.label_quality import judge_labels
+from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.truth import Truth
+from clothtrack.evaluation.verdict import Verdict, trajectory_verdict
 from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp, require_device
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
@@ -111,10 +112,21 @@ class Run(TrackedTrajectory):
                 judged.label_quality,
                 judged.expected_error_mm,
             )
-            for judged, action in zip(
-                judge_labels(self, recording_of(self)), self.actions, strict=True
-            )
+            for judged, action in zip(self._judged, self.actions, strict=True)
         )
+
+    @property
+    def verdict(self) -> Verdict:
+        """Trust, look or reject, with the expected error: what the worst label deserves.
+
+        Raises:
+            InvalidRecordingError: the recording is not known.
+        """
+        return trajectory_verdict(self._judged)
+
+    @cached_property
+    def _judged(self) -> tuple[LabelQuality, ...]:
+        return judge_labels(self, recording_of(self))
 
 
 def track(
@@ -126,6 +138,7 @@ def track(
     device: str = "cpu",
     segmenter: Segmenter | None = None,
     progress: Progress | None = None,
+    force: bool = False,
     **parts: Any,
 ) -> Run:
     """Track a recording: the full mesh, hidden layers included, at every frame (Algorithm 1).
@@ -138,11 +151,13 @@ def track(
         device: "cpu" or "cuda:0".
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame with the recording's name, frames done and in all.
+        force: track although the first mesh lies more than 2 cm (rms) from its cloud.
         **parts: replacements for parts of Algorithm 1: observe, pick, calibrate, dynamics, align,
             line_search, align_last.
 
     Raises:
-        InvalidRecordingError: the recording cannot be used.
+        InvalidRecordingError: the recording cannot be used, or the first mesh lies beside its
+            cloud and `force` is not set.
         InvalidConfigError: unknown mode, setting, part or device; or both a config and a mode.
     """
     quiet_warp()
@@ -155,8 +170,9 @@ def track(
     whole = with_settings(config, settings) if config else run_config(mode, settings)
     source = _read(recording)
     tracked = track_recording(
-        source, whole, device=device, segmenter=segmenter, progress=progress, parts=parts
-    )
+        source, whole, device=device, segmenter=segmenter, progress=progress, parts=parts,
+        force=force,
+    )  # fmt: skip
     return Run.of(tracked, source)
 
 

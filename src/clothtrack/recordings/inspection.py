@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
@@ -26,12 +28,14 @@ class Inspection:
         facts: what it holds ("frames": "50, from 0 to 2.45 s"); empty when it cannot be read.
         notes: what is allowed but worth knowing before tracking.
         violations: everything that is wrong; empty for a valid recording.
+        geometry: what of a valid recording its own pictures contradict; empty for a right one.
     """
 
     folder: Path
     facts: Mapping[str, str]
     notes: tuple[str, ...]
     violations: tuple[Violation, ...]
+    geometry: tuple[Finding, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -48,8 +52,11 @@ class Inspection:
                 lines.append(f"  ... and {count - _LISTED} more")
             return "\n".join(lines)
         width = max(map(len, self.facts))
-        lines = [f"{self.folder}: a valid recording"]
+        doubts = len(self.geometry)
+        doubtful = f"; its geometry is doubtful in {doubts} place{'s' if doubts > 1 else ''}"
+        lines = [f"{self.folder}: a valid recording{doubtful if doubts else ''}"]
         lines += [f"  {name:<{width}}  {fact}" for name, fact in self.facts.items()]
+        lines += [f"  doubtful: {finding.text}" for finding in self.geometry]
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
 
@@ -61,15 +68,18 @@ class Inspection:
             "facts": dict(self.facts),
             "notes": list(self.notes),
             "violations": [asdict(violation) for violation in self.violations],
+            "geometry": [asdict(finding) for finding in self.geometry],
         }
 
 
 def inspect(folder: Path) -> Inspection:
-    """Look through a recording: every picture is decoded, and the cloth looked for in frame 0."""
+    """Look through a recording: every picture is decoded, and its geometry held against them."""
     checked = check_recording(folder, thorough=True)
-    if checked.recording is None:
+    recording = checked.recording
+    if recording is None:
         return Inspection(folder, {}, (), checked.violations)
-    return Inspection(folder, _facts(checked.recording), _notes(checked.recording), ())
+    geometry = check_geometry(recording)
+    return Inspection(folder, _facts(recording), _notes(recording), (), geometry)
 
 
 def _facts(recording: Recording) -> dict[str, str]:
@@ -118,7 +128,9 @@ def _depth(depth: Float[np.ndarray, "height width"]) -> str:
 
 def _table(recording: Recording) -> str:
     if recording.table is None:
-        return "none: the cloth hangs"
+        if recording.cloth.template is not None:
+            return "none: the cloth hangs"
+        return "not known yet: clothtrack calibrate-camera finds it, if the cloth lies on one"
     point, normal = recording.table.point, recording.table.normal
     tilt = np.degrees(np.arccos(np.clip(normal[2], -1, 1)))
     return f"through ({point[0]:.3f} {point[1]:.3f} {point[2]:.3f}) m, tilted {tilt:.1f} degrees"
@@ -152,13 +164,7 @@ def _notes(recording: Recording) -> tuple[str, ...]:
     if not recording.actions:
         notes.append("no actions: there is nothing that moves the cloth in the simulation")
     if recording.cloth.template is None:
-        notes.append(
-            "no template (cloth.template): tracking starts from a flat garment fitted to the first "
-            "cloud, or from the reconstruction network where the cloth does not lie flat"
-            if recording.cloth.kind in ("towel", "tshirt") and recording.table is not None
-            else "no template (cloth.template): only a towel or a T-shirt on a table is tracked "
-            f"without one, and this is {recording.cloth.kind!r}"
-        )
+        notes.append(f"no template (cloth.template): {_without_template(recording)}")
     try:
         observation = observe(recording, recording.frames[0])
     except ClothTrackError as error:
@@ -170,6 +176,23 @@ def _notes(recording: Recording) -> tuple[str, ...]:
             f"{extent[0]:.2f} x {extent[1]:.2f} x {extent[2]:.2f} m along x, y, z"
         )
     return tuple(notes)
+
+
+def _without_template(recording: Recording) -> str:
+    """What follows from the missing template, and what else is missing."""
+    kind = recording.cloth.kind
+    if kind not in ("towel", "tshirt"):
+        text = "only a towel or a T-shirt on a table is tracked without one"
+        return f"{text}, and cloth.kind is {kind!r}"
+    if recording.table is None:
+        return (
+            f"a {kind} is tracked without one when its table is known; find the table with: "
+            "clothtrack calibrate-camera"
+        )
+    return (
+        "tracking starts from a flat garment fitted to the first cloud, or from the reconstruction "
+        "network where the cloth does not lie flat"
+    )
 
 
 def _joined(words: Sequence[str], most: int) -> str:

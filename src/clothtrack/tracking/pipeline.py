@@ -11,11 +11,18 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from clothtrack.errors import ClothTrackError, InvalidConfigError, StorageError
+from clothtrack.errors import (
+    ClothTrackError,
+    InvalidConfigError,
+    InvalidRecordingError,
+    StorageError,
+)
 from clothtrack.files.atomic_write import content_hash, name_problem
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
@@ -23,7 +30,7 @@ from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.flat_fit import InitialStateConfig
-from clothtrack.tracking.initial_state import find_initial_state
+from clothtrack.tracking.initial_state import InitialState, find_initial_state
 from clothtrack.tracking.seams import Parts
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
@@ -103,6 +110,7 @@ def track_recording(
     segmenter: Segmenter | None = None,
     progress: Progress | None = None,
     parts: Mapping[str, Any] | None = None,
+    force: bool = True,
 ) -> TrackedTrajectory:
     """Recording -> clouds -> first mesh -> calibration and tracking (Fig. 2 of the paper).
 
@@ -113,9 +121,11 @@ def track_recording(
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame.
         parts: replacements for parts of Algorithm 1, by their names in `PARTS`.
+        force: track although the first mesh lies beside its cloud.
 
     Raises:
         InvalidConfigError: Algorithm 1 has no part of that name.
+        InvalidRecordingError: the first mesh lies beside its cloud, and `force` is not set.
     """
     for name in (parts := parts or {}):
         if name not in PARTS:
@@ -132,6 +142,9 @@ def track_recording(
         segmenter=segmenter,
         device=device,
     )
+    gap_m = _first_gap_m(first, cloud(recording.frames[0]), device)
+    if not force and gap_m is not None and gap_m > LARGEST_GAP_M:
+        raise _far_first_mesh(recording, first, gap_m)
     tracker = Tracker(
         recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
     )
@@ -141,9 +154,29 @@ def track_recording(
     tracked = tracker.track(progress)
     stamp |= {
         "initial_state": dict(first.origin),
+        "first_mesh_gap_m": gap_m,
         "cpu_s": round(time.process_time() - clock, 2),
     }
     return replace(tracked, config=asdict(config), provenance=stamp)
+
+
+def _first_gap_m(first: InitialState, observation: Observation, device: str) -> float | None:
+    """How far the first mesh lies from its cloud (rms) [m]; None where nothing can be said."""
+    vertices = first.mesh.vertices if first.positions is None else first.positions
+    return mesh_gap_m(vertices, first.mesh.faces, observation, device=device)
+
+
+def _far_first_mesh(
+    recording: Recording, first: InitialState, gap_m: float
+) -> InvalidRecordingError:
+    """Why tracking stops: the distance, and the likely cause."""
+    causes = check_geometry(recording)
+    cause = causes[0].text if causes else "is its kind, its size or the mask another"
+    return InvalidRecordingError(
+        f"{recording.folder}: stopped, the first mesh ({first.origin['source']}) lies "
+        f"{1e3 * gap_m:.0f} mm (rms) from the cloud of frame 0 (at most "
+        f"{1e3 * LARGEST_GAP_M:.0f}): {cause}; --force tracks it all the same"
+    )
 
 
 def track_recordings(
@@ -154,6 +187,7 @@ def track_recordings(
     workers: int = 1,
     device: str = "cpu",
     progress: Progress | None = None,
+    force: bool = True,
 ) -> list[Outcome]:
     """Track many recordings; finished ones are skipped, a bad one does not stop the others.
 
@@ -166,6 +200,7 @@ def track_recordings(
         workers: processes; each tracks one recording at a time.
         device: "cpu" or "cuda:0".
         progress: called after every frame (with one worker) or every recording.
+        force: track although a first mesh lies beside its cloud; otherwise that is its outcome.
 
     Returns:
         One outcome per recording, in the given order.
@@ -190,22 +225,19 @@ def track_recordings(
                 "rename the folder"
             )
     output.mkdir(parents=True, exist_ok=True)
+    work = partial(_track_folder, output=output, config=config, device=device, force=force)
     if workers == 1 or len(folders) == 1:
-        return [_track_folder(folder, output, config, device, progress) for folder in folders]
-    return _track_in_parallel(folders, output, config, workers, device=device, progress=progress)
+        return [work(folder, progress=progress) for folder in folders]
+    return _track_in_parallel(work, folders, workers, progress)
 
 
 def _track_in_parallel(
+    work: Callable[[Path], Outcome],
     folders: Sequence[Path],
-    output: Path,
-    config: RunConfig,
     workers: int,
-    *,
-    device: str,
     progress: Progress | None,
 ) -> list[Outcome]:
     outcomes: dict[Path, Outcome] = {}
-    work = partial(_track_folder, output=output, config=config, device=device)
     try:
         with closing(finished_in_workers(work, folders, workers)) as results:
             for done, outcome in enumerate(results, 1):
@@ -229,6 +261,8 @@ def _track_folder(
     output: Path,
     config: RunConfig,
     device: str,
+    *,
+    force: bool,
     progress: Progress | None = None,
 ) -> Outcome:
     path = result_path(folder, output)
@@ -240,7 +274,8 @@ def _track_folder(
         if earlier is not None and earlier.get(DIGEST_FIELD) == recording_digest(recording):
             logger.info("%s: finished before, skipped", path)
             return Outcome(folder, path, skipped=True)
-        track_recording(recording, config, device=device, progress=progress).save(path)
+        tracked = track_recording(recording, config, device=device, progress=progress, force=force)
+        tracked.save(path)
     except ClothTrackError as error:
         named = str(error) if str(folder) in str(error) else f"{folder}: {error}"
         return Outcome(folder, None, error=named)

@@ -1,0 +1,126 @@
+"""The picker against the cloth: does it close on cloth, and is cloth where it carries some?"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
+from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
+
+REACH_M = 0.03
+"""A tip that closes farther from the cloth than this [m] takes hold of nothing
+(`tracking.picking`). On right recordings it closes within 9 mm, where its place is lost in missing
+depth within 22 mm."""
+
+FARTHEST_CARRIED_M = 0.05
+"""Middle distance of a closed tip from the cloth [m] above which the tip is not where the cloth is
+carried. It is below 11 mm on right recordings; single frames in which the tool hides its own tip
+have up to 60 mm."""
+
+CARRIED_FRAMES = 12
+"""So many frames of each action are looked at while its picker is closed."""
+
+_Carried = tuple[int, PickerPath, str, list[int]]
+
+
+@dataclass(frozen=True)
+class _Hold:
+    """One picker in one action.
+
+    Attributes:
+        action: number of the action.
+        name: of the picker.
+        closed: the frames of the action in which it is closed.
+    """
+
+    action: int
+    name: str
+    closed: tuple[int, ...]
+
+
+def picker_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]:
+    """Actions whose picker never closes, closes beside the cloth, or carries none."""
+    findings = []
+    for number, action in enumerate(recording.actions):
+        for hold in _holds(recording, number, action):
+            found = _never_closed(hold) or _closes_beside(recording, hold, frames)
+            found = found or _carries_none(recording, hold, frames)
+            findings += [found] if found else []
+    return findings
+
+
+def held_by_name(recording: Recording, picker: str) -> bool:
+    """The recording says what the picker holds, so that its tip need not be there."""
+    return picker in recording.cloth.held_vertices
+
+
+def allowance_m(recording: Recording) -> float:
+    """How far from the cloth's points a right tip may be besides [m]."""
+    cut_away_m = recording.observed.tool_clearance_m
+    return cut_away_m + recording.cloth.grasp_uncertainty_m
+
+
+def _holds(recording: Recording, number: int, action: PickAndPlace) -> Iterator[_Hold]:
+    for name in action.pickers:
+        if held_by_name(recording, name):
+            continue
+        path = recording.picker_paths[name]
+        span = range(action.first_frame, action.last_frame + 1)
+        closed = tuple(i for i in span if path.closed_at(recording.frames[i].time_s))
+        yield _Hold(number, name, closed)
+
+
+def _never_closed(hold: _Hold) -> Finding | None:
+    if hold.closed:
+        return None
+    return Finding(
+        "picker path", 0.0, 1.0, "", "picker.csv: closed",
+        f"picker {hold.name!r} is closed in no frame of action {hold.action + 1}: correct closed "
+        "of picker.csv (1 while it holds cloth), or the frames of the action",
+    )  # fmt: skip
+
+
+def _closes_beside(recording: Recording, hold: _Hold, frames: ObservedFrames) -> Finding | None:
+    """The tip at its closing against the cloth then, and against that before it was hidden."""
+    first = recording.actions[hold.action].first_frame
+    time_s = recording.frames[hold.closed[0]].time_s
+    tip = recording.picker_paths[hold.name].position_at(time_s)
+    gaps = [_gap_m(frames, frame, tip) for frame in (first, hold.closed[0])]
+    gap_m, limit_m = float(np.nanmin([*gaps, np.inf])), REACH_M + allowance_m(recording)
+    if not np.isfinite(gap_m) or gap_m <= limit_m:
+        return None
+    return Finding(
+        "picker path", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
+        f"picker {hold.name!r} closes {1e3 * gap_m:.0f} mm from the cloth at {time_s:g} s, in "
+        f"action {hold.action + 1} (at most {1e3 * limit_m:.0f}): write x_m, y_m, z_m of "
+        "picker.csv in the world of the cameras, and closed as 1 while it holds cloth",
+    )  # fmt: skip
+
+
+def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> Finding | None:
+    """The tip while it is closed against the cloth of the same frames."""
+    path = recording.picker_paths[hold.name]
+    chosen = np.linspace(0, len(hold.closed) - 1, CARRIED_FRAMES).round().astype(int)
+    gaps = [
+        _gap_m(frames, frame, path.position_at(recording.frames[frame].time_s))
+        for frame in {hold.closed[place] for place in chosen}
+    ]
+    gap_m, limit_m = float(np.nanmedian(gaps)), FARTHEST_CARRIED_M + allowance_m(recording)
+    if not gap_m > limit_m:
+        return None
+    return Finding(
+        "picker path", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
+        f"no cloth is where picker {hold.name!r} carries it in action {hold.action + 1}, the "
+        f"nearest is {1e3 * gap_m:.0f} mm away (at most {1e3 * limit_m:.0f}): write x_m, y_m, z_m "
+        "of picker.csv in the world of the cameras, and time_s by their clock",
+    )  # fmt: skip
+
+
+def _gap_m(frames: ObservedFrames, frame: int, tip: np.ndarray) -> float:
+    """Distance of a tip from the nearest point of the cloth [m]; NaN where none is seen."""
+    seen = frames.at(frame)
+    if seen is None or not len(seen.points):
+        return float("nan")
+    return float(cKDTree(seen.points).query(tip)[0])

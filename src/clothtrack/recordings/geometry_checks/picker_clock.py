@@ -1,0 +1,121 @@
+"""The picker's clock: at which lag does the path of the closed tip lead through the moving cloth?
+
+Cloth that is carried is where the tip is. A tip whose times are late is still in the air when the
+cloth has been laid down, and on the table when the cloth is in the air. So the path is shifted in
+time, and the lag at which it meets the cloth of the pictures best is the clock's error.
+
+Correlating the speeds of tip and cloth was tried: cloth that falls after the release, and cloth
+that a tool uncovers, moved the maximum by 0.4 s on right recordings of T-shirts.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
+from clothtrack.recordings.geometry_checks.picker_checks import allowance_m, held_by_name
+from clothtrack.recordings.recording import PickerPath, Recording
+
+LARGEST_LAG_S = 0.2
+"""Difference of the two clocks [s] from which they are doubted, and one and a half frames at least.
+Right recordings are never doubted below `LEAST_GAIN_M`, whatever their lag."""
+
+FARTHEST_LAG_S = 1.5
+"""Lags up to this [s] are tried."""
+
+STEP_S = 0.05
+"""Between lags that are tried [s]."""
+
+LEAST_GAIN_M = 0.008
+"""By so much nearer to the cloth the shifted path must be [m] for the clock to be doubted."""
+
+LARGEST_REST_M = 0.02
+"""Mean distance of the shifted path from the cloth [m] above which no lag explains the path."""
+
+FAR_M = 0.04
+"""Distances from the cloth count at most this [m]: the tool hides its own tip at times."""
+
+LEAST_SHARE = 0.8
+"""Share of the closed time that must fall on frames with the lag."""
+
+MOST_FRAMES = 40
+"""Frames that are looked at, spread over the actions: each costs some 30 ms."""
+
+
+@dataclass(frozen=True)
+class ClockLag:
+    """The picker's clock against that of the pictures.
+
+    Attributes:
+        lag_s: how long after the tip the cloth moves, by the recorded times [s]; below 0 where the
+            picker's times are late.
+        unshifted_m: mean distance of the closed tips from the cloth, as recorded [m].
+        shifted_m: the same with the lag taken out [m].
+    """
+
+    lag_s: float
+    unshifted_m: float
+    shifted_m: float
+
+
+def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]:
+    """The picker's clock, when it clearly runs before or behind that of the pictures."""
+    lag = picker_lag(recording, frames)
+    if lag is None:
+        return []
+    steps = [later.time_s - frame.time_s for frame, later in pairwise(recording.frames)]
+    limit_s = max(LARGEST_LAG_S, 1.5 * float(np.median(steps)))
+    clear = lag.shifted_m <= LARGEST_REST_M and lag.unshifted_m - lag.shifted_m >= LEAST_GAIN_M
+    if abs(lag.lag_s) <= limit_s or not clear:
+        return []
+    order, change = ("before", "subtract") if lag.lag_s < 0 else ("after", "add")
+    text = (
+        f"the cloth moves {abs(lag.lag_s):.2f} s {order} the closed picker does (at most "
+        f"{limit_s:.2f}): write time_s of picker.csv by the clock of the frames, {change} "
+        f"{abs(lag.lag_s):.2f} s"
+    )
+    return [Finding("picker clock", lag.lag_s, limit_s, "s", "picker.csv: time_s", text)]
+
+
+def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
+    """The lag at which the closed tips are nearest to the cloth.
+
+    None where nothing can be said: no action, or only pickers whose hold the recording names.
+    """
+    paths = [
+        path for name, path in recording.picker_paths.items() if not held_by_name(recording, name)
+    ]
+    if not recording.actions or not paths:
+        return None
+    first, last = recording.actions[0].first_frame, recording.actions[-1].last_frame
+    chosen = np.unique(np.linspace(first, last, MOST_FRAMES).round().astype(int)).tolist()
+    lags = np.arange(-FARTHEST_LAG_S, FARTHEST_LAG_S + 0.5 * STEP_S, STEP_S)
+    total, count = np.zeros(len(lags)), np.zeros(len(lags))
+    for frame in chosen:
+        seen = frames.at(frame)
+        if seen is None or not len(seen.points):
+            continue
+        cloth, times = cKDTree(seen.points), recording.frames[frame].time_s - lags
+        for path in paths:
+            closed = _closed(path, times)
+            tips = np.stack([np.interp(times[closed], path.time_s, a) for a in path.positions.T], 1)
+            beside = np.maximum(cloth.query(tips)[0] - allowance_m(recording), 0.0)
+            total[closed] += np.minimum(beside, FAR_M)
+            count[closed] += 1.0
+    none = int(np.argmin(np.abs(lags)))
+    enough = count >= max(LEAST_SHARE * count.max(), 3.0)
+    if not enough[none]:
+        return None
+    mean = np.where(enough, total / np.maximum(count, 1.0), np.inf)
+    best = int(np.argmin(mean))
+    return ClockLag(float(lags[best]), float(mean[none]), float(mean[best]))
+
+
+def _closed(path: PickerPath, times: Float[np.ndarray, " times"]) -> np.ndarray:
+    """At which of these times of its own clock a picker is closed."""
+    place = np.searchsorted(path.time_s, times + 1e-9, side="right") - 1
+    inside = (place >= 0) & (times <= path.time_s[-1])
+    return inside & path.closed[np.clip(place, 0, None)]
