@@ -117,17 +117,15 @@ def _wide_lens(content: Document) -> None:
 
 
 def _begun_late(content: Document) -> None:
-    """Begins after the first action, when the cloth is folded, and has no template."""
-    first = content["actions"][0]["last_frame"]
+    """Begins in the middle of the first action, the cloth in the air, and has no template."""
+    action = content["actions"][0]
+    first = (action["first_frame"] + action["last_frame"]) // 2
     content["frames"] = content["frames"][first:]
     for number, frame in enumerate(content["frames"]):
         frame["index"] = number
-    content["actions"] = [
-        {**action, "first_frame": action["first_frame"] - first,
-         "last_frame": action["last_frame"] - first}
-        for action in content["actions"]
-        if action["first_frame"] >= first
-    ]  # fmt: skip
+    for action in content["actions"]:
+        action["first_frame"] = max(action["first_frame"] - first, 0)
+        action["last_frame"] -= first
     for name in ("template", "template_canonical", "held_vertices"):
         content["cloth"].pop(name, None)
 

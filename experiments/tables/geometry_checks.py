@@ -86,17 +86,16 @@ def chosen(right: Sequence[Recording], names: Sequence[str] | None) -> Iterator[
 
 
 def looked_at(folder: Path, kind: str, field: str) -> Row:
-    """What `inspect` finds in a recording; `named`: the field that was spoilt is what it names."""
+    """What `inspect` finds in a recording; `named`: it says which field was spoilt."""
     row: Row = {"recording": folder.name, "kind": kind}
     try:
         findings = check_geometry(read_recording(folder))
     except InvalidRecordingError as error:
         return {**row, "checks": ["refused"], "named": field in str(error), "text": [str(error)]}
-    fields = [finding.field for finding in findings]
     return {
         **row,
         "checks": [finding.check for finding in findings],
-        "named": any(field in one for one in fields),
+        "named": any(field in finding.field + finding.text for finding in findings),
         "text": [finding.text for finding in findings],
     }
 

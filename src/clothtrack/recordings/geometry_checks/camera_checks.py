@@ -13,9 +13,9 @@ from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.recorded_table import fit_recorded_table
 from clothtrack.recordings.recording import Recording, Table
 
-LARGEST_TILT_DEG = 2.0
+LARGEST_TILT_DEG = 1.0
 """Angle between the recorded table and the one in the depth from which a pose is doubted [deg]. On
-63 right recordings it is at most 0.2; 2 degrees lift a cloth of 0.4 m by 14 mm on one side."""
+right recordings it is at most 0.1; 1 degree lifts a cloth of 0.4 m by 7 mm on one side."""
 
 LARGEST_SHIFT_M = 0.015
 """Distance of the two tables [m] from which a pose is doubted. On right recordings it is below 1

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.geometry_checks.finding import (
     Finding,
     ObservedFrames,
@@ -118,8 +119,10 @@ def _template(recording: Recording, observation: Observation) -> Finding | None:
     if template is None:
         return None
     gap_m = mesh_gap_m(template.vertices, template.faces, observation)
-    if gap_m is None or gap_m <= LARGEST_GAP_M:
+    if gap_m is None:
         return None
+    if gap_m <= LARGEST_GAP_M:
+        return _template_size(recording, template, observation)
     beside = observation.points.mean(axis=0) - template.vertices.mean(axis=0)
     x, y, z = beside.tolist()
     return Finding(
@@ -128,6 +131,37 @@ def _template(recording: Recording, observation: Observation) -> Finding | None:
         f"{1e3 * LARGEST_GAP_M:.0f}), whose middle is ({x:.2f} {y:.2f} {z:.2f}) m from its own: "
         "put cloth.template where the cloth is, in the world of the cameras, or leave it out",
     )  # fmt: skip
+
+
+def _template_size(
+    recording: Recording, template: ClothMesh, observation: Observation
+) -> Finding | None:
+    """A flat template in another size than the flat cloth that it lies on."""
+    if recording.table is None:
+        return None
+    places, heights = on_table(template.vertices, recording.table)
+    spread = _spread(observation, recording.table)
+    if max(float(np.ptp(heights)), spread.rise_m) > THICK_M:
+        return None
+    worst = _worst_side(spread, _sides(places))
+    if worst is None:
+        return None
+    (long, short), (seen_long, seen_short) = _sides(places), spread.sides_m
+    return Finding(
+        "template", *worst, "m", "cloth.template",
+        f"the template is {long:.2f} x {short:.2f} m and the cloth of the first frame "
+        f"{seen_long:.2f} x {seen_short:.2f} m (a side may differ by {100 * SIZE_TOLERANCE:.0f} %):"
+        " scale cloth.template, or correct fx and fy of the camera",
+    )  # fmt: skip
+
+
+def _worst_side(spread: _Spread, sides: tuple[float, float]) -> tuple[float, float] | None:
+    """The side that is measured worst, and what it should be [m]; None where both fit."""
+    pairs = zip(spread.sides_m, sides, strict=True)
+    measured, expected = max(pairs, key=lambda pair: abs(np.log(pair[0] / pair[1])))
+    if abs(measured / expected - 1.0) <= SIZE_TOLERANCE:
+        return None
+    return None if measured < expected and spread.cut_off else (measured, expected)
 
 
 def _flatness(recording: Recording, spread: _Spread) -> Finding | None:
@@ -156,12 +190,10 @@ def _size(recording: Recording, spread: _Spread) -> Finding | None:
     flat = spread.rise_m <= THICK_M
     if size is None or not flat or recording.cloth.kind not in ("towel", "tshirt"):
         return None
-    pairs = list(zip(spread.sides_m, sorted(size, reverse=True), strict=True))
-    measured, expected = max(pairs, key=lambda pair: abs(np.log(pair[0] / pair[1])))
-    if abs(measured / expected - 1.0) <= SIZE_TOLERANCE:
+    worst = _worst_side(spread, (max(size), min(size)))
+    if worst is None:
         return None
-    if measured < expected and spread.cut_off:
-        return None
+    measured, expected = worst
     long, short = spread.sides_m
     remedy = "correct cloth.size_m [width, length]"
     if measured < expected:
@@ -178,17 +210,22 @@ def _size(recording: Recording, spread: _Spread) -> Finding | None:
 
 def _spread(observation: Observation, table: Table) -> _Spread:
     places, heights = on_table(observation.points, table)
-    _, sides, _ = cv2.minAreaRect(places.astype(np.float32))
-    long, short = max(sides), max(min(sides), 1e-6)
+    long, short = _sides(places)
     covered = np.unique(np.floor(places / FILL_CELL_M), axis=0)
     low, middle, high = np.percentile(heights, [5, 50, 95]).tolist()
     return _Spread(
-        (float(long), float(short)),
+        (long, short),
         float(len(covered) * FILL_CELL_M**2 / (long * short)),
         low,
         high - middle,
         _cut_off(observation),
     )
+
+
+def _sides(places: Float[np.ndarray, "points 2"]) -> tuple[float, float]:
+    """Longer and shorter side of the smallest rectangle around places on the table [m]."""
+    _, sides, _ = cv2.minAreaRect(places.astype(np.float32))
+    return float(max(sides)), float(max(min(sides), 1e-6))
 
 
 def _cut_off(observation: Observation) -> bool:

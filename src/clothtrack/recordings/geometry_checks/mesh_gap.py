@@ -13,8 +13,7 @@ LARGEST_GAP_M = 0.02
 cloth seen. On right recordings it is 1 to 6 mm; a pick reaches 30 mm."""
 
 LEAST_OBSERVABLE = 0.3
-"""Share of the visible vertices that must be observable for a mesh to be judged: a recording whose
-clouds were cut away above the table says nothing about a cloth that lies on it."""
+"""Share of the visible vertices that must be observable for their distances to count."""
 
 
 def mesh_gap_m(
@@ -36,7 +35,9 @@ def mesh_gap_m(
         device: "cpu" or "cuda:0", for visibility.
 
     Returns:
-        The distance; None where too little of the mesh is observable to say.
+        The distance; that of the points alone where too little of the mesh is observable; None
+        where that is so because points were cut away: clouds without the table say nothing about a
+        cloth that lies on it.
     """
     vertices = np.asarray(vertices, np.float64)
     seen = visible_vertices(vertices, faces, observation.cameras, device=device)
@@ -46,8 +47,12 @@ def mesh_gap_m(
         judged = seen
     else:
         judged = seen & ~observation.unobservable(vertices)
-    if judged.sum() < LEAST_OBSERVABLE * seen.sum() or not len(observation.points):
+    unjudged = judged.sum() < LEAST_OBSERVABLE * seen.sum()
+    cut_away = observation.lowest_height_m is not None or observation.tool_clearance_m > 0
+    if not len(observation.points) or (unjudged and cut_away):
         return None
     there = distance_to_mesh(observation.points, vertices, faces)
+    if unjudged:
+        return float(np.sqrt(np.mean(there**2)))
     back, _ = cKDTree(observation.points).query(vertices[judged])
     return float(np.sqrt(0.5 * (np.mean(there**2) + np.mean(back**2))))

@@ -4,25 +4,28 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
-from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import PickAndPlace, Recording
 
 REACH_M = 0.03
 """A tip that closes farther from the cloth than this [m] takes hold of nothing
 (`tracking.picking`). On right recordings it closes within 9 mm, where its place is lost in missing
 depth within 22 mm."""
 
-FARTHEST_CARRIED_M = 0.05
+FARTHEST_CARRIED_M = 0.025
 """Middle distance of a closed tip from the cloth [m] above which the tip is not where the cloth is
-carried. It is below 11 mm on right recordings; single frames in which the tool hides its own tip
-have up to 60 mm."""
+carried. It is below 11 mm on right recordings with a thin tool."""
+
+HIDDEN_M = 0.05
+"""A tip that nothing can be measured at, because a tool or hand is in front, may have cloth beside
+it that is not seen. An arm and hand that reach over the cloth hide what is nearer than this [m]."""
 
 CARRIED_FRAMES = 12
 """So many frames of each action are looked at while its picker is closed."""
-
-_Carried = tuple[int, PickerPath, str, list[int]]
 
 
 @dataclass(frozen=True)
@@ -104,11 +107,13 @@ def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> 
     path = recording.picker_paths[hold.name]
     chosen = np.linspace(0, len(hold.closed) - 1, CARRIED_FRAMES).round().astype(int)
     gaps = [
-        _gap_m(frames, frame, path.position_at(recording.frames[frame].time_s))
+        carried_distances_m(seen, tip[None], allowance_m(recording))[0]
         for frame in {hold.closed[place] for place in chosen}
+        for tip in [path.position_at(recording.frames[frame].time_s)]
+        if (seen := frames.at(frame)) is not None and len(seen.points)
     ]
-    gap_m, limit_m = float(np.nanmedian(gaps)), FARTHEST_CARRIED_M + allowance_m(recording)
-    if not gap_m > limit_m:
+    gap_m, limit_m = float(np.median(gaps)) if gaps else 0.0, FARTHEST_CARRIED_M
+    if gap_m <= limit_m:
         return None
     return Finding(
         "picker path", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
@@ -118,7 +123,33 @@ def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> 
     )  # fmt: skip
 
 
-def _gap_m(frames: ObservedFrames, frame: int, tip: np.ndarray) -> float:
+def carried_distances_m(
+    seen: Observation, tips: Float[np.ndarray, "tips 3"], allowance_m: float
+) -> Float[np.ndarray, " tips"]:
+    """Distance of tips from the cloth of a frame [m], less what may be there and is not seen."""
+    gaps = cKDTree(seen.points).query(tips)[0] - allowance_m
+    return np.maximum(gaps - HIDDEN_M * _hidden(seen, tips), 0.0)
+
+
+def _hidden(seen: Observation, tips: Float[np.ndarray, "tips 3"]) -> Bool[np.ndarray, " tips"]:
+    """In some picture, and on a hidden pixel in all that it is in."""
+    inside, clear = np.zeros((2, len(tips)), dtype=bool)
+    for camera in seen.cameras:
+        pixels, depth = camera.project(tips)
+        columns, rows = np.rint(np.nan_to_num(pixels, nan=-1.0)).T
+        here = (depth > 0) & (columns >= 0) & (columns < camera.width)
+        here &= (rows >= 0) & (rows < camera.height)
+        inside |= here
+        picture = seen.hidden.get(camera.name)
+        if picture is None:
+            clear |= here
+        else:
+            places = rows[here].astype(np.int64), columns[here].astype(np.int64)
+            clear[here] |= ~picture[places]
+    return inside & ~clear
+
+
+def _gap_m(frames: ObservedFrames, frame: int, tip: Float[np.ndarray, " 3"]) -> float:
     """Distance of a tip from the nearest point of the cloth [m]; NaN where none is seen."""
     seen = frames.at(frame)
     if seen is None or not len(seen.points):

@@ -13,10 +13,13 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
-from clothtrack.recordings.geometry_checks.picker_checks import allowance_m, held_by_name
+from clothtrack.recordings.geometry_checks.picker_checks import (
+    allowance_m,
+    carried_distances_m,
+    held_by_name,
+)
 from clothtrack.recordings.recording import PickerPath, Recording
 
 LARGEST_LAG_S = 0.2
@@ -32,7 +35,7 @@ STEP_S = 0.05
 LEAST_GAIN_M = 0.008
 """By so much nearer to the cloth the shifted path must be [m] for the clock to be doubted."""
 
-LARGEST_REST_M = 0.02
+LARGEST_REST_M = 0.01
 """Mean distance of the shifted path from the cloth [m] above which no lag explains the path."""
 
 FAR_M = 0.04
@@ -98,11 +101,13 @@ def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
         seen = frames.at(frame)
         if seen is None or not len(seen.points):
             continue
-        cloth, times = cKDTree(seen.points), recording.frames[frame].time_s - lags
+        times = recording.frames[frame].time_s - lags
         for path in paths:
             closed = _closed(path, times)
+            if not closed.any():
+                continue
             tips = np.stack([np.interp(times[closed], path.time_s, a) for a in path.positions.T], 1)
-            beside = np.maximum(cloth.query(tips)[0] - allowance_m(recording), 0.0)
+            beside = carried_distances_m(seen, tips, allowance_m(recording))
             total[closed] += np.minimum(beside, FAR_M)
             count[closed] += 1.0
     none = int(np.argmin(np.abs(lags)))

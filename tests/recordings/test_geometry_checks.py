@@ -1,0 +1,238 @@
+"""Wrong geometry is found and named, on a drawn towel that is carried; the right one is not.
+
+The recording is drawn here, without noise: a flat towel on a table, seen by a tilted camera, one
+end of which is lifted, carried over the other and laid down.
+"""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.finding import ObservedFrames
+from clothtrack.recordings.geometry_checks.mesh_gap import mesh_gap_m
+from clothtrack.recordings.geometry_checks.picker_clock import picker_lag
+from clothtrack.recordings.inspection import inspect
+from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
+from clothtrack.recordings.store import RecordingWriter, read_recording
+
+WIDTH_M, LENGTH_M, RATE = 0.24, 0.3, 10.0
+COLUMNS, ROWS = 13, 16
+TURN = Rotation.from_euler("x", 20.0, degrees=True).as_matrix()
+FRAMES = 24
+CLOSED, OPEN = 6, 18
+
+
+def camera():
+    pose = np.eye(4)
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ TURN
+    pose[:3, 3] = -0.7 * pose[:3, 2]
+    return Camera("top", 240, 180, 220.0, 220.0, 119.5, 89.5, pose)
+
+
+def towel(progress):
+    """Flat at 0; at 1 the far end lies 0.1 m nearer, what is between stands up as an arch."""
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, COLUMNS) * WIDTH_M, np.linspace(0, 1, ROWS))
+    moved = np.clip((y - 0.5) / 0.5, 0.0, 1.0)
+    height = 0.003 + 0.12 * np.sin(np.pi * progress) * moved**2
+    along = LENGTH_M * (y - 0.5) - 0.1 * progress * moved
+    vertices = np.stack([x, along, height], axis=-1).reshape(-1, 3)
+    corner = np.arange(COLUMNS * ROWS).reshape(ROWS, COLUMNS)
+    a, b, c, d = (part.ravel() for part in (
+        corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]))  # fmt: skip
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return ClothMesh(vertices, faces.astype(np.int32))
+
+
+def progress_at(frame):
+    return np.clip((frame - CLOSED) / (OPEN - CLOSED), 0.0, 1.0)
+
+
+def tip_at(frame):
+    return towel(progress_at(frame)).vertices[-1 - COLUMNS // 2]
+
+
+@pytest.fixture(scope="module")
+def towel_film(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("film") / "towel"
+    eye = camera()
+    ground = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
+    table = Rasteriser(np.array([[0, 1, 2], [0, 2, 3]]), eye).render(ground).depth
+    draw = Rasteriser(towel(0.0).faces, eye)
+    with RecordingWriter(
+        folder,
+        [eye],
+        {"top": 0.0005},
+        table=Table(np.zeros(3), np.array([0.0, 0.0, 1.0])),
+        cloth=ClothDescription("towel", None, (WIDTH_M, LENGTH_M), towel(0.0)),
+    ) as writer:
+        for frame in range(FRAMES):
+            cloth = draw.render(towel(progress_at(frame)).vertices).depth
+            writer.add_frame(
+                frame / RATE, color={}, depth={"top": np.minimum(table, cloth)},
+                mask={"top": cloth < table}, cloud=None,
+            )  # fmt: skip
+        number = np.arange(FRAMES)
+        tips = np.stack([tip_at(frame) for frame in number])
+        writer.set_picker_path(
+            "hand", PickerPath(number / RATE, tips, (number >= CLOSED) & (number < OPEN))
+        )
+        writer.add_action(0, FRAMES - 1, ["hand"])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def film(towel_film):
+    return read_recording(towel_film)
+
+
+def with_camera(recording, **changes):
+    return replace(recording, cameras=(replace(recording.cameras[0], **changes),))
+
+
+def posed(recording, change):
+    pose = np.array(recording.cameras[0].world_from_camera)
+    return with_camera(recording, world_from_camera=change(pose))
+
+
+def with_cloth(recording, **changes):
+    return replace(recording, cloth=replace(recording.cloth, **changes))
+
+
+def with_path(recording, **changes):
+    path = replace(recording.picker_paths["hand"], **changes)
+    return replace(recording, picker_paths={"hand": path})
+
+
+def with_unit(recording, factor):
+    return replace(recording, depth_units_m={"top": factor * recording.depth_units_m["top"]})
+
+
+def lifted(recording, by_m):
+    return posed(recording, lambda pose: pose + by_m * np.eye(4)[2][:, None] * np.eye(4)[3])
+
+
+def turned(recording, degrees):
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("x", degrees, degrees=True).as_matrix()
+    return posed(recording, lambda pose: pose @ turn)
+
+
+def moved_path(recording, *by_m):
+    return with_path(recording, positions=recording.picker_paths["hand"].positions + by_m)
+
+
+def moved_template(recording, change):
+    template = recording.cloth.template
+    return with_cloth(recording, template=template.with_vertices(change(template.vertices)))
+
+
+def late(recording, by_s):
+    """A picker whose clock differs, its path going on at rest."""
+    path = recording.picker_paths["hand"]
+    times = np.array([-9.0, *(path.time_s + by_s), 99.0])
+    return with_path(
+        recording,
+        time_s=times,
+        positions=path.positions[[0, *range(FRAMES), -1]],
+        closed=np.array([False, *path.closed, False]),
+    )
+
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+WRONG = {
+    "inverted": (lambda r: posed(r, np.linalg.inv), "camera pose", "inverted"),
+    "opengl": (lambda r: posed(r, lambda pose: pose @ FLIP), "camera pose", "OpenGL"),
+    "tilted": (lambda r: turned(r, 4.0), "camera pose", "4.0 degrees"),
+    "lifted": (lambda r: lifted(r, 0.1), "camera pose", "world_from_camera"),
+    "unit * 10": (lambda r: with_unit(r, 10.0), "depth unit", "0.005 is likely to be 0.0005"),
+    "unit / 1000": (lambda r: with_unit(r, 1e-3), "depth unit", "5e-07 is likely to be 0.0005"),
+    "longer": (lambda r: with_cloth(r, size_m=(WIDTH_M, 0.6)), "size", "cloth.size_m"),
+    "smaller": (lambda r: with_cloth(r, size_m=(0.2, 0.25)), "size", "fx and fy"),
+    "beside": (lambda r: moved_template(r, lambda v: v + (0.5, 0, 0)), "template", "(-0.50 "),
+    "larger": (lambda r: moved_template(r, lambda v: 1.4 * v), "template", "cloth.template"),
+    "picker": (lambda r: moved_path(r, 0.2, 0.0, 0.0), "picker path", "x_m, y_m, z_m"),
+    "high": (lambda r: moved_path(r, 0.0, 0.0, 0.08), "picker path", "world of the cameras"),
+    "late": (lambda r: late(r, 0.5), "picker clock", "subtract 0.50 s"),
+    "early": (lambda r: late(r, -0.4), "picker clock", "add 0.40 s"),
+}  # fmt: skip
+
+
+def test_a_right_recording_is_not_accused(film, towel_film):
+    assert check_geometry(film) == ()
+    inspection = inspect(towel_film)
+    assert inspection.as_dict()["geometry"] == []
+    assert "doubtful" not in inspection.text()
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_geometry_is_found_and_its_field_named(film, name):
+    change, check, words = WRONG[name]
+    finding = check_geometry(change(film))[0]
+    assert finding.check == check
+    assert words in finding.text
+    assert "\n" not in finding.text
+    assert finding.measured != finding.expected
+
+
+@pytest.mark.parametrize("flaw", ["heap", "folded"])
+def test_a_first_frame_that_is_not_flat_is_found_where_no_template_says_how_it_lies(film, flaw):
+    # In the middle of the action an end stands in the air; at its end it lies nearer.
+    first = {"heap": (CLOSED + OPEN) // 2, "folded": FRAMES - 1}[flaw]
+    frames = (film.frames[first],)
+    begun_late = replace(film, frames=frames, actions=(), cloth=replace(film.cloth, template=None))
+    (finding,) = check_geometry(begun_late)
+    assert finding.check == {"heap": "first frame", "folded": "size"}[flaw]
+    assert "flat" in finding.text
+
+
+def test_what_was_cut_away_accuses_nobody(film):
+    observed = replace(film.observed, lowest_height_m=0.05)
+    elsewhere = moved_template(replace(film, observed=observed), lambda v: v + (0.05, 0.0, 0.0))
+    template = elsewhere.cloth.template
+    seen = ObservedFrames(elsewhere).at(0)
+    assert mesh_gap_m(template.vertices, template.faces, seen) is None
+    assert "template" not in [finding.check for finding in check_geometry(elsewhere)]
+
+
+def test_the_lag_is_that_of_the_clock(film):
+    lags = [picker_lag(late(film, by), ObservedFrames(film)).lag_s for by in (0.6, 0.3, 0, -0.5)]
+    np.testing.assert_allclose(lags, [-0.6, -0.3, 0.0, 0.5], atol=0.051)
+    assert all(a < b for a, b in pairwise(lags))
+
+
+def test_a_picker_whose_hold_is_named_may_be_beside_the_cloth(film):
+    beside = moved_path(film, 0.2, 0.0, 0.0)
+    named = with_cloth(beside, held_vertices={"hand": np.array([0])})
+    assert check_geometry(named) == ()
+
+
+def test_a_template_that_no_camera_sees_is_not_where_the_cloth_is(film):
+    template, seen = film.cloth.template, ObservedFrames(film).at(0)
+    assert mesh_gap_m(template.vertices, template.faces, seen) < 0.003
+    behind = template.vertices + (0.0, 0.0, 3.0)
+    assert mesh_gap_m(behind, template.faces, seen) > 1.0
+
+
+def test_inspect_leaves_a_doubtful_recording_valid(towel_film, tmp_path, edit):
+    import shutil
+
+    copy = tmp_path / "doubtful"
+    shutil.copytree(towel_film, copy)
+    edit(copy, lambda document: document["cloth"].update(size_m=[0.24, 0.6]))
+    inspection = inspect(copy)
+    assert inspection.valid
+    assert "a valid recording; its geometry is doubtful in 1 place\n" in inspection.text()
+    (found,) = json.loads(json.dumps(inspection.as_dict()))["geometry"]
+    assert found["check"] == "size"
+    assert found["field"] == "cloth.size_m"
+    assert found["unit"] == "m"
+    assert found["measured"] == pytest.approx(LENGTH_M, abs=0.01)
+    assert found["expected"] == pytest.approx(0.6)
