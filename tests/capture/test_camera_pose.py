@@ -19,6 +19,7 @@ from clothtrack.capture.camera_pose import (
     save_placement,
 )
 from clothtrack.capture.hand_eye import RobotPose
+from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.store import RecordingWriter, read_recording
@@ -94,6 +95,39 @@ def test_by_the_table(filmed):
     assert np.degrees(np.arccos(found[2, :3] @ camera.world_from_camera[2, :3])) < 0.05
     assert abs(found[2, 3] - camera.position[2]) < 0.0005
     assert again.provenance["camera_placement"]["by"] == "table"
+
+
+def far_table(folder, noise_m):
+    """A table 2.5 m under the camera, its depth off by this (standard deviation)."""
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 2.5
+    camera = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5, pose)
+    off = np.random.default_rng(0).normal(0.0, noise_m, (120, 160))
+    with RecordingWriter(folder, [camera], {"top": 0.0005}) as writer:
+        writer.add_frame(0.0, depth={"top": table_depth(camera) + off})
+    return folder
+
+
+@pytest.mark.parametrize(("noise_mm", "warned"), [(1.0, False), (6.0, True)])
+def test_a_table_that_is_hardly_a_plane_is_doubted(tmp_path, capsys, noise_mm, warned):
+    folder = far_table(tmp_path / "far", 1e-3 * noise_mm)
+    assert cli.main(["calibrate-camera", str(folder), "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["fit"]["residual_mm"] == pytest.approx(noise_mm, rel=0.1)
+    assert ("is the plane found the table?" in said.err) == warned
+
+
+def test_a_plane_that_is_no_table_is_refused_unless_told(tmp_path, capsys):
+    folder = far_table(tmp_path / "far", 0.014)
+    before = (folder / "recording.json").read_text()
+    assert cli.main(["calibrate-camera", str(folder)]) == 1
+    said = capsys.readouterr().err
+    assert "(at most 10)" in said
+    assert "--force" in said
+    assert said.count("\n") == 1
+    assert (folder / "recording.json").read_text() == before
+    assert cli.main(["calibrate-camera", str(folder), "--force"]) == 0
+    assert (folder / "recording.json").read_text() != before
 
 
 def test_by_a_board(filmed):

@@ -44,14 +44,16 @@ def test_a_corrected_recording_is_tracked_again(tracked, capsys):
     recording, result = tracked / "recordings" / "towel", tracked / "tracked" / "towel.zarr"
     words = ["track", str(recording), "--output", str(tracked / "tracked"), *FAST]
     assert cli.main(words) == 0
-    assert capsys.readouterr().out == f"{result}   (finished before)\n"
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"{result}   (finished before)"
+    assert second.strip().split(":")[0] in ("trust", "look", "reject")
     before = TrackedTrajectory.load(result)
 
     correct_the_path(recording)
     assert cli.main([*words, "--set", "tracker.attachment_strength=0.5"]) == 1
     assert "other settings" in capsys.readouterr().err
     assert cli.main(words) == 0
-    assert capsys.readouterr().out == f"{result}   (recording changed, tracked again)\n"
+    assert capsys.readouterr().out.startswith(f"{result}   (recording changed, tracked again)\n")
     after = TrackedTrajectory.load(result)
     assert not np.array_equal(after.positions, before.positions)
     assert after.provenance["recording_sha256"] != before.provenance["recording_sha256"]

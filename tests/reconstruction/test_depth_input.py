@@ -88,6 +88,25 @@ def test_a_depth_picture_becomes_a_mesh(picture, weights, tmp_path, capsys):
     assert -0.01 < mesh.vertices[:, 2].min() < mesh.vertices[:, 2].max() < 0.2
 
 
+def test_a_mesh_is_named_after_its_picture_and_replaces_none_unasked(
+    picture, weights, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    words = ["reconstruct", str(picture), "--garment", "towel", "--weights", str(weights)]
+    words += ["--focal", "150", "--no-refined"]
+    assert cli.main(words) == 0
+    mesh = tmp_path / "out" / f"{picture.stem}.obj"
+    mesh.write_text("mine")
+    capsys.readouterr()
+    assert cli.main(words) == 1
+    said = capsys.readouterr().err
+    assert f"out/{picture.stem}.obj: is there already" in said
+    assert said.count("\n") == 1
+    assert mesh.read_text() == "mine"
+    assert cli.main([*words, "--force"]) == 0
+    assert mesh.read_text() != "mine"
+
+
 @pytest.mark.parametrize(
     "case",
     [

@@ -169,7 +169,7 @@ def test_the_command_fine_tunes_unless_told_not_to(model, tmp_path, capsys):
     save_weights(weights, model.state_dict(), TINY_NETWORK, kind="towel")
     told = []
     for more in ([], ["--no-refined"]):
-        words = ["reconstruct", str(recording), "--weights", str(weights), "--json"]
+        words = ["reconstruct", str(recording), "--weights", str(weights), "--json", "--force"]
         assert cli.main([*words, "--output", str(tmp_path / "mesh.obj"), *more]) == 0
         told.append(json.loads(capsys.readouterr().out))
     assert len(told[0]["chamfer_m2"]) == 3
