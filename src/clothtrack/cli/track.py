@@ -62,6 +62,7 @@ def demo(
     page = ct.write_report(run, output / f"{run.name}.html")
     say(table([ct.evaluate(run, device=device)]))
     say(f"tracked  {_line(outcome)}")
+    say(f"verdict  {run.verdict}")
     say(f"report   {page}   (open it in a browser; it needs no network)")
     return 0
 
@@ -124,7 +125,7 @@ def track(
         if outcome.result is None:
             complain(outcome.error)
         elif not json:
-            say(_line(outcome))
+            say(f"{_line(outcome)}\n  {_verdict(outcome)}")
     return 1 if any(outcome.result is None for outcome in outcomes) else 0
 
 
@@ -160,10 +161,9 @@ def _track(
 
 
 def _line(outcome: "Outcome") -> str:
-    """Where a result lies, what it is worth, and why it was tracked again or was not."""
+    """Where a result lies, and why it was tracked again or was not."""
     again = "   (recording changed, tracked again)" if outcome.tracked_again else ""
-    line = f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)
-    return f"{line}\n  {_verdict(outcome)}"
+    return f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)
 
 
 def _verdict(outcome: "Outcome") -> "Verdict":
