@@ -16,4 +16,7 @@ def test_wrong_geometry_of_a_small_towel_is_found(tmp_path, capsys):
     missed = {row["kind"] for row in report["wrong"] if not row["checks"]}
     # Its camera looks straight down, where the inverse of a pose is nearly the pose itself.
     assert missed <= {"inverted"}
-    assert "0 of 1 right ones are accused" in capsys.readouterr().out
+    assert report["bare"][0]["checks"] == []
+    assert "of 1 right ones, 1 of them once more without their template, 0 are accused" in (
+        capsys.readouterr().out
+    )

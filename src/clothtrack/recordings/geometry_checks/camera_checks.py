@@ -99,7 +99,7 @@ def _wrong_pose(recording: Recording, camera: Camera, table: Table, place: int) 
 
 
 def _cause(camera: Camera, fit: TableFit, table: Table) -> str:
-    """What the pose is likely to be, where another one fits; empty where none does."""
+    """What the pose is likely to be, where another one fits; what else may be wrong."""
     pose = camera.world_from_camera
     others: Mapping[str, Float[np.ndarray, "4 4"]] = {
         "it looks inverted, the pose of the world in the camera": np.linalg.inv(pose),
@@ -110,7 +110,7 @@ def _cause(camera: Camera, fit: TableFit, table: Table) -> str:
         tilt_deg, shift_m = _apart(fit, _recorded(other, table))
         if tilt_deg <= LARGEST_TILT_DEG and abs(shift_m) <= LARGEST_SHIFT_M:
             return f" ({words})"
-    return ""
+    return ", or fx, fy, cx and cy of the camera"
 
 
 def _recorded(world_from_camera: Float[np.ndarray, "4 4"], table: Table) -> _Plane:

@@ -48,7 +48,7 @@ class _Spread:
         sides_m: longer and shorter side of the smallest rectangle around it [m].
         fill: share of that rectangle that it covers.
         lowest_m: height above the table that 5 % of the points are under [m].
-        rise_m: from its middle height to that which 5 % of the points are above [m].
+        rise_m: from its middle height to that which 1 % of the points are above [m].
         cut_off: it reaches the rim of the picture.
     """
 
@@ -212,7 +212,7 @@ def _spread(observation: Observation, table: Table) -> _Spread:
     places, heights = on_table(observation.points, table)
     long, short = _sides(places)
     covered = np.unique(np.floor(places / FILL_CELL_M), axis=0)
-    low, middle, high = np.percentile(heights, [5, 50, 95]).tolist()
+    low, middle, high = np.percentile(heights, [5, 50, 99]).tolist()
     return _Spread(
         (long, short),
         float(len(covered) * FILL_CELL_M**2 / (long * short)),
