@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from clothtrack.recordings.inspection import inspect
 
 
@@ -48,3 +50,30 @@ def test_a_thousand_violations_do_not_flood_the_screen(write, edit, tmp_path):
     assert len(inspection.violations) > 50
     assert len(inspection.text().splitlines()) == 22
     assert "more" in inspection.text().splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [("tshirt", "calibrate-camera"), ("other", "cloth.kind is 'other'")],
+)
+def test_a_table_that_is_not_known_yet_is_no_cloth_that_hangs(write, edit, tmp_path, kind, told):
+    write(tmp_path / "imported")
+
+    def as_imported(document):
+        document["table"] = None
+        document["cloth"] = {"kind": kind}
+
+    edit(tmp_path / "imported", as_imported)
+    inspection = inspect(tmp_path / "imported")
+    assert inspection.valid
+    assert "hangs" not in inspection.text()
+    assert "calibrate-camera" in inspection.facts["table"]
+    (note,) = [note for note in inspection.notes if "no template" in note]
+    assert told in note
+    assert f"this is {kind!r}" not in note
+
+
+def test_a_cloth_with_a_template_and_no_table_hangs(write, edit, tmp_path):
+    write(tmp_path / "held")
+    edit(tmp_path / "held", lambda document: document.update(table=None))
+    assert inspect(tmp_path / "held").facts["table"] == "none: the cloth hangs"
