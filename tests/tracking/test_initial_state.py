@@ -210,7 +210,16 @@ def test_a_source_that_there_is_not_is_refused():
 
 def test_tracking_starts_where_the_network_saw_the_cloth(filmed, weights, tmp_path, capsys):
     settings = [word for one in SHORT for word in ("--set", one)]
-    words = ["track", str(filmed), "--output", str(tmp_path), "--weights", str(weights), *settings]
+    words = [
+        "track",
+        str(filmed),
+        "--output",
+        str(tmp_path),
+        "--weights",
+        str(weights),
+        *settings,
+        "--force",
+    ]
     assert cli.main([*words, "--json"]) == 0
     (outcome,) = json.loads(capsys.readouterr().out)
     tracked = TrackedTrajectory.load(Path(outcome["result"]))
