@@ -18,7 +18,7 @@ from clothtrack.cli.options import (
     list_settings,
     require_weights,
 )
-from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say, say_result
+from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 from clothtrack.front.learning_extra import require_learning
 
@@ -97,6 +97,7 @@ def flatten(
         return 2
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
+    from clothtrack.files.progress import one_of
     from clothtrack.front.flattening import episode_parts
     from clothtrack.report.flattening_page import watched_live
 
@@ -111,6 +112,7 @@ def flatten(
             store = ct.flatten(
                 output, garment, config=config, seed=seed + number, device=device,
                 parts=parts, watch=watch,
+                progress=one_of(progress, number, episodes, "episode"),
             )  # fmt: skip
             rows.append(_summary(store, output))
             if not json:
@@ -191,7 +193,6 @@ def train_dynamics(
     outcome = train_mesh_dynamics(
         make(), names, config, output / "model", device=device, progress=progress
     )
-    end_progress()
     return _say_outcome(outcome, json=json)
 
 
@@ -250,7 +251,6 @@ def improve(
     curve = improve_rounds(
         weights, output, garment, config, old=old, device=device, seed=seed, progress=progress
     )
-    end_progress()
     lines = [
         f"round {number}   improvement {row['mean']:.3f} +- {row['deviation']:.3f} over "
         f"{row['episodes']} episodes   {row['weights']}"

@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 import clothtrack as ct
 from clothtrack.cli.options import AsJson, Device, Seed, Settings
-from clothtrack.cli.terminal import TERMINATED, complain, end_progress, progress, say, say_result
+from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 from clothtrack.front.learning_extra import require_learning
 
@@ -272,7 +272,6 @@ def _learn(learn: "Callable[..., LearningOutcome]", device: str, *, json: bool) 
         outcome = learn(processes=processes, progress=shown)
     if not processes.writes:
         return 0
-    end_progress()
     lines = [
         f"{name}  {stage.status} after {stage.steps} steps; best held-out error "
         f"{stage.best_score:.4g} {stage.unit} after {stage.best_step}"

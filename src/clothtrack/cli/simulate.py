@@ -59,7 +59,8 @@ def simulate(
     if actions is not None:
         settings = (f"actions={actions}", *settings)
     folders = ct.simulate(
-        output, garment, count, seed=seed, template=template, settings=settings, workers=workers
+        output, garment, count, seed=seed, template=template, settings=settings, workers=workers,
+        progress=progress,
     )
     say("\n".join(map(str, folders)))
     return 0 if len(folders) == count else 1

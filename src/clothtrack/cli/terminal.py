@@ -1,7 +1,6 @@
 """What the command line says, where it says it, and with which code it ends.
 
-Results go to standard output, everything else to standard error; progress is for people only, so
-it is shown on a terminal and nowhere else.
+Results go to standard output, everything else to standard error.
 """
 
 import json as json_module
@@ -13,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from clothtrack.cli.progress_line import ProgressLine
 from clothtrack.errors import ClothTrackError, StorageError
 
 INTERRUPTED = 128 + signal.SIGINT
@@ -21,10 +21,13 @@ TERMINATED = 128 + signal.SIGTERM
 
 _SAME_REQUEST_S = 1.0
 
+progress = ProgressLine()
+"""Says how far the verb is (`clothtrack.files.progress`), on standard error."""
+
 
 def say(text: str) -> None:
     """Write a result."""
-    end_progress()
+    progress.clear()
     sys.stdout.write(text + "\n")
     # Whoever reads a pipe wants the address of a page before the page is closed.
     sys.stdout.flush()
@@ -37,21 +40,8 @@ def say_result(text: str, document: object, *, json: bool) -> None:
 
 def complain(text: str) -> None:
     """Write one clear line of what is wrong."""
-    end_progress()
+    progress.clear()
     sys.stderr.write(f"clothtrack: {text}\n")
-
-
-def progress(name: str, done: int, total: int) -> None:
-    """Show how far we are, over the line that said it before."""
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r{name}  {done}/{total}\x1b[K")
-        sys.stderr.flush()
-
-
-def end_progress() -> None:
-    """Take the line of progress away."""
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")
 
 
 def exit_code(run: Callable[[], int]) -> int:
@@ -59,6 +49,7 @@ def exit_code(run: Callable[[], int]) -> int:
 
     That code is 1 when something a person can mend fails, 130 after Ctrl-C and 143 after SIGTERM.
     """
+    progress.begin()
     with _sigterm_as_ctrl_c() as terminations:
         return _exit_code(run, terminations)
 

@@ -3,4 +3,32 @@
 from collections.abc import Callable
 
 Progress = Callable[[str, int, int], None]
-"""Called with the name of the work, the steps done and the steps in all."""
+"""Called with the place in the work, and how much of it is done and in all.
+
+The place is words: the thing worked on, then what of how many ("towel_0001: action 1/2, frame
+12/41"). What is done is counted in units that take about the same time, so that the time that is
+left can be estimated; it grows. All may be an estimate, and is 0 as long as nobody knows.
+"""
+
+_PARTS = 10_000
+"""Of each of several things that are worked on one after the other."""
+
+
+def one_of(progress: Progress | None, before: int, count: int, kind: str = "") -> Progress | None:
+    """The progress of one of several things, told as that of all; they are taken to be alike.
+
+    Args:
+        progress: is told of all; None: nobody is told.
+        before: how many are done.
+        count: how many there are.
+        kind: what they are, where the place does not say it.
+    """
+    name = f"{kind} {before + 1}/{count}," if kind else f"{before + 1}/{count}"
+    if progress is None or count == 1:
+        return progress
+
+    def tell(place: str, done: int, total: int) -> None:
+        share = round(_PARTS * done / total) if total else 0
+        progress(f"{name} {place}", before * _PARTS + share, count * _PARTS)
+
+    return tell

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.progress import Progress
 from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.planning.episode_store import EpisodeStore
@@ -39,6 +40,7 @@ def flatten(
     device: str = "cpu",
     parts: EpisodeParts | None = None,
     watch: Watch | None = None,
+    progress: Progress | None = None,
 ) -> EpisodeStore:
     """Flatten a crumpled garment of the simulated world: perceive, plan, act, and look again.
 
@@ -52,6 +54,7 @@ def flatten(
         device: "cpu" or "cuda:0".
         parts: networks that several episodes share; loaded for this one by default.
         watch: called after every step.
+        progress: called with every action, and with what is done for it.
 
     Returns:
         The episode on disk: its steps and its status.
@@ -70,7 +73,8 @@ def flatten(
         own = replace(vary(garment, seed), size_m=None, garment=changed.perception.template)
         robot = SimulatedRobotConfig(episode=own)
     return flatten_simulated(
-        Path(output), episode, changed, robot_config=robot, parts=parts, device=device, watch=watch
+        Path(output), episode, changed, robot_config=robot, parts=parts, device=device,
+        watch=watch, progress=progress,
     )
 
 
@@ -120,6 +124,7 @@ def simulate(
     small: bool = False,
     settings: Sequence[str] = (),
     workers: int = 1,
+    progress: Progress | None = None,
 ) -> list[Path]:
     """Record pick-and-places in a simulated world that knows the truth.
 
@@ -132,6 +137,7 @@ def simulate(
         small: one action with a napkin before a small camera, in a few seconds.
         settings: changes to what is recorded, such as "sensor.width=320" or "actions=2".
         workers: processes.
+        progress: called first, and after each recording.
 
     Returns:
         The folders of the recordings.
@@ -141,5 +147,6 @@ def simulate(
     if template is not None:
         config = replace(config, size_m=None, garment=str(template))
     return episodes.simulate(
-        Path(output), garment, trajectories, seed=seed, config=config, processes=workers
-    )
+        Path(output), garment, trajectories, seed=seed, config=config, processes=workers,
+        progress=progress,
+    )  # fmt: skip

@@ -150,7 +150,8 @@ def track(
         settings: changes to the configuration, such as "tracker.alignment.iterations=50".
         device: "cpu" or "cuda:0".
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
-        progress: called after every frame with the recording's name, frames done and in all.
+        progress: called after every frame with its place in the work, and how much of the work is
+            done and in all.
         force: track although the first mesh lies more than 2 cm (rms) from its cloud.
         **parts: replacements for parts of Algorithm 1: observe, pick, calibrate, dynamics, align,
             line_search, align_last.

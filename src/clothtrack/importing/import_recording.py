@@ -162,7 +162,7 @@ def _write_frames(
             times.append(time_s)
             job.show(time_s, result)
         if progress is not None:
-            progress("import", done, len(pairs))
+            progress(f"frame {done}/{len(pairs)}", done, len(pairs))
     return times, damaged
 
 

@@ -14,6 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.files.progress import Progress
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace, SeenCloth
 from clothtrack.planning.episode_store import EpisodeStore, write_step
@@ -127,13 +128,17 @@ class Flattening:
         self._planner = Planner(dynamics, config.planner) if config.policy == "planned" else None
         self._propose = propose
         self._seed, self._score, self._checkpoint = seed, score, checkpoint
+        self._progress: Progress | None = None
 
-    def run(self, folder: Path, *, watch: Watch | None = None) -> EpisodeStore:
+    def run(
+        self, folder: Path, *, watch: Watch | None = None, progress: Progress | None = None
+    ) -> EpisodeStore:
         """Flatten, or go on where a killed episode stopped; a finished one is left as it is.
 
         Args:
             folder: of the episode (`EpisodeStore`).
             watch: called after every step.
+            progress: called with every action, and with what is done for it.
 
         Returns:
             The episode on disk.
@@ -154,6 +159,7 @@ class Flattening:
         )  # fmt: skip
         if store.finished:
             return store
+        self._progress = progress
         done = len(store.steps) - 1
         if done >= 0:
             store.clear_after(done)
@@ -168,8 +174,21 @@ class Flattening:
             look, estimates = self._advance(store, look, estimates, watch)
         return store
 
+    def _tell(self, actions: int, phase: str) -> None:
+        """Tell how many actions are done, and what is done for the next one."""
+        if self._progress is None:
+            return
+        most, phases = self._config.actions, ("look", "plan", "act")
+        planned = f" among {self._config.planner.candidates} candidates" if phase == "plan" else ""
+        self._progress(
+            f"action {min(actions + 1, most)}/{most} at most: {phase}{planned}",
+            len(phases) * actions + phases.index(phase),
+            len(phases) * most + 1,
+        )
+
     def _first_look(self, store: EpisodeStore) -> tuple[Look, list[Estimate]]:
         """The cloth before any action."""
+        self._tell(0, "look")
         self._robot.home()
         recording = write_step(
             store.recording_path(0), [self._robot.observe()], cloth=self._scene.cloth,
@@ -188,6 +207,7 @@ class Flattening:
         decision = None
         status = self._ended(store, row)
         if not status:
+            self._tell(number, "plan")
             decision = self._decide(look, estimates, number)
             # Whoever promises nothing may have had bad luck with its candidates: look once more.
             for again in range(1, PATIENCE):
@@ -201,6 +221,7 @@ class Flattening:
             watch(store, decision)
         if status or decision is None or decision.action is None:
             return look, estimates
+        self._tell(number, "act")
         execution = self._robot.execute(decision.action)
         if not execution.error:
             # After a fault nothing moves until somebody has looked.
@@ -210,6 +231,7 @@ class Flattening:
             store.recording_path(number + 1), frames, cloth=self._scene.cloth,
             table=self._scene.table, execution=execution,
         )  # fmt: skip
+        self._tell(number + 1, "look")
         look = Look(recording, acted=True, before=estimates)
         row = _step_row(number + 1, decision, decision.action, execution)
         return look, self._finish_step(store, look, row)

@@ -112,6 +112,15 @@ class CalibrationConfig(Checked):
         """Number of combinations in the full grid."""
         return int(np.prod([len(values) for values in self.axes.values()]))
 
+    @property
+    def passes(self) -> int:
+        """Most passes over an action that tracking takes: those of a search, or the chosen one."""
+        if self.method == "none" or self.judge == "open_loop":
+            return 1
+        if self.method == "descent":
+            return 1 + self.sweeps * sum(len(values) - 1 for values in self.axes.values())
+        return self.size
+
 
 def calibrate(
     score: Score | None, start: Theta, config: CalibrationConfig

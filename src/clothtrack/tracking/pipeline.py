@@ -18,7 +18,7 @@ from clothtrack.errors import (
     StorageError,
 )
 from clothtrack.files.atomic_write import content_hash, name_problem
-from clothtrack.files.progress import Progress
+from clothtrack.files.progress import Progress, one_of
 from clothtrack.files.provenance import made_with
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
@@ -135,6 +135,8 @@ def track_recording(
     clock = time.process_time()
     stamp = provenance(recording, config, device)
     cloud = observer(recording, config.cloud_spacing_m, segmenter)
+    if progress is not None:
+        progress(f"{recording.name}: first mesh", 0, 0)
     first = find_initial_state(
         recording,
         cloud(recording.frames[0]),
@@ -199,7 +201,7 @@ def track_recordings(
         config: the whole configuration.
         workers: processes; each tracks one recording at a time.
         device: "cpu" or "cuda:0".
-        progress: called after every frame (with one worker) or every recording.
+        progress: called after every frame (with one worker) or every recording; counts all.
         force: track although a first mesh lies beside its cloud; otherwise that is its outcome.
 
     Returns:
@@ -227,7 +229,10 @@ def track_recordings(
     output.mkdir(parents=True, exist_ok=True)
     work = partial(_track_folder, output=output, config=config, device=device, force=force)
     if workers == 1 or len(folders) == 1:
-        return [work(folder, progress=progress) for folder in folders]
+        return [
+            work(folder, progress=one_of(progress, done, len(folders)))
+            for done, folder in enumerate(folders)
+        ]
     return _track_in_parallel(work, folders, workers, progress)
 
 
@@ -243,7 +248,7 @@ def _track_in_parallel(
             for done, outcome in enumerate(results, 1):
                 outcomes[outcome.recording] = outcome
                 if progress is not None:
-                    progress(outcome.recording.name, done, len(folders))
+                    progress(f"{done}/{len(folders)} recordings", done, len(folders))
     except ClothTrackError as error:
         # A worker was killed, and nobody knows over which recording.
         for folder in folders:

@@ -40,7 +40,9 @@ class Recorder:
         mesh: ClothMesh,
         state: State,
         visible: Visible,
+        *,
         progress: Progress | None = None,
+        passes: int = 1,
     ) -> None:
         """Begin a trajectory that stays where it starts.
 
@@ -50,9 +52,10 @@ class Recorder:
             state: the cloth at the first frame.
             visible: which vertices some camera sees.
             progress: called after every frame.
+            passes: most passes over an action, to tell how much there is to do.
         """
         self._recording, self._mesh, self._visible = recording, mesh, visible
-        self._progress = progress
+        self._progress, self._most, self._passes = progress, passes, 0
         self._positions = np.repeat(
             np.asarray(state.positions, np.float32), len(recording.frames), axis=0
         )
@@ -65,8 +68,24 @@ class Recorder:
         Returns:
             What notes the pass, and the parts with clocks around them.
         """
-        notes = Pass(self._recording, action, self._progress)
+        self._passes += 1
+        notes = Pass(self._recording, action, self._tell)
         return notes, notes.timed(parts)
+
+    def _tell(self, action: PickAndPlace, frame: Frame) -> None:
+        """Tell which frame of which candidate of which action is done."""
+        if self._progress is None:
+            return
+        spans = [one.last_frame - one.first_frame for one in self._recording.actions]
+        number, most = len(self._actions), max(self._most, self._passes)
+        place, span = frame.index - action.first_frame, spans[number]
+        candidate = f", candidate {self._passes}/{most}" if most > 1 else ""
+        self._progress(
+            f"{self._recording.name}: action {number + 1}/{len(spans)}{candidate}, "
+            f"frame {place}/{span}",
+            most * sum(spans[:number]) + (self._passes - 1) * span + place,
+            most * sum(spans),
+        )
 
     def keep(
         self, action: PickAndPlace, followed: FollowedAction, calibration: Calibration
@@ -77,6 +96,7 @@ class Recorder:
         self._positions[within] = followed.positions
         self._positions[action.last_frame :] = end
         self._records.adopt(followed.records, within)
+        self._passes = 0
         self._actions.append(
             TrackedAction(
                 first_frame=action.first_frame,
@@ -109,10 +129,13 @@ class Pass:
     """Notes of one pass over one action."""
 
     def __init__(
-        self, recording: Recording, action: PickAndPlace, progress: Progress | None
+        self,
+        recording: Recording,
+        action: PickAndPlace,
+        tell: Callable[[PickAndPlace, Frame], None],
     ) -> None:
-        """Begin with empty records."""
-        self._recording, self._action, self._progress = recording, action, progress
+        """Begin with empty records; `tell` hears of every frame."""
+        self._action, self._tell = action, tell
         self._records = StepRecords.empty(len(recording.frames))
         self._positions: list[np.ndarray] = []
         self._clocks = dict.fromkeys(("predict_s", "align_s", "correct_s"), 0.0)
@@ -146,8 +169,7 @@ class Pass:
             records.gave_up[at] = corrected.gave_up
         self._clocks = dict.fromkeys(self._clocks, 0.0)
         self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
-        if self._progress is not None:
-            self._progress(self._recording.name, at + 1, len(self._recording.frames))
+        self._tell(self._action, frame)
 
     def finished(
         self, theta: Theta, grasps: Grasps, last: tuple[State, tuple[float, float]]

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.files.progress import Progress
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.refinement import SETTLE_IN_S
@@ -18,7 +19,7 @@ from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.final_alignment import FinalAlignment, no_final_alignment
 from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.picking import pick, without_motion
-from clothtrack.tracking.recorder import Progress, Recorder
+from clothtrack.tracking.recorder import Recorder
 from clothtrack.tracking.seams import Dyn, Observe, Parts
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -67,6 +68,8 @@ class Tracker:
             device: "cpu" or "cuda:0".
         """
         self._recording, self._mesh, self._theta = recording, mesh, config.parameters
+        searched = config.calibration.with_grasp_offset(recording.cloth.grasp_uncertainty_m)
+        self._passes = searched.passes if config.use_action else 1
         config = replace(config, solver=replace(config.solver, table=recording.table))
         solver = ClothSolver(mesh, config.solver, device=device)
         if start is not None:
@@ -88,9 +91,13 @@ class Tracker:
         """Run Algorithm 1 over every action of the recording.
 
         Args:
-            progress: called after every frame with the recording's name, frames done and in all.
+            progress: called after every frame with action, candidate and frame; counts the frames
+                of all passes that may be needed.
         """
-        recorder = Recorder(self._recording, self._mesh, self._state, self._visible, progress)
+        recorder = Recorder(
+            self._recording, self._mesh, self._state, self._visible,
+            progress=progress, passes=self._passes,
+        )  # fmt: skip
         track(self._recording, self._state, dict(self._theta), self.parts, recorder)
         return recorder.trajectory()
 

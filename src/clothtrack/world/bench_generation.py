@@ -54,7 +54,7 @@ def generate_bench(
         out: folder of the benchmark.
         selected: which trajectories; all of the benchmark when None.
         processes: worker processes.
-        progress: called after each trajectory, kept ones included.
+        progress: called first, and after each trajectory, kept ones included.
 
     Returns:
         The entries of the wanted trajectories, in their order.
@@ -72,11 +72,17 @@ def generate_bench(
     for trajectory in selected:
         _refuse_other_settings(out, trajectory, listed.get(trajectory.name))
     missing, done = [], 0
+
+    def tell(name: str = "") -> None:
+        if progress is not None:
+            last = f", the last {name}" if name else ""
+            progress(f"{done}/{len(selected)} trajectories{last}", done, len(selected))
+
+    tell()
     for trajectory in selected:
         if trajectory.name in listed and not damage(out, listed[trajectory.name]):
             done += 1
-            if progress is not None:
-                progress(trajectory.name, done, len(selected))
+            tell(trajectory.name)
         else:
             missing.append(trajectory)
             listed.pop(trajectory.name, None)
@@ -86,8 +92,7 @@ def generate_bench(
             listed[entry["name"]] = entry
             _write_list(out, listed)
             done += 1
-            if progress is not None:
-                progress(entry["name"], done, len(selected))
+            tell(entry["name"])
     return [listed[trajectory.name] for trajectory in selected]
 
 

@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.progress import Progress
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
@@ -107,6 +108,7 @@ def simulate(
     seed: int = 0,
     config: EpisodeConfig | None = None,
     processes: int = 1,
+    progress: Progress | None = None,
 ) -> list[Path]:
     """Film several trajectories, with the seeds `seed`, `seed` + 1 and so on.
 
@@ -120,6 +122,7 @@ def simulate(
         seed: of the first one.
         config: what is filmed, and how.
         processes: worker processes.
+        progress: called first, and after each trajectory.
 
     Returns:
         The folders of the recordings that exist now.
@@ -135,8 +138,17 @@ def simulate(
     config = config or EpisodeConfig()
     film = partial(_simulate_or_skip, kind, out=Path(out), config=config)
     seeds = range(seed, seed + trajectories)
+
+    def tell(done: int) -> None:
+        if progress is not None:
+            progress(f"{done}/{trajectories} recordings", done, trajectories)
+
     with closing(finished_in_workers(film, seeds, processes)) as results:
-        made = set(results)
+        made = set()
+        tell(0)
+        for done, folder in enumerate(results, 1):
+            made.add(folder)
+            tell(done)
     folders = (_folder(Path(out), kind, each) for each in seeds)
     return [folder for folder in folders if folder in made]
 

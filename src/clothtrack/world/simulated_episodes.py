@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.progress import Progress
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
@@ -75,6 +76,7 @@ def flatten_simulated(
     parts: EpisodeParts | None = None,
     device: str = "cpu",
     watch: Watch | None = None,
+    progress: Progress | None = None,
 ) -> EpisodeStore:
     """Flatten one crumpled garment in the stand-in world; a finished episode is left as it is.
 
@@ -86,6 +88,7 @@ def flatten_simulated(
         parts: what several episodes share.
         device: where to compute.
         watch: called after every step.
+        progress: called with every action, and with what is done for it.
 
     Raises:
         InvalidConfigError: `out` holds an episode of this name with other settings.
@@ -107,6 +110,8 @@ def flatten_simulated(
             )
     worlds = _Worlds(robot, out / "worlds" / name)
     if not (out / "episodes" / name / "episode.json").exists():
+        if progress is not None:
+            progress("crumple the cloth", 0, 0)
         start = (parts.starts or out / "starts") / f"{episode.kind}_{episode.seed:04d}.npz"
         begin(robot, start)
     flat, _ = robot.true_cloth()
@@ -127,7 +132,7 @@ def flatten_simulated(
         score=score,
         checkpoint=worlds,
     )
-    store = flattening.run(out / "episodes" / name, watch=watch)
+    store = flattening.run(out / "episodes" / name, watch=watch, progress=progress)
     label = store.document["asked"]["label"]
     store.joined(
         out / "recordings" / name,

@@ -163,7 +163,7 @@ def generate_roll_outs(
         seed: of everything.
         config: what is made, and how.
         processes: worker processes.
-        progress: called after each shard.
+        progress: called with the shards that are kept, and after each further one.
 
     Raises:
         InvalidConfigError: there are no workers or roll-outs, or `out` holds others.
@@ -179,11 +179,13 @@ def generate_roll_outs(
     missing = [number for number, path in enumerate(paths) if not path.exists()]
     work = partial(_make_and_write, out=out, kind=kind, seed=seed, config=config)
     done = shards - len(missing)
+    if progress is not None:
+        progress(f"{kind}: {done}/{shards} shards of roll-outs", done, shards)
     with closing(finished_in_workers(work, missing, processes)) as results:
-        for number in results:
+        for _ in results:
             done += 1
             if progress is not None:
-                progress(f"{kind} {number:04d}", done, shards)
+                progress(f"{kind}: {done}/{shards} shards of roll-outs", done, shards)
     return paths
 
 

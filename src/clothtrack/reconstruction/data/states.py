@@ -163,7 +163,7 @@ def generate_states(
         seed: of everything.
         config: what is made, and how.
         processes: worker processes.
-        progress: called after each shard, kept ones included.
+        progress: called with the shards that are kept, and after each further one.
 
     Raises:
         InvalidConfigError: there are no workers or states, or `out` holds states that were made
@@ -180,8 +180,8 @@ def generate_states(
     listed: dict[str, dict[str, Any]] = document["shards"]
     missing = [number for number in range(count) if not _finished(out, number, listed)]
     done = count - len(missing)
-    if progress is not None and done:
-        progress(f"{kind} kept", done, count)
+    if progress is not None:
+        progress(f"{done}/{count} garments", done, count)
     write_list(out, document)
     work = partial(_make_and_write, out=out, kind=kind, seed=seed, config=config)
     try:
@@ -192,7 +192,7 @@ def generate_states(
                 write_list(out, document)
                 done += 1
                 if progress is not None:
-                    progress(f"{kind} {shard_path(out, number).name}", done, count)
+                    progress(f"{done}/{count} garments", done, count)
     finally:
         # A worker that was killed, or stopped while another of its threads wrote, leaves parts.
         for number in missing:

@@ -143,7 +143,8 @@ def train(
             elif run.step % config.save_steps == 0:
                 run.save()
             if progress is not None:
-                progress(stage.name, run.step, order.steps)
+                place = f"{stage.name}: step {run.step}/{order.steps}"
+                progress(place, run.step, order.steps)
             if together.any(terminated.is_set):
                 run.save()
                 return run.outcome("interrupted")
