@@ -2,6 +2,7 @@
 
 import os
 import pty
+import select
 
 import pytest
 
@@ -29,8 +30,16 @@ def terminal():
     """The writing end of a terminal, and what reads all that it shows."""
     shown, keyboard = pty.openpty()
     with os.fdopen(keyboard, "w") as stream:
-        yield stream, lambda: os.read(shown, 1 << 16).decode()
+        yield stream, lambda: all_of(shown).decode()
     os.close(shown)
+
+
+def all_of(terminal):
+    """What a terminal shows; it may come in pieces."""
+    told = b""
+    while select.select([terminal], [], [], 0.3)[0]:
+        told += os.read(terminal, 1 << 16)
+    return told
 
 
 @pytest.fixture

@@ -53,8 +53,11 @@ def test_later_settings_win():
     [
         ("inner.count", "no value"),
         ("inner.size=1", "known are count, rate"),
+        ("count=1", r"did you mean inner\.count\?"),
+        ("iner.count=1", r"did you mean inner\.count\?"),
+        ("inner.coutn=1", r"did you mean inner\.count\?"),
         ("parameters.bounce=1", "known are friction"),
-        ("inner.count=1.5", "cannot replace 3"),
+        ("inner.count=1.5", "cannot replace 3, which is a whole number"),
         ("inner.count=true", "cannot replace 3"),
         ("inner.on=1", "cannot replace True"),
         ("inner.rate=fast", "cannot replace 0.5"),

@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 
@@ -43,7 +44,8 @@ def segment_live(
         logger.info("choose the cloth at %s", address)
         if opened is not None:
             opened(address)
-        stop.wait()
+        with suppress(KeyboardInterrupt):
+            stop.wait()
     return page.kept
 
 

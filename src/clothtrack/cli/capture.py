@@ -261,6 +261,7 @@ def segment(
     keep: bool = False,
     sheet: Path = Path("masks.png"),
     port: int | None = None,
+    json: AsJson = False,
 ) -> int:
     """Show which pixels are cloth, by one click or box: on a page, or with --click or --box.
 
@@ -273,8 +274,10 @@ def segment(
         keep: write the masks into the recording; on the page there is a button for it.
         sheet: with a click or box, write a picture of masks from all over the recording here.
         port: of the page's server, which listens on this machine only; any free one by default.
+        json: machine-readable; the page's address is then on standard error.
     """
     from clothtrack.capture.camera_pose import camera_named
+    from clothtrack.capture.mask_summary import summary_of
     from clothtrack.capture.segmentation_setup import SegmentationSetup
     from clothtrack.recordings.store import read_recording
 
@@ -286,22 +289,28 @@ def segment(
     if click is None and box is None:
         from clothtrack.capture.segmentation_page import segment_live
 
-        kept = segment_live(setup, port, opened=lambda address: say(f"choose the cloth: {address}"))
+        tell = complain if json else say
+        kept = segment_live(
+            setup, port, opened=lambda at: tell(f"choose the cloth: {at}   Ctrl-C ends")
+        )
         if kept is None:
-            say("nothing was kept")
-            return 1
-        say(f"{kept} masks are in {recording}: {setup.kept_in_words()}")
-        return 0
-    from clothtrack.capture.mask_pictures import write_mask_sheet
+            say_result("nothing was kept", {"masks": 0, "recording": recording}, json=json)
+            return 0
+        lines = []
+    else:
+        from clothtrack.capture.mask_pictures import write_mask_sheet
 
-    if click is not None:
-        setup.choose_click(frame, click)
-    elif box is not None:
-        setup.choose_box(frame, box)
-    say(str(write_mask_sheet(setup, sheet)))
-    if keep:
-        kept = setup.keep()
-        say(f"{kept} masks are in {recording}: {setup.kept_in_words()}")
+        if click is not None:
+            setup.choose_click(frame, click)
+        elif box is not None:
+            setup.choose_box(frame, box)
+        lines = [f"{write_mask_sheet(setup, sheet)}   (look at it)"]
+        kept = setup.keep() if keep else 0
+    if kept:
+        lines.append(f"{kept} masks are in {recording}")
+    summary = summary_of(setup)
+    report = {**summary.as_dict(), "masks": kept, "recording": recording}
+    say_result("\n".join([str(summary), *lines]), report, json=json)
     return 0
 
 
@@ -316,6 +325,7 @@ def record(
     serial: str = "",
     salvage: bool = False,
     port: int | None = None,
+    json: AsJson = False,
 ) -> int:
     """Record from a RealSense camera, with a page that shows the picture and says what to do.
 
@@ -329,6 +339,7 @@ def record(
         serial: number of the camera, when several are connected.
         salvage: record nothing; make a recording of what a broken capture has left.
         port: of the page's server, which listens on this machine only; any free one by default.
+        json: machine-readable; the page's address is then on standard error.
     """
     from clothtrack.capture.live_capture import ReplayedCamera, salvage_capture
     from clothtrack.capture.realsense_camera import open_realsense
@@ -337,8 +348,7 @@ def record(
 
     if salvage:
         saved = salvage_capture(output)
-        say(f"{output}   ({len(saved.frames)} frames)")
-        return 0
+        return _recorded(output, saved, json=json)
     if replay is not None:
         source = ReplayedCamera(read_recording(replay))
     else:
@@ -351,11 +361,20 @@ def record(
             session.watch(seconds)
         recording = session.finish()
     else:
-        recording = record_live(session, port, opened=lambda address: say(f"record at: {address}"))
+        tell = complain if json else say
+        recording = record_live(
+            session, port, opened=lambda at: tell(f"record at: {at}   Ctrl-C ends")
+        )
     if recording is None:
         complain("left before the start; nothing was recorded")
-        return 1
-    say(f"{output}   ({len(recording.frames)} frames)")
+        return 0
+    return _recorded(output, recording, json=json)
+
+
+def _recorded(output: Path, recording: "Recording", *, json: bool) -> int:
+    """Say what was recorded."""
+    count = len(recording.frames)
+    say_result(f"{output}   ({count} frames)", {"recording": output, "frames": count}, json=json)
     return 0
 
 

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 import clothtrack as ct
 from clothtrack.cli.options import AsJson, Device, Seed, Settings
@@ -28,7 +28,7 @@ def label(
     recordings: Path,
     output: Path,
     garment: GarmentChoice = "as recorded",
-    weighted: bool = True,
+    weighted: Annotated[bool, arg(help="let labels of any quality count alike")] = True,
     flat_weight: float = 1.0,
     device: Device = "cpu",
     json: AsJson = False,
@@ -42,7 +42,7 @@ def label(
         recordings: the recording, or the folder in which recordings lie by name.
         output: folder that gets one NAME.labels.npz per trajectory.
         garment: what it is, where the recording does not say or says otherwise.
-        weighted: weigh each label by its quality; otherwise all count alike.
+        weighted: weigh each label by its quality.
         flat_weight: weight of the first frame, before any action; 0 leaves it out.
         device: where to compute.
         json: machine-readable.
@@ -177,11 +177,11 @@ def reconstruct(
     *,
     output: Path | None = None,
     garment: GarmentChoice = "as recorded",
-    size: tuple[float, float] | None = None,
+    size: Annotated[tuple[float, float] | None, arg(metavar="WIDTH LENGTH")] = None,
     template: Path | None = None,
     weights: Path | None = None,
     method: Literal["template", "implicit"] = "template",
-    refined: bool = True,
+    refined: Annotated[bool, arg(help="leave the mesh unfitted, as the network makes it")] = True,
     frame: int | None = None,
     mask: Path | None = None,
     depth_unit: float | None = None,

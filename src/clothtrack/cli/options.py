@@ -15,7 +15,7 @@ Device = Annotated[str, arg(help="cpu, or cuda:0")]
 Seed = Annotated[int, arg(help="seed of everything random")]
 Settings = Annotated[
     tuple[str, ...],
-    arg(name="set", metavar="NAME=VALUE", help="a setting, e.g. tracker.alignment.iterations=50"),
+    arg(name="set", metavar="NAME=VALUE"),
     UseAppendAction,
 ]
 ShowSettings = Annotated[bool, arg(help="list what --set can change, and do nothing else")]

@@ -71,7 +71,7 @@ class ProgressLine:
             self._shown = False
 
     @property
-    def _stream(self) -> TextIO:
+    def _stream(self):
         return self._given or sys.stderr
 
     def _share(self, now: float, done: int, total: int) -> str:

@@ -7,7 +7,7 @@ from tyro.conf import Positional, arg
 
 import clothtrack as ct
 from clothtrack.cli.options import AsJson, Seed, Settings
-from clothtrack.cli.terminal import complain, progress, say, say_result
+from clothtrack.cli.terminal import complain, progress, say_result
 
 
 def simulate(
@@ -21,6 +21,7 @@ def simulate(
     settings: Settings = (),
     workers: int = 1,
     seed: Seed = 0,
+    json: AsJson = False,
 ) -> int:
     """Record in a simulated world; or, with --states, crumple garments for a network to learn from.
 
@@ -35,6 +36,7 @@ def simulate(
         settings: changes to what is recorded, such as sensor.width=320 or vertex_count=300.
         workers: processes.
         seed: of garment, pose, actions, camera and noise.
+        json: machine-readable.
     """
     if states is not None:
         from clothtrack.files.settings import with_settings
@@ -53,7 +55,9 @@ def simulate(
         store = generate_states(
             output, garment, states, seed=seed, config=recipe, processes=workers, progress=progress
         )
-        say(f"{store.folder / 'README.md'}   ({len(store.shards)} garments)")
+        card, garments = store.folder / "README.md", len(store.shards)
+        report = {"states": store.folder, "card": card, "garments": garments}
+        say_result(f"{card}   ({garments} garments)", report, json=json)
         return 0
     count = 1 if trajectories is None else trajectories
     if actions is not None:
@@ -62,7 +66,7 @@ def simulate(
         output, garment, count, seed=seed, template=template, settings=settings, workers=workers,
         progress=progress,
     )
-    say("\n".join(map(str, folders)))
+    say_result("\n".join(map(str, folders)), folders, json=json)
     return 0 if len(folders) == count else 1
 
 

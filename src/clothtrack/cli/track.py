@@ -18,7 +18,7 @@ from clothtrack.cli.options import (
     ShowSettings,
     list_settings,
 )
-from clothtrack.cli.terminal import complain, progress, say
+from clothtrack.cli.terminal import complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ def demo(
     output: Path = Path("out/demo"),
     mode: Mode = "default",
     device: Device = "cpu",
+    json: AsJson = False,
 ) -> int:
     """Track a recording that comes with clothtrack, and write its report.
 
@@ -50,8 +51,9 @@ def demo(
         output: folder for the tracked trajectory and the report.
         mode: the tracker's default, the paper's method, or an ablation of it.
         device: where to compute.
+        json: machine-readable.
     """
-    from clothtrack.evaluation.results import table
+    from clothtrack.evaluation.results import as_plain, summary
 
     folder = ct.shipped_recording(recording)
     (outcome,) = _track([folder], output, mode, device=device)
@@ -60,10 +62,13 @@ def demo(
         return 1
     run = ct.load(outcome.result, folder)
     page = ct.write_report(run, output / f"{run.name}.html")
-    say(table([ct.evaluate(run, device=device)]))
-    say(f"tracked  {_line(outcome)}")
-    say(f"verdict  {run.verdict}")
-    say(f"report   {page}   (open it in a browser; it needs no network)")
+    evaluation = ct.evaluate(run, device=device)
+    say_result(
+        f"{summary([evaluation])}\ntracked  {_line(outcome)}\nverdict  {run.verdict}\n"
+        f"report   {page}   (open it in a browser; it needs no network)",
+        {**asdict(outcome), "report": page, "evaluation": as_plain(evaluation)},
+        json=json,
+    )
     return 0
 
 
@@ -96,7 +101,8 @@ def track(
             frame; the recording's, or a fit, by default.
         weights: of the network that makes the first mesh of a recording without a template; the
             ones that come with clothtrack by default, and without any a flat garment is fitted.
-        settings: changes to the mode, or initial_state.source=template, network or flat.
+        settings: changes to the mode, such as tracker.alignment.iterations=50, or
+            initial_state.source=template (network, flat).
         show_settings: list them all with their values and do nothing else.
         workers: processes; each tracks one recording at a time.
         device: where to compute.

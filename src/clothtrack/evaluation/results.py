@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ from clothtrack.evaluation.metrics import (
     vertex_error_mm,
 )
 from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.evaluation.verdict import verdict
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe
@@ -88,8 +90,8 @@ class Evaluation:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        """The rows as a table for a person."""
-        return table([self])
+        """One line for each action, for a person."""
+        return summary([self])
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +249,14 @@ def _rest_height_m(config: Mapping[str, Any]) -> float:
 
 
 def as_json(evaluations: Sequence[Evaluation]) -> str:
-    """All rows and their provenance as JSON; NaN becomes null."""
-    return json.dumps([_plain(asdict(one)) for one in evaluations], indent=2, allow_nan=False)
+    """All rows, verdicts and their provenance as JSON; NaN becomes null."""
+    return json.dumps([as_plain(one) for one in evaluations], indent=2, allow_nan=False)
+
+
+def as_plain(evaluation: Evaluation) -> dict[str, Any]:
+    """An evaluation as JSON holds it, with a verdict on every label."""
+    verdicts = [{"action": one.action, **asdict(verdict(one))} for one in evaluation.labels]
+    return _plain({**asdict(evaluation), "verdicts": verdicts})
 
 
 def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
@@ -259,6 +267,43 @@ def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
     """
     with atomic_file(path) as temporary:
         temporary.write_text(as_json(evaluations) + "\n", encoding="utf-8")
+
+
+def summary(evaluations: Iterable[Evaluation]) -> str:
+    """One line for each action, in 80 columns: what to do with its label, and why."""
+    lines = [
+        f"{'recording':24} {'action':>6} {'distance':>9} {'floor':>6} {'expected':>9} {'true':>6}"
+        "  verdict"
+    ]
+    reasons = []
+    for evaluation in evaluations:
+        judged = {one.action: verdict(one) for one in evaluation.labels}
+        for row in evaluation.rows:
+            if row.stage != "after_final_alignment":
+                continue
+            found, true = judged.get(row.action), row.vertex_error_mm.get("all")
+            expected = 1e3 * found.expected_error_m if found else np.nan
+            lines.append(
+                f"{row.recording[:24]:24} {row.action + 1:>6} {row.chamfer_pc_rms_mm:>9.1f} "
+                f"{root_mean_square_mm(row.chamfer_floor):>6.1f} {_or_dash(expected):>9} "
+                f"{_or_dash(true.mean if true and true.count else np.nan):>6}  "
+                f"{found.word if found else '-'}"
+            )
+            if found and found.word != "trust":
+                reason = f"{row.recording}, action {row.action + 1}: {found.reason}"
+                reasons += wrap(reason, 80, subsequent_indent="  ")
+    return "\n".join([*lines, *reasons, _SUMMARY_LEGEND])
+
+
+_SUMMARY_LEGEND = (
+    "[mm] distance: mesh to cloud; floor: that of a right mesh; expected: error of a\n"
+    "vertex, judged without truth; true: with it. trust: use the label; look: see it\n"
+    "first; reject: leave it out. --all shows every measure."
+)
+
+
+def _or_dash(value: float) -> str:
+    return f"{value:.1f}" if np.isfinite(value) else "-"
 
 
 def table(evaluations: Iterable[Evaluation]) -> str:
@@ -272,7 +317,7 @@ def table(evaluations: Iterable[Evaluation]) -> str:
             means = [f"{one.mean:.1f}" if one and one.count else "-" for one in errors]
             p95 = f"{errors[0].p95:.1f}" if errors[0] else "-"
             lines.append(
-                f"{row.recording[:22]:22} {row.action:>3} {row.stage.split('_')[0]:6} "
+                f"{row.recording[:22]:22} {row.action + 1:>3} {row.stage.split('_')[0]:6} "
                 f"{1e4 * row.chamfer_pc:7.3f} {1e4 * row.chamfer_floor:7.3f} "
                 f"{row.chamfer_pc_rms_mm:6.2f}  {means[0]:>6} {means[1]:>7} {means[2]:>6} {p95:>6} "
                 f"{100 * row.cloth.edge_strain:7.2f} {row.cloth.crossings:6d} "

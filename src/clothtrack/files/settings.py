@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
+from difflib import get_close_matches
 from textwrap import shorten
 from typing import Any, NamedTuple, TypeVar
 
@@ -83,8 +84,30 @@ def with_settings(config: Config, settings: Sequence[str]) -> Config:
         name, equals, text = setting.partition("=")
         if not equals:
             raise InvalidConfigError(f"setting {setting!r} has no value; write {setting}=VALUE")
-        config = _replaced(config, name.strip().split("."), _parsed(text.strip()), name)
+        try:
+            config = _replaced(config, name.strip().split("."), _parsed(text.strip()), name)
+        except _UnknownError as unknown:
+            if close := _like(name.strip(), config):
+                raise InvalidConfigError(
+                    f"{name}: there is no such setting; did you mean {' or '.join(close)}?"
+                ) from None
+            raise InvalidConfigError(str(unknown)) from None
     return config
+
+
+class _UnknownError(InvalidConfigError):
+    """There is no setting of this name."""
+
+
+def _like(name: str, config: Any) -> list[str]:
+    """The settings that may have been meant by a name: those that end with it, or nearly."""
+    last: dict[str, list[str]] = {}
+    for setting in settings_of(config):
+        last.setdefault(setting.name.rpartition(".")[2], []).append(setting.name)
+    groups, _, wanted = name.rpartition(".")
+    close = [last[one] for one in get_close_matches(wanted, last, 1)]
+    found = [one for names in close for one in names]
+    return get_close_matches(name, found, 1) if groups else found[:3]
 
 
 _PYTHON_WORDS = {"True": True, "False": False, "None": None}
@@ -108,7 +131,7 @@ def _replaced(owner: Any, path: list[str], value: Any, name: str) -> Any:
         raise InvalidConfigError(f"{name}: there is nothing below {type(owner).__name__}")
     head, *rest = path
     if head not in known:
-        raise InvalidConfigError(f"{name}: there is no {head!r}; known are {', '.join(known)}")
+        raise _UnknownError(f"{name}: there is no {head!r}; known are {', '.join(known)}")
     is_mapping = isinstance(owner, Mapping)
     old = owner[head] if is_mapping else getattr(owner, head)
     new = _replaced(old, rest, value, name) if rest else _of_same_type(old, value, name)
@@ -129,6 +152,17 @@ def _of_same_type(old: Any, new: Any, name: str) -> Any:
         fits = old is None or isinstance(new, type(old))
     if not fits or is_dataclass(old) or isinstance(old, Mapping):
         raise InvalidConfigError(
-            f"{name}: {json.dumps(new)} cannot replace {old!r}, which is a {type(old).__name__}"
+            f"{name}: {json.dumps(new)} cannot replace {old!r}, which is {_kind(old)}"
         )
     return new
+
+
+_KINDS = {
+    bool: "true or false", int: "a whole number", float: "a number", str: "a text",
+    tuple: "a list", list: "a list",
+}  # fmt: skip
+
+
+def _kind(value: Any) -> str:
+    """What a value is, in words."""
+    return _KINDS.get(type(value), "a group of settings")

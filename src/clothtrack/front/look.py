@@ -4,11 +4,11 @@ import logging
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation.label_review import LabelReview, read_review, review_path
 from clothtrack.evaluation.truth import Truth
+from clothtrack.front.export_format import Format, export_format
 from clothtrack.front.run import Run, load, recording_of, truth_of
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.mesh_file import MESH_SUFFIXES, read_mesh
@@ -58,6 +58,8 @@ def view(
         InvalidRecordingError: the recording is not known.
         InvalidResultError: the run or the decisions about its labels cannot be read.
     """
+    if html is not None:
+        require_file_name(Path(html))
     artefact, decisions = _opened(thing, recording), None
     if truth is not None and not isinstance(artefact, TrackedTrajectory):
         raise InvalidConfigError(f"--truth: {thing} is not tracked; leave it out")
@@ -79,6 +81,16 @@ def view(
     return None
 
 
+def require_file_name(html: Path) -> None:
+    """Refuse a page under the name of a folder before any work is done.
+
+    Raises:
+        InvalidConfigError: there is such a folder.
+    """
+    if html.is_dir():
+        raise InvalidConfigError(f"{html} is a folder; name a file in it: {html / 'page.html'}")
+
+
 def write_report(run: Run, html: Path | str, *, truth: Truth | Path | str | None = None) -> Path:
     """Write the page of a run, which needs no network, and return where it is.
 
@@ -94,7 +106,7 @@ def write_report(run: Run, html: Path | str, *, truth: Truth | Path | str | None
 def export(
     run: TrackedTrajectory,
     output: Path | str,
-    format: Literal["npz", "obj", "ply", "sheet", "mp4", "rrd"] = "npz",  # noqa: A002
+    format: Format | None = None,  # noqa: A002
     *,
     rows: int = 6,
     truth: Truth | Path | str | None = None,
@@ -105,20 +117,22 @@ def export(
         run: what `track` or `load` returned.
         output: folder (obj, ply: one file per frame) or file (the others).
         format: npz, obj or ply: the meshes; sheet: a contact sheet as PNG; mp4: the mesh over the
-            observation; rrd: everything for Rerun's viewer, needs the extra [rerun].
+            observation; rrd: everything for Rerun's viewer, needs the extra [rerun]. By default
+            what the name ends in says it, and without a suffix it is obj.
         rows: frames on the sheet.
         truth: as for `evaluate`; adds the error to an rrd.
 
     Raises:
-        InvalidConfigError: there is no such format, or no row.
+        InvalidConfigError: there is no such format, it contradicts the suffix, or there is no row.
         InvalidRecordingError: pictures need the recording, and it is not known.
     """
     if rows < 1:
         raise InvalidConfigError(f"rows is {rows}; a sheet needs 1 or more")
-    if format in ("sheet", "mp4", "rrd"):
+    kind = export_format(Path(output), format)
+    if kind in ("sheet", "mp4", "rrd"):
         source, known = recording_of(run), truth_of(run, truth)
-        return export_pictures(run, source, Path(output), format, rows=rows, truth=known)
-    return mesh_export.export(run, Path(output), format)
+        return export_pictures(run, source, Path(output), kind, rows=rows, truth=known)
+    return mesh_export.export(run, Path(output), kind)
 
 
 def review_of(run: TrackedTrajectory) -> LabelReview:

@@ -23,6 +23,14 @@ def quiet_warp() -> None:
             wp.init()
 
 
+def device_names() -> list[str]:
+    """The devices of this machine, a GPU with its name: "cuda:0 (NVIDIA H100)"."""
+    return [
+        f"{device.alias} ({device.name})" if device.is_cuda else device.alias
+        for device in wp.get_devices()
+    ]
+
+
 def require_device(name: str) -> None:
     """Refuse a device that this machine does not have.
 

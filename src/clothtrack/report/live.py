@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any, get_args
 
@@ -54,6 +55,7 @@ class LivePage:
 
     def __init__(self, name: str, decisions: Decisions | None = None) -> None:
         """Show that a page of this name is being written."""
+        self._name = name
         self._page, self._version = document(name, WAITING, script=False), 0
         self._decisions = decisions
         self._lock = threading.Lock()
@@ -63,6 +65,12 @@ class LivePage:
         page = path.read_text(encoding="utf-8")
         with self._lock:
             self._page, self._version = page, self._version + 1
+
+    def say(self, text: str) -> None:
+        """Give a page that says this, such as why there is no other one."""
+        with self._lock:
+            lead = f'<p class="lead">{escape(text)}</p>'
+            self._page, self._version = document(self._name, lead, script=False), self._version + 1
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
         """The page, its version, or the decisions so far."""

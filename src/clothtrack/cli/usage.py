@@ -1,0 +1,108 @@
+"""Wrong usage in one line: what was written, what may have been meant, where the help is.
+
+Verbs and options are compared with those that exist before tyro sees them. What tyro refuses
+besides (a missing option, a value that is none of the choices) it draws in a box; the first
+sentence of that is kept.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr
+from difflib import get_close_matches
+from io import StringIO
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
+
+from clothtrack.cli.signature import command, options_of
+
+DESCRIPTION = (
+    "Know where every point of a crumpled cloth is, from one depth camera. Every verb takes "
+    "--verbose, to log what happens, and --json, to write one JSON document in place of text; "
+    "clothtrack --version says what is installed."
+)
+WRONG_USAGE = 2
+
+_BOX = re.compile("\x1b\\[[0-9;]*m|[│╭╮╰╯]")
+_REFUSED = re.compile(r"could be instantiated from \[(.*)\]")
+_EXPLAINED = "  Argument helptext:"
+_MARGIN = 2
+_HELP_INDENT = 8
+"""Spaces that tyro puts before the help of an option, in the list of those that are missing."""
+
+
+class WrongUsageError(Exception):
+    """The command line cannot be understood; one line that says why."""
+
+
+def parse(words: Sequence[str], verbs: Mapping[str, Callable[..., int]]) -> Callable[[], int]:
+    """What runs the verb that the words ask for, with its options.
+
+    Args:
+        words: after `clothtrack`.
+        verbs: functions by the names of their verbs.
+
+    Raises:
+        WrongUsageError: there is no such verb or option, or one is missing or has another value.
+        SystemExit: help was asked for, and written.
+    """
+    _refuse_unknown(words, verbs)
+    drawn = StringIO()
+    try:
+        with redirect_stderr(drawn):
+            return tyro.extras.subcommand_cli_from_dict(
+                {name: command(verb) for name, verb in verbs.items()},
+                prog="clothtrack",
+                description=DESCRIPTION,
+                args=words,
+                config=(FlagCreatePairsOff, OmitArgPrefixes),
+            )
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise WrongUsageError(_first_sentence(drawn.getvalue(), words[0])) from None
+
+
+def meant(word: str, known: Sequence[str]) -> str:
+    """What may have been meant by a word, as the end of a sentence; empty where nothing is."""
+    close = get_close_matches(word, known, n=1)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def _refuse_unknown(words: Sequence[str], verbs: Mapping[str, Callable[..., int]]) -> None:
+    if not words:
+        raise WrongUsageError("say what to do: clothtrack VERB; clothtrack --help lists the verbs")
+    verb = words[0]
+    if verb in ("-h", "--help"):
+        return
+    if verb not in verbs:
+        kind = "option; options stand behind the verb" if verb.startswith("-") else "verb"
+        guess = meant(verb, list(verbs)) or "; clothtrack --help lists the verbs"
+        raise WrongUsageError(f"{verb} is no {kind}{guess}")
+    known = options_of(verbs[verb])
+    for word in words[1:]:
+        option = word.partition("=")[0]
+        if option.startswith("--") and option.replace("_", "-") not in known:
+            guess = meant(option, sorted(known)) or f"; clothtrack {verb} --help lists them"
+            raise WrongUsageError(f"{option} is no option of {verb}{guess}")
+
+
+def _first_sentence(drawn: str, verb: str) -> str:
+    """What a box of tyro's says before it explains, in one line."""
+    said: list[str] = []
+    rows = [_BOX.sub(" ", row).rstrip() for row in drawn.splitlines()]
+    for row in rows:
+        text = row.strip()
+        if said and not text.strip("─-"):
+            break
+        indent = len(row) - len(row.lstrip()) - _MARGIN
+        if indent < 0 or indent >= _HELP_INDENT or not text.strip("─-"):
+            continue
+        # Names of missing options, each in a row of its own.
+        said.append(f"{text}," if indent > 0 else text)
+    sentence = " ".join(said).rstrip(",.") or drawn.strip()
+    refused = _REFUSED.search(sentence)
+    if refused is not None:
+        option = rows[rows.index(_EXPLAINED) + 1].strip() if _EXPLAINED in rows else "an option"
+        sentence = f"{option} cannot be {refused[1]}"
+    return f"{sentence}; clothtrack {verb} --help says more"

@@ -1,0 +1,54 @@
+"""Which format an exported file has: what its name ends in says it."""
+
+from pathlib import Path
+from typing import Literal, get_args
+
+from clothtrack.errors import InvalidConfigError
+
+Format = Literal["obj", "ply", "npz", "sheet", "mp4", "rrd"]
+FORMATS: dict[str, Format] = {".npz": "npz", ".png": "sheet", ".mp4": "mp4", ".rrd": "rrd"}
+"""The formats that are one file, by how its name ends."""
+FOLDERS: tuple[Format, ...] = ("obj", "ply")
+"""The formats that are a folder with one file per frame."""
+
+
+def export_format(output: Path, wanted: str | None = None) -> Format:
+    """The format of an exported file or folder.
+
+    Args:
+        output: its name. Without a suffix it is a folder of OBJ files, unless another format is
+            wanted, whose suffix is added then.
+        wanted: the format that was named.
+
+    Raises:
+        InvalidConfigError: there is no such format, or the suffix is of another one, or of none.
+    """
+    if wanted is not None:
+        _named(wanted)
+    suffix = output.suffix.lower()
+    told = FORMATS.get(suffix)
+    if told is None and suffix[1:] in FOLDERS:
+        raise InvalidConfigError(
+            f"{output}: {suffix[1:]} is one file per frame, in a folder; leave out {suffix} and "
+            f"add --format {suffix[1:]}"
+        )
+    # A folder may be called run.2; a name that ends in letters means a kind of file.
+    if told is None and suffix[1:].isalpha():
+        raise InvalidConfigError(
+            f"{output}: nothing is exported as {suffix}; end the name in {', '.join(FORMATS)}, or "
+            "name a folder without a suffix"
+        )
+    if told is not None and wanted is not None and told != wanted:
+        raise InvalidConfigError(
+            f"{output}: --format {wanted} contradicts {suffix}, which is {told}; leave out one of "
+            "them"
+        )
+    return told or _named(wanted or "obj")
+
+
+def _named(wanted: str) -> Format:
+    """The format of a name."""
+    for one in get_args(Format):
+        if one == wanted:
+            return one
+    raise InvalidConfigError(f"format is {wanted!r}; choose one of {', '.join(get_args(Format))}")

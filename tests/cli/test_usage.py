@@ -1,0 +1,148 @@
+"""Wrong usage is one line that names what may have been meant; help has no empty words."""
+
+import importlib.metadata
+import inspect
+import json
+import logging
+import re
+
+import pytest
+
+from clothtrack.cli import command_line as cli
+from clothtrack.cli.signature import name_of, options_of
+from clothtrack.cli.warnings_once import logged
+from clothtrack.files.settings import settings_of
+from clothtrack.version import __version__
+
+VERBS = {name_of(verb): verb for verb in cli.VERBS}
+
+
+def helped(verb, capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main([verb, "--help"])
+    assert end.value.code == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], "say what to do: clothtrack VERB"),
+        (["trak", "rec"], "trak is no verb; did you mean track?"),
+        (
+            ["calibrate_camera", "rec"],
+            "did you mean calibrate-camera?",
+        ),
+        (["qqq"], "qqq is no verb; clothtrack --help lists the verbs"),
+        (["--json"], "--json is no option; options stand behind the verb"),
+        (["track", "rec", "--ouput", "x"], "--ouput is no option of track; did you mean --output?"),
+        (["import", "a", "b", "--depth-unt-m=1"], "did you mean --depth-unit-m?"),
+        (["view", "x", "--qqq"], "--qqq is no option of view; clothtrack view --help lists them"),
+        (["demo", "--mode", "best"], "invalid choice 'best' for argument '--mode'"),
+        (["export"], "Missing from clothtrack export: PATH, --output PATH;"),
+        (["simulate", "x", "--states", "few"], "--states INT cannot be 'few'"),
+        (["segment", "x", "--click", "3"], "--click COLUMN ROW cannot be '3'"),
+        (["track", "--output"], "Missing value for argument '--output'"),
+        (["export", "a", "b", "--output", "x"], "Unrecognized options: b"),
+    ],
+)
+def test_wrong_usage_is_one_line(words, told, capsys):
+    assert cli.main(words) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.startswith("clothtrack: ")
+    assert shown.err.count("\n") == 1
+    assert told in shown.err
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_options_that_are_compared_are_those_that_help_lists(verb, capsys):
+    text = helped(verb, capsys)
+    rows = re.findall(r"^(?:│ |  )(-.*?)(?:  |$)", text, re.MULTILINE)
+    listed = {one for row in rows for one in re.findall(r"(?<![\w-])--?[a-z][a-z-]*", row)}
+    assert listed == options_of(VERBS[verb])
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_says_nothing_empty(verb, capsys):
+    text = helped(verb, capsys)
+    for empty in ("(default: )", "None", "''", "(default: True)", "(default: False)"):
+        assert empty not in text
+    assert "--verbose" in text
+    assert "--json" in text
+
+
+def setting_names(verb):
+    """Settings that a verb takes with --set, by the groups that it knows."""
+    from clothtrack.planning import FlattenConfig
+    from clothtrack.planning.graph_dynamics.mesh_training import DynamicsTrainingConfig
+    from clothtrack.reconstruction import LearningConfig
+    from clothtrack.reconstruction.tokens.token_training import TokenLearningConfig
+    from clothtrack.tracking import RunConfig
+    from clothtrack.world import EpisodeConfig
+    from clothtrack.world.self_improvement import ImprovementConfig
+
+    known = {
+        "flatten": [FlattenConfig()],
+        "track": [RunConfig()],
+        "simulate": [EpisodeConfig()],
+        "improve": [ImprovementConfig()],
+        "train-dynamics": [DynamicsTrainingConfig()],
+        "pretrain": [TokenLearningConfig(), LearningConfig.preset("pretrain")],
+        "finetune": [LearningConfig.preset("finetune")],
+    }
+    return {setting.name for config in known[verb] for setting in settings_of(config)}
+
+
+@pytest.mark.parametrize(
+    "verb", [name for name in VERBS if "settings" in inspect.signature(VERBS[name]).parameters]
+)
+def test_the_example_of_a_setting_is_one_of_its_verb(verb, capsys):
+    pytest.importorskip("torch")
+    text = re.sub(r"[│\s]+", " ", helped(verb, capsys))
+    about = text.partition("--set NAME=VALUE")[2].partition(" --")[0]
+    examples = re.findall(r"([a-z][\w.]*)=", about)
+    assert examples
+    assert setting_names(verb).issuperset(examples)
+
+
+def test_the_version_comes_with_commit_devices_and_packages(capsys):
+    assert cli.main(["--version"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(f"clothtrack {__version__}")
+    assert re.search(r"^devices +cpu", said, re.MULTILINE)
+    assert f"numpy {importlib.metadata.version('numpy')}" in said
+    assert cli.main(["--version", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["clothtrack"] == __version__
+    assert "commit" in found
+    assert found["devices"][0] == "cpu"
+
+
+def test_a_defect_of_ours_is_not_taken_for_wrong_usage(monkeypatch):
+    """What parses options takes a ValueError for a wrong one."""
+
+    def fail() -> int:
+        """Fail."""
+        raise ValueError("ours")
+
+    monkeypatch.setattr(cli, "VERBS", [fail, cli.inspect])
+    with pytest.raises(ValueError, match="ours"):
+        cli.main(["fail"])
+
+
+def test_one_cause_is_one_warning_and_a_count(capsys):
+    log = logging.getLogger("clothtrack.test")
+    with logged(verbose=False):
+        for frame in range(27):
+            log.warning("frame %d of towel_0001: no cloud (color/%04d.png: no blue)", frame, frame)
+        for _ in range(2):
+            log.warning("picker tip never closes")
+        log.warning("frame 3 of towel_0002: no cloud (color/0003.png: no blue)")
+        log.info("not asked for")
+    assert capsys.readouterr().err.splitlines() == [
+        "WARNING frame 0 of towel_0001: no cloud (color/0000.png: no blue)",
+        "WARNING picker tip never closes",
+        "WARNING frame 3 of towel_0002: no cloud (color/0003.png: no blue)",
+        "26 more like this: WARNING frame 0 of towel_0001: no cloud (color/0000.png: no blue)",
+    ]
