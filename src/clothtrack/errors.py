@@ -48,6 +48,19 @@ class StorageError(ClothTrackError):
         return cls(f"{where}: {text}")
 
 
+def why_unreadable(error: OSError, remedy: str) -> str:
+    """Why the system does not open a file, and what to do: "problem; remedy".
+
+    Args:
+        error: what it said.
+        remedy: what to do where the file is missing, or is no file.
+    """
+    if isinstance(error, PermissionError):
+        return "no permission to read it; change its owner or its mode"
+    missing = isinstance(error, FileNotFoundError)
+    return f"{'the file is missing' if missing else error.strerror}; {remedy}"
+
+
 _REMEDIES = {
     errno.ENOSPC: "the disk is full; free some space and run the same command again",
     errno.EFBIG: "a file would grow beyond the system's limit; raise it (ulimit -f), or free some "

@@ -23,7 +23,7 @@ from clothtrack.cli.look import evaluate, export, view
 from clothtrack.cli.recordings import import_, inspect
 from clothtrack.cli.signature import name_of
 from clothtrack.cli.simulate import bench, simulate
-from clothtrack.cli.terminal import complain, exit_code
+from clothtrack.cli.terminal import INTERRUPTED, complain, end_by_interrupt, exit_code
 from clothtrack.cli.track import demo, track
 from clothtrack.cli.usage import WRONG_USAGE, WrongUsageError, parse
 from clothtrack.cli.versions import versions
@@ -55,7 +55,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complain(str(wrong))
         return WRONG_USAGE
     with logged(verbose="--verbose" in words):
-        return exit_code(lambda: _quietly(run))
+        code = exit_code(lambda: _quietly(run))
+    if code == INTERRUPTED and arguments is None:
+        end_by_interrupt()
+    return code
 
 
 def _quietly(run: Callable[[], int]) -> int:

@@ -58,7 +58,10 @@ def _exit_code(run: Callable[[], int], terminations: list[float]) -> int:
     try:
         return run()
     except ClothTrackError as error:
-        complain(str(error))
+        # Whoever read a file may have taken any refusal of the system for a damaged file.
+        refused = error.__cause__
+        forbidden = isinstance(refused, PermissionError) and refused.filename
+        complain(str(StorageError.of(refused) if forbidden else error))
     except BrokenPipeError:
         # The reader of our output went away (`| head`): nothing is wrong, nothing more to say.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -68,10 +71,21 @@ def _exit_code(run: Callable[[], int], terminations: list[float]) -> int:
     except KeyboardInterrupt:
         complain(
             "interrupted; what was finished is whole, nothing half-written keeps its name. "
-            "The same command goes on from there"
+            "The same command keeps it and does the rest"
         )
         return TERMINATED if terminations else INTERRUPTED
     return 1
+
+
+def end_by_interrupt() -> None:
+    """End this process as Ctrl-C ends one that takes no care of it: shells tell that by 130.
+
+    A loop of a shell goes on after a program that only exits with 130.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError, why_unreadable
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def read_csv(path: Path, columns: Mapping[str, Column]) -> Iterator[tuple[str, l
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise InvalidRecordingError(f"{path}: {error.strerror}; add the file") from error
+        raise InvalidRecordingError(f"{path}: {why_unreadable(error, 'add the file')}") from error
     except UnicodeDecodeError as error:
         raise InvalidRecordingError(f"{path}: not a text file; write UTF-8") from error
     names = ",".join(columns)

@@ -14,7 +14,7 @@ from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.validation import check_recording
-from clothtrack.recordings.violation import Violation
+from clothtrack.recordings.violation import Violation, grouped
 
 _LISTED = 20
 
@@ -47,9 +47,10 @@ class Inspection:
         if self.violations:
             count = len(self.violations)
             lines = [f"{self.folder}: {count} thing{'s' if count > 1 else ''} to correct"]
-            lines += [f"  - {violation.message}" for violation in self.violations[:_LISTED]]
-            if count > _LISTED:
-                lines.append(f"  ... and {count - _LISTED} more")
+            told = grouped(self.violations)
+            lines += [f"  - {line}" for line in told[:_LISTED]]
+            if len(told) > _LISTED:
+                lines.append(f"  ... and {len(told) - _LISTED} more")
             return "\n".join(lines)
         width = max(map(len, self.facts))
         doubts = len(self.geometry)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError, why_unreadable
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GREY = 0
@@ -245,5 +245,5 @@ def _decode(path: Path, data: bytes, flags: int) -> np.ndarray:
 
 
 def _unreadable(path: Path, error: OSError) -> InvalidRecordingError:
-    problem = "the file is missing" if isinstance(error, FileNotFoundError) else str(error.strerror)
-    return InvalidRecordingError(f"{path}: {problem}; add the file or drop it from the recording")
+    why = why_unreadable(error, "add the file or drop it from the recording")
+    return InvalidRecordingError(f"{path}: {why}")

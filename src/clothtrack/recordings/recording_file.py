@@ -12,6 +12,7 @@ from typing import Any
 import jsonschema
 from jsonschema.exceptions import ValidationError, relevance
 
+from clothtrack.errors import why_unreadable
 from clothtrack.recordings.violation import DOCUMENT, Violation, Violations, shown
 
 VERSION = 1
@@ -48,7 +49,9 @@ def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]
         )
     except FileNotFoundError:
         violations.add("", "", f"the file is missing; {_where_to_look(folder)}")
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        violations.add("", "", why_unreadable(error, "give the folder of a recording"))
+    except UnicodeDecodeError as error:
         violations.add("", "", f"the file cannot be read ({error}); write it as UTF-8 text")
     except json.JSONDecodeError as error:
         place = f"line {error.lineno}, column {error.colno}"

@@ -7,7 +7,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothtrack.errors import InvalidConfigError, InvalidMeshError, InvalidRecordingError
+from clothtrack.errors import (
+    InvalidConfigError,
+    InvalidMeshError,
+    InvalidRecordingError,
+    why_unreadable,
+)
 from clothtrack.files.atomic_write import atomic_file, write_file
 from clothtrack.files.csv_table import Column, finite, read_csv
 from clothtrack.geometry.mesh import ClothMesh
@@ -168,9 +173,8 @@ def _lines(path: Path) -> list[str]:
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
-        raise InvalidRecordingError(
-            f"{path}: {error.strerror}; add the file or drop it from the recording"
-        ) from error
+        why = why_unreadable(error, "add the file or drop it from the recording")
+        raise InvalidRecordingError(f"{path}: {why}") from error
     except UnicodeDecodeError as error:
         raise InvalidRecordingError(f"{path}: not a text file; write UTF-8") from error
 

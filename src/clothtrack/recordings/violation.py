@@ -1,7 +1,8 @@
 """One thing that is wrong with a recording: where, what, and what to do about it."""
 
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 from clothtrack.errors import ClothTrackError
 
 DOCUMENT = "recording.json"
+
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,18 @@ class Violations(list[Violation]):
             if text.startswith(f"{folder}/"):
                 file, _, text = text.removeprefix(f"{folder}/").partition(": ")
             self.add(field, "", text if "; " in text else f"{text}; correct it", file=file)
+
+
+def grouped(violations: Sequence[Violation]) -> list[str]:
+    """One line for each cause: what is wrong with many files in the same way is said once."""
+    alike: dict[tuple[str, ...], list[Violation]] = {}
+    for one in violations:
+        key = tuple(_NUMBER.sub("#", part) for part in (one.file, one.field, one.problem))
+        alike.setdefault(key, []).append(one)
+    return [
+        same[0].message if len(same) == 1 else f"{len(same)} alike, the first: {same[0].message}"
+        for same in alike.values()
+    ]
 
 
 def shown(value: object) -> str:
