@@ -1,5 +1,6 @@
 """What `view` and `export` are given decides what they show; one clear line where it cannot be."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -103,6 +104,63 @@ def test_a_folder_has_an_index_that_names_what_is_broken(world, tmp_path, capsys
     assert (tmp_path / "lift.html").exists()
 
 
+def test_a_folder_is_served_and_stays_clean(world):
+    words = ["view", "tracked", "--recordings", "recordings", "--json"]
+    before = sorted((world / "tracked").rglob("*"))
+    with subprocess.Popen(
+        [sys.executable, "-c", VIEW, *words], cwd=world,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        said = ""
+        while "}" not in said:
+            said += process.stdout.readline()
+        address = json.loads(said)["address"]
+        assert 'href="lift.html"' in fetched(address, "lift.html")
+        assert 'url=/lift/"' in fetched(f"{address}lift.html", "url")
+        assert "<canvas" in fetched(f"{address}lift/", "<canvas")
+        review = review_path(world / "tracked" / "lift.zarr")
+        try:
+            decide = urllib.request.Request(
+                f"{address}lift/review", b'{"action": 0, "verdict": "accepted"}',
+                {"Content-Type": "application/json"},
+            )  # fmt: skip
+            with urllib.request.urlopen(decide, timeout=20) as answer:
+                assert "accepted" in answer.read().decode()
+            assert review.exists()
+        finally:
+            review.unlink(missing_ok=True)
+        process.send_signal(signal.SIGINT)
+        rest, complaints = process.communicate(timeout=60)
+    assert (process.returncode, rest, complaints) == (0, "", "")
+    assert sorted((world / "tracked").rglob("*")) == before
+
+
+def fetched(address, awaited):
+    """A page, as soon as it says something."""
+    page = ""
+    while awaited not in page:
+        time.sleep(0.2)
+        with urllib.request.urlopen(address, timeout=20) as answer:
+            page = answer.read().decode()
+    return page
+
+
+def test_evaluate_fits_in_80_columns_with_a_word_per_action(world, capsys):
+    words = ["evaluate", str(world / "tracked" / "lift.zarr")]
+    words += ["--recordings", str(world / "recordings"), "--truth", str(world / "truth")]
+    assert cli.main(words) == 0
+    head, row, *_ = lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert head.split()[-1] == "verdict"
+    assert row.split()[:2] == ["lift", "1"]
+    assert row.split()[-1] in ("trust", "look", "reject")
+    assert cli.main([*words, "--all"]) == 0
+    assert "coverage" in capsys.readouterr().out
+    assert cli.main([*words, "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found["verdicts"][0]["word"] == row.split()[-1]
+
+
 def test_a_name_in_a_result_leads_out_of_no_folder(world, tmp_path, capsys):
     tracked = TrackedTrajectory.load(world / "tracked" / "lift.zarr")
     replace(tracked, name="../../x").save(tmp_path / "lift.zarr")
@@ -129,6 +187,12 @@ def test_a_name_in_a_result_leads_out_of_no_folder(world, tmp_path, capsys):
         (["view", "none.ply"], "none.ply"),
         (["export", "tracked/lift.zarr", "--output", "x", "--format", "mp4"], "--recordings"),
         (["export", "tracked/lift.zarr", "--output", "x", "--rows", "0"], "rows is 0"),
+        (["export", "tracked/lift.zarr", "--output", "x.mp4", "--format", "obj"], "contradicts"),
+        (["view", "towel.obj", "--html", "truth"], "truth is a folder; name a file in it"),
+        (
+            ["view", "tracked", "--recordings", "recordings", "--html", "truth"],
+            "truth is a folder; name a file in it",
+        ),
     ],
 )
 def test_what_is_missing_is_said_in_one_line(world, monkeypatch, capsys, words, told):

@@ -95,7 +95,7 @@ def test_a_tracking_run_has_one_line_that_is_rewritten(world):
     assert not any("\n" in state for state in states)
     told = [
         re.fullmatch(
-            r" *(\d+) % .{13}towel_0001: action 1/1, candidate (\d)/5, frame (\d+)/(\d+)\x1b\[K",
+            r" *(\d+) %.{15}towel_0001: action 1/1, candidate (\d)/5, frame (\d+)/(\d+)\x1b\[K",
             state,
         )
         for state in states

@@ -120,6 +120,25 @@ def test_actions_are_counted_and_unreachable_ones_passed_over(tmp_path):
     assert len(store.steps) == 3
 
 
+def test_progress_counts_what_is_done_for_every_action(tmp_path):
+    told = []
+    robot = PaperRobot()
+    flattening = Flattening(
+        robot, EpisodeScene(CLOTH, TABLE, flat_area(CLOTH)), replace(CONFIG, actions=2),
+        perception=Known(robot), dynamics=[Stretch()],
+    )  # fmt: skip
+    flattening.run(tmp_path / "episode", progress=lambda *words: told.append(words))
+    assert told == [
+        ("action 1/2 at most: look", 0, 7),
+        ("action 1/2 at most: plan among 20 candidates", 1, 7),
+        ("action 1/2 at most: act", 2, 7),
+        ("action 2/2 at most: look", 3, 7),
+        ("action 2/2 at most: plan among 20 candidates", 4, 7),
+        ("action 2/2 at most: act", 5, 7),
+        ("action 2/2 at most: look", 6, 7),
+    ]
+
+
 def test_a_killed_episode_goes_on_where_it_was(tmp_path):
     robot = PaperRobot(fails_at=2)
     with pytest.raises(KeyboardInterrupt):

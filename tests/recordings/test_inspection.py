@@ -77,3 +77,14 @@ def test_a_cloth_with_a_template_and_no_table_hangs(write, edit, tmp_path):
     write(tmp_path / "held")
     edit(tmp_path / "held", lambda document: document.update(table=None))
     assert inspect(tmp_path / "held").facts["table"] == "none: the cloth hangs"
+def test_one_cause_in_many_files_is_one_line(write, tmp_path):
+    write(tmp_path / "fold")
+    for frame in range(5):
+        (tmp_path / f"fold/depth/{frame:06d}.png").unlink()
+    (tmp_path / "fold/mask/000002.png").write_bytes(b"no picture")
+    inspection = inspect(tmp_path / "fold")
+    head, depth, mask = inspection.text().splitlines()
+    assert head.endswith("6 things to correct")
+    assert depth.startswith("  - 5 alike, the first: depth/000000.png: ")
+    assert mask.startswith("  - mask/000002.png: ")
+    assert len(inspection.as_dict()["violations"]) == 6
