@@ -5,7 +5,7 @@ Zarr itself reads a chunk that is missing as zeros, and values that were altered
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -50,8 +50,20 @@ def put_array(
     values = np.ascontiguousarray(values)
     sizes = tuple(max(1, size) for size in chunks or values.shape)
     array = group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=sizes)
-    array[...] = values
+    # Handed over at once, chunks are written side by side, and when the disk refuses one the others
+    # go on into a folder that is being removed.
+    for part in _rows(values, sizes):
+        array[part] = values[part]
     array.attrs.update({DIGEST: _digest_of(values), "unit": unit})
+
+
+def _rows(values: np.ndarray, chunks: tuple[int, ...]) -> Iterator[Any]:
+    """The values of one row of chunks after the other."""
+    if not values.ndim:
+        yield ...
+        return
+    for first in range(0, len(values), chunks[0]):
+        yield slice(first, first + chunks[0])
 
 
 def take_array(group: zarr.Group, name: str) -> np.ndarray:
