@@ -1,6 +1,7 @@
 """Ctrl-C, SIGTERM and a full disk: what was finished is whole, nothing else keeps its name."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -49,6 +50,12 @@ def started(tmp_path, *words):
                 os.killpg(process.pid, signal.SIGKILL)
 
 
+def complaints(written):
+    """Lines on standard error but those of progress, which come where a machine is slow."""
+    lines = written.splitlines()
+    return [line for line in lines if not re.match(r" *\d+ %  |.*: first mesh$", line)]
+
+
 def wait_for(path, process):
     end = time.monotonic() + 240
     while not path.exists():
@@ -69,7 +76,7 @@ def test_ctrl_c_in_the_middle(many, tmp_path, workers):
     # Shells tell this as 130, and end their loops.
     assert process.returncode == -signal.SIGINT, complained
     assert told == ""
-    lines = complained.splitlines()
+    lines = complaints(complained)
     assert len(lines) == 1, complained
     assert "interrupted" in lines[0]
     assert "same command" in lines[0]
@@ -95,7 +102,7 @@ def test_no_worker_outlives_a_run_that_is_ended(many, tmp_path, number, code):
     assert process.returncode == code, complained
     assert told == ""
     if number == signal.SIGTERM:
-        assert complained.count("\n") == 1, complained
+        assert len(complaints(complained)) == 1, complained
         assert "interrupted" in complained
         assert not list(out.glob(".*"))
     for path in out.glob("*.zarr"):
@@ -111,7 +118,7 @@ def test_sigterm_ends_a_run_without_workers(many, tmp_path):
         os.killpg(process.pid, signal.SIGTERM)
         _, complained = process.communicate(timeout=20)
     assert process.returncode == 143, complained
-    assert complained.count("\n") == 1, complained
+    assert len(complaints(complained)) == 1, complained
     assert not list(out.glob(".*"))
 
 
@@ -131,7 +138,7 @@ def test_filming_in_workers_ends_without_a_trace(tmp_path, number, code):
         told, complained = process.communicate(timeout=30)
     assert process.returncode == code, complained
     assert told == ""
-    assert complained.count("\n") == 1, complained
+    assert len(complaints(complained)) == 1, complained
     assert list((out / "recordings").iterdir()) == []
 
 
@@ -166,7 +173,7 @@ def test_a_full_disk(many, tmp_path, clothtrack):
     told = clothtrack("track", many[0], many[1], "--output", out, *FAST, before=full)
     assert told.returncode == 1, told.stderr
     assert "finished before" in told.stdout
-    lines = told.stderr.splitlines()
+    lines = complaints(told.stderr)
     assert len(lines) == 1, told.stderr
     for word in ("towel_b.zarr", "some space", "run the same command again"):
         assert word in lines[0]
