@@ -20,6 +20,7 @@ from clothtrack.cli.options import (
 )
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.progress import one_of
 from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
@@ -97,7 +98,6 @@ def flatten(
         return 2
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
-    from clothtrack.files.progress import one_of
     from clothtrack.front.flattening import episode_parts
     from clothtrack.report.flattening_page import watched_live
 
@@ -111,8 +111,7 @@ def flatten(
         for number in range(episodes):
             store = ct.flatten(
                 output, garment, config=config, seed=seed + number, device=device,
-                parts=parts, watch=watch,
-                progress=one_of(progress, number, episodes, "episode"),
+                parts=parts, watch=watch, progress=one_of(progress, number, episodes, "episode"),
             )  # fmt: skip
             rows.append(_summary(store, output))
             if not json:
