@@ -13,5 +13,5 @@ def test_strain_is_the_change_of_scale(tracked, scale):
 
 
 def test_dropped_corrections_are_marked(tracked):
-    search = next(c for c in charts(tracked, np.zeros(6)) if c.title == "Line search")
+    search = next(c for c in charts(tracked, np.zeros(6), np.zeros(6)) if c.title == "Line search")
     assert search.marks == (3,)

@@ -13,12 +13,20 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.document import write_document
-from clothtrack.report.evidence import Observer, observed, observed_points, view_picture
+from clothtrack.report.evidence import (
+    Observer,
+    observed,
+    observed_points,
+    thinned,
+    view_picture,
+)
+from clothtrack.report.film_colors import cloud_colors
 from clothtrack.report.layers import Layers
+from clothtrack.report.overlay import whole_view
 from clothtrack.report.page import evenly
-from clothtrack.report.scene_data import SceneContents
-from clothtrack.report.sections import key_figures
-from clothtrack.report.stage import scene_card, stage, video_card
+from clothtrack.report.scene_data import SCENE_POINTS, SceneContents
+from clothtrack.report.sections import Figure, key_figures
+from clothtrack.report.stage import Pictures, scene_card, stage, video_card
 from clothtrack.report.video import frame_rate, write_video
 from clothtrack.report.viewpoint import layers_axis, three_quarter_view, upward, view_of
 
@@ -57,7 +65,9 @@ def write_recording_page(
     """
     steps = evenly(len(recording.frames), MOST_FRAMES)
     frames = [recording.frames[step] for step in steps]
-    clouds = [observed_points(recording, frame, observer) for frame in frames]
+    clouds = [
+        thinned(observed_points(recording, frame, observer), SCENE_POINTS) for frame in frames
+    ]
     points = np.concatenate([np.empty((0, 3)), *clouds])
     if not len(points):
         raise InvalidRecordingError(
@@ -65,6 +75,8 @@ def write_recording_page(
             f"clothtrack inspect {recording.folder}"
         )
     eye = view_of(points, recording, width=800, height=600)
+    camera = recording.cameras[0] if recording.cameras else eye
+    camera = camera.resized(round(camera.width * PICTURE_HEIGHT / camera.height))
     times = np.array([frame.time_s for frame in frames])
     numbers = [int(frame.index) for frame in frames]
     nothing = np.zeros((len(frames), 0, 3), np.float32)
@@ -80,9 +92,9 @@ def write_recording_page(
         clouds=clouds,
         pickers=recording.picker_paths,
         table=recording.table,
+        views=[whole_view(camera)] if recording.cameras else [],
+        cloud_colors=cloud_colors(recording, frames, clouds),
     )
-    camera = recording.cameras[0] if recording.cameras else eye
-    camera = camera.resized(round(camera.width * PICTURE_HEIGHT / camera.height))
 
     def write(file: Path) -> float:
         rate = frame_rate(times)
@@ -93,16 +105,29 @@ def write_recording_page(
         write_video(pictures, file, frames_per_second=rate)
         return rate
 
-    cards = [video_card("What was recorded", "", numbers, write), scene_card(scene)]
+    pictures = Pictures(numbers, write, (camera.width, camera.height))
+    cards = [video_card("What was recorded", "", pictures), scene_card(scene)]
+    actions = [(action.first_frame, action.last_frame) for action in recording.actions]
     figures = [
-        ("Frames", str(len(recording.frames)), f"in {times[-1] - times[0]:.1f} s"),
-        ("Cameras", str(len(recording.cameras)), ""),
-        ("Actions", str(len(recording.actions)), ""),
-        ("Points of cloth, median", f"{np.median([len(one) for one in clouds]):.0f}", "a frame"),
+        Figure(
+            "Frames",
+            str(len(recording.frames)),
+            f"in {times[-1] - times[0]:.1f} s",
+            "All of the recording.",
+        ),
+        Figure("Cameras", str(len(recording.cameras)), "", "Those that recording.json describes."),
+        Figure("Actions", str(len(recording.actions)), "", "Each is one pick and place."),
+        Figure(
+            "Points of cloth, median",
+            f"{np.median([len(one) for one in clouds]):.0f}",
+            "a frame",
+            f"What is measured of the cloth, in cubes of 4 mm; at most {SCENE_POINTS} are kept "
+            "here.",
+        ),
     ]
     body = (
         '<p class="lead">A recording; nothing of it is tracked yet.</p>'
-        f"{key_figures(figures)}{stage(cards, numbers, times.tolist())}"
+        f"{key_figures(figures)}{stage(cards, numbers, times.tolist(), actions=actions)}"
     )
     return write_document(path, recording.name, body)
 
@@ -118,9 +143,9 @@ def write_mesh_page(mesh: ClothMesh, name: str, path: Path) -> Path:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = " by ".join(f"{100 * side:.1f}" for side in high - low)
     figures = [
-        ("Vertices", f"{mesh.vertex_count:,}", ""),
-        ("Triangles", f"{len(mesh.faces):,}", ""),
-        ("Size", size, "cm"),
+        Figure("Vertices", f"{mesh.vertex_count:,}", "", "Corners of the triangles."),
+        Figure("Triangles", f"{len(mesh.faces):,}", "", "Faces of the mesh."),
+        Figure("Size", size, "cm", "Along x, y and z."),
     ]
     body = f"{key_figures(figures)}{stage([scene_card(scene)], [0], [0.0], wide=True)}"
     return write_document(path, name, body)

@@ -87,7 +87,7 @@ def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_
         "cloud",
         "Distance to what was observed [mm]",
         "Small says little about hidden layers; grey vertices were not seen.",
-        min(_round_limit(values), FARTHEST_CLOUD_MM),
+        min(graded_limit(values), FARTHEST_CLOUD_MM),
         values,
     )
 
@@ -102,9 +102,32 @@ def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) 
         "label",
         "Expected error of the action's label [mm]",
         "Estimated from what was observed, without the truth; one number for the whole mesh.",
-        _round_limit(values),
+        graded_limit(values),
         values,
     )
+
+
+def true_positions(
+    tracked: TrackedTrajectory, truth: Truth
+) -> Float[np.ndarray, "frames vertices 3"]:
+    """Where the piece of cloth at each vertex really is [m]; NaN at frames that nobody knows.
+
+    Raises:
+        InvalidResultError: truth or trajectory have no canonical coordinates.
+    """
+    if truth.canonical is None or tracked.mesh.canonical is None:
+        raise InvalidResultError(
+            f"{tracked.name}: the truth or the mesh has no canonical coordinates, so that nobody "
+            "knows which vertex belongs where; leave the truth out"
+        )
+    canonical = np.asarray(tracked.mesh.canonical, np.float64)
+    where = material_map(truth.canonical, truth.faces, canonical)
+    positions = np.full(tracked.positions.shape, np.nan)
+    for step, frame in enumerate(tracked.frames.tolist()):
+        surface = truth.at(frame)
+        if surface is not None:
+            positions[step] = material_points(surface, truth.faces, where)
+    return positions
 
 
 def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
@@ -114,19 +137,8 @@ def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
         InvalidResultError: truth or trajectory have no canonical coordinates, or no frame in
             common.
     """
-    if truth.canonical is None or tracked.mesh.canonical is None:
-        raise InvalidResultError(
-            f"{tracked.name}: the truth or the mesh has no canonical coordinates, so that nobody "
-            "knows which vertex belongs where; leave the truth out"
-        )
-    canonical = np.asarray(tracked.mesh.canonical, np.float64)
-    where = material_map(truth.canonical, truth.faces, canonical)
-    values = np.full(tracked.visible.shape, np.nan, np.float32)
-    for step, frame in enumerate(tracked.frames.tolist()):
-        surface = truth.at(frame)
-        if surface is not None:
-            points = material_points(surface, truth.faces, where)
-            values[step] = 1e3 * np.linalg.norm(tracked.positions[step] - points, axis=1)
+    points = true_positions(tracked, truth)
+    values = 1e3 * np.linalg.norm(tracked.positions - points, axis=2).astype(np.float32)
     if not np.isfinite(values).any():
         raise InvalidResultError(
             f"{tracked.name}: the truth knows none of its frames; give the truth of this recording"
@@ -135,12 +147,12 @@ def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
         "truth",
         "Error against the truth [mm]",
         "The truth is of a stand-in world; the tracker never saw it.",
-        _round_limit(values),
+        graded_limit(values),
         values,
     )
 
 
-def _round_limit(values: Float[np.ndarray, "frames vertices"]) -> float:
+def graded_limit(values: Float[np.ndarray, "frames vertices"]) -> float:
     """A round number that 95 % of the values stay under; 2 at least."""
     finite = values[np.isfinite(values)]
     if not len(finite):

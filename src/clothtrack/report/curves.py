@@ -67,7 +67,8 @@ def chart_html(
         "right": WIDTH - RIGHT,
     }
     legend = "".join(
-        f'<span class="key tone{line.tone}"><i></i>{escape(line.label)} <b class="now"></b></span>'
+        f'<span class="key tone{line.tone}" title="{escape(_help(chart, line), quote=True)}">'
+        f'<i></i>{escape(line.label)} <b class="now"></b></span>'
         for line in chart.lines
     )
     if chart.marks:
@@ -85,6 +86,11 @@ def chart_html(
         f'<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>'
         "</svg></figure>"
     )
+
+
+def _help(chart: Chart, line: Line) -> str:
+    unit = f" [{chart.unit}]" if chart.unit else ""
+    return f"{line.label or chart.title}{unit} in the frame that is shown. {chart.note}"
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,16 @@ POLICY = (
     "img-src data: blob:; media-src data: blob:"
 )
 
+SCRIPTS = (
+    "scene_math.js", "scene_shaders.js", "scene_cloth.js", "scene_view.js", "scene_parts.js",
+    "scene.js", "page_scene.js", "page_review.js", "page.js",
+)  # fmt: skip
+"""One after the other they are the script of a page; the last one starts everything."""
+
 
 def document(title: str, body: str, *, script: bool = True) -> str:
     """A page with this body; without `script` nothing in it runs."""
-    code = f"<script>{_resource('page_scene.js')}{_resource('page.js')}</script>" if script else ""
+    code = f"<script>{''.join(map(_resource, SCRIPTS))}</script>" if script else ""
     return f"""<!doctype html>
 <html lang="en">
 <head>

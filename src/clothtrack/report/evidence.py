@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.evaluation.metrics import root_mean_square_mm
+from clothtrack.evaluation.metrics import cloud_floor, root_mean_square_mm
 from clothtrack.evaluation.results import observed_chamfer
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import read_color, read_depth
@@ -36,10 +36,12 @@ class Evidence:
         clouds: observed points [m, world] of each step.
         rms_mm: root of half the two-way Chamfer distance [mm] of visible vertices and observed
             points, where an answer could be had (`clothtrack.evaluation.results`); NaN where none.
+        floor_mm: the same between two halves of the cloud [mm]: so much is left of a perfect mesh.
     """
 
     clouds: Sequence[Float[np.ndarray, "_ 3"]]
     rms_mm: Float[np.ndarray, " frames"]
+    floor_mm: Float[np.ndarray, " frames"]
 
 
 def observed(recording: Recording, frame: Frame) -> Observation | None:
@@ -69,6 +71,7 @@ def evidence_of(
     """Look at every step of a trajectory; one observation is held at a time."""
     frames = {frame.index: frame for frame in recording.frames}
     clouds, rms_mm = [], np.full(len(tracked.frames), np.nan)
+    floor_mm = rms_mm.copy()
     steps = zip(tracked.frames.tolist(), tracked.time_s.tolist(), strict=True)
     for step, (index, time_s) in enumerate(steps):
         observation = observer(recording, frames.get(index) or Frame(index, time_s))
@@ -77,7 +80,8 @@ def evidence_of(
             vertices = tracked.positions[step].astype(np.float64)
             chamfer = observed_chamfer(vertices, tracked.visible[step], observation)
             rms_mm[step] = root_mean_square_mm(chamfer)
-    return Evidence(clouds, rms_mm)
+            floor_mm[step] = root_mean_square_mm(cloud_floor(observation.points))
+    return Evidence(clouds, rms_mm, floor_mm)
 
 
 def thinned(

@@ -28,7 +28,7 @@ from clothtrack.recordings.store import read_recording
 from clothtrack.report.document import write_document
 from clothtrack.report.lettering import caption
 from clothtrack.report.live import live_page
-from clothtrack.report.sections import jpeg_uri, key_figures
+from clothtrack.report.sections import Figure, jpeg_uri, key_figures
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.viewpoint import three_quarter_view
 
@@ -119,18 +119,21 @@ def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Pa
     return path
 
 
-def _figures(store: EpisodeStore) -> list[tuple[str, str, str]]:
+def _figures(store: EpisodeStore) -> list[Figure]:
     """The numbers that a reader wants first."""
     steps = store.steps
     key = "seen_m2" if steps[0]["true_m2"] is None else "true_m2"
-    figures = [("Coverage at the end", _share(steps[-1]), "of the flat cloth")]
+    share = "Area that the cloth covers on the table, of what it covers when it is flat."
+    figures = [Figure("Coverage at the end", _share(steps[-1]), "of the flat cloth", share)]
     if steps[0]["flat_m2"] is not None:
         gained = improvement(steps, key)[-1]
         where = "seen by the camera" if key == "seen_m2" else "true"
-        figures.insert(0, ("Normalised improvement", f"{gained:.2f}", where))
+        gain = "Coverage gained, of what there was to gain: 1 is flat, 0 is nothing."
+        figures.insert(0, Figure("Normalised improvement", f"{gained:.2f}", where, gain))
     decided = [row["decision_s"] + row["perception_s"] for row in steps[1:]]
     if decided:
-        figures.append(("Per decision", f"{np.median(decided):.1f}", "s, median"))
+        spent = "From the picture to the chosen action."
+        figures.append(Figure("Per decision", f"{np.median(decided):.1f}", "s, median", spent))
     return figures
 
 

@@ -56,7 +56,7 @@ def export_pictures(
             out,
             clouds=evidence.clouds,
             colorings=colorings(tracked, evidence.clouds, truth=truth),
-            charts=charts(tracked, evidence.rms_mm),
+            charts=charts(tracked, evidence.rms_mm, evidence.floor_mm),
         )
     overlay = Overlay(tracked, recording, config=OverlayConfig())
     if kind == "sheet":

@@ -13,7 +13,11 @@ def edge_strains(tracked: TrackedTrajectory) -> Float[np.ndarray, " frames"]:
     return np.array([edge_strain(tracked.mesh, positions) for positions in tracked.positions])
 
 
-def charts(tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]) -> tuple[Chart, ...]:
+def charts(
+    tracked: TrackedTrajectory,
+    rms_mm: Float[np.ndarray, " frames"],
+    floor_mm: Float[np.ndarray, " frames"],
+) -> tuple[Chart, ...]:
     """The charts of a report, the most telling first."""
     steps = tracked.steps
     gave_up = tuple(int(frame) for frame in tracked.frames[np.asarray(steps.gave_up, dtype=bool)])
@@ -21,8 +25,9 @@ def charts(tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]) -> 
         Chart(
             "Distance to the observed cloud",
             "mm",
-            (Line("root mean square", rms_mm),),
-            "Visible vertices and cloud, both directions, as clothtrack evaluate measures it.",
+            (Line("root mean square", rms_mm, 0), Line("noise alone", floor_mm, 2)),
+            "Visible mesh to observed points and back. Noise: what two halves of the cloud are "
+            "apart, the least that a perfect mesh has.",
         ),
         Chart(
             "Edge strain",
@@ -31,23 +36,28 @@ def charts(tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]) -> 
             "Says more about hidden errors than the distance does.",
         ),
         Chart(
-            "Alignment objective",
-            "m²",
-            (Line("predicted", steps.loss_before, 1), Line("aligned", steps.loss_after, 0)),
-            "Before and after aligning the mesh with the cloud (TTO1).",
-            logarithmic=True,
+            "Alignment",
+            "mm",
+            (
+                Line("predicted", _rms_mm(steps.loss_before), 1),
+                Line("aligned", _rms_mm(steps.loss_after), 0),
+            ),
+            "How far the mesh is from the cloud as the physics predicts it, and after the camera "
+            "has corrected it (root of half the objective of TTO1).",
         ),
         Chart(
             "Visible share of the cloth",
             "%",
             (Line("vertices that some camera sees", 100 * tracked.visible.mean(axis=1)),),
+            "The rest of the mesh is the tracker's belief.",
             least_top=100.0,
         ),
         Chart(
             "Line search",
             "",
             (Line("roll-outs tried", np.asarray(steps.trials, dtype=np.float64), 0),),
-            "How often a correction had to be shortened until the dynamics took it.",
+            "1: the physics took the correction whole. More: it had to be shortened so often. 0: "
+            "nothing was corrected, as where an action starts.",
             marks=gave_up,
             marks_label="correction dropped",
         ),
@@ -55,6 +65,7 @@ def charts(tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]) -> 
             "Highest speed",
             "m/s",
             (Line("fastest vertex of the accepted roll-out", steps.highest_speed),),
+            "Peaks while nothing moves: the simulation is unstable.",
         ),
         Chart(
             "Computing time",
@@ -67,3 +78,8 @@ def charts(tracked: TrackedTrajectory, rms_mm: Float[np.ndarray, " frames"]) -> 
             "With the parameters that were kept; the search for them is not drawn.",
         ),
     )
+
+
+def _rms_mm(losses: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " frames"]:
+    """Objectives [m^2] as distances [mm]."""
+    return 1e3 * np.sqrt(0.5 * np.asarray(losses, np.float64))

@@ -4,7 +4,7 @@ The visible surface is shaded and translucent, its outline bright; what the came
 drawn through it as a wire frame in the hidden hue.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from clothtrack.evaluation.metrics import root_mean_square_mm
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import Frame, Recording
@@ -102,12 +103,20 @@ class Overlay:
 
     def draw(self, step: int) -> Picture:
         """The tracked mesh over what was seen at a step, all views side by side."""
-        return np.hstack(self._overlays(step))
+        return np.hstack(self._overlays(step, self._observations(step)))
+
+    def stacked(self, step: int) -> Picture:
+        """`draw` with what was seen below it, each of them with even sides."""
+        seen = self._observations(step)
+        pair = [np.hstack(pictures) for pictures in (self._overlays(step, seen), seen)]
+        height, width = pair[0].shape[:2]
+        padding = ((0, height % 2), (0, width % 2), (0, 0))
+        return np.vstack([np.pad(picture, padding, mode="edge") for picture in pair])
 
     def annotated(self, step: int) -> Picture:
         """`draw` with a line of words over it: frame, time, action, losses, share visible."""
         picture = self.draw(step)
-        left, right = _words(self.tracked, step)
+        left, right = step_words(self.tracked, step)
         return np.vstack([caption(picture.shape[1], left, right), picture])
 
     def _observations(self, step: int) -> list[Picture]:
@@ -121,13 +130,11 @@ class Overlay:
             for view in self.views
         ]
 
-    def _overlays(self, step: int) -> list[Picture]:
+    def _overlays(self, step: int, observations: Sequence[Picture]) -> list[Picture]:
         vertices = self.tracked.positions[step].astype(np.float64)
         visible = self.tracked.visible[step]
         pictures = []
-        for view, shader, picture in zip(
-            self.views, self._shaders, self._observations(step), strict=True
-        ):
+        for view, shader, picture in zip(self.views, self._shaders, observations, strict=True):
             still = shader.render(vertices)
             cloth = view.cut(still.cloth)
             photographed = has_picture(self.frame(step), view.camera)
@@ -201,20 +208,29 @@ class View:
         return pixels - (self.columns.start, self.rows.start), depth
 
 
+def whole_view(camera: Camera) -> View:
+    """All of a camera's picture."""
+    return View(camera, slice(0, camera.height), slice(0, camera.width))
+
+
 def write_overlay_video(
-    overlay: Overlay, path: Path, *, steps: Sequence[int] | None = None
+    overlay: Overlay,
+    path: Path,
+    *,
+    steps: Sequence[int] | None = None,
+    draw: Callable[[int], Picture] | None = None,
 ) -> float:
-    """Write the annotated overlay as H.264 MP4 and return its frames per second.
+    """Write the overlay as H.264 MP4 and return its frames per second.
 
     `steps` chooses frames of the trajectory (all by default); the video keeps the recording's
-    speed.
+    speed. `draw` makes the picture of a step, by default the annotated one.
 
     Raises:
         StorageError: when the disk refuses.
     """
     chosen = range(len(overlay.tracked.frames)) if steps is None else steps
     rate = frame_rate(overlay.tracked.time_s[np.asarray(chosen, dtype=np.int64)])
-    write_video((overlay.annotated(step) for step in chosen), path, frames_per_second=rate)
+    write_video(map(draw or overlay.annotated, chosen), path, frames_per_second=rate)
     return rate
 
 
@@ -252,7 +268,7 @@ def _sheet_rows(overlay: Overlay, steps: Sequence[int]) -> Iterator[Picture]:
         row = np.hstack(
             [small[0], gap, small[1], gap, shader.render(tracked.positions[step]).image]
         )
-        yield np.vstack([row, caption(row.shape[1], *_words(tracked, step), height=26)])
+        yield np.vstack([row, caption(row.shape[1], *step_words(tracked, step), height=26)])
 
 
 def scene_view(
@@ -276,7 +292,7 @@ def _views(
     if not cameras:
         width = 2 * round(config.height * 2 / 3)
         camera = scene_view(tracked, recording, width=width, height=config.height)
-        return (View(camera, slice(0, camera.height), slice(0, camera.width)),)
+        return (whole_view(camera),)
     return tuple(_close_up(camera, tracked, config) for camera in cameras[: config.cameras])
 
 
@@ -300,7 +316,7 @@ def _close_up(camera: Camera, tracked: TrackedTrajectory, config: OverlayConfig)
     return View(large, slice(top, top + height), slice(left, left + width))
 
 
-def _words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
+def step_words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
     """The caption of a step: where we are, and how it went."""
     frame, steps = int(tracked.frames[step]), tracked.steps
     left = f"frame {frame}   {tracked.time_s[step]:.2f} s"
@@ -309,8 +325,10 @@ def _words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
             left += f"   action {number + 1} of {len(tracked.actions)}"
             break
     right = []
-    if np.isfinite(steps.loss_before[step]):
-        right.append(f"loss {steps.loss_before[step]:.1e} > {steps.loss_after[step]:.1e} m2")
+    losses = float(steps.loss_before[step]), float(steps.loss_after[step])
+    if np.isfinite(losses).all():
+        before, after = (root_mean_square_mm(loss) for loss in losses)
+        right.append(f"predicted {before:.1f} mm off the cloud, aligned {after:.1f} mm")
     if steps.gave_up[step]:
         right.append("correction dropped")
     right.append(f"{100 * tracked.visible[step].mean():.0f} % visible")

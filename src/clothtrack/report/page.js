@@ -6,19 +6,20 @@
     list.reduce((best, item, at) => Math.abs(item - value) < Math.abs(list[best] - value) ? at : best, 0);
   const stage = find(".stage"), all = JSON.parse(stage.dataset.frames), times = JSON.parse(stage.dataset.times);
   // A page of one frame has no time bar: nothing to play, nothing to tell.
-  const video = find("video"), bar = find("#time"), told = find("#told"), player = find("#play");
+  const video = find("video"), bar = find("#time"), told = find("#told"), player = find("#play"), speed = find("#speed");
   const shown = video ? JSON.parse(video.dataset.frames) : [], rate = video ? Number(video.dataset.rate) : 1;
+  const words = find(".words"), lines = words ? JSON.parse(words.dataset.words) : [];
   const charts = [...document.querySelectorAll("figure.chart[data-chart]")].map((figure) => ({
     svg: figure.querySelector("svg"),
     cursor: figure.querySelector(".cursor"),
     now: [...figure.querySelectorAll(".now")],
     ...JSON.parse(figure.dataset.chart),
   }));
-  const labels = reviewed(find("#review"));
-  let scene = null, step = 0, turn = Promise.resolve();
+  let scene = null, space = null, step = 0, turn = Promise.resolve(), writing = 0;
 
   // A decision waits until it is saved; what is pressed meanwhile waits for its turn.
   function inTurn(call) { turn = turn.catch(() => {}).then(call); }
+  const labels = reviewed(find("#review"), inTurn);
 
   const worded = (value) => value === null ? "\u2013"
     : value !== 0 && Math.abs(value) < 1e-3 ? value.toExponential(2) : String(value);
@@ -35,14 +36,22 @@
     }
   }
 
-  function show(wanted, { seek = true, label } = {}) {
+  // The address leads to the frame that is shown; browsers slow down those who write it too often.
+  function addressed(frame) {
+    clearTimeout(writing);
+    writing = setTimeout(() => history.replaceState(null, "", `#frame=${frame}`), 250);
+  }
+
+  function show(wanted, { seek = true, label, address = true } = {}) {
     step = Math.min(all.length - 1, Math.max(0, wanted));
     const frame = all[step];
     if (bar) bar.value = step;
     if (told) told.textContent = `frame ${frame}, ${times[step].toFixed(2)} s`;
     point(frame);
     if (scene) scene.set({ step: nearest(scene.frames, frame) });
+    if (words) words.textContent = lines[nearest(shown, frame)] ?? "";
     labels.at(frame, label);
+    if (address && all.length > 1) addressed(frame);
     if (video && seek) {
       video.pause();
       const wanted = (nearest(shown, frame) + 0.5) / rate;
@@ -59,16 +68,27 @@
     if (video.requestVideoFrameCallback && !video.paused) video.requestVideoFrameCallback(follow);
   }
 
-  const play = () => (video.paused ? video.play() : video.pause());
+  const play = () => { if (video && player) (video.paused ? video.play() : video.pause()); };
   if (video) {
     for (const name of ["timeupdate", "play"]) video.addEventListener(name, follow);
+    video.addEventListener("click", play);
   }
   if (video && player) {
     player.addEventListener("click", play);
     for (const name of ["play", "pause"]) {
       video.addEventListener(name, () => { player.textContent = video.paused ? "Play" : "Pause"; });
     }
+    speed.addEventListener("change", () => { video.playbackRate = Number(speed.value); });
   }
+  const parts = [...document.querySelectorAll("[data-part]")];
+  const choosePart = (wanted) => {
+    video.style.setProperty("--part", wanted);
+    parts.forEach((one, k) => one.setAttribute("aria-pressed", k === wanted));
+  };
+  parts.forEach((one, k) => one.addEventListener("click", () => choosePart(k)));
+  const nextPart = () => {
+    if (parts.length) choosePart((parts.findIndex((one) => one.ariaPressed === "true") + 1) % parts.length);
+  };
   if (bar) bar.addEventListener("input", () => show(Number(bar.value)));
   for (const chart of charts) {
     const seek = (event) => {
@@ -92,124 +112,51 @@
     r: () => labels.decide("rejected"),
     o: () => labels.decide("open"),
     u: () => labels.undo(),
+    v: nextPart,
+    c: () => space?.turn(),
+    " ": play,
   };
-  document.addEventListener("keydown", (event) => {
-    const busy = event.target.closest?.("select, textarea, input:not([type=range])");
-    const slider = event.target.type === "range" && event.target !== bar;
-    if (busy || (slider && event.key.startsWith("Arrow"))) return;
-    if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
-    event.preventDefault();
-    inTurn(keys[event.key]);
+  // Keys belong to the page whatever has the focus, but for a menu while it is open. A control
+  // that was used by a pointer gives the focus back at once.
+  let open = null;
+  document.addEventListener("pointerdown", (event) => { open = event.target.closest?.("select") ?? null; });
+  document.addEventListener("change", (event) => {
+    open = null;
+    if (event.target.matches("select")) event.target.blur();
   });
+  document.addEventListener("click", (event) => { if (event.detail > 0) event.target.closest?.("button, summary, input")?.blur(); });
+  document.addEventListener("keydown", (event) => {
+    const { target, key } = event, menu = target.matches?.("select");
+    if (event.ctrlKey || event.metaKey || event.altKey) {
+      if (menu && key === "ArrowDown") open = target;
+      return;
+    }
+    if (menu && ["Enter", "Escape", "Tab"].includes(key)) {
+      open = key === "Enter" && open !== target ? target : null;
+      return;
+    }
+    // A box is ticked by Enter: Space plays.
+    if (key === "Enter" && target.matches?.("input[type=checkbox]")) target.click();
+    if ((open && open === target) || target.matches?.("textarea, input:not([type=range], [type=checkbox])")) return;
+    if (!keys[key] || (all.length === 1 && (key === " " || key === "ArrowLeft" || key === "ArrowRight"))) return;
+    event.preventDefault();
+    inTurn(keys[key]);
+  });
+  // A button is pressed when Space comes up: not here.
+  document.addEventListener("keyup", (event) => { if (event.key === " " && all.length > 1) event.preventDefault(); });
+
+  const linked = () => {
+    const [, frame] = location.hash.match(/^#frame=(\d+)$/) ?? [];
+    return frame === undefined ? null : nearest(all, Number(frame));
+  };
+  addEventListener("hashchange", () => { if (linked() !== null) show(linked(), { address: false }); });
 
   const card = find(".scene");
   if (card) {
     scene = await openScene(card);
-    if (scene) controls(card, scene);
+    if (scene) space = sceneControls(card, scene, () => all[step]);
   }
   await labels.load();
-  show(0, { seek: false });
+  show(linked() ?? 0, { seek: linked() !== null, address: false });
   document.body.dataset.ready = "yes";
-
-  function controls(card, opened) {
-    const note = card.querySelector(".controls .note"), mode = card.querySelector("[name=mode]");
-    const legend = card.querySelector(".meaning");
-    const recolor = () => {
-      opened.set({ mode: mode.value });
-      note.textContent = mode.selectedOptions[0]?.dataset.note ?? "";
-      legend.innerHTML = card.querySelector(`template[data-mode="${mode.value}"]`)?.innerHTML ?? "";
-    };
-    mode.addEventListener("change", recolor);
-    for (const input of card.querySelectorAll("input[type=range]")) {
-      input.addEventListener("input", () => opened.set({ [input.name]: Number(input.value) }));
-    }
-    for (const input of card.querySelectorAll("input[type=checkbox]")) {
-      input.addEventListener("change", () => opened.set({ [input.name]: input.checked }));
-    }
-    recolor();
-  }
-
-  // Decisions about labels: a served page sends each to its server, which saves it; one that was
-  // opened from a disk cannot write files beside the trajectory, so it offers one.
-  function reviewed(section) {
-    if (!section) return { at: () => {}, decide: () => {}, undo: () => {}, step: () => {}, onJump: () => {}, load: () => {} };
-    const review = JSON.parse(section.dataset.review), rows = [...section.querySelectorAll("[data-action]")];
-    const firsts = rows.map((row) => Number(row.dataset.first)), undo = section.querySelector("#undo"), past = [];
-    const served = document.body.dataset.version !== undefined, state = section.querySelector("#saved");
-    let current = 0, chosen = null, go = () => {};
-    // Whether the server took this, or told the decisions so far; the page then shows what it has.
-    const synchronised = async (message) => {
-      try {
-        const sent = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(message) };
-        const answer = await (await fetch("review", message && sent)).json();
-        if (answer.error) throw new Error(answer.error);
-        review.labels = answer.labels;
-        state.textContent = message ? `Saved in ${section.dataset.file}` : `Decisions go to ${section.dataset.file}`;
-      } catch (error) {
-        const reason = error instanceof TypeError ? "the server has ended; start clothtrack view again" : error.message;
-        state.textContent = `Not saved: ${reason}`;
-      }
-      state.classList.toggle("failed", state.textContent.startsWith("Not"));
-      return !state.classList.contains("failed");
-    };
-    const put = async (which, verdict) => {
-      if (served) return synchronised({ action: which, verdict });
-      review.labels[which].verdict = verdict;
-      return true;
-    };
-    const paint = () => {
-      rows.forEach((row, k) => {
-        row.dataset.verdict = review.labels[k].verdict;
-        row.classList.toggle("current", k === current);
-        row.querySelector(".verdict").textContent = review.labels[k].verdict;
-      });
-      const left = review.labels.filter((label) => label.verdict === "open").length;
-      section.querySelector(".left").textContent = left ? `${left} still open` : "all decided";
-      undo.disabled = past.length === 0;
-    };
-    const choose = (wanted) => {
-      const which = Math.min(rows.length - 1, Math.max(0, wanted));
-      go(review.labels[which].frame, which);
-    };
-    const decide = async (verdict, which = current) => {
-      const before = review.labels[which].verdict;
-      if (!(await put(which, verdict))) return;
-      past.push({ which, verdict: before });
-      choose(which + 1);
-    };
-    const takeBack = async () => {
-      if (!past.length || !(await put(past.at(-1).which, past.at(-1).verdict))) return;
-      choose(past.pop().which);
-    };
-    undo.addEventListener("click", () => inTurn(takeBack));
-    rows.forEach((row, k) => {
-      row.querySelector(".jump").addEventListener("click", () => inTurn(() => choose(k)));
-      for (const button of row.querySelectorAll("[data-decide]")) {
-        button.addEventListener("click", () => inTurn(() => decide(button.dataset.decide, k)));
-      }
-    });
-    section.querySelector("#save").addEventListener("click", () => {
-      const file = new Blob([JSON.stringify(review, null, 2) + "\n"], { type: "application/json" });
-      const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: section.dataset.file });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-    });
-    for (const part of section.querySelectorAll("[data-when]")) {
-      part.hidden = (part.dataset.when === "served") !== served;
-    }
-    paint();
-    return {
-      decide,
-      load: async () => { if (served && (await synchronised())) paint(); },
-      undo: takeBack,
-      // Where two actions meet, one frame belongs to both: a label that was chosen stays chosen.
-      at: (frame, label) => {
-        if (label !== undefined) chosen = { frame, label };
-        current = chosen?.frame === frame ? chosen.label : Math.max(0, firsts.findLastIndex((first) => frame >= first));
-        paint();
-      },
-      step: (way) => choose(current + way),
-      onJump: (call) => { go = call; },
-    };
-  }
 })();

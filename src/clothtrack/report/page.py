@@ -18,12 +18,21 @@ from clothtrack.recordings.store import read_recording
 from clothtrack.report.coloring import Coloring, colorings, judged_or_none
 from clothtrack.report.curves import chart_html
 from clothtrack.report.document import write_document
-from clothtrack.report.evidence import Observer, evidence_of, observed
+from clothtrack.report.evidence import Observer, evidence_of, observed, thinned
+from clothtrack.report.film_colors import cloud_colors, vertex_colors
+from clothtrack.report.ghost import Ghost, run_differences, second_ghost, true_ghost
+from clothtrack.report.label_cards import review_card, verdict_strip
 from clothtrack.report.layers import Layers
 from clothtrack.report.measures import charts, edge_strains
-from clothtrack.report.overlay import Overlay, OverlayConfig, scene_view, write_overlay_video
+from clothtrack.report.overlay import (
+    Overlay,
+    OverlayConfig,
+    scene_view,
+    step_words,
+    write_overlay_video,
+)
 from clothtrack.report.palette import HIDDEN, OUTSIDE
-from clothtrack.report.scene_data import SceneConfig, SceneContents
+from clothtrack.report.scene_data import SCENE_POINTS, SceneContents
 from clothtrack.report.sections import (
     actions_html,
     figures_of,
@@ -31,7 +40,7 @@ from clothtrack.report.sections import (
     lead_line,
     settings_html,
 )
-from clothtrack.report.stage import review_card, scene_card, stage, swatch, video_card
+from clothtrack.report.stage import Pictures, scene_card, stage, swatch, video_card
 from clothtrack.report.viewpoint import layers_axis, upward
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -46,14 +55,14 @@ class ReportConfig:
     Attributes:
         video_frames: at most this many frames in the video, evenly chosen beside those of labels.
         scene_vertices: at most this many vertices over all frames of the scene.
+        scene_points: observed points kept per frame of the scene.
         overlay: how the video looks.
-        scene: what the scene holds.
     """
 
     video_frames: int = 360
     scene_vertices: int = 750_000
+    scene_points: int = SCENE_POINTS
     overlay: OverlayConfig = field(default_factory=OverlayConfig)
-    scene: SceneConfig = field(default_factory=SceneConfig)
 
 
 def write_report(
@@ -64,6 +73,7 @@ def write_report(
     config: ReportConfig | None = None,
     observer: Observer = observed,
     truth: Truth | None = None,
+    second: TrackedTrajectory | None = None,
     review: LabelReview | None = None,
 ) -> Path:
     """Write the page of one tracked trajectory and return its path.
@@ -75,29 +85,48 @@ def write_report(
         config: how much goes into it.
         observer: looks at a frame; by default as the recording says.
         truth: the true meshes; only with them can the cloth be coloured by its error.
+        second: another run of the same recording, shown beside the first unless there is a truth.
         review: decisions about labels so far.
 
     Raises:
-        InvalidResultError: the truth is of another garment or another recording.
+        InvalidResultError: the truth is of another garment or another recording, or the second
+            run of another recording.
         StorageError: when the disk refuses; what was at `path` before is untouched then.
     """
     config = config or ReportConfig()
     overlay = Overlay(tracked, recording, config=config.overlay, observer=observer)
     evidence = evidence_of(tracked, recording, observer)
-    clouds = evidence.clouds
     judged = judged_or_none(tracked, recording)
-    colors = colorings(tracked, clouds, judged, truth)
+    colors = list(colorings(tracked, evidence.clouds, judged, truth))
+    ghost = None if truth is None else true_ghost(tracked, truth)
+    if second is not None:
+        other = second_ghost(tracked, second)
+        colors += run_differences(tracked, other)
+        ghost = ghost or other
+    actions = [(action.first_frame, action.last_frame) for action in tracked.actions]
     upper = stage(
         [
             _video_card(tracked, overlay, config),
-            scene_card(_contents(tracked, recording, clouds, colors, config), config.scene),
+            scene_card(_contents(overlay, evidence.clouds, colors, ghost, config)),
         ],
         tracked.frames.tolist(),
         tracked.time_s.tolist(),
         wide=len(overlay.views) > 1,
+        actions=actions,
     )
     labels = review_card(tracked, review or LabelReview.blank(tracked), judged)
-    body = _body(tracked, recording, evidence.rms_mm, config, upper=upper + labels)
+    drawn = charts(tracked, evidence.rms_mm, evidence.floor_mm)
+    body = f"""{lead_line(tracked, recording)}
+{verdict_strip(judged)}
+{upper}
+{labels}
+{key_figures(figures_of(tracked, evidence, edge_strains(tracked)))}
+<h2>Over time</h2>
+<p class="note">Shaded bands are actions. Press on a chart to see that frame above.</p>
+<div class="charts">{"".join(chart_html(one, tracked.frames, actions) for one in drawn)}</div>
+<h2>Actions</h2>
+{actions_html(tracked, recording, device=config.overlay.device)}
+{settings_html(tracked, recording)}"""
     return write_document(path, tracked.name, body)
 
 
@@ -119,52 +148,37 @@ def report(
     )
 
 
-def _body(
-    tracked: TrackedTrajectory,
-    recording: Recording,
-    rms_mm: Float[np.ndarray, " frames"],
-    config: ReportConfig,
-    *,
-    upper: str,
-) -> str:
-    actions = [(action.first_frame, action.last_frame) for action in tracked.actions]
-    curves = "".join(
-        chart_html(chart, tracked.frames, actions) for chart in charts(tracked, rms_mm)
-    )
-    return f"""{lead_line(tracked, recording)}
-{key_figures(figures_of(tracked, rms_mm, edge_strains(tracked)))}
-{upper}
-<h2>Over time</h2>
-<p class="note">Shaded bands are actions. Press on a chart to see that frame above.</p>
-<div class="charts">{curves}</div>
-<h2>Actions</h2>
-{actions_html(tracked, recording, device=config.overlay.device)}
-{settings_html(tracked, recording)}"""
-
-
 def _video_card(tracked: TrackedTrajectory, overlay: Overlay, config: ReportConfig) -> str:
     steps = evenly(len(tracked.frames), config.video_frames, always=_labelled_steps(tracked))
-    return video_card(
-        "Over the observation",
-        swatch(OUTSIDE, "visible") + swatch(HIDDEN, "hidden, believed"),
+    rows, width = overlay.stacked(0).shape[:2]
+    pictures = Pictures(
         tracked.frames[steps].tolist(),
-        lambda path: write_overlay_video(overlay, path, steps=steps),
+        lambda path: write_overlay_video(overlay, path, steps=steps, draw=overlay.stacked),
+        (width, rows // 2),
+        ("Mesh on the picture", "Raw picture"),
+        [" · ".join(step_words(tracked, step)[1].split("   ")) for step in steps],
+        "How far the visible mesh was from the observed points, from the square root of half the "
+        "alignment objective: where the physics predicted it, and after the alignment.",
     )
+    legend = swatch(OUTSIDE, "visible") + swatch(HIDDEN, "hidden, believed")
+    return video_card("Over the observation", legend, pictures)
 
 
 def _contents(
-    tracked: TrackedTrajectory,
-    recording: Recording,
+    overlay: Overlay,
     clouds: Sequence[Float[np.ndarray, "_ 3"]],
     colors: Sequence[Coloring],
+    ghost: Ghost | None,
     config: ReportConfig,
 ) -> SceneContents:
-    most = max(2, config.scene_vertices // tracked.mesh.vertex_count)
-    most = min(SCENE_FRAMES, most)
+    tracked, recording = overlay.tracked, overlay.recording
+    most = min(SCENE_FRAMES, max(2, config.scene_vertices // tracked.mesh.vertex_count))
     steps = evenly(len(tracked.frames), most, always=_labelled_steps(tracked))
     view = scene_view(tracked, recording, width=800, height=600)
     axis = layers_axis(recording, view)
     layers = Layers(tracked.mesh, axis)
+    points = [thinned(clouds[step], config.scene_points) for step in steps]
+    cameras = {camera.name for camera in recording.cameras}
     return SceneContents(
         frames=tracked.frames[steps],
         time_s=tracked.time_s[steps],
@@ -175,10 +189,14 @@ def _contents(
         faces=tracked.mesh.faces,
         ranks=np.stack([layers.ranks(tracked.positions[step]) for step in steps]),
         visible=tracked.visible[steps],
-        clouds=[clouds[step] for step in steps],
+        clouds=points,
         pickers=recording.picker_paths,
         table=recording.table,
         colorings=[replace(one, values=one.values[steps]) for one in colors],
+        views=[one for one in overlay.views if one.camera.name in cameras],
+        cloud_colors=cloud_colors(recording, [overlay.frame(step) for step in steps], points),
+        film=vertex_colors(tracked, recording),
+        ghost=None if ghost is None else ghost.at(steps),
     )
 
 

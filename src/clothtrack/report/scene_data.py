@@ -12,13 +12,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import PickerPath, Table
 from clothtrack.report.coloring import Coloring
-from clothtrack.report.evidence import thinned
+from clothtrack.report.film_colors import PALETTE_SIZE, few_colors
+from clothtrack.report.ghost import Ghost
+from clothtrack.report.overlay import View
 from clothtrack.report.palette import (
+    GHOST,
     HEAT,
     HIDDEN,
     INK,
@@ -37,22 +40,17 @@ POINT_SIZE_M = 0.0025
 PICKER_RADIUS_M = 0.008
 """Radius of the ball at a picker's tip [m]."""
 
+THICKNESS_M = 0.0012
+"""Thickness that the cloth is drawn with [m]: about that of jersey."""
+
+SCENE_POINTS = 1500
+"""So many observed points of a frame are shown."""
+
 FINEST_GRAIN_M = 2.0**-14
 LARGEST_INTEGER = 32_000
 RANK_STEPS = 16
 UNKNOWN_VALUE = 255
 LARGEST_VALUE = 254
-
-
-@dataclass(frozen=True)
-class SceneConfig:
-    """How much goes into a scene.
-
-    Attributes:
-        points: observed points kept per frame.
-    """
-
-    points: int = 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +71,10 @@ class SceneContents:
         pickers: where the pickers were.
         table: where the table is.
         colorings: what the cloth can be coloured by.
+        views: of the recording's cameras: the parts of their pictures that the page shows.
+        cloud_colors: RGB of each observed point; none where there is no colour picture.
+        film: RGB of each vertex as the film shows it.
+        ghost: another cloth, to compare with.
     """
 
     frames: Int[np.ndarray, " frames"]
@@ -88,16 +90,20 @@ class SceneContents:
     pickers: Mapping[str, PickerPath] = field(default_factory=dict)
     table: Table | None = None
     colorings: Sequence[Coloring] = ()
+    views: Sequence[View] = ()
+    cloud_colors: Sequence[UInt8[np.ndarray, "_ 3"]] = ()
+    film: UInt8[np.ndarray, "vertices 3"] | None = None
+    ghost: Ghost | None = None
 
 
-def packed(scene: SceneContents, config: SceneConfig | None = None) -> tuple[str, str]:
+def packed(scene: SceneContents) -> tuple[str, str]:
     """A scene as a JSON header and Base64 data."""
-    config = config or SceneConfig()
-    clouds = [thinned(np.asarray(points), config.points) for points in scene.clouds]
-    everything = np.concatenate([scene.positions.reshape(-1, 3), *clouds]).astype(np.float64)
+    clouds = scene.clouds
+    others = [] if scene.ghost is None else [scene.ghost.positions.reshape(-1, 3)]
+    everything = np.concatenate([scene.positions.reshape(-1, 3), *clouds, *others])
     if not len(everything):
         everything = np.zeros((1, 3))
-    low, high = everything.min(axis=0), everything.max(axis=0)
+    low, high = (f(everything, axis=0).astype(np.float64) for f in (np.min, np.max))
     origin = (low + high) / 2
     grain = max(FINEST_GRAIN_M, float((high - low).max()) / 2 / LARGEST_INTEGER)
 
@@ -113,8 +119,15 @@ def packed(scene: SceneContents, config: SceneConfig | None = None) -> tuple[str
         pack.plain("visible", np.packbits(scene.visible.ravel(), bitorder="little"))
     for coloring in scene.colorings:
         pack.plain(f"color {coloring.key}", _bytes_of(coloring))
+    if scene.film is not None:
+        pack.plain("film", scene.film)
+    colors = _cloud_colors(scene, pack)
+    if scene.ghost is not None:
+        pack.differences("ghost", integers(scene.ghost.positions))
+        pack.plain("ghost faces", scene.ghost.faces.astype("<u4"))
     header = {
         **_facts(scene),
+        "cloudColors": colors,
         "origin": origin.tolist(),
         "grain": grain,
         "vertices": int(scene.positions.shape[1]),
@@ -129,27 +142,39 @@ class _Packer:
 
     def __init__(self) -> None:
         self.content = bytearray()
-        self.places: dict[str, tuple[str, int, int]] = {}
+        self.places: dict[str, tuple[str, int, int, int]] = {}
 
     def plain(self, name: str, values: np.ndarray) -> None:
         """Bytes, or words of four bytes, as they are."""
         self.content += bytes(-len(self.content) % 4)
         data = values.tobytes()
-        self.places[name] = ("words" if values.itemsize == 4 else "bytes", len(self.content),
-                             len(data))  # fmt: skip
+        kind = "words" if values.itemsize == 4 else "bytes"
+        self.places[name] = (kind, len(self.content), len(data), 0)
         self.content += data
 
-    def shuffled(self, name: str, values: np.ndarray, kind: str = "shuffled") -> None:
+    def shuffled(
+        self, name: str, values: np.ndarray, kind: str = "shuffled", width: int = 0
+    ) -> None:
         """Integers of two bytes: first all low bytes, then all high ones."""
         halves = values.astype("<i2").ravel().view(np.uint8).reshape(-1, 2)
         data = np.ascontiguousarray(halves.T).tobytes()
-        self.places[name] = (kind, len(self.content), len(data))
+        self.places[name] = (kind, len(self.content), len(data), width)
         self.content += data
 
     def differences(self, name: str, values: np.ndarray) -> None:
         """The first frame, and what changes from each frame to the next."""
-        first = np.zeros_like(values[:1])
-        self.shuffled(name, np.diff(values, axis=0, prepend=first), "differences")
+        first, width = np.zeros_like(values[:1]), int(np.prod(values.shape[1:]))
+        self.shuffled(name, np.diff(values, axis=0, prepend=first), "differences", width)
+
+
+def _cloud_colors(scene: SceneContents, pack: _Packer) -> list[list[int]]:
+    """Pack one byte for each observed point; gives the colours that the bytes stand for."""
+    if not scene.cloud_colors:
+        return []
+    everything = np.concatenate([np.empty((0, 3)), *scene.cloud_colors])
+    palette, places = few_colors(everything, PALETTE_SIZE)
+    pack.plain("cloud colors", places)
+    return palette.tolist()
 
 
 def _bytes_of(coloring: Coloring) -> np.ndarray:
@@ -175,6 +200,12 @@ def _facts(scene: SceneContents) -> dict[str, Any]:
         "eye": eye.position.tolist(),
         "forward": eye.world_from_camera[:3, 2].tolist(),
         "fieldOfView": float(2 * np.arctan(0.5 * eye.height / eye.fy)),
+        "times": np.round(scene.time_s, 4).tolist(),
+        "views": [_view(one) for one in scene.views],
+        "ghost": None
+        if scene.ghost is None
+        else {"title": scene.ghost.title, "known": scene.ghost.known.tolist()},
+        "thickness": THICKNESS_M,
         "up": scene.up.tolist(),
         "along": scene.along.tolist(),
         "table": None if table is None else [table.point.tolist(), table.normal.tolist()],
@@ -195,6 +226,22 @@ def _facts(scene: SceneContents) -> dict[str, Any]:
             "table": TABLE,
             "ink": INK,
             "unknown": UNKNOWN,
+            "ghost": GHOST,
             "heat": HEAT.tolist(),
         },
+    }
+
+
+def _view(view: View) -> dict[str, Any]:
+    """Where a camera stands, and the part of its picture that the page shows [pixels]."""
+    camera, pose = view.camera, view.camera.world_from_camera
+    return {
+        "name": camera.name,
+        "eye": pose[:3, 3].tolist(),
+        "right": pose[:3, 0].tolist(),
+        "down": pose[:3, 1].tolist(),
+        "forward": pose[:3, 2].tolist(),
+        "focal": [camera.fx, camera.fy],
+        "centre": [camera.cx - view.columns.start, camera.cy - view.rows.start],
+        "size": [view.columns.stop - view.columns.start, view.rows.stop - view.rows.start],
     }

@@ -4,17 +4,20 @@ import base64
 import json
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import StorageError
+from clothtrack.evaluation.metrics import root_mean_square_mm
 from clothtrack.recordings.recording import Recording
+from clothtrack.report.evidence import Evidence
 from clothtrack.report.lettering import heat_legend
 from clothtrack.report.overlay import scene_view
 from clothtrack.report.palette import heat
+from clothtrack.report.parameter_table import parameter_head, parameter_table
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.tracking.tracked_trajectory import Calibration, TrackedAction, TrackedTrajectory
 
@@ -34,34 +37,67 @@ def lead_line(tracked: TrackedTrajectory, recording: Recording) -> str:
     return f'<p class="lead">{escape(" · ".join(part for part in parts if part))}</p>'
 
 
-def key_figures(figures: Sequence[tuple[str, str, str]]) -> str:
-    """A row of (name, value, unit); names without a value are left out."""
+class Figure(NamedTuple):
+    """A number that a reader wants first.
+
+    Attributes:
+        name: what it is.
+        value: as it is shown; a figure without one is left out.
+        unit: of the value.
+        help: what it tells, shown to those who point at it.
+    """
+
+    name: str
+    value: str
+    unit: str
+    help: str
+
+
+def key_figures(figures: Sequence[Figure]) -> str:
+    """A row of figures."""
     items = "".join(
-        f"<div><dt>{escape(name)}</dt><dd>{escape(value)} <small>{escape(unit)}</small></dd></div>"
-        for name, value, unit in figures
-        if value
+        f'<div title="{escape(one.help, quote=True)}"><dt>{escape(one.name)}</dt>'
+        f"<dd>{escape(one.value)} <small>{escape(one.unit)}</small></dd></div>"
+        for one in figures
+        if one.value
     )
     return f'<dl class="figures">{items}</dl>'
 
 
 def figures_of(
-    tracked: TrackedTrajectory,
-    rms_mm: Float[np.ndarray, " frames"],
-    strains: Float[np.ndarray, " frames"],
-) -> list[tuple[str, str, str]]:
+    tracked: TrackedTrajectory, evidence: Evidence, strains: Float[np.ndarray, " frames"]
+) -> list[Figure]:
     """The numbers that a reader wants first."""
     steps = tracked.steps
     stepped = int((np.asarray(steps.trials) > 0).sum())
     # The steps are of the parameters that were kept; the whole holds those that were tried too.
     kept = np.nansum([steps.predict_s, steps.align_s, steps.correct_s])
     cpu = float(tracked.provenance.get("cpu_s", kept))
+    floor = _median(evidence.floor_mm)
     return [
-        ("Distance to cloud, median", _finite(np.nanmedian(rms_mm), ".1f") if _any(rms_mm) else "",
-         "mm RMS"),
-        ("Edge strain, mean", f"{100 * strains.mean():.2f}", "%"),
-        ("Visible, mean", f"{100 * tracked.visible.mean():.0f}", "% of vertices"),
-        ("Corrections dropped", str(int(np.sum(steps.gave_up))), f"of {stepped}"),
-        ("Computing time", f"{cpu / max(1, len(tracked.frames)):.2f}", "s of CPU per frame"),
+        Figure(
+            "Distance to cloud, median", _median(evidence.rms_mm),
+            f"mm, of which {floor} are noise" if floor else "mm",
+            "Root mean square of the distances from visible mesh to observed points and back. A "
+            "perfect mesh would have the noise: what two halves of one cloud are apart.",
+        ),
+        Figure(
+            "Edge strain, mean", f"{100 * strains.mean():.2f}", "%",
+            "Mean change of the length of an edge. More than a few per cent: the mesh is torn to "
+            "the cloud.",
+        ),
+        Figure(
+            "Visible, mean", f"{100 * tracked.visible.mean():.0f}", "% of vertices",
+            "What some camera sees. The rest is the tracker's belief.",
+        ),
+        Figure(
+            "Corrections dropped", str(int(np.sum(steps.gave_up))), f"of {stepped}",
+            "Frames in which the physics did not take the camera's correction, however short.",
+        ),
+        Figure(
+            "Computing time", f"{cpu / max(1, len(tracked.frames)):.2f}", "s of CPU per frame",
+            "With all parameters that were tried.",
+        ),
     ]  # fmt: skip
 
 
@@ -123,9 +159,10 @@ def _action_card(number: int, action: TrackedAction, shader: Shader) -> str:
     change = shader.render(after, colors=heat(moved_mm, limit)).image
     heat_legend(change, "mm", limit)
     losses = action.final_alignment_losses
-    objective = (
-        f"; objective {losses[0]:.1e} → {losses[1]:.1e} m²" if np.isfinite(losses).all() else ""
-    )
+    objective = ""
+    if np.isfinite(losses).all():
+        off = [root_mean_square_mm(float(loss)) for loss in losses]
+        objective = f": {off[0]:.1f} → {off[1]:.1f} mm off the cloud"
     stills = (
         (shader.render(before).image, "Before the final alignment"),
         (shader.render(after).image, f"After the final alignment{objective}"),
@@ -146,17 +183,9 @@ def _action_card(number: int, action: TrackedAction, shader: Shader) -> str:
         f"<span>frames {action.first_frame} to {action.last_frame}"
         f"{'; ' + escape(held) if held else ''}</span></h3>"
         f'<div class="stills">{pictures}</div>'
-        f'<div class="tuned"><div>{_parameter_table(action.parameters)}</div>'
+        f'<div class="tuned"><div>{parameter_table(action.parameters)}</div>'
         f"<div>{calibration_html(action.calibration)}</div></div></article>"
     )
-
-
-def _parameter_table(parameters: Mapping[str, float]) -> str:
-    rows = "".join(
-        f"<tr><th>{escape(name.replace('_', ' '))}</th><td>{value:.4g}</td></tr>"
-        for name, value in parameters.items()
-    )
-    return f"<table><tbody>{rows}</tbody></table>" if rows else ""
 
 
 def calibration_html(calibration: Calibration) -> str:
@@ -172,7 +201,7 @@ def calibration_html(calibration: Calibration) -> str:
         f"{calibration.roll_outs:.4g} roll-outs. Each dot is one candidate's {what} [{unit}], "
         "best first; the chosen one is red."
     )
-    heads = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in calibration.names)
+    heads = "".join(map(parameter_head, calibration.names))
     rows = "".join(
         "<tr>"
         + "".join(f"<td>{value:.4g}</td>" for value in calibration.candidates[k])
@@ -231,9 +260,7 @@ def _count(number: int, noun: str, plural: str = "") -> str:
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
-def _any(values: Float[np.ndarray, " frames"]) -> bool:
-    return bool(np.isfinite(values).any())
-
-
-def _finite(value: float, form: str) -> str:
-    return format(value, form) if np.isfinite(value) else ""
+def _median(values: Float[np.ndarray, " frames"]) -> str:
+    """Of the finite ones; empty where there are none."""
+    finite = values[np.isfinite(values)]
+    return f"{np.median(finite):.1f}" if len(finite) else ""

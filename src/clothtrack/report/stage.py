@@ -1,42 +1,58 @@
-"""The upper part of a page: video, scene in three dimensions, time bar, decisions about labels."""
+"""The upper part of a page: video, scene in three dimensions, and the one time bar."""
 
 import base64
 import json
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
 import numpy as np
 
-from clothtrack.evaluation.label_quality import LabelQuality
-from clothtrack.evaluation.label_review import REVIEW_SUFFIX, LabelReview
 from clothtrack.report.coloring import Coloring
-from clothtrack.report.palette import HEAT, HIDDEN, INSIDE, OUTSIDE, UNKNOWN, hexadecimal
-from clothtrack.report.scene_data import SceneConfig, SceneContents, packed
-from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+from clothtrack.report.palette import GHOST, HEAT, HIDDEN, INSIDE, OUTSIDE, UNKNOWN, hexadecimal
+from clothtrack.report.scene_data import SceneContents, packed
 
-LARGEST_GAP_M = 0.12
-"""So far can layers be shown apart [m]."""
+LARGEST_GAP_M = 0.04
+"""So far can layers be shown apart [m]: more tears a shirt into what nobody recognises."""
 
-KEYS = (
-    "Keys: <kbd>←</kbd> <kbd>→</kbd> frame by frame, <kbd>↑</kbd> <kbd>↓</kbd> label by label, "
-    "<kbd>a</kbd> accept, <kbd>r</kbd> reject, <kbd>o</kbd> leave open the highlighted label and "
-    "go to the next one, <kbd>u</kbd> undo the last decision."
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
+
+APART_HELP = (
+    "Lifts each vertex by the number of layers under it. Only the drawing changes: it shows what "
+    "lies between layers. Page up and Page down move it, too."
 )
 
 
 def stage(
-    cards: Iterable[str], frames: Sequence[int], times_s: Sequence[float], *, wide: bool = False
+    cards: Iterable[str],
+    frames: Sequence[int],
+    times_s: Sequence[float],
+    *,
+    wide: bool = False,
+    actions: Sequence[tuple[int, int]] = (),
 ) -> str:
-    """Cards side by side or, when one is `wide`, below each other, and a time bar under them."""
-    bar = (
-        '<div class="clock"><button id="play" type="button">Play</button>'
-        f'<input id="time" type="range" aria-label="Frame" min="0" max="{len(frames) - 1}" '
-        'step="1" value="0"><output id="told"></output></div>'
-        if len(frames) > 1
-        else ""
-    )
+    """Cards side by side or, when one is `wide`, below each other, and a time bar under them.
+
+    `actions` are (first, last) frames; each is a band on the bar with a mark at its end, where
+    its label is.
+    """
+    bar = ""
+    if len(frames) > 1:
+        speeds = "".join(
+            f'<option value="{speed}"{" selected" if speed == 1 else ""}>{speed:g} x</option>'
+            for speed in SPEEDS
+        )
+        bar = (
+            '<div class="clock"><button id="play" type="button" title="Space">Play</button>'
+            f'<div class="track"><div class="marks">{_marks(frames, actions)}</div>'
+            f'<input id="time" type="range" aria-label="Frame" min="0" max="{len(frames) - 1}" '
+            'step="1" value="0"></div><label title="Speed of playing; 1 x is the speed of the '
+            f'recording"><select id="speed" aria-label="Speed">{speeds}</select></label>'
+            '<output id="told" title="Number of the frame in the recording, and its time. The '
+            'address of this page leads to the frame that is shown."></output></div>'
+        )
     seconds = [round(float(time), 4) for time in times_s]
     return (
         f'<div class="stage{" wide" if wide else ""}" data-frames="{list(frames)}" '
@@ -44,95 +60,159 @@ def stage(
     )
 
 
-def video_card(
-    title: str,
-    legend: str,
-    frames: Sequence[int],
-    write: Callable[[Path], float],
-) -> str:
-    """A video inside the page; `write` writes it to a file and returns its frames per second."""
+def _marks(frames: Sequence[int], actions: Sequence[tuple[int, int]]) -> str:
+    """Bands and marks on the time bar, placed in per cent of its length."""
+    numbers = np.asarray(frames)
+
+    def place(frame: int) -> float:
+        return 100.0 * int(np.abs(numbers - frame).argmin()) / (len(frames) - 1)
+
+    parts = []
+    for number, (first, last) in enumerate(actions):
+        left, right = place(first), place(last)
+        words = f"Action {number + 1}, frames {first} to {last}"
+        parts.append(
+            f'<i class="band" style="left:{left:.2f}%;width:{right - left:.2f}%" '
+            f'title="{words}"></i>'
+        )
+    for number, (_, last) in enumerate(actions):
+        parts.append(
+            f'<button type="button" class="mark" data-mark="{number}" tabindex="-1" '
+            f'style="left:{place(last):.2f}%" title="Label {number + 1}, frame {last}" '
+            f'aria-label="Label {number + 1}"></button>'
+        )
+    return "".join(parts)
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """What the video of a page is made of.
+
+    Attributes:
+        frames: numbers of the frames.
+        write: writes the video to a file and returns its frames per second.
+        size: width and height of what is shown [pixels].
+        parts: what lies one below the other in the video, by name; one of them is shown.
+        words: a line for each frame.
+        words_title: what the line says.
+    """
+
+    frames: Sequence[int]
+    write: Callable[[Path], float]
+    size: tuple[int, int]
+    parts: Sequence[str] = ("Picture",)
+    words: Sequence[str] = ()
+    words_title: str = ""
+
+
+def video_card(title: str, legend: str, pictures: Pictures) -> str:
+    """A video inside the page, with a switch where it has several parts."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
-        rate = write(path)
+        rate = pictures.write(path)
         data = base64.b64encode(path.read_bytes()).decode("ascii")
+    (width, height), parts = pictures.size, pictures.parts
+    switch = "".join(
+        f'<button type="button" data-part="{number}" aria-pressed="{str(not number).lower()}" '
+        f'title="Key v changes between them">{escape(part)}</button>'
+        for number, part in enumerate(parts)
+    )
+    switch = f'<span class="switch">{switch}</span>' if len(parts) > 1 else ""
+    words = escape(json.dumps(list(pictures.words)), quote=True)
     return (
-        f'<section class="card"><header><b>{escape(title)}</b>{legend}</header>'
-        f'<video controls muted playsinline preload="auto" data-rate="{rate:.6g}" '
-        f'data-frames="{list(frames)}" src="data:video/mp4;base64,{data}"></video></section>'
+        f'<section class="card film"><header><b>{escape(title)}</b>{legend}</header>'
+        f'<div class="picture" style="--aspect:{width / height:.5f};--parts:{len(parts)}">'
+        f'<video muted playsinline preload="auto" data-rate="{rate:.6g}" '
+        f'data-frames="{list(pictures.frames)}" src="data:video/mp4;base64,{data}"></video></div>'
+        f'<div class="controls">{switch}<span class="words" data-words="{words}" '
+        f'title="{escape(pictures.words_title, quote=True)}"></span></div></section>'
     )
 
 
-def scene_card(contents: SceneContents, config: SceneConfig | None = None) -> str:
+def scene_card(contents: SceneContents) -> str:
     """The scene that one can orbit, with what it can be coloured by and how layers come apart."""
-    header, data = packed(contents, config)
-    cloth = len(contents.faces) > 0
-    modes = [("sides", "outer and inner side", "", sides_legend())] if cloth else []
-    if contents.visible is not None:
-        legend = swatch(OUTSIDE, "visible") + swatch(HIDDEN, "hidden, believed")
-        modes.append(("visible", "visible and hidden", "", legend))
-    modes += [(one.key, one.title, one.note, scale_legend(one)) for one in contents.colorings]
+    header, data = packed(contents)
+    modes = _modes(contents)
     options = "".join(
         f'<option value="{key}" data-note="{escape(note, quote=True)}">{escape(title)}</option>'
         for key, title, note, _ in modes
     )
     legends = "".join(f'<template data-mode="{key}">{text}</template>' for key, *_, text in modes)
-    hidden = "" if cloth else " hidden"
-    points = _check("cloud", "observed points") if contents.clouds else ""
     return (
         '<section class="card scene"><header><b>In space</b><span class="meaning"></span></header>'
-        '<canvas tabindex="0" role="application" aria-label="Scene in three dimensions; shift and '
-        'arrow keys turn it, plus and minus come nearer, 0 returns"></canvas>'
+        '<div class="picture"><canvas tabindex="0" role="application" aria-label="Scene in three '
+        "dimensions; shift and arrow keys turn it, plus and minus come nearer, 0 returns"
+        '"></canvas><div class="hover" hidden></div></div>'
         '<p class="no-webgl note" hidden>This browser shows no WebGL 2; the pictures need none.</p>'
-        f'<div class="controls"><label{hidden}>Colours <select name="mode">{options}</select>'
-        f"</label><label{hidden}>Opacity <input type='range' name='opacity' min='0.15' max='1' "
-        f"step='0.05' value='1'></label><label{hidden}>Layers apart <input type='range' "
-        f"name='gap' min='0' max='{LARGEST_GAP_M}' step='0.002' value='0'></label>"
-        f"{points}{_check('lines', 'mesh lines') if cloth else ''}"
-        '<p class="note"></p></div>'
+        f'<div class="controls">{_switches(contents, options)}<p class="note"></p></div>'
         f"{legends}"
         f'<script type="application/json" class="scene-header">{_inline(header)}</script>'
         f'<script type="text/plain" class="scene-data">{data}</script></section>'
     )
 
 
-def review_card(
-    tracked: TrackedTrajectory, review: LabelReview, judged: Sequence[LabelQuality]
-) -> str:
-    """Accept and reject for each label, and the file to put beside the trajectory."""
-    if not review.labels:
-        return ""
-    rows = []
-    for label, action in zip(review.labels, tracked.actions, strict=True):
-        text = quality_words(judged[label.action]) if judged else "not judged"
-        rows.append(
-            f'<tr data-action="{label.action}" data-first="{action.first_frame}">'
-            f'<th><button type="button" class="jump">Label {label.action + 1}</button></th>'
-            f"<td>frame {label.frame}</td><td>{escape(text)}</td>"
-            '<td class="verdict"></td><td>'
-            '<button type="button" data-decide="accepted">Accept</button> '
-            '<button type="button" data-decide="rejected">Reject</button> '
-            '<button type="button" data-decide="open">Open</button></td></tr>'
-        )
-    document = escape(json.dumps(review.as_document()), quote=True)
-    name = escape(tracked.name + REVIEW_SUFFIX, quote=True)
-    return (
-        f'<section id="review" class="card" data-review="{document}" data-file="{name}">'
-        "<header><b>Labels</b> the mesh at the end of each action; "
-        '<span class="left"></span></header>'
-        f"<table><tbody>{''.join(rows)}</tbody></table>"
-        f'<p class="note"><button type="button" id="undo">Undo</button> {KEYS}</p>'
-        '<p class="note" data-when="served"><output id="saved"></output></p>'
-        '<p class="note" data-when="opened"><button type="button" id="save">Save the '
-        f"review</button> as {name}; put it beside {escape(tracked.name)}.zarr, and "
-        "<code>clothtrack label</code> leaves out what is rejected.</p></section>"
+def _modes(contents: SceneContents) -> list[tuple[str, str, str, str]]:
+    """What the cloth can be coloured by: key, title, note, legend."""
+    modes = []
+    if len(contents.faces):
+        modes.append(("sides", "outer and inner side", "", sides_legend()))
+    if contents.visible is not None:
+        legend = swatch(OUTSIDE, "visible") + swatch(HIDDEN, "hidden, believed")
+        modes.append(("visible", "visible and hidden", "", legend))
+    if contents.film is not None:
+        note = "The mean colour of each vertex in the frames that show it."
+        modes.append(("film", "colours of the film", note, ""))
+    return modes + [(o.key, o.title, o.note, scale_legend(o)) for o in contents.colorings]
+
+
+def _switches(contents: SceneContents, options: str) -> str:
+    """The controls of a scene, without those for which there is nothing."""
+    cloth = len(contents.faces) > 0
+    views = "".join(
+        f'<option value="{number}">from camera {escape(view.camera.name)}</option>'
+        for number, view in enumerate(contents.views)
     )
-
-
-def quality_words(judged: LabelQuality) -> str:
-    """What is expected of a label, without the truth."""
-    if not np.isfinite(judged.expected_error_mm):
-        return "nothing was seen to judge it by"
-    return f"expected error {judged.expected_error_mm:.1f} mm, quality {judged.label_quality:.2f}"
+    parts = []
+    if cloth:
+        parts.append(f'<label>Colours <select name="mode">{options}</select></label>')
+    if views:
+        parts.append(
+            '<label title="Key c changes between them">View <select name="view">'
+            f'<option value="">free</option>{views}</select></label>'
+        )
+    if cloth:
+        parts.append(
+            '<label title="The cloth becomes transparent: what lies under it is seen through it">'
+            'Opacity <input type="range" name="opacity" min="0.15" max="1" step="0.05" value="1">'
+            f'</label><label title="{APART_HELP}">Layers apart <input type="range" name="gap" '
+            f'min="0" max="{LARGEST_GAP_M}" step="0.001" value="0"></label>'
+        )
+    if contents.clouds:
+        words = "What the cameras measured of the cloth in this frame"
+        parts.append(_check("cloud", "observed points", words))
+    if contents.pickers and len(contents.frames) > 1:
+        words = "The way of the tip: red while it holds, faint where it goes later"
+        parts.append(_check("path", "picker's path", words))
+    if contents.ghost is not None:
+        words = "Another cloth to compare with, translucent"
+        parts.append(_check("ghost", contents.ghost.title, words) + swatch(GHOST, ""))
+    if cloth:
+        parts.append(_check("lines", "mesh lines", "The edges of the triangles", checked=False))
+    parts.append(
+        '<span class="tools"><button type="button" id="home" title="Key 0 in the scene; a double '
+        'click does it too">Fit</button> <button type="button" id="shot" title="Save the scene as '
+        'it is shown as PNG">PNG</button>'
+    )
+    if cloth:
+        parts.append(
+            ' <button type="button" id="ply" title="Save the mesh of this frame with its colours '
+            'as PLY">PLY</button>'
+        )
+    parts.append(
+        ' <button type="button" id="full" title="The scene on the whole screen; Escape returns">'
+        "Full screen</button></span>"
+    )
+    return "".join(parts)
 
 
 def swatch(color: tuple[float, float, float], words: str) -> str:
@@ -154,8 +234,12 @@ def scale_legend(coloring: Coloring) -> str:
     )
 
 
-def _check(name: str, words: str) -> str:
-    return f'<label><input type="checkbox" name="{name}" checked> {escape(words)}</label>'
+def _check(name: str, words: str, title: str, *, checked: bool = True) -> str:
+    state = " checked" if checked else ""
+    return (
+        f'<label title="{escape(title, quote=True)}"><input type="checkbox" name="{name}"{state}> '
+        f"{escape(words)}</label>"
+    )
 
 
 def _inline(text: str) -> str:
