@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidMeshError
-from clothtrack.recordings.mesh_file import MESH_SUFFIXES, read_mesh, write_mesh
+from clothtrack.recordings.mesh_file import (
+    MESH_SUFFIXES,
+    read_mesh,
+    read_vertex_errors,
+    write_mesh,
+)
 from clothtrack.simulation.garments import garment
 
 TOWEL = garment("towel", vertex_count=60, size_m=(0.2, 0.2))
@@ -46,3 +51,17 @@ def test_a_missing_file_and_a_wrong_suffix_are_said(tmp_path):
         read_mesh(tmp_path / "none.ply")
     with pytest.raises(InvalidConfigError, match=r"choose \.obj"):
         read_mesh(tmp_path / "mesh.glb")
+
+
+@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
+def test_a_ply_keeps_the_expected_error_of_each_vertex(tmp_path, suffix, rng):
+    path, errors = tmp_path / f"towel{suffix}", rng.uniform(0, 0.05, TOWEL.vertex_count)
+    write_mesh(TOWEL, path, expected_error_m=errors)
+    found = read_vertex_errors(path)
+    if suffix == ".ply":
+        np.testing.assert_allclose(found, errors, atol=1e-8)
+        np.testing.assert_allclose(read_mesh(path).vertices, TOWEL.vertices, atol=1e-6)
+    else:
+        assert found is None
+    write_mesh(TOWEL, path)
+    assert read_vertex_errors(path) is None

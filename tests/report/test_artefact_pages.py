@@ -1,6 +1,7 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidRecordingError
@@ -10,6 +11,7 @@ from clothtrack.report.artefact_pages import (
     write_mesh_page,
     write_recording_page,
 )
+from clothtrack.report.trajectory_summary import summary_of
 
 
 @pytest.mark.parametrize("name", ["two_cameras", "clouds_only"])
@@ -32,6 +34,30 @@ def test_a_mesh_has_a_page(tracked, tmp_path):
     text = path.read_text(encoding="utf-8")
     assert "<h1>&lt;towel&gt;.obj</h1>" in text
     assert "30.0 by 30.0 by 0.0" in text
+
+
+def test_a_mesh_is_coloured_by_the_error_that_its_file_keeps(tracked, tmp_path):
+    errors = np.linspace(0.0, 0.04, tracked.mesh.vertex_count)
+    path = write_mesh_page(tracked.mesh, "m", tmp_path / "m.html", expected_error_m=errors)
+    text = path.read_text(encoding="utf-8")
+    assert '<option value="expected"' in text
+    assert "20 <small>mm, mean</small>" in text
+
+
+def test_an_index_begins_with_the_largest_expected_error(tracked, two_cameras, tmp_path):
+    good = summary_of(tracked, two_cameras)
+    assert good.thumbnail.startswith("data:image/jpeg;base64,")
+    assert np.isfinite((good.expected_error_mm, good.quality, good.rms_mm)).all()
+    bad = replace(good, expected_error_mm=good.expected_error_mm + 5.0)
+    unknown = replace(good, expected_error_mm=float("nan"))
+    entries = [
+        IndexEntry(name, None if name == "torn" else tmp_path / f"{name}.html", "", "", summary)
+        for name, summary in (("torn", None), ("odd", unknown), ("good", good), ("bad", bad))
+    ]
+    text = write_index(entries, "all", tmp_path / "index.html").read_text(encoding="utf-8")
+    assert re.findall(r"<th>(?:<a[^>]*>)?(\w+)", text) == ["bad", "good", "odd", "torn"]
+    assert text.count("data:image/jpeg") == 3
+    assert f'data-word="{good.verdict.word}"' in text
 
 
 def test_an_index_links_what_there_is(tmp_path):

@@ -104,7 +104,7 @@ def test_layers_come_apart_and_let_look_through(opened):
         page.wait_for("document.body.dataset.ready === 'yes'")
         page.ask(MOVE_BAR % (5, 5))
         before = scene_picture(page)
-        set_control(page, "gap", 0.1)
+        set_control(page, "gap", 0.04)
         apart = scene_picture(page)
         assert cloth_pixels(apart) > 1.1 * cloth_pixels(before)
         set_control(page, "gap", 0)
@@ -121,6 +121,7 @@ def test_the_cloth_takes_the_colours_that_are_chosen(opened, tracked):
     truth = Truth(positions, known.mesh.faces, known.frames, rest)
     with opened("two_cameras", known, truth=truth) as page:
         page.wait_for("document.body.dataset.ready === 'yes'")
+        page.ask("void document.querySelector('[name=cloud]').click()")
         pictures = []
         for mode in ("sides", "visible", "cloud", "label", "truth"):
             set_control(page, "mode", mode, "change")

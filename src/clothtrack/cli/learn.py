@@ -233,7 +233,7 @@ def reconstruct(
         mask=mask, depth_unit_m=depth_unit,
         focal=focal, principal_point=principal_point, table_distance_m=table_distance,
     )  # fmt: skip
-    write_mesh(mesh, output)
+    write_mesh(mesh, output, expected_error_m=network.spread_m)
     report = {"mesh": str(output), **figures_of(network, mesh, picture)}
     summary = "{mesh}   {vertices} vertices, ".format(**report)
     summary += f"{1e3 * report['cloud_to_mesh_m']:.1f} mm from the cloud"

@@ -63,6 +63,7 @@ def view(
     *,
     recordings: Path | None = None,
     truth: Path | None = None,
+    second: Path | None = None,
     html: Path | None = None,
     port: int | None = None,
     json: AsJson = False,
@@ -78,6 +79,7 @@ def view(
             STL file.
         recordings: for trajectories: the recording, or the folder in which recordings lie by name.
         truth: truth file, or the folder in which NAME.npz lie; colours the error against it.
+        second: NAME.zarr of another run of the same recording; shown beside the first.
         html: write one self-contained page here instead of serving; of a folder of trajectories,
             the index, with the reports beside it.
         port: of the local server, which listens on this machine only; any free one by default.
@@ -92,7 +94,9 @@ def view(
         return _serve_folder(trajectories, recordings, truth, port, opened)
     if trajectories:
         return _write_folder(trajectories, recordings, truth, html, json=json)
-    page = ct.view(artefact, recordings, truth=truth, html=html, port=port, opened=opened)
+    page = ct.view(
+        artefact, recordings, truth=truth, second=second, html=html, port=port, opened=opened
+    )
     if page is not None:
         say_result(str(page), {"page": page}, json=json)
     return 0
@@ -201,7 +205,7 @@ def _required(recordings: Path | None) -> Path:
 
 def _entry(path: Path, recordings: Path, folder: Path) -> "tuple[IndexEntry, Run | None]":
     """The line of a trajectory in an index, and the run where it can be read."""
-    from clothtrack.front.look import review_of
+    from clothtrack.front.look import review_of, summarised
     from clothtrack.report.artefact_pages import IndexEntry
 
     try:
@@ -214,4 +218,5 @@ def _entry(path: Path, recordings: Path, folder: Path) -> "tuple[IndexEntry, Run
         folder / f"{path.stem}.html",
         f"{len(run.frames)} frames, {len(run.actions)} actions",
         ", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items())),
+        summarised(run),
     ), run

@@ -11,12 +11,13 @@ from clothtrack.evaluation.truth import Truth
 from clothtrack.front.export_format import Format, export_format
 from clothtrack.front.run import Run, load, recording_of, truth_of
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.recordings.mesh_file import MESH_SUFFIXES, read_mesh
+from clothtrack.recordings.mesh_file import MESH_SUFFIXES, read_mesh, read_vertex_errors
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.report import live, mesh_export, page
 from clothtrack.report.artefact_pages import write_mesh_page, write_recording_page
 from clothtrack.report.for_papers import export_pictures
+from clothtrack.report.trajectory_summary import TrajectorySummary, summary_of
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 logger = logging.getLogger(__name__)
@@ -33,6 +34,7 @@ def view(
     recording: Recording | Path | str | None = None,
     *,
     truth: Truth | Path | str | None = None,
+    second: TrackedTrajectory | Path | str | None = None,
     html: Path | str | None = None,
     port: int | None = None,
     opened: Callable[[str], None] | None = None,
@@ -45,7 +47,8 @@ def view(
     Args:
         thing: it, or where it lies: NAME.zarr, a folder with recording.json, or a mesh file.
         recording: of a run, or the folder in which it lies by name; found as by `load` if left out.
-        truth: of a run, as for `evaluate`; colours the error against it.
+        truth: of a run, as for `evaluate`; colours the error against it, and shows it beside.
+        second: another run of the same recording, or where it lies; shown beside the first.
         html: write the page to this file instead of serving it; the file needs no network.
         port: of the local server, which listens on this machine only; any free one by default.
         opened: called with the page's address; by default standard error says it.
@@ -61,18 +64,24 @@ def view(
     if html is not None:
         require_file_name(Path(html))
     artefact, decisions = _opened(thing, recording), None
-    if truth is not None and not isinstance(artefact, TrackedTrajectory):
-        raise InvalidConfigError(f"--truth: {thing} is not tracked; leave it out")
+    if not isinstance(artefact, TrackedTrajectory):
+        for name, given in (("--truth", truth), ("--second", second)):
+            if given is not None:
+                raise InvalidConfigError(f"{name}: {thing} is not tracked; leave it out")
     if isinstance(artefact, Recording):
         name, write = artefact.name, partial(write_recording_page, artefact)
     elif isinstance(artefact, ClothMesh):
         name = Path(thing).name if isinstance(thing, Path | str) else "mesh"
-        write = partial(write_mesh_page, artefact, name)
+        errors = read_vertex_errors(Path(thing)) if isinstance(thing, Path | str) else None
+        write = partial(write_mesh_page, artefact, name, expected_error_m=errors)
     else:
         name = artefact.name
         source = recording_of(artefact, recording if artefact is thing else None)
         known, review = truth_of(artefact, truth), review_of(artefact)
-        write = partial(page.write_report, artefact, source, truth=known, review=review)
+        other = TrackedTrajectory.load(Path(second)) if isinstance(second, Path | str) else second
+        write = partial(
+            page.write_report, artefact, source, truth=known, second=other, review=review
+        )
         if (path := _review_file(artefact)) is not None:
             decisions = live.Decisions(review, path)
     if html is not None:
@@ -143,6 +152,15 @@ def review_of(run: TrackedTrajectory) -> LabelReview:
     """
     path = _review_file(run)
     return LabelReview.blank(run) if path is None else read_review(path, run)
+
+
+def summarised(run: Run) -> TrajectorySummary:
+    """What an index says about a run.
+
+    Raises:
+        InvalidRecordingError: the recording is not known.
+    """
+    return summary_of(run, recording_of(run))
 
 
 def _review_file(run: TrackedTrajectory) -> Path | None:

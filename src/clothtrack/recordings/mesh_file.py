@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidMeshError
 from clothtrack.files.atomic_write import atomic_file
@@ -11,6 +12,9 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import read_obj
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
+
+VERTEX_ERROR = "expected_error_m"
+"""Property of a PLY's vertices: the expected distance from where they really are [m]."""
 
 
 def require_mesh_format(path: Path) -> None:
@@ -23,16 +27,45 @@ def require_mesh_format(path: Path) -> None:
         raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; choose .obj, .ply or .stl")
 
 
-def write_mesh(mesh: ClothMesh, path: Path) -> None:
+def write_mesh(
+    mesh: ClothMesh, path: Path, *, expected_error_m: Float[np.ndarray, " vertices"] | None = None
+) -> None:
     """Write a mesh [m] in the format of its suffix, whole or not at all.
+
+    Args:
+        mesh: the mesh.
+        path: of the file.
+        expected_error_m: of each vertex [m]; only a PLY keeps it, as a property of its vertices.
 
     Raises:
         InvalidConfigError: no such format.
         StorageError: when the disk refuses.
     """
     require_mesh_format(path)
+    errors = {} if expected_error_m is None else {VERTEX_ERROR: expected_error_m.astype(np.float32)}
     with atomic_file(path) as temporary:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, vertex_attributes=errors).export(
+            temporary
+        )
+
+
+def read_vertex_errors(path: Path) -> Float[np.ndarray, " vertices"] | None:
+    """The expected error of each vertex [m] that a PLY keeps; None where it keeps none.
+
+    Raises:
+        InvalidMeshError: the file is missing or damaged.
+    """
+    if path.suffix.lower() != ".ply":
+        return None
+    try:
+        with path.open("rb") as file:
+            loaded = trimesh.load_mesh(file, file_type="ply", process=False)
+        vertices = loaded.metadata["_ply_raw"]["vertex"]["data"]
+        return np.asarray(vertices[VERTEX_ERROR], np.float64).reshape(-1)
+    except (KeyError, ValueError, IndexError):
+        return None
+    except (OSError, TypeError, AttributeError) as error:
+        raise InvalidMeshError(f"{path}: cannot be read ({error}); write it again") from error
 
 
 def read_mesh(path: Path) -> ClothMesh:

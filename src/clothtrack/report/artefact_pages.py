@@ -2,16 +2,18 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
+from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Recording
+from clothtrack.report.coloring import vertex_errors
 from clothtrack.report.document import write_document
 from clothtrack.report.evidence import (
     Observer,
@@ -27,6 +29,7 @@ from clothtrack.report.page import evenly
 from clothtrack.report.scene_data import SCENE_POINTS, SceneContents
 from clothtrack.report.sections import Figure, key_figures
 from clothtrack.report.stage import Pictures, scene_card, stage, video_card
+from clothtrack.report.trajectory_summary import TrajectorySummary
 from clothtrack.report.video import frame_rate, write_video
 from clothtrack.report.viewpoint import layers_axis, three_quarter_view, upward, view_of
 
@@ -35,6 +38,17 @@ log = logging.getLogger(__name__)
 MOST_FRAMES = 360
 PICTURE_HEIGHT = 480
 UP = np.array([0.0, 0.0, 1.0])
+
+INDEX_COLUMNS = (
+    ("", "The mesh over the picture at the last label"),
+    ("report", "Name of the recording"),
+    ("verdict", "Of the worst label: trust it, look at it, or reject it"),
+    ("expected error", "Mean vertex error to expect of the worst label, without the truth"),
+    ("quality", "Weight of the worst label in training, 0 to 1; one half is typical"),
+    ("distance", "Root mean square of visible mesh to observed points and back, at the last label"),
+    ("labels", "What a person decided"),
+)
+"""Head and explanation of each column of an index."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +60,14 @@ class IndexEntry:
         page: its report, beside the index; None where there is none.
         description: what is known of it: what was tracked, or why there is no report.
         verdicts: what a person decided about its labels.
+        summary: picture and verdict; None where there is no report.
     """
 
     name: str
     page: Path | None
     description: str
     verdicts: str = ""
+    summary: TrajectorySummary | None = None
 
 
 def write_recording_page(
@@ -132,14 +148,28 @@ def write_recording_page(
     return write_document(path, recording.name, body)
 
 
-def write_mesh_page(mesh: ClothMesh, name: str, path: Path) -> Path:
+def write_mesh_page(
+    mesh: ClothMesh,
+    name: str,
+    path: Path,
+    *,
+    expected_error_m: Float[np.ndarray, " vertices"] | None = None,
+) -> Path:
     """Write a page of one mesh [m], z up.
+
+    Args:
+        mesh: the mesh.
+        name: title of the page.
+        path: of the page.
+        expected_error_m: of each vertex [m]; the mesh can be coloured by it.
 
     Raises:
         StorageError: when the disk refuses.
     """
     vertices = np.asarray(mesh.vertices, np.float64)
-    scene = mesh_scene(mesh)
+    scene, errors = mesh_scene(mesh), expected_error_m
+    if errors is not None:
+        scene = replace(scene, colorings=[vertex_errors(errors)])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = " by ".join(f"{100 * side:.1f}" for side in high - low)
     figures = [
@@ -147,6 +177,9 @@ def write_mesh_page(mesh: ClothMesh, name: str, path: Path) -> Path:
         Figure("Triangles", f"{len(mesh.faces):,}", "", "Faces of the mesh."),
         Figure("Size", size, "cm", "Along x, y and z."),
     ]
+    if errors is not None:
+        words = "What the network expects: mean distance of a vertex from where it really is."
+        figures.append(Figure("Expected error", f"{1e3 * errors.mean():.0f}", "mm, mean", words))
     body = f"{key_figures(figures)}{stage([scene_card(scene)], [0], [0.0], wide=True)}"
     return write_document(path, name, body)
 
@@ -167,21 +200,58 @@ def mesh_scene(mesh: ClothMesh) -> SceneContents:
 
 
 def write_index(entries: Sequence[IndexEntry], title: str, path: Path) -> Path:
-    """Write a page that links the reports of many trajectories.
+    """Write a page that links the reports of many trajectories, the largest expected error first.
 
     Raises:
         StorageError: when the disk refuses.
     """
-    rows = "".join(
-        f"<tr><th>{_link(entry)}</th><td>{escape(entry.description)}</td>"
-        f"<td>{escape(entry.verdicts)}</td></tr>"
-        for entry in entries
+    rows = "".join(_index_row(entry) for entry in sorted(entries, key=_by_expected_error))
+    heads = "".join(
+        f'<th title="{escape(help_, quote=True)}">{escape(words)}</th>'
+        for words, help_ in INDEX_COLUMNS
     )
     body = (
-        f'<p class="lead">{len(entries)} tracked trajectories</p><table class="index"><thead><tr>'
-        f"<th>report</th><th>tracked</th><th>labels</th></tr></thead><tbody>{rows}</tbody></table>"
+        f'<p class="lead">{len(entries)} tracked trajectories, the largest expected error first'
+        f'</p><table class="index"><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>'
     )
     return write_document(path, title, body, script=False)
+
+
+def _by_expected_error(entry: IndexEntry) -> tuple[bool, bool, float, str]:
+    """Largest first; then what nobody judged, then what has no report."""
+    error = float("nan") if entry.summary is None else entry.summary.expected_error_mm
+    unknown = not np.isfinite(error)
+    return entry.page is None, unknown, 0.0 if unknown else -error, entry.name
+
+
+def _index_row(entry: IndexEntry) -> str:
+    said = entry.summary
+    if said is None:
+        return (
+            f'<tr><td></td><th>{_link(entry)}</th><td colspan="4">{escape(entry.description)}</td>'
+            f"<td>{escape(entry.verdicts)}</td></tr>"
+        )
+    picture = f'<img alt="" src="{said.thumbnail}">'
+    if entry.page is not None:
+        picture = f'<a href="{quote(entry.page.name)}" tabindex="-1">{picture}</a>'
+    numbers = [
+        f"{value:.{digits}f}{unit}" if np.isfinite(value) else ""
+        for value, digits, unit in (
+            (said.expected_error_mm, 1, " mm"),
+            (said.quality, 2, ""),
+            (said.rms_mm, 1, " mm"),
+        )
+    ]
+    cells = "".join(
+        f'<td title="{escape(help_, quote=True)}">{number}</td>'
+        for number, (_, help_) in zip(numbers, INDEX_COLUMNS[3:6], strict=True)
+    )
+    return (
+        f"<tr><td>{picture}</td><th>{_link(entry)}<small>{escape(entry.description)}</small></th>"
+        f'<td><b class="word" data-word="{said.verdict.word}" '
+        f'title="{escape(said.verdict.reason, quote=True)}">{said.verdict.word}</b></td>'
+        f"{cells}<td>{escape(entry.verdicts)}</td></tr>"
+    )
 
 
 def _link(entry: IndexEntry) -> str:

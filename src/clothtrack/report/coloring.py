@@ -107,6 +107,13 @@ def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) 
     )
 
 
+def vertex_errors(expected_error_m: Float[np.ndarray, " vertices"]) -> Coloring:
+    """The error [mm] that a network expects of each vertex of one mesh."""
+    values = 1e3 * expected_error_m[None]
+    title, note = "Expected error [mm]", "As the network says it, vertex by vertex."
+    return Coloring("expected", title, note, graded_limit(values), values)
+
+
 def true_positions(
     tracked: TrackedTrajectory, truth: Truth
 ) -> Float[np.ndarray, "frames vertices 3"]:

@@ -70,7 +70,7 @@ def verdict_strip(judged: Sequence[LabelQuality]) -> str:
         f'<button type="button" class="chip" data-mark="{label.action}" '
         f'data-word="{verdict(label).word}" title="{_chip_help(label)}">'
         f"Label {label.action + 1} <b>{verdict(label).word}</b> <span>{_error(label)}</span>"
-        '<small class="verdict"></small></button>'
+        '<small class="decided"></small></button>'
         for label in judged
     )
     return f'<div class="verdicts">{chips}</div>'

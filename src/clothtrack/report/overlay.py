@@ -41,8 +41,8 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 SURFACE = 0.38
 """Opacity of the shaded surface, 0..1: the picture below stays readable."""
 
-HIDDEN_WIRES = 0.55
-"""Opacity of the hidden wire frame, 0..1: no surface is drawn under it, so it is stronger."""
+HIDDEN_WIRES = 0.34
+"""Opacity of the hidden wire frame, 0..1: what lies over it and is seen must keep its own hue."""
 
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 """Share of red, green and blue in a grey value (ITU-R BT.601)."""
@@ -170,8 +170,8 @@ class Overlay:
         fineness = float(np.clip(length / 9.0, 0.35, 1.0))
         seen = visible[edges].any(axis=1)
         for chosen, color, opacity in (
-            (seen, INK, self.config.wires),
             (~seen, HIDDEN, HIDDEN_WIRES),
+            (seen, INK, self.config.wires),
         ):
             layer = np.zeros(image.shape[:2], dtype=np.uint8)
             lines = np.rint(ends[chosen & drawable] * 16).astype(np.int32)

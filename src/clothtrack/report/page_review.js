@@ -33,7 +33,7 @@ function reviewed(section, inTurn) {
       for (const one of [row, ...twins[k]]) {
         one.dataset.verdict = review.labels[k].verdict;
         one.classList.toggle("current", k === current);
-        const word = one.querySelector(".verdict");
+        const word = one.querySelector(".verdict, .decided");
         if (word) word.textContent = review.labels[k].verdict;
       }
     });

@@ -18,7 +18,7 @@ def write_video(
     path: Path,
     *,
     frames_per_second: float,
-    quality: int = 25,
+    quality: int = 26,
 ) -> int:
     """Encode RGB pictures of one size and return how many there were.
 
