@@ -4,6 +4,7 @@
 #   make learn     install what learning and the network need too (the extra learn)
 #   make demo      install, track the shipped recording, name the report
 #   make test      install the test tools too, run the tests
+#   make pages     open every page in a headless Chromium, where there is one
 #   make wheel     build a wheel, run the demo from it away from this folder
 #   make check     lint, format, types, direction of imports
 #   make docs      the documentation as a site, to out/site
@@ -23,10 +24,10 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install learn demo test test-all wheel check docs format bench clean
+.PHONY: help install learn demo test test-all pages wheel check docs format bench clean
 
 help:
-	@sed -n '3,13s/^# \{0,1\}//p' Makefile
+	@sed -n '3,14s/^# \{0,1\}//p' Makefile
 
 install: $(VENV)/.installed $(EXTRAS:%=$(VENV)/.installed-%)
 
@@ -59,6 +60,9 @@ test: $(VENV)/.installed-dev
 
 test-all: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "not gpu and not data"
+
+pages: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -rs -m "slow and not gpu and not data" tests/report tests/capture
 
 wheel: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow tests/end_to_end/test_wheel.py

@@ -43,7 +43,7 @@ TURN = """(() => {
   const bar = document.querySelector('#time');
   bar.value = bar.max;
   bar.dispatchEvent(new Event('input'));
-  document.querySelector('.stage').scrollIntoView();
+  document.querySelector('.verdicts').scrollIntoView();
 })()"""
 
 
@@ -83,7 +83,7 @@ def shoot_report(file: Path, image: Callable[[str], Path]) -> None:
         page.wait_for(READY)
         for name, mode, gap, opacity in (
             ("sides", "sides", 0, 1),
-            ("layers", "visible", 0.1, 0.7),
+            ("layers", "visible", 0.03, 0.7),
             ("truth", "truth", 0, 1),
         ):
             page.ask(TURN % (mode, gap, opacity))
@@ -107,7 +107,7 @@ def shoot_live(run: ct.Run, file: Path, image: Callable[[str], Path]) -> None:
             for key, code in (("a", "KeyA"), ("r", "KeyR")):
                 page.press(key, code)
             page.wait_for("document.querySelector('[data-verdict=rejected]') !== null")
-            page.ask("void document.querySelector('#review').scrollIntoView({block: 'end'})")
+            page.ask("void scrollTo(0, 0)")
             time.sleep(3)
             save(page, image("live"))
 

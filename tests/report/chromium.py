@@ -20,7 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 SWITCHES = (
     "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--no-first-run", "--remote-debugging-port=0", "--window-size=1366,900",
+    "--disable-quic", "--no-first-run", "--remote-debugging-port=0", "--window-size=1366,900",
 )  # fmt: skip
 
 

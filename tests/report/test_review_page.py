@@ -1,6 +1,7 @@
 """The page of a trajectory as a reviewer uses it: keys, time bar, views, pointer, files, widths."""
 
 import importlib.util
+import json
 import re
 import time
 from dataclasses import replace
@@ -56,9 +57,10 @@ def press(page, *keys):
 
 def click(page, selector):
     """Press the left button of a mouse over the middle of an element."""
-    page.ask(f"void document.querySelector('{selector}').scrollIntoView({{block: 'center'}})")
+    one = f"document.querySelector({json.dumps(selector)})"
+    page.ask(f"void {one}.scrollIntoView({{block: 'center'}})")
     x, y = page.ask(
-        f"(() => {{ const b = document.querySelector('{selector}').getBoundingClientRect();"
+        f"(() => {{ const b = {one}.getBoundingClientRect();"
         "return [b.left + b.width / 2, b.top + b.height / 2]; })()"
     )
     for kind in ("mousePressed", "mouseReleased"):
@@ -118,13 +120,13 @@ def test_there_is_one_time_bar_with_actions_and_labels_on_it(opened):
         page.wait_for(READY)
         assert page.ask("document.querySelector('video').controls") is False
         assert page.ask("document.querySelectorAll('input#time').length") == 1
-        places = page.ask("[...document.querySelectorAll('.mark')].map((one) => one.style.left)")
+        places = page.ask("[...document.querySelectorAll('.flag')].map((one) => one.style.left)")
         assert places == ["40%", "100%"]
-        click(page, ".mark[data-mark='1']")
+        click(page, ".flag[data-mark='1']")
         page.wait_for(f"{TOLD}.startsWith('frame 5,')")
         press(page, "r")
         page.wait_for(
-            "document.querySelector(\".mark[data-mark='1']\").dataset.verdict === 'rejected'"
+            "document.querySelector(\".flag[data-mark='1']\").dataset.verdict === 'rejected'"
         )
         chip = "document.querySelector(\".chip[data-mark='1']\").innerText"
         assert "rejected" in page.ask(chip)

@@ -72,7 +72,10 @@ def chart_html(
         for line in chart.lines
     )
     if chart.marks:
-        legend += f'<span class="key mark"><i></i>{escape(chart.marks_label)}</span>'
+        words = escape(f"Frames with a cross: {chart.marks_label}", quote=True)
+        legend += (
+            f'<span class="key mark" title="{words}"><i></i>{escape(chart.marks_label)}</span>'
+        )
     unit = f' <span class="unit">{escape(chart.unit)}</span>' if chart.unit else ""
     note = f'<p class="note">{escape(chart.note)}</p>' if chart.note else ""
     return (

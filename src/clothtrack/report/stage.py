@@ -77,7 +77,7 @@ def _marks(frames: Sequence[int], actions: Sequence[tuple[int, int]]) -> str:
         )
     for number, (_, last) in enumerate(actions):
         parts.append(
-            f'<button type="button" class="mark" data-mark="{number}" tabindex="-1" '
+            f'<button type="button" class="flag" data-mark="{number}" tabindex="-1" '
             f'style="left:{place(last):.2f}%" title="Label {number + 1}, frame {last}" '
             f'aria-label="Label {number + 1}"></button>'
         )
