@@ -124,11 +124,22 @@ def write_recording_page(
     pictures = Pictures(numbers, write, (camera.width, camera.height))
     cards = [video_card("What was recorded", "", pictures), scene_card(scene)]
     actions = [(action.first_frame, action.last_frame) for action in recording.actions]
-    figures = [
+    body = (
+        '<p class="lead">A recording; nothing of it is tracked yet.</p>'
+        f"{key_figures(_recorded(recording, clouds))}"
+        f"{stage(cards, numbers, times.tolist(), actions=actions)}"
+    )
+    return write_document(path, recording.name, body)
+
+
+def _recorded(recording: Recording, clouds: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Figure]:
+    """The numbers of a recording that a reader wants first."""
+    seconds = recording.frames[-1].time_s - recording.frames[0].time_s
+    return [
         Figure(
             "Frames",
             str(len(recording.frames)),
-            f"in {times[-1] - times[0]:.1f} s",
+            f"in {seconds:.1f} s",
             "All of the recording.",
         ),
         Figure("Cameras", str(len(recording.cameras)), "", "Those that recording.json describes."),
@@ -141,11 +152,6 @@ def write_recording_page(
             "here.",
         ),
     ]
-    body = (
-        '<p class="lead">A recording; nothing of it is tracked yet.</p>'
-        f"{key_figures(figures)}{stage(cards, numbers, times.tolist(), actions=actions)}"
-    )
-    return write_document(path, recording.name, body)
 
 
 def write_mesh_page(

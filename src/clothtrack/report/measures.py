@@ -67,16 +67,21 @@ def charts(
             (Line("fastest vertex of the accepted roll-out", steps.highest_speed),),
             "Peaks while nothing moves: the simulation is unstable.",
         ),
-        Chart(
-            "Computing time",
-            "s of CPU per frame",
-            (
-                Line("predict", steps.predict_s, 0),
-                Line("align", steps.align_s, 1),
-                Line("correct", steps.correct_s, 2),
-            ),
-            "With the parameters that were kept; the search for them is not drawn.",
+        _computing_time(tracked),
+    )
+
+
+def _computing_time(tracked: TrackedTrajectory) -> Chart:
+    steps = tracked.steps
+    return Chart(
+        "Computing time",
+        "s of CPU per frame",
+        (
+            Line("predict", steps.predict_s, 0),
+            Line("align", steps.align_s, 1),
+            Line("correct", steps.correct_s, 2),
         ),
+        "With the parameters that were kept; the search for them is not drawn.",
     )
 
 
