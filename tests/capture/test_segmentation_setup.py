@@ -84,33 +84,6 @@ def test_what_is_kept_is_what_was_shown(recording, how):
     assert read_recording(recording.folder).provenance["masks_from"]["frame"] == 4
 
 
-def test_the_kept_masks_are_told_in_words(recording):
-    setup = SegmentationSetup(recording, recording.cameras[0])
-    choose(setup, "click")
-    setup.keep()
-    shares = [setup.mask(frame).mean() for frame in range(5)]
-    least = int(np.argmin(shares))
-    told = setup.kept_in_words()
-    assert told.startswith(f"{100 * min(shares):.1f} to {100 * max(shares):.1f} % of the picture")
-    assert f"least in frame {least}" in told
-    assert "look at" not in told
-
-
-def test_frames_with_far_less_cloth_are_named(tmp_path):
-    with RecordingWriter(tmp_path / "film", [CAMERA], {"top": 0.001}) as writer:
-        for frame in range(12):
-            color = np.full((120, 160, 3), (200, 166, 124), np.uint8)
-            color[20 : 40 if frame in (3, 7) else 100, 30:120] = (40, 90, 190)
-            writer.add_frame(
-                0.1 * frame, color={"top": color}, depth={"top": np.full((120, 160), 0.6)}
-            )
-    film = read_recording(tmp_path / "film")
-    setup = SegmentationSetup(film, film.cameras[0])
-    setup.choose_click(0, (70, 50))
-    setup.keep()
-    assert "look at 3, 7: less than half of the usual" in setup.kept_in_words()
-
-
 def test_without_a_choice_there_is_nothing_to_keep(recording):
     setup = SegmentationSetup(recording, recording.cameras[0])
     assert setup.mask(0) is None

@@ -77,6 +77,8 @@ def test_a_cloth_with_a_template_and_no_table_hangs(write, edit, tmp_path):
     write(tmp_path / "held")
     edit(tmp_path / "held", lambda document: document.update(table=None))
     assert inspect(tmp_path / "held").facts["table"] == "none: the cloth hangs"
+
+
 def test_one_cause_in_many_files_is_one_line(write, tmp_path):
     write(tmp_path / "fold")
     for frame in range(5):

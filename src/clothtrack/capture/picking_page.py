@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 
@@ -50,7 +51,8 @@ def pick_live(
         logger.info("click picks and places at %s", address)
         if opened is not None:
             opened(address)
-        stop.wait()
+        with suppress(KeyboardInterrupt):
+            stop.wait()
     return page.kept
 
 

@@ -21,8 +21,6 @@ Box = tuple[int, int, int, int]
 
 _REMEMBERED = 64
 NAMED_SHARE = 0.85
-_DOUBTFUL_SHARE = 0.5
-_NAMED_FRAMES = 8
 
 
 class SegmentationSetup:
@@ -52,7 +50,6 @@ class SegmentationSetup:
         self._by_index = {frame.index: frame for frame in self.frames}
         self._learned: Segmenter | None = None
         self._choice: Mapping[str, object] = {}
-        self._shares: dict[int, float] = {}
         self._masks = lru_cache(maxsize=_REMEMBERED)(self._mask)
 
     @property
@@ -109,36 +106,13 @@ class SegmentationSetup:
         with self._lock:
             if not self.chosen:
                 raise InvalidConfigError("nothing is chosen yet; click on the cloth, or give a box")
-            self._shares = {}
             return set_masks(
                 self.recording,
                 self.camera.name,
-                self._counted_mask,
+                lambda frame: self._mask(frame.index) if frame.index in self._by_index else None,
                 color=self._color_name(),
                 provenance={"masks_from": {"camera": self.camera.name, **self._choice}},
             )
-
-    def kept_in_words(self) -> str:
-        """How much of the pictures the kept masks cover, and which frames are to be looked at."""
-        shares = self._shares
-        least = min(shares, key=shares.__getitem__)
-        usual = float(np.median(list(shares.values())))
-        text = (
-            f"{100 * shares[least]:.1f} to {100 * max(shares.values()):.1f} % of the picture is "
-            f"cloth, least in frame {least}"
-        )
-        doubtful = [index for index, share in shares.items() if share < _DOUBTFUL_SHARE * usual]
-        if not doubtful:
-            return text
-        named = ", ".join(map(str, doubtful[:_NAMED_FRAMES]))
-        more = f" and {len(doubtful) - _NAMED_FRAMES} more" * (len(doubtful) > _NAMED_FRAMES)
-        return f"{text}; look at {named}{more}: less than half of the usual {100 * usual:.1f} %"
-
-    def _counted_mask(self, frame: Frame) -> Bool[np.ndarray, "height width"] | None:
-        mask = self._mask(frame.index) if frame.index in self._by_index else None
-        if mask is not None:
-            self._shares[frame.index] = float(mask.mean())
-        return mask
 
     def _learn(
         self, segmenter: ColorSegmenter, index: int, choice: Mapping[str, Sequence[int]]

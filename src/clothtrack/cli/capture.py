@@ -231,10 +231,12 @@ def _by_hand(
         from clothtrack.capture.picking_page import pick_live
 
         tell = complain if json else say
-        kept = pick_live(picking, name, port, opened=lambda at: tell(f"click what it did: {at}"))
+        kept = pick_live(
+            picking, name, port, opened=lambda at: tell(f"click what it did: {at}   Ctrl-C ends")
+        )
     if kept is None:
-        complain("left before it was saved; the recording is as it was")
-        return 1
+        say_result("nothing was saved", {"picker": name, "actions": []}, json=json)
+        return 0
     rows = [
         {"first_frame": span.first_frame, "last_frame": span.last_frame, **picking.summary(action)}
         for action, span in kept

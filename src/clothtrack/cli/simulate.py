@@ -63,7 +63,13 @@ def simulate(
     if actions is not None:
         settings = (f"actions={actions}", *settings)
     folders = ct.simulate(
-        output, garment, count, seed=seed, template=template, settings=settings, workers=workers,
+        output,
+        garment,
+        count,
+        seed=seed,
+        template=template,
+        settings=settings,
+        workers=workers,
         progress=progress,
     )
     say_result("\n".join(map(str, folders)), folders, json=json)

@@ -73,8 +73,14 @@ def flatten(
         own = replace(vary(garment, seed), size_m=None, garment=changed.perception.template)
         robot = SimulatedRobotConfig(episode=own)
     return flatten_simulated(
-        Path(output), episode, changed, robot_config=robot, parts=parts, device=device,
-        watch=watch, progress=progress,
+        Path(output),
+        episode,
+        changed,
+        robot_config=robot,
+        parts=parts,
+        device=device,
+        watch=watch,
+        progress=progress,
     )
 
 
