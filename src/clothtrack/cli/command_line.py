@@ -13,13 +13,13 @@ from clothtrack.cli.act import flatten, improve, train_dynamics
 from clothtrack.cli.capture import (
     calibrate_camera,
     calibrate_hand_eye,
-    find_picker,
     record,
     segment,
 )
 from clothtrack.cli.garment import garment
 from clothtrack.cli.learn import finetune, label, pretrain, reconstruct
 from clothtrack.cli.look import evaluate, export, view
+from clothtrack.cli.picker import find_picker
 from clothtrack.cli.recordings import import_, inspect
 from clothtrack.cli.signature import name_of
 from clothtrack.cli.simulate import bench, simulate
