@@ -234,6 +234,7 @@ def _recorded(output: Path, recording: "Recording", *, json: bool) -> int:
 
 
 def written(folder: Path) -> str:
+    """What says where a picker's path went."""
     return f"written to {folder / 'picker.csv'} and {folder / 'recording.json'}"
 
 
