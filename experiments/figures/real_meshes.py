@@ -29,9 +29,9 @@ FROM_ABOVE_DEG = 75.0
 
 
 def drawn(row: dict[str, object], folder: Path) -> Picture:
-    """One mesh, with its name, the overlap of its silhouette, and whether it is trusted."""
+    """One mesh with its name and the overlap of its silhouette; "no": it is not trusted."""
     name = str(row["picture"]).removeprefix("template_")
-    words = name, f"{row['iou']:.2f}{'' if row['trusted'] else ', not trusted'}"
+    words = name, f"{row['iou']:.2f}{'' if row['trusted'] else ' no'}"
     file = folder / f"{row['picture']}.ply"
     if not file.exists():
         return line([blank("no mesh")], words)

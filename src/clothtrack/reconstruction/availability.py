@@ -10,8 +10,8 @@ EXTRA = ("torch", "safetensors", "igl", "skimage")
 """Modules of the extra [learn] without which nothing can be learned or reconstructed."""
 
 SHIPPED = Path(__file__).parent / "weights"
-"""Folder of the weights that come with the package: KIND.tokens.safetensors of the token network,
-KIND.safetensors of the published one."""
+"""Folder of the weights that come with the package: tokens.safetensors of the token network, for
+every garment; KIND.safetensors of the published one."""
 
 
 def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
@@ -22,9 +22,9 @@ def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
 def shipped_weights(kind: str) -> Path | None:
     """The weights for a kind of garment that come with the package; None when none do.
 
-    Those of the token network, where it was trained on such garments.
+    Those of the token network, where they are there.
     """
-    tokens = SHIPPED / f"{kind}.tokens.safetensors"
+    tokens = SHIPPED / "tokens.safetensors"
     return tokens if tokens.is_file() else published_weights(kind)
 
 
