@@ -13,6 +13,10 @@ class ClothTrackError(Exception):
     """The root of all errors that clothtrack raises on purpose; the command line exits with 1."""
 
 
+class WrongUsageError(Exception):
+    """The command line cannot be understood; one line that says why. It exits with 2."""
+
+
 class InvalidRecordingError(ClothTrackError):
     """A recording on disk cannot be used as it is."""
 

@@ -77,7 +77,6 @@ def setting_names(verb):
     from clothtrack.planning import FlattenConfig
     from clothtrack.planning.graph_dynamics.mesh_training import DynamicsTrainingConfig
     from clothtrack.reconstruction import LearningConfig
-    from clothtrack.reconstruction.tokens.token_training import TokenLearningConfig
     from clothtrack.tracking import RunConfig
     from clothtrack.world import EpisodeConfig
     from clothtrack.world.self_improvement import ImprovementConfig
@@ -88,7 +87,7 @@ def setting_names(verb):
         "simulate": [EpisodeConfig()],
         "improve": [ImprovementConfig()],
         "train-dynamics": [DynamicsTrainingConfig()],
-        "pretrain": [TokenLearningConfig(), LearningConfig.preset("pretrain")],
+        "pretrain": [LearningConfig.preset("pretrain")],
         "finetune": [LearningConfig.preset("finetune")],
     }
     return {setting.name for config in known[verb] for setting in settings_of(config)}

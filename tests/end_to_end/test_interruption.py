@@ -152,7 +152,7 @@ def test_the_same_command_goes_on_from_there(many, tmp_path, capsys):
     capsys.readouterr()
     folders = [str(folder) for folder in many[:2]]
     assert cli.main(["track", *folders, "--output", str(out), *FAST]) == 0
-    first, second = capsys.readouterr().out.splitlines()
+    first, _, second, _ = capsys.readouterr().out.splitlines()
     assert first == f"{out / 'towel_a.zarr'}   (finished before)"
     assert second == f"{out / 'towel_b.zarr'}"
     assert {path: path.stat().st_mtime_ns for path in written} == written

@@ -338,6 +338,5 @@ def test_wrong_words_on_the_command_line(
         assert cli.main(["simulate", str(tmp_path / "out"), *words]) == 1
         assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "out").exists()
-    with pytest.raises(SystemExit) as left:
-        cli.main(["simulate", str(tmp_path / "out"), "--states", "5", "--garment", "sock"])
-    assert left.value.code == 2
+    words = ["simulate", str(tmp_path / "out"), "--states", "5", "--garment", "sock"]
+    assert cli.main(words) == 2

@@ -186,7 +186,7 @@ def reconstruct(
     mask: Path | None = None,
     depth_unit: float | None = None,
     focal: float | None = None,
-    principal_point: tuple[float, float] | None = None,
+    principal_point: Annotated[tuple[float, float] | None, arg(metavar="COLUMN ROW")] = None,
     table_distance: float | None = None,
     force: bool = False,
     device: Device = "cpu",

@@ -15,6 +15,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
 from clothtrack.cli.signature import command, options_of
+from clothtrack.errors import WrongUsageError
 
 DESCRIPTION = (
     "Know where every point of a crumpled cloth is, from one depth camera. Every verb takes "
@@ -29,10 +30,6 @@ _EXPLAINED = "  Argument helptext:"
 _MARGIN = 2
 _HELP_INDENT = 8
 """Spaces that tyro puts before the help of an option, in the list of those that are missing."""
-
-
-class WrongUsageError(Exception):
-    """The command line cannot be understood; one line that says why."""
 
 
 def parse(words: Sequence[str], verbs: Mapping[str, Callable[..., int]]) -> Callable[[], int]:
