@@ -74,7 +74,8 @@ def terminal(command, cwd):
     """Run a command of a shell on a terminal that it owns."""
     keyboard, screen = pty.openpty()
     with subprocess.Popen(
-        ["setsid", "--ctty", "--wait", "bash", "-c", command],
+        # Whoever runs the tests in the background may have left Ctrl-C ignored.
+        ["env", "--default-signal=INT", "setsid", "--ctty", "--wait", "bash", "-c", command],
         stdin=screen, stdout=screen, stderr=screen, cwd=cwd,
     ) as process:  # fmt: skip
         os.close(screen)
