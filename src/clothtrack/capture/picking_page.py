@@ -1,9 +1,7 @@
 """A page on this machine to click what a bare hand did: where it took the cloth and let it go."""
 
-import logging
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 
@@ -13,9 +11,7 @@ from clothtrack.capture.clicked_picking import ClickedAction, ClickedPicking
 from clothtrack.capture.cloth_views import Click
 from clothtrack.capture.mask_pictures import jpeg, masked_picture
 from clothtrack.recordings.recording import PickAndPlace
-from clothtrack.report.local_page import Answer, serving
-
-logger = logging.getLogger(__name__)
+from clothtrack.report.local_page import Answer, serve_until
 
 LARGEST_WIDTH = 1920
 
@@ -47,12 +43,7 @@ def pick_live(
     """
     stop = stop or threading.Event()
     page = _Page(picking, name, stop)
-    with serving(page.ask, page.tell, port) as address:
-        logger.info("click picks and places at %s", address)
-        if opened is not None:
-            opened(address)
-        with suppress(KeyboardInterrupt):
-            stop.wait()
+    serve_until(stop, page.ask, page.tell, port, opened=opened)
     return page.kept
 
 

@@ -1,17 +1,13 @@
 """A page on this machine to show what is cloth: one click, and every frame has its mask."""
 
-import logging
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from importlib.resources import files
 from typing import Any
 
 from clothtrack.capture.mask_pictures import jpeg, masked_picture, spread
 from clothtrack.capture.segmentation_setup import SegmentationSetup
-from clothtrack.report.local_page import Answer, serving
-
-logger = logging.getLogger(__name__)
+from clothtrack.report.local_page import Answer, serve_until
 
 THUMBNAILS = 24
 LARGEST_WIDTH = 1920
@@ -40,12 +36,7 @@ def segment_live(
     """
     stop = stop or threading.Event()
     page = _Page(setup, stop)
-    with serving(page.ask, page.tell, port) as address:
-        logger.info("choose the cloth at %s", address)
-        if opened is not None:
-            opened(address)
-        with suppress(KeyboardInterrupt):
-            stop.wait()
+    serve_until(stop, page.ask, page.tell, port, opened=opened)
     return page.kept
 
 

@@ -102,19 +102,7 @@ def finetune_two_stages(
 ) -> LearningOutcome:
     """Train both stages further on pseudo-labels (paper, Sec. III-C).
 
-    Args:
-        start: weights to begin with, of both stages.
-        labels: labelled recordings; one in ten is held out to select by.
-        config: how; `old_share` of its stages mixes in old states.
-        folder: gets a folder per stage and `model.safetensors`.
-        old: states of the old cloth, against forgetting.
-        processes: who trains together.
-        progress: called after every step.
-
-    Raises:
-        InvalidConfigError: there are too few labels, or old states are asked for and not given.
-        InvalidResultError: weights, states or progress are damaged or do not belong together.
-        StorageError: when the disk refuses.
+    Arguments and errors are those of `fine_tuning.finetune`, but that the weights are read.
     """
     network = network_of(start)
     seed = config.canonicalisation.seed

@@ -10,7 +10,7 @@ import logging
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -98,6 +98,33 @@ def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
         server.shutdown()
         thread.join()
         server.server_close()
+
+
+def serve_until(
+    stop: threading.Event,
+    ask: Ask,
+    tell: Tell,
+    port: int | None = None,
+    *,
+    opened: Callable[[str], None] | None = None,
+) -> None:
+    """Serve until `stop` is set or Ctrl-C is pressed.
+
+    Args:
+        stop: ends it.
+        ask: answers GET, as in `serving`.
+        tell: answers POST.
+        port: of the server; any free one by default.
+        opened: is told the address.
+
+    Raises:
+        InvalidConfigError: there is no such port, or it is taken.
+    """
+    with serving(ask, tell, port) as address:
+        if opened is not None:
+            opened(address)
+        with suppress(KeyboardInterrupt):
+            stop.wait()
 
 
 class _Server(ThreadingHTTPServer):

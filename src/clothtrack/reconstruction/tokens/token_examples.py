@@ -30,8 +30,6 @@ TABLE_ERROR = 0.008
 SIZE_ERROR = 0.02
 """Standard deviation of the size that the network is told, over the size: tapes and flats lie."""
 
-_ATTEMPTS = 4
-
 
 class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):
     """States of garments as examples; each is a function of index, epoch and seed.

@@ -92,19 +92,7 @@ def finetune_tokens(
 ) -> LearningOutcome:
     """Train further on pseudo-labels; recordings are held out as a whole.
 
-    Args:
-        start: weights to begin with.
-        labels: labelled recordings, of any garments.
-        config: how; `tokens.old_share` mixes in old states.
-        folder: gets progress, scalars and `model.safetensors`.
-        old: states, against forgetting.
-        processes: who trains together.
-        progress: called after every step.
-
-    Raises:
-        InvalidConfigError: there are too few labels, or old states are asked for and not given.
-        InvalidResultError: weights, states or progress are damaged or do not belong together.
-        StorageError: when the disk refuses.
+    Arguments and errors are those of `fine_tuning.finetune`, but that the weights are read.
     """
     network, training = require_tokens(start), config.tokens
     examples = LabelledTokenExamples(labels, network, seed=training.seed)
