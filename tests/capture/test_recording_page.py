@@ -77,6 +77,15 @@ def test_nothing_is_written_before_the_start(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_ctrl_c_ends_it_as_soon_as_the_address_is_told(tmp_path):
+    def pressed(address):
+        raise KeyboardInterrupt
+
+    session = Session(Endless(), tmp_path / "film", {})
+    assert record_live(session, opened=pressed) is None
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_time_limit_ends_the_recording(tmp_path):
     session = Session(Endless(), tmp_path / "film", {})
     session.start()

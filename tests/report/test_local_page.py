@@ -4,12 +4,13 @@ import http.client
 import json
 import socket
 import struct
+import threading
 from urllib.parse import urlsplit
 
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.report.local_page import Answer, serving
+from clothtrack.report.local_page import Answer, serve_until, serving
 
 
 def ask(path, query):
@@ -112,3 +113,15 @@ def test_a_port_that_is_taken_or_cannot_be_is_refused(address):
         pass
     with pytest.raises(InvalidConfigError, match="port is 99999"), serving(ask, tell, 99_999):
         pass
+
+
+def test_ctrl_c_ends_it_as_soon_as_the_address_is_told():
+    told = []
+
+    def pressed(address):
+        told.append(address)
+        raise KeyboardInterrupt
+
+    serve_until(threading.Event(), ask, tell, opened=pressed)
+    with pytest.raises(ConnectionRefusedError):
+        request(told[0], "GET", "/")

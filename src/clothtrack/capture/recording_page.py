@@ -158,9 +158,10 @@ def record_live(
         with serving(page.ask, page.tell, port) as address:
             logger.info("record at %s", address)
             watching.start()
-            if opened is not None:
-                opened(address)
             try:
+                # Whoever has read the address may press Ctrl-C before `opened` returns.
+                if opened is not None:
+                    opened(address)
                 session.stop.wait()
             except KeyboardInterrupt:
                 session.stop.set()

@@ -121,9 +121,10 @@ def serve_until(
         InvalidConfigError: there is no such port, or it is taken.
     """
     with serving(ask, tell, port) as address:
-        if opened is not None:
-            opened(address)
         with suppress(KeyboardInterrupt):
+            # Whoever has read the address may press Ctrl-C before `opened` returns.
+            if opened is not None:
+                opened(address)
             stop.wait()
 
 
