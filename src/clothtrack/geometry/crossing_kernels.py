@@ -61,3 +61,45 @@ def find_crossings(
             if passes_through(p, q, a, b, c):
                 edge_crosses[number] = wp.uint8(1)
                 face_crossed[index] = wp.uint8(1)
+
+
+@no_type_check
+@wp.kernel
+def list_crossings(
+    tree: wp.uint64,
+    vertices: wp.array(dtype=wp.vec3d),
+    edges: wp.array(dtype=wp.vec2i),
+    faces: wp.array(dtype=wp.vec3i),
+    slack: float,
+    crossed: wp.array2d(dtype=int),
+    counts: wp.array(dtype=int),
+):
+    """List for each edge the triangles without a common vertex that it passes through.
+
+    What finds no slot is counted, not listed. Boxes as in `find_crossings`.
+    """
+    number = wp.tid()
+    edge = edges[number]
+    p = vertices[edge[0]]
+    q = vertices[edge[1]]
+    one = wp.vec3(float(p[0]), float(p[1]), float(p[2]))
+    other = wp.vec3(float(q[0]), float(q[1]), float(q[2]))
+    margin = wp.vec3(slack, slack, slack)
+    query = wp.mesh_query_aabb(tree, wp.min(one, other) - margin, wp.max(one, other) + margin)
+    index = int(0)
+    count = int(0)
+    while wp.mesh_query_aabb_next(query, index):
+        face = faces[index]
+        shares = bool(False)
+        for corner in range(3):
+            if face[corner] == edge[0] or face[corner] == edge[1]:
+                shares = True
+        if not shares:
+            a = vertices[face[0]]
+            b = vertices[face[1]]
+            c = vertices[face[2]]
+            if passes_through(p, q, a, b, c):
+                if count < crossed.shape[1]:
+                    crossed[number, count] = index
+                count += 1
+    counts[number] = count

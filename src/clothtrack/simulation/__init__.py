@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from clothtrack.simulation.picker import grasp_vertices
     from clothtrack.simulation.solver import ClothSolver
     from clothtrack.simulation.state import Attachment, ClothState
+    from clothtrack.simulation.untangling import Untangling, untangled
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
@@ -27,9 +28,11 @@ __all__ = [
     "PlannedAction",
     "RollOut",
     "SolverConfig",
+    "Untangling",
     "garment",
     "grasp_vertices",
     "plan_action",
     "towel",
     "tshirt",
+    "untangled",
 ]

@@ -1,0 +1,241 @@
+"""The lines along which a mesh passes through itself: its crossings, joined into contours.
+
+A crossing is an edge that passes through a triangle. Where two triangles cut each other their line
+of intersection runs from one crossing to another; all that hang together are a contour. P. Volino
+and N. Magnenat-Thalmann, "Resolving surface collisions through intersection contour minimization"
+(SIGGRAPH 2006, doi:10.1145/1141911.1142007), say how a crossing is to move so that its contour
+becomes shorter.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float, Int
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from clothtrack.geometry import crossing_kernels as kernels
+from clothtrack.geometry.mesh import ClothMesh
+
+SLOTS = 12
+"""Triangles that are listed for an edge; it seldom passes through more than two."""
+
+STEEPEST = 0.2
+"""Sine of the angle between edge and triangle below which it is taken for this: a contour that an
+edge nearly lies in runs away from any move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contours:
+    """Where a mesh passes through itself.
+
+    Attributes:
+        edges: number of the edge of each crossing.
+        faces: number of the triangle that it passes through.
+        along: where on the edge, 0 at its first vertex, 1 at its second.
+        within: barycentric coordinates in the triangle.
+        normals: unit normal of the triangle.
+        shortening: move of the edge against the triangle that shortens the contour: 2 m of
+            contour per metre along its length.
+        contour: number of the contour that the crossing is on.
+        sides: 1 where the edge belongs to the contour's first sheet, -1 where it belongs to the
+            second; 0 where the contour has no two sheets (it turns back at a vertex).
+    """
+
+    edges: Int[np.ndarray, " crossings"]
+    faces: Int[np.ndarray, " crossings"]
+    along: Float[np.ndarray, " crossings"]
+    within: Float[np.ndarray, "crossings 3"]
+    normals: Float[np.ndarray, "crossings 3"]
+    shortening: Float[np.ndarray, "crossings 3"]
+    contour: Int[np.ndarray, " crossings"]
+    sides: Int[np.ndarray, " crossings"]
+
+    def __len__(self) -> int:
+        """Number of crossings."""
+        return len(self.edges)
+
+    @property
+    def count(self) -> int:
+        """Number of contours."""
+        return int(self.contour.max(initial=-1)) + 1
+
+    @property
+    def crossing_edges(self) -> int:
+        """Number of edges that pass through a triangle."""
+        return len(np.unique(self.edges))
+
+
+class SelfIntersection:
+    """Finds the contours of one mesh wherever its vertices are.
+
+    Args:
+        mesh: the triangles; where its vertices are does not matter.
+        device: where crossings are searched, "cpu" or "cuda:0".
+    """
+
+    def __init__(self, mesh: ClothMesh, *, device: str = "cpu") -> None:
+        self.mesh = mesh
+        self.device = device
+        faces = np.ascontiguousarray(mesh.faces, np.int32)
+        edges = np.ascontiguousarray(mesh.edges, np.int32)
+        self.edges, self.edge_faces = edges, _faces_of_edges(mesh)
+        self._faces = wp.array(faces, dtype=wp.vec3i, device=device)
+        self._edges = wp.array(edges, dtype=wp.vec2i, device=device)
+        self._tree: wp.Mesh | None = None
+        self._corners = wp.array(faces.reshape(-1), dtype=wp.int32, device=device)
+        self._crossed = wp.zeros((len(edges), SLOTS), dtype=int, device=device)
+        self._counts = wp.zeros(len(edges), dtype=int, device=device)
+
+    def pairs(
+        self, vertices: Float[np.ndarray, "vertices 3"]
+    ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
+        """Edges and the triangles that they pass through, in the order of their numbers.
+
+        Args:
+            vertices: positions [m].
+        """
+        exact = np.ascontiguousarray(vertices, np.float64)
+        points = wp.array(exact.astype(np.float32), dtype=wp.vec3, device=self.device)
+        if self._tree is None:
+            self._tree = wp.Mesh(points, self._corners)
+        else:
+            wp.copy(self._tree.points, points)
+            self._tree.refit()
+        wp.launch(
+            kernels.list_crossings,
+            dim=len(self._edges),
+            inputs=[
+                self._tree.id,
+                wp.array(exact, dtype=wp.vec3d, device=self.device),
+                self._edges,
+                self._faces,
+                # Rounding to single precision, many times over.
+                1e-6 * float(np.abs(exact).max(initial=0.0)),
+            ],
+            outputs=[self._crossed, self._counts],
+            device=self.device,
+        )
+        counts = np.minimum(self._counts.numpy(), SLOTS)
+        edge = np.flatnonzero(counts)
+        listed = np.arange(SLOTS) < counts[edge, None]
+        face = self._crossed.numpy()[edge][listed]
+        edge = np.repeat(edge, counts[edge])
+        order = np.lexsort((face, edge))
+        return edge[order], face[order]
+
+    def contours(self, vertices: Float[np.ndarray, "vertices 3"]) -> Contours:
+        """All crossings, joined into contours.
+
+        Args:
+            vertices: positions [m].
+        """
+        edge, face = self.pairs(vertices)
+        points = np.asarray(vertices, np.float64)
+        a, b = points[self.edges[edge, 0]], points[self.edges[edge, 1]]
+        corners = points[self.mesh.faces[face]]
+        normals = _normals(corners)
+        above = np.einsum("ci,ci->c", a - corners[:, 0], normals)
+        below = np.einsum("ci,ci->c", b - corners[:, 0], normals)
+        # An edge that lies in the triangle's plane, but for rounding, passes through in its middle.
+        rise = above - below
+        along = np.where(rise == 0.0, 0.5, above / np.where(rise == 0.0, 1.0, rise))
+        contour, sides = self._joined(edge, face)
+        return Contours(
+            edge,
+            face,
+            along,
+            _barycentric(a + along[:, None] * (b - a), corners),
+            normals,
+            self._shortening(points, edge, normals),
+            contour,
+            sides,
+        )
+
+    def _shortening(
+        self,
+        points: Float[np.ndarray, "vertices 3"],
+        edge: Int[np.ndarray, " crossings"],
+        normals: Float[np.ndarray, "crossings 3"],
+    ) -> Float[np.ndarray, "crossings 3"]:
+        """Volino's G: R - 2 (E.R) / (E.N) N, over the triangles beside the edge.
+
+        E is the edge, N the normal of the triangle that it passes through, R the direction in
+        which the line of intersection leaves the crossing into a triangle beside the edge.
+        """
+        start = points[self.edges[edge, 0]]
+        direction = _unit(points[self.edges[edge, 1]] - start)
+        steep = np.einsum("ci,ci->c", direction, normals)
+        steep = np.where(steep < 0.0, -1.0, 1.0) * np.maximum(np.abs(steep), STEEPEST)
+        total = np.zeros_like(normals)
+        for beside in range(2):
+            face = self.edge_faces[edge, beside]
+            corners = points[self.mesh.faces[face]]
+            line = _unit(np.cross(_normals(corners), normals))
+            inward = corners.mean(axis=1) - start
+            inward -= np.einsum("ci,ci->c", inward, direction)[:, None] * direction
+            line *= np.where(np.einsum("ci,ci->c", line, inward) < 0.0, -1.0, 1.0)[:, None]
+            slide = np.einsum("ci,ci->c", direction, line) / steep
+            total += np.where(face[:, None] >= 0, line - 2.0 * slide[:, None] * normals, 0.0)
+        return total
+
+    def _joined(
+        self, edge: Int[np.ndarray, " crossings"], face: Int[np.ndarray, " crossings"]
+    ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
+        """Contour and side of each crossing.
+
+        Two triangles that cut each other join the crossings at the ends of their line. Each
+        crossing stands in the graph twice, as if its edge were of the first sheet and as if it
+        were of the second: a contour of two sheets falls into two mirror images.
+        """
+        count = len(edge)
+        number = np.tile(np.arange(count), 2)
+        beside = self.edge_faces[edge].T.reshape(-1)
+        other = np.tile(face, 2)
+        known = beside >= 0
+        number, beside, other = number[known], beside[known], other[known]
+        first = beside < other
+        key = np.minimum(beside, other) * np.int64(len(self.mesh.faces)) + np.maximum(beside, other)
+        # A node for each pair of triangles, twice as well: its lower one in either sheet.
+        _, pair = np.unique(key, return_inverse=True)
+        pairs = int(pair.max(initial=-1)) + 1
+        here = np.concatenate([number, number + count])
+        there = np.concatenate([pair + pairs * ~first, pair + pairs * first])
+        graph = sparse.coo_array(
+            (np.ones(len(here), np.int8), (here, 2 * count + there)),
+            shape=(2 * count + 2 * pairs, 2 * count + 2 * pairs),
+        )
+        _, label = connected_components(graph, directed=False)
+        one, mirrored = label[:count], label[count : 2 * count]
+        contour = np.unique(np.minimum(one, mirrored), return_inverse=True)[1]
+        return contour, np.sign(mirrored - one)
+
+
+def _faces_of_edges(mesh: ClothMesh) -> Int[np.ndarray, "edges 2"]:
+    """The triangles beside each edge; -1 beyond a rim."""
+    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, edge = np.unique(sides, axis=0, return_inverse=True)
+    order = np.argsort(edge, kind="stable")
+    edge, face = edge[order], order // 3
+    again = np.concatenate([[False], edge[1:] == edge[:-1]])
+    beside = np.full((len(mesh.edges), 2), -1, np.int64)
+    beside[edge, again.astype(int)] = face
+    return beside
+
+
+def _normals(corners: Float[np.ndarray, "faces 3 3"]) -> Float[np.ndarray, "faces 3"]:
+    return _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def _unit(vectors: Float[np.ndarray, "vectors 3"]) -> Float[np.ndarray, "vectors 3"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+
+
+def _barycentric(
+    points: Float[np.ndarray, "points 3"], corners: Float[np.ndarray, "points 3 3"]
+) -> Float[np.ndarray, "points 3"]:
+    """Coordinates of points in triangles that they lie in."""
+    apart = corners - points[:, None]
+    areas = np.linalg.norm(np.cross(apart[:, [1, 2, 0]], apart[:, [2, 0, 1]], axis=2), axis=2)
+    return areas / np.maximum(areas.sum(axis=1, keepdims=True), 1e-18)

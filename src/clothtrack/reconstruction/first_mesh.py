@@ -1,0 +1,88 @@
+"""A reconstruction of the first frame as tracking starts from it: front up, and flat at rest."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.alignment_frame import align
+from clothtrack.reconstruction.canonical_frame import symmetries
+from clothtrack.recordings.recording import Table
+
+
+def front_up(
+    mesh: ClothMesh, positions: Float[np.ndarray, "vertices 3"], kind: str
+) -> Float[np.ndarray, "vertices 3"]:
+    """The same cloth with its points named so that its front faces up, where names are a guess.
+
+    Front and back of a garment without marks look alike, and the network names them as it pleases.
+    Before anything has happened the convention decides: of all look-alike namings, the one whose
+    front looks up most. Each vertex goes to where its look-alike partner is; where the partner's
+    layer is cut deeper, as at the neck, it goes on beyond the edge.
+
+    Args:
+        mesh: the garment, canonical coordinates filled.
+        positions: where its vertices are in the world [m], z up.
+        kind: "towel" or "tshirt".
+    """
+    canonical, faces = np.asarray(mesh.canonical, np.float64), mesh.faces
+    outward = np.sign(_upward_area(canonical, faces))
+    namings = []
+    for signs in symmetries(kind):
+        named = positions
+        if not (signs > 0).all():
+            named = _carried_over(canonical * signs, canonical, positions, faces)
+        namings.append(named)
+    # The first of those that look up as much: the network's own names where they do.
+    facing = np.array([outward @ _upward_area(named, faces) for named in namings])
+    return namings[int(np.argmax(facing > 0.99 * facing.max()))]
+
+
+def _carried_over(
+    points: Float[np.ndarray, "points 3"],
+    canonical: Float[np.ndarray, "vertices 3"],
+    positions: Float[np.ndarray, "vertices 3"],
+    faces: Int[np.ndarray, "faces 3"],
+) -> Float[np.ndarray, "points 3"]:
+    """Where points of the canonical pose are in the world [m].
+
+    A point beside the mesh, beyond a cut edge, lies on in the plane of the nearest triangle, as far
+    from it as in the canonical pose: at the edge itself such points would fall together.
+    """
+    face, weights = closest_on_mesh(points, canonical, faces)
+    there = np.einsum("ij,ijk->ik", weights, positions[faces[face]])
+    beside = points - np.einsum("ij,ijk->ik", weights, canonical[faces[face]])
+    gap = np.linalg.norm(beside, axis=1)
+    for number in np.flatnonzero(gap > 1e-9):
+        corner, *others = faces[face[number]]
+        sides = canonical[others] - canonical[corner]
+        shares = np.linalg.lstsq(sides.T, beside[number], rcond=None)[0]
+        step = shares @ (positions[others] - positions[corner])
+        length = float(np.linalg.norm(step))
+        there[number] += step * min(1.0, gap[number] / max(length, 1e-12))
+    return there
+
+
+def _upward_area(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Float[np.ndarray, " faces"]:
+    """Area of each triangle as seen from above [m^2], negative where it looks down."""
+    a, b, c = (vertices[faces[:, corner], :2] for corner in range(3))
+    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+
+
+def laid_flat(
+    rest: ClothMesh, positions: Float[np.ndarray, "vertices 3"], table: Table, height_m: float
+) -> ClothMesh:
+    """The flat garment on the table about where the cloth is: its rest shape in the world.
+
+    Args:
+        rest: the flat garment in its own frame [m].
+        positions: where its vertices are in the world [m].
+        table: horizontal.
+        height_m: of its lowest vertices above the table [m].
+    """
+    flat = rest.vertices.astype(np.float64)
+    placed = align(positions.astype(np.float64), flat, rest.vertex_areas).to_world(flat)
+    placed[:, 2] += table.point[2] + height_m - placed[:, 2].min()
+    return rest.with_vertices(placed)

@@ -1,0 +1,49 @@
+"""Which vertices are on which side of a line of intersection, by flooding the mesh from it."""
+
+from typing import no_type_check
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@no_type_check
+@wp.kernel
+def flood(
+    first: wp.array(dtype=int),
+    edges: wp.array(dtype=int),
+    seeds: wp.array2d(dtype=int),
+    offsets: wp.array(dtype=int),
+    neighbours: wp.array(dtype=int),
+    joining: wp.array(dtype=int),
+    cut: wp.array2d(dtype=wp.uint8),
+    queue: wp.array2d(dtype=int),
+    labels: wp.array2d(dtype=wp.int8),
+):
+    """Label each vertex 1 or 2 by which side of a cut it is nearer to, in edges; 0 is not reached.
+
+    A thread is one sheet of one contour: its crossings are those from `first` to the next. The
+    edges in them are cut; their ends above the triangles that they pass through are seeds of 1,
+    those below of 2. `offsets`, `neighbours`, `joining`: the mesh as a graph, the edge to each
+    neighbour. Shapes of the last three: sheets, and edges or vertices.
+    """
+    sheet = wp.tid()
+    end = int(0)
+    for number in range(first[sheet], first[sheet + 1]):
+        cut[sheet, edges[number]] = wp.uint8(1)
+        for side in range(2):
+            seed = seeds[number, side]
+            if labels[sheet, seed] == wp.int8(0):
+                labels[sheet, seed] = wp.int8(side + 1)
+                queue[sheet, end] = seed
+                end += 1
+    begin = int(0)
+    while begin < end:
+        vertex = queue[sheet, begin]
+        begin += 1
+        for place in range(offsets[vertex], offsets[vertex + 1]):
+            other = neighbours[place]
+            if labels[sheet, other] == wp.int8(0) and cut[sheet, joining[place]] == wp.uint8(0):
+                labels[sheet, other] = labels[sheet, vertex]
+                queue[sheet, end] = other
+                end += 1
