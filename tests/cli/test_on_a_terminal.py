@@ -1,5 +1,6 @@
 """Verbs as a person runs them: on a pseudo-terminal, with Ctrl-C from its keyboard."""
 
+import json
 import os
 import pty
 import re
@@ -8,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
+import urllib.error
 import urllib.request
 from contextlib import contextmanager, suppress
 
@@ -107,6 +109,34 @@ def test_a_tracking_run_has_one_line_that_is_rewritten(world):
     # The share grows, through one candidate after the other, each from its first frame.
     assert steps == sorted(steps)
     assert {candidate for _, candidate, _, _ in steps} >= {1, 2, 3}
+
+
+def test_a_page_shows_the_mesh_while_it_is_tracked(world):
+    command = f"{VERB} track recordings/towel_0001 --output live --live"
+    with terminal(command, world) as on:
+        address = on.until(r"(http://127\.0\.0\.1:\d+/)   open this to see the mesh grow\r\n")[1]
+        frames, words = set(), ""
+        for _ in range(400):
+            with suppress(OSError, urllib.error.URLError):
+                with urllib.request.urlopen(f"{address}now?after=0", timeout=20) as answer:
+                    now = json.load(answer)
+                frames.add(now.get("frame"))
+                words = now["words"]
+                if now["over"]:
+                    break
+            time.sleep(0.05)
+        # The last mesh was sent with the last words; a page asks once more.
+        with suppress(OSError), urllib.request.urlopen(f"{address}now?after={now['known']}"):
+            pass
+        assert on.ended() == 0
+    assert len(frames - {None}) > 5
+    assert re.match(r"live/towel_0001\.zarr\n  (trust|look|reject): ", words)
+
+
+def test_several_recordings_at_once_are_not_watched(world, capsys):
+    words = ["track", str(world / "recordings/towel_0001"), "--output", str(world / "two")]
+    assert cli.main([*words, "--live", "--workers", "2"]) == 1
+    assert "one recording after the other can be watched: --workers 1" in capsys.readouterr().err
 
 
 def test_a_pipe_gets_a_line_every_half_minute_at_most(world):

@@ -40,6 +40,7 @@ def helped(verb, capsys):
         (["view", "x", "--qqq"], "--qqq is no option of view; clothtrack view --help lists them"),
         (["demo", "--mode", "best"], "invalid choice 'best' for argument '--mode'"),
         (["export"], "Missing from clothtrack export: PATH, --output PATH;"),
+        (["import"], "Missing from clothtrack import: SOURCE, RECORDING;"),
         (["simulate", "x", "--states", "few"], "--states INT cannot be 'few'"),
         (["segment", "x", "--click", "3"], "--click COLUMN ROW cannot be '3'"),
         (["track", "--output"], "Missing value for argument '--output'"),

@@ -79,10 +79,10 @@ def parts(recording):
     )
 
 
-def tracked(recording: Recording, parts: Parts, theta=None):
+def tracked(recording: Recording, parts: Parts, theta=None, watch=None):
     mesh = recording.cloth.template
     start = Cloth(np.zeros((1, len(mesh.vertices), 3)))
-    recorder = Recorder(recording, mesh, start, lambda each: np.ones(len(each), bool))
+    recorder = Recorder(recording, mesh, start, lambda each: np.ones(len(each), bool), watch=watch)
     track(recording, start, theta or {"drift_m": 1.0}, parts, recorder)
     return recorder.trajectory()
 
@@ -98,6 +98,21 @@ def test_every_frame_is_predicted_then_corrected(recording, parts):
     assert (result.steps.correction_scale[within] == 0.5).all()
     assert np.isfinite(result.steps.predict_s[within]).all()
     assert np.isnan(result.steps.loss_after[action.first_frame])
+
+
+def test_who_watches_is_shown_every_mesh_as_it_is_found(recording, parts):
+    shown = []
+
+    def watch(recording, mesh, frame, positions):
+        assert mesh is recording.cloth.template
+        shown.append((frame.index, positions[0, 0]))
+
+    (action,) = recording.actions
+    result = tracked(recording, parts, watch=watch)
+    within = range(action.first_frame + 1, action.last_frame + 1)
+    assert [frame for frame, _ in shown] == [0, *within, action.last_frame]
+    found = [result.positions[frame, 0, 0] for frame, _ in shown]
+    np.testing.assert_array_equal([place for _, place in shown], found)
 
 
 def test_without_a_correction_the_dynamics_go_on_alone(recording, parts):

@@ -176,7 +176,7 @@ def test_a_table_or_depth_that_the_network_cannot_use(towels, cloud, weights, ca
         find_initial_state(replace(towels, table=None), cloud, asked)
     bare = replace(towels.frames[0], depth={})
     blind = replace(towels, frames=(bare, *towels.frames[1:]))
-    with pytest.raises(InvalidRecordingError, match="no depth picture"):
+    with pytest.raises(InvalidRecordingError, match="neither a depth picture nor a cloud"):
         find_initial_state(blind, cloud, asked)
 
 

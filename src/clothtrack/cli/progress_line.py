@@ -25,7 +25,11 @@ TRUSTED_S = 2.0
 
 
 class ProgressLine:
-    """The progress of one verb on one stream."""
+    """The progress of one verb on one stream.
+
+    Attributes:
+        text: what was said last.
+    """
 
     def __init__(
         self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
@@ -38,6 +42,7 @@ class ProgressLine:
         """
         self._given, self._clock = stream, clock
         self._shown = False
+        self.text = ""
         self.begin()
 
     def begin(self) -> None:
@@ -53,7 +58,7 @@ class ProgressLine:
         if self._start is None or done < self._done or (total > 0) != (self._start[2] > 0):
             self._start = now, done, total
         self._done = done
-        text = f"{self._share(now, done, total)}{place}"
+        text = self.text = f"{self._share(now, done, total)}{place}"
         if self._stream.isatty():
             if not self._shown or now - self._written_s >= REWRITTEN_S or done == total:
                 self._stream.write(f"\r{text[: _columns(self._stream) - 1]}\x1b[K")

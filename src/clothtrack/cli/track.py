@@ -1,8 +1,10 @@
 """The verbs of tracking: demo and track."""
 
 import json as json_module
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,6 +26,7 @@ from clothtrack.errors import InvalidConfigError
 if TYPE_CHECKING:
     from clothtrack.evaluation.verdict import Verdict
     from clothtrack.tracking.pipeline import Outcome
+    from clothtrack.tracking.seams import Watch
 
 Mode = Literal[
     "default",
@@ -85,6 +88,8 @@ def track(
     device: Device = "cpu",
     seed: Seed = 0,
     force: bool = False,
+    live: bool = False,
+    port: int | None = None,
     json: AsJson = False,
 ) -> int:
     """Track recordings: the full mesh at every observation (Algorithm 1).
@@ -108,6 +113,8 @@ def track(
         device: where to compute.
         seed: stored with the result.
         force: go on although the first mesh lies more than 2 cm (rms) from its cloud.
+        live: show the mesh as it grows, on a page for this machine only; ends with the tracking.
+        port: of that page; any free one by default.
         json: machine-readable.
     """
     if show_settings:
@@ -121,9 +128,11 @@ def track(
         complain("no recording given; name at least one recording folder")
         return 2
     settings = (*_file_settings(template=template, weights=weights), *settings)
-    outcomes = _track(
-        recordings, output, mode, settings, seed=seed, device=device, workers=workers, force=force
-    )
+    tracked = partial(
+        _track, recordings, output, mode, settings,
+        seed=seed, device=device, workers=workers, force=force,
+    )  # fmt: skip
+    outcomes = _track_live(tracked, port) if live else tracked()
     if json:
         rows = [{**asdict(outcome), "verdict": _verdict_fields(outcome)} for outcome in outcomes]
         say(json_module.dumps(rows, indent=2, default=str))
@@ -131,8 +140,31 @@ def track(
         if outcome.result is None:
             complain(outcome.error)
         elif not json:
-            say(f"{_line(outcome)}\n  {_verdict(outcome)}")
+            say(_ended(outcome))
     return 1 if any(outcome.result is None for outcome in outcomes) else 0
+
+
+def _track_live(tracked: "Callable[..., list[Outcome]]", port: int | None) -> "list[Outcome]":
+    """Track while a page shows the newest mesh."""
+    from clothtrack.report.live_tracking import live_tracking
+
+    def opened(address: str) -> None:
+        # Standard output may be one JSON document.
+        progress.clear()
+        sys.stderr.write(f"{address}   open this to see the mesh grow\n")
+
+    with live_tracking(lambda: progress.text, port, opened=opened) as page:
+        outcomes = tracked(watch=page.watch)
+        words = [
+            outcome.error if outcome.result is None else _ended(outcome) for outcome in outcomes
+        ]
+        page.end("\n".join(words))
+    return outcomes
+
+
+def _ended(outcome: "Outcome") -> str:
+    """Where a result lies, and what it is worth."""
+    return f"{_line(outcome)}\n  {_verdict(outcome)}"
 
 
 def _file_settings(**files: Path | None) -> list[str]:
@@ -154,6 +186,7 @@ def _track(
     device: str,
     workers: int = 1,
     force: bool = False,
+    watch: "Watch | None" = None,
 ) -> "list[Outcome]":
     from clothtrack.front.run import run_config
     from clothtrack.geometry.devices import require_device
@@ -162,8 +195,9 @@ def _track(
     require_device(device)
     config = run_config(mode, settings, seed=seed)
     return track_recordings(
-        recordings, output, config, workers=workers, device=device, progress=progress, force=force
-    )
+        recordings, output, config, workers=workers, device=device, progress=progress, force=force,
+        watch=watch,
+    )  # fmt: skip
 
 
 def _line(outcome: "Outcome") -> str:

@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 
 from clothtrack.errors import ClothTrackError, InvalidResultError
 from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
-from clothtrack.evaluation.truth import Truth, material_map, material_points
+from clothtrack.evaluation.naming import true_places
+from clothtrack.evaluation.truth import Truth, material_points
 from clothtrack.recordings.recording import Recording
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -122,13 +123,12 @@ def true_positions(
     Raises:
         InvalidResultError: truth or trajectory have no canonical coordinates.
     """
-    if truth.canonical is None or tracked.mesh.canonical is None:
+    where = true_places(tracked, truth)
+    if where is None:
         raise InvalidResultError(
             f"{tracked.name}: the truth or the mesh has no canonical coordinates, so that nobody "
             "knows which vertex belongs where; leave the truth out"
         )
-    canonical = np.asarray(tracked.mesh.canonical, np.float64)
-    where = material_map(truth.canonical, truth.faces, canonical)
     positions = np.full(tracked.positions.shape, np.nan)
     for step, frame in enumerate(tracked.frames.tolist()):
         surface = truth.at(frame)

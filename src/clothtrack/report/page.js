@@ -154,7 +154,9 @@
   const card = find(".scene");
   if (card) {
     scene = await openScene(card);
-    if (scene) space = sceneControls(card, scene, () => all[step]);
+    if (scene) space = sceneControls(card, scene);
+    // For what a server tells later.
+    card.scene = scene;
   }
   await labels.load();
   show(linked() ?? 0, { seek: linked() !== null, address: false });

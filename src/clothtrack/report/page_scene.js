@@ -1,6 +1,6 @@
 // What one can do with the scene: colours, views, layers apart, what lies under the pointer, files.
 
-function sceneControls(card, scene, shownFrame) {
+function sceneControls(card, scene) {
   const find = (selector) => card.querySelector(selector), canvas = scene.canvas;
   const note = find(".controls .note"), mode = find("[name=mode]"), view = find("[name=view]");
   const recolor = () => {
@@ -21,7 +21,7 @@ function sceneControls(card, scene, shownFrame) {
   }
   find("#home").addEventListener("click", () => scene.from(null));
   const title = document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "_");
-  const named = (suffix) => `${title}_frame${shownFrame()}.${suffix}`;
+  const named = (suffix) => `${title}_frame${scene.header.frames[scene.state.step]}.${suffix}`;
   find("#shot").addEventListener("click", () => {
     scene.draw();
     canvas.toBlob((blob) => download(blob, named("png")));

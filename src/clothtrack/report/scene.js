@@ -10,7 +10,9 @@ async function openScene(card) {
     card.querySelector(".no-webgl").hidden = false;
     return null;
   }
-  const scene = await unpacked(card), { header, arrays, points } = scene, palette = header.palette;
+  const inside = (name) => card.querySelector(name).textContent;
+  const scene = await unpacked(JSON.parse(inside(".scene-header")), inside(".scene-data"));
+  const { header, arrays, points } = scene, palette = header.palette;
   const programs = Object.fromEntries(Object.entries({ cloth: CLOTH, lines: LINES, ribbon: RIBBON, dots: DOTS, table: TABLE, above: ABOVE, shade: SHADE })
     .map(([name, sources]) => [name, program(gl, sources)]));
   const cloth = clothOf(scene), ghost = ghostOf(scene), buffers = {};
@@ -244,6 +246,13 @@ async function openScene(card) {
   changed();
   return {
     frames: header.frames,
+    // The same cloth at other frames, as many as before.
+    renew: (other) => {
+      Object.assign(header, other.header);
+      Object.assign(arrays, other.arrays);
+      held = "";
+      changed();
+    },
     header, canvas, cloth, arrays, state, set, draw,
     from: view.from,
     // The vertex under a place of the canvas [CSS pixels]; null where there is no cloth.

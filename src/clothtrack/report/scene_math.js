@@ -1,9 +1,7 @@
 // Unpacks what scene_data.py packed, and the vectors and matrices that the scene needs.
 
-async function unpacked(card) {
-  const header = JSON.parse(card.querySelector(".scene-header").textContent);
-  const text = atob(card.querySelector(".scene-data").textContent);
-  const deflated = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+async function unpacked(header, data) {
+  const deflated = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
   const stream = new Blob([deflated]).stream().pipeThrough(new DecompressionStream("deflate"));
   const content = await new Response(stream).arrayBuffer();
   const arrays = {};

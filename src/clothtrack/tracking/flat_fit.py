@@ -51,7 +51,8 @@ class InitialStateConfig(Checked):
             cloud, likewise; "auto": the template, else the flat fit of a cloth that lies flat, else
             the network where there are weights for the garment.
         template: file of the garment's own mesh, lying flat (`clothtrack garment`), which is fitted
-            to the first cloud in place of a garment of the recording's kind; empty: none.
+            to the first cloud in place of a garment of the recording's kind, or told to the
+            network where the source is "network"; empty: none.
         weights: file with the network's weights; empty: those that come with the package, if any.
         refined: whether a network's mesh is fine-tuned to the first cloud.
         refinement: how.

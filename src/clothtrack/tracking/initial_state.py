@@ -17,10 +17,12 @@ from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.extras import install_command
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import missing_modules, shipped_weights
-from clothtrack.reconstruction.from_picture import front_up, laid_flat, network_mesh
+from clothtrack.reconstruction.first_mesh import front_up, laid_flat
+from clothtrack.reconstruction.from_picture import network_mesh
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking.flat_fit import FITTED_KINDS, InitialStateConfig, flat_fit
 
@@ -173,8 +175,8 @@ def _obstacle(recording: Recording) -> str:
     """Why this recording's first frame is nothing for the network; empty when it is."""
     if recording.cloth.kind not in FITTED_KINDS:
         return f"cloth.kind is {recording.cloth.kind!r}"
-    if not recording.frames or not recording.frames[0].depth:
-        return "its first frame has no depth picture"
+    if not recording.frames or not (recording.frames[0].depth or recording.frames[0].cloud):
+        return "its first frame has neither a depth picture nor a cloud"
     if recording.table is None:
         return "it has no table"
     upwards = float(recording.table.normal[2] / np.linalg.norm(recording.table.normal))
@@ -204,6 +206,7 @@ def _from_network(
         DepthInput(depth, mask, camera, table, kind),
         kind,
         size_m=recording.cloth.size_m,
+        template=read_template(Path(config.template)) if config.template else None,
         vertex_count=config.vertex_count,
         refinement=config.refinement if config.refined else None,
         observation=observation,
@@ -221,6 +224,9 @@ def _from_network(
         "weights": weights.name,
         "weights_sha256": content_hash(weights),
         "refined": result.refinement is not None and result.refinement.chosen > 0,
+        "expected_error_m": result.expected_error_m,
     }
+    if config.template:
+        origin["template_sha256"] = content_hash(Path(config.template))
     mesh = laid_flat(rest, positions, table, RESTING_HEIGHT_M)
     return InitialState(mesh, positions, origin)

@@ -31,7 +31,7 @@ from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.flat_fit import InitialStateConfig
 from clothtrack.tracking.initial_state import InitialState, find_initial_state
-from clothtrack.tracking.seams import Parts
+from clothtrack.tracking.seams import Parts, Watch
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
 
@@ -111,6 +111,7 @@ def track_recording(
     progress: Progress | None = None,
     parts: Mapping[str, Any] | None = None,
     force: bool = True,
+    watch: Watch | None = None,
 ) -> TrackedTrajectory:
     """Recording -> clouds -> first mesh -> calibration and tracking (Fig. 2 of the paper).
 
@@ -122,6 +123,7 @@ def track_recording(
         progress: called after every frame.
         parts: replacements for parts of Algorithm 1, by their names in `PARTS`.
         force: track although the first mesh lies beside its cloud.
+        watch: is shown every mesh.
 
     Raises:
         InvalidConfigError: Algorithm 1 has no part of that name.
@@ -153,7 +155,7 @@ def track_recording(
     if parts:
         tracker.parts = replace(tracker.parts, **parts)
         stamp["replaced_parts"] = sorted(parts)
-    tracked = tracker.track(progress)
+    tracked = tracker.track(progress, watch)
     stamp |= {
         "initial_state": dict(first.origin),
         "first_mesh_gap_m": gap_m,
@@ -190,6 +192,7 @@ def track_recordings(
     device: str = "cpu",
     progress: Progress | None = None,
     force: bool = True,
+    watch: Watch | None = None,
 ) -> list[Outcome]:
     """Track many recordings; finished ones are skipped, a bad one does not stop the others.
 
@@ -203,15 +206,20 @@ def track_recordings(
         device: "cpu" or "cuda:0".
         progress: called after every frame (with one worker) or every recording; counts all.
         force: track although a first mesh lies beside its cloud; otherwise that is its outcome.
+        watch: is shown every mesh; needs one worker.
 
     Returns:
         One outcome per recording, in the given order.
 
     Raises:
-        InvalidConfigError: there are no workers, or two recordings have one name, or a name is
-            none for a file.
+        InvalidConfigError: there are no workers, or several while somebody watches, or two
+            recordings have one name, or a name is none for a file.
     """
     require_workers(workers)
+    if watch is not None and workers > 1:
+        raise InvalidConfigError(
+            f"workers is {workers}; one recording after the other can be watched: --workers 1"
+        )
     folders = [Path(folder) for folder in recordings]
     names = [folder.resolve().name for folder in folders]
     twice = {name for name in names if names.count(name) > 1}
@@ -230,7 +238,7 @@ def track_recordings(
     work = partial(_track_folder, output=output, config=config, device=device, force=force)
     if workers == 1 or len(folders) == 1:
         return [
-            work(folder, progress=one_of(progress, done, len(folders)))
+            work(folder, progress=one_of(progress, done, len(folders)), watch=watch)
             for done, folder in enumerate(folders)
         ]
     return _track_in_parallel(work, folders, workers, progress)
@@ -269,6 +277,7 @@ def _track_folder(
     *,
     force: bool,
     progress: Progress | None = None,
+    watch: Watch | None = None,
 ) -> Outcome:
     path = result_path(folder, output)
     try:
@@ -279,7 +288,9 @@ def _track_folder(
         if earlier is not None and earlier.get(DIGEST_FIELD) == recording_digest(recording):
             logger.info("%s: finished before, skipped", path)
             return Outcome(folder, path, skipped=True)
-        tracked = track_recording(recording, config, device=device, progress=progress, force=force)
+        tracked = track_recording(
+            recording, config, device=device, progress=progress, force=force, watch=watch
+        )
         tracked.save(path)
     except ClothTrackError as error:
         named = str(error) if str(folder) in str(error) else f"{folder}: {error}"

@@ -20,6 +20,7 @@ from clothtrack.tracking.seams import (
     Parts,
     State,
     Theta,
+    Watch,
 )
 from clothtrack.tracking.tracked_trajectory import (
     Calibration,
@@ -42,6 +43,7 @@ class Recorder:
         visible: Visible,
         *,
         progress: Progress | None = None,
+        watch: Watch | None = None,
         passes: int = 1,
     ) -> None:
         """Begin a trajectory that stays where it starts.
@@ -52,6 +54,7 @@ class Recorder:
             state: the cloth at the first frame.
             visible: which vertices some camera sees.
             progress: called after every frame.
+            watch: is shown the first mesh now, and each that comes.
             passes: most passes over an action, to tell how much there is to do.
         """
         self._recording, self._mesh, self._visible = recording, mesh, visible
@@ -61,6 +64,8 @@ class Recorder:
         )
         self._records = StepRecords.empty(len(recording.frames))
         self._actions: list[TrackedAction] = []
+        self._watch = watch
+        self._show(recording.frames[0], self._positions[0])
 
     def begin(self, action: PickAndPlace, parts: Parts) -> "tuple[Pass, Parts]":
         """Begin a pass over an action.
@@ -72,8 +77,15 @@ class Recorder:
         notes = Pass(self._recording, action, self._tell)
         return notes, notes.timed(parts)
 
-    def _tell(self, action: PickAndPlace, frame: Frame) -> None:
-        """Tell which frame of which candidate of which action is done."""
+    def _show(self, frame: Frame, positions: Float[np.ndarray, "vertices 3"]) -> None:
+        if self._watch is not None:
+            self._watch(self._recording, self._mesh, frame, positions)
+
+    def _tell(
+        self, action: PickAndPlace, frame: Frame, positions: Float[np.ndarray, "vertices 3"]
+    ) -> None:
+        """Show the mesh, and tell which frame of which candidate of which action is done."""
+        self._show(frame, positions)
         if self._progress is None:
             return
         spans = [one.last_frame - one.first_frame for one in self._recording.actions]
@@ -95,6 +107,7 @@ class Recorder:
         end = np.asarray(followed.state.positions[0], np.float32)
         self._positions[within] = followed.positions
         self._positions[action.last_frame :] = end
+        self._show(self._recording.frames[action.last_frame], end)
         self._records.adopt(followed.records, within)
         self._passes = 0
         self._actions.append(
@@ -132,9 +145,9 @@ class Pass:
         self,
         recording: Recording,
         action: PickAndPlace,
-        tell: Callable[[PickAndPlace, Frame], None],
+        tell: Callable[[PickAndPlace, Frame, Float[np.ndarray, "vertices 3"]], None],
     ) -> None:
-        """Begin with empty records; `tell` hears of every frame."""
+        """Begin with empty records; `tell` hears of every frame and its mesh."""
         self._action, self._tell = action, tell
         self._records = StepRecords.empty(len(recording.frames))
         self._positions: list[np.ndarray] = []
@@ -169,7 +182,7 @@ class Pass:
             records.gave_up[at] = corrected.gave_up
         self._clocks = dict.fromkeys(self._clocks, 0.0)
         self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
-        self._tell(self._action, frame)
+        self._tell(self._action, frame, self._positions[-1])
 
     def finished(
         self, theta: Theta, grasps: Grasps, last: tuple[State, tuple[float, float]]

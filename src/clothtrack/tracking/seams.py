@@ -11,8 +11,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation
-from clothtrack.recordings.recording import Frame, PickAndPlace
+from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
 from clothtrack.simulation.dynamics import PickerAction
 from clothtrack.simulation.state import Attachment
 from clothtrack.tracking.theta import Theta
@@ -20,6 +21,10 @@ from clothtrack.tracking.tracked_trajectory import Calibration, StepRecords
 
 Observe = Callable[[Frame], Observation]
 """The point cloud P_t of a frame."""
+
+Watch = Callable[[Recording, ClothMesh, Frame, Float[np.ndarray, "vertices 3"]], None]
+"""Is shown each mesh [m] as soon as it is known: the first one, those of every pass over an action
+frame by frame, and the one that the chosen pass ends with."""
 
 
 State = Any

@@ -20,7 +20,7 @@ from clothtrack.tracking.final_alignment import FinalAlignment, no_final_alignme
 from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.picking import pick, without_motion
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Dyn, Observe, Parts
+from clothtrack.tracking.seams import Dyn, Observe, Parts, Watch
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.visible_alignment import (
@@ -87,16 +87,19 @@ class Tracker:
             dynamics=ClothDynamics(solver, config.dynamics), device=device,
         )  # fmt: skip
 
-    def track(self, progress: Progress | None = None) -> TrackedTrajectory:
+    def track(
+        self, progress: Progress | None = None, watch: Watch | None = None
+    ) -> TrackedTrajectory:
         """Run Algorithm 1 over every action of the recording.
 
         Args:
             progress: called after every frame with action, candidate and frame; counts the frames
                 of all passes that may be needed.
+            watch: is shown every mesh.
         """
         recorder = Recorder(
             self._recording, self._mesh, self._state, self._visible,
-            progress=progress, passes=self._passes,
+            progress=progress, watch=watch, passes=self._passes,
         )  # fmt: skip
         track(self._recording, self._state, dict(self._theta), self.parts, recorder)
         return recorder.trajectory()

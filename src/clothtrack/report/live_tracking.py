@@ -1,0 +1,150 @@
+"""The page of `track --live`: the mesh as it grows, over the points that it is aligned to."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.report.document import document, served_document
+from clothtrack.report.evidence import observed, observed_points, thinned
+from clothtrack.report.film_colors import cloud_colors
+from clothtrack.report.layers import Layers
+from clothtrack.report.local_page import Answer, serving
+from clothtrack.report.overlay import whole_view
+from clothtrack.report.scene_data import SCENE_POINTS, SceneContents, packed
+from clothtrack.report.stage import scene_card, stage
+from clothtrack.report.viewpoint import layers_axis, upward, view_of
+
+TITLE = "Tracking"
+
+LAST_WORDS_S = 3.0
+"""So long an open page is waited for that has not yet heard how the tracking ended [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """One mesh, and what it was tracked from."""
+
+    recording: Recording
+    mesh: ClothMesh
+    frame: Frame
+    positions: Float[np.ndarray, "vertices 3"]
+
+    def contents(self) -> SceneContents:
+        """The scene of this one mesh."""
+        recording, frame, vertices = self.recording, self.frame, self.positions.astype(np.float64)
+        points = thinned(observed_points(recording, frame, observed), SCENE_POINTS)
+        eye = view_of(vertices, recording, width=800, height=600)
+        axis = layers_axis(recording, eye)
+        return SceneContents(
+            frames=np.array([frame.index]),
+            time_s=np.array([frame.time_s]),
+            eye=eye,
+            up=upward(recording, eye),
+            along=axis,
+            positions=self.positions[None],
+            faces=self.mesh.faces,
+            ranks=Layers(self.mesh, axis).ranks(vertices)[None],
+            clouds=[points],
+            pickers=recording.picker_paths,
+            table=recording.table,
+            views=[whole_view(camera) for camera in recording.cameras],
+            cloud_colors=cloud_colors(recording, [frame], [points]),
+        )
+
+
+class LiveTracking:
+    """Holds the newest mesh; packs it only when a page asks, so that nobody waits for a page."""
+
+    def __init__(self, words: Callable[[], str]) -> None:
+        """Begin with no mesh.
+
+        Args:
+            words: says how far the tracking is.
+        """
+        self._words, self._newest = words, None
+        self._known, self._version, self._asked_s = 0, 0, float("-inf")
+        self._end = ""
+        self._told = threading.Event()
+        self._lock = threading.Lock()
+
+    def watch(
+        self,
+        recording: Recording,
+        mesh: ClothMesh,
+        frame: Frame,
+        positions: Float[np.ndarray, "vertices 3"],
+    ) -> None:
+        """Take the newest mesh (`clothtrack.tracking.seams.Watch`)."""
+        with self._lock:
+            if self._newest is None or mesh is not self._newest.mesh:
+                # Another cloth is another page.
+                self._version += 1
+            self._newest = _Shown(recording, mesh, frame, np.array(positions, np.float32))
+            self._known += 1
+
+    def end(self, words: str) -> None:
+        """Say how it ended, and wait a moment for a page that is open to hear it."""
+        with self._lock:
+            self._end, open_page = words, time.monotonic() - self._asked_s < LAST_WORDS_S
+        if open_page:
+            self._told.wait(LAST_WORDS_S)
+
+    def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
+        """The page, its version, or the newest mesh."""
+        with self._lock:
+            newest, known, version = self._newest, self._known, self._version
+        if path == "/":
+            return Answer(self._page(newest, version).encode(), "text/html; charset=utf-8")
+        if path == "/version":
+            return Answer.of({"version": version})
+        if path == "/now":
+            return Answer.of(self._now(newest, known, int(query["after"])))
+        return None
+
+    def _page(self, newest: _Shown | None, version: int) -> str:
+        lead = f'<p class="lead growing">{escape(self._end or self._words())}</p>'
+        if newest is None:
+            return served_document(document(TITLE, lead, script=False), version)
+        scene = stage([scene_card(newest.contents())], [newest.frame.index], [0.0], wide=True)
+        return served_document(document(newest.recording.name, lead + scene), version)
+
+    def _now(self, newest: _Shown | None, known: int, after: int) -> dict[str, Any]:
+        """Words, and the mesh where the page does not have it yet; it has none after -1."""
+        with self._lock:
+            self._asked_s, end = time.monotonic(), self._end
+        answer: dict[str, Any] = {"words": end or self._words(), "over": bool(end), "known": known}
+        if newest is not None and after not in (-1, known):
+            header, data = packed(newest.contents())
+            answer |= {"header": header, "data": data, "frame": newest.frame.index}
+        elif end:
+            self._told.set()
+        return answer
+
+
+@contextmanager
+def live_tracking(
+    words: Callable[[], str], port: int | None = None, *, opened: Callable[[str], None]
+) -> Iterator[LiveTracking]:
+    """Serve the page of a tracking on 127.0.0.1 while the block runs.
+
+    Args:
+        words: says how far the tracking is.
+        port: of the server; any free one by default.
+        opened: is told the address before anything else happens.
+
+    Raises:
+        InvalidConfigError: there is no such port, or it is taken.
+    """
+    page = LiveTracking(words)
+    with serving(page.ask, lambda *_: None, port) as address:
+        opened(address)
+        yield page
