@@ -169,9 +169,8 @@ def score(
     """
     points, given = measured_points(folder), template(folder)
     frames = np.arange(len(positions)) if frames is None else frames
-    rest = ClothMesh(given.vertices, faces)
     if material is None:
-        material = given.canonical[:, :2]
+        material, rest = given.canonical[:, :2], ClothMesh(given.vertices, faces)
     else:
         rest = ClothMesh(np.concatenate([material, np.zeros((len(material), 1))], 1), faces)
     chamfer = np.array(

@@ -139,7 +139,7 @@ def trajectories(
         labels = [label for label in labels if split in (None, label[2])]
     else:
         names = sorted(each.name for each in (bench / "recordings").glob("[!.]*"))
-        labels = [(name, name.rpartition("_")[0], "") for name in names]
+        labels = [(name, name.partition("_")[0], "") for name in names]
     found = [
         Trajectory(name, kind, of, bench / "recordings" / name, truth)
         for name, kind, of in labels

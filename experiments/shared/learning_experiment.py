@@ -4,7 +4,8 @@
     --bench FOLDER      recordings/, truth/ and bench.json
     --old FOLDER...     simulated states, one folder per garment: the control's old cloth
     --train NAME        split whose tracked trajectories are learned from (dev)
-    --split NAME        split that is held out and measured (test)
+    --split NAME        split that is held out and measured (test); a folder without bench.json has
+                        two: the last tenth of each garment's trajectories is held out
     --set NAME=VALUE    of the training, such as canonicalisation.epochs=200
     --counts N...       trajectories to learn from (label_count only)
     --only NAME...      labels to learn from, as the table calls them (table2 only)
@@ -46,6 +47,7 @@ from shared.bench_runs import (
 )
 from shared.experiment import Setup
 from shared.figures import say
+from shared.held_out import learned_from, measured_on, parted, require_apart
 from shared.learning_runs import Reconstructor, Tuner, kind_of, reconstruction_rows
 
 SMOKE_SETTINGS = (
@@ -93,8 +95,19 @@ class LearningSetup:
     only: tuple[str, ...] = ()
 
     def training(self, kind: str) -> list[Trajectory]:
-        """The trajectories to learn from."""
-        return self._of(kind, self.train_split, held_out=False)
+        """The trajectories to learn from.
+
+        Raises:
+            InvalidConfigError: there are none, or one of them is measured on too.
+        """
+        found = self._of(kind, held_out=False)
+        if not found:
+            raise InvalidConfigError(
+                f"{self.tracking.bench}: it has no trajectory of a {kind} to learn from; film "
+                f"more: clothtrack simulate {self.tracking.bench} --garment {kind}"
+            )
+        self._require_apart(kind, found)
+        return found
 
     def held_out(self, kind: str) -> list[Trajectory]:
         """The trajectories to measure on.
@@ -107,16 +120,21 @@ class LearningSetup:
                 f"--train and --split are both {self.train_split!r}; what is measured on must not "
                 "be learned from"
             )
-        return self._of(kind, self.tracking.split, held_out=True)
+        return self._of(kind, held_out=True)
 
-    def _of(self, kind: str, split: str | None, *, held_out: bool) -> list[Trajectory]:
-        every = trajectories(self.tracking.bench, None if self.tracking.smoke else split)
-        own = [one for one in every if one.kind == kind]
+    def _of(self, kind: str, *, held_out: bool) -> list[Trajectory]:
+        bench, split = self.tracking.bench, self.tracking.split
         if self.tracking.smoke:
             # One folder without splits; what else has been filmed there comes after these.
+            own = [one for one in trajectories(bench) if one.kind == kind]
             first = sorted(own, key=lambda one: one.name)[:SMOKE_TOWELS]
-            return first[-1:] if held_out else first[:-1]
-        return own[: self.limit]
+            return parted(first)[held_out]
+        of = measured_on(bench, split) if held_out else learned_from(bench, self.train_split)
+        return [one for one in of if one.kind == kind][: self.limit]
+
+    def _require_apart(self, kind: str, learned: Sequence[Trajectory]) -> None:
+        measured = (one.recording for one in self.held_out(kind))
+        require_apart((one.recording for one in learned), measured)
 
     def more(self, kind: str, count: int) -> list[Trajectory]:
         """So many trajectories to learn from: the split's, and as many more as that takes."""
@@ -128,6 +146,7 @@ class LearningSetup:
         if count > len(found):
             filmed = [one for one in trajectories(folder) if one.kind == kind]
             found += sorted(filmed, key=lambda one: one.name)[: count - len(found)]
+            self._require_apart(kind, found)
         return found
 
     def tracked(self, chosen: Sequence[Trajectory], variant: Variant) -> list[Task]:

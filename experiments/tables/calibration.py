@@ -2,10 +2,10 @@
 
 Claim judged: parameters found on the action that is being tracked beat parameters found before. The
 offline parameters are the most frequent choice of the online calibration, parameter by parameter,
-over the actions of the `dev` split. In a world without splits they come from the recordings
-themselves, which flatters them. Two controls read the truth, and are no results: friction as the
-world has it, in place of a search for it, and the thickness of the world's cloth. They say what a
-perfect calibration would be worth.
+over the actions of the `dev` split; in a folder without splits, of the first nine tenths of each
+garment's recordings, and the last tenth is measured. Two controls read the truth, and are no
+results: friction as the world has it, in place of a search for it, and the thickness of the world's
+cloth. They say what a perfect calibration would be worth.
 
     python experiments calibration --bench OUT --split test --workers 2
 """
@@ -19,8 +19,9 @@ from dataclasses import replace
 import _path  # noqa: F401
 import numpy as np
 from shared.bench_measures import Row
-from shared.bench_runs import Trajectory, Variant
+from shared.bench_runs import BENCH_FILE, Trajectory, Variant
 from shared.experiment import Run, Setup, run_experiment
+from shared.held_out import parted, require_apart
 
 from clothtrack.tracking import RunConfig, TrackerConfig, mode
 from clothtrack.world.flex import CONTACT_RADIUS_M
@@ -28,26 +29,48 @@ from clothtrack.world.flex import CONTACT_RADIUS_M
 FRICTION = {"table_friction": "table_friction", "particle_friction": "cloth_friction"}
 """What the tracker calls it, and what the world does."""
 
+FITTED_ON = "dev"
+
 METHODS = {"paper": "full_held_paper", "default": "default"}
 
 
 def plan(setup: Setup) -> list[Run]:
-    """Online over `dev` first, for the modes; then online, offline and uncalibrated."""
+    """Online over `dev` first, for the modes; then online, offline and uncalibrated.
+
+    Raises:
+        InvalidConfigError: a recording of `dev` is measured too.
+    """
+    learned, measured = chosen(setup)
     variants = []
     for label, name in METHODS.items():
         online = setup.variant(f"{label}, online", name)
-        dev = setup.rows("calibration", [(each, online) for each in setup.trajectories("dev")])
+        dev = setup.rows("calibration", [(each, online) for each in learned])
         offline = fixed(mode(name), most_frequent(dev))
         variants += [
             online,
             setup.variant(f"{label}, offline", offline),
             setup.variant(f"{label}, uncalibrated", fixed(mode(name), {})),
         ]
-    return [
-        (each, variant)
-        for each in setup.trajectories()
-        for variant in (*variants, *controls(setup, each))
-    ]
+    return [(each, variant) for each in measured for variant in (*variants, *controls(setup, each))]
+
+
+def chosen(setup: Setup) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Where offline parameters come from, and what is measured.
+
+    Raises:
+        InvalidConfigError: a recording is among both.
+    """
+    if setup.smoke:
+        # One towel for both: that everything runs is all that is asked.
+        return setup.trajectories(), setup.trajectories()
+    if not (setup.bench / BENCH_FILE).exists():
+        learned, measured = parted(setup.trajectories())
+    else:
+        learned, measured = setup.trajectories(FITTED_ON), setup.trajectories()
+        if setup.split is None:
+            measured = [one for one in measured if one.split != FITTED_ON]
+    require_apart((one.recording for one in learned), (one.recording for one in measured))
+    return learned, measured
 
 
 def controls(setup: Setup, trajectory: Trajectory) -> list[Variant]:

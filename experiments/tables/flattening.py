@@ -9,7 +9,8 @@ begins with "control" knows the truth, and is an upper bound and no result.
     python experiments flattening --out OUT --weights FILE --tuned FILE --dynamics FILE
 
 Episodes that are finished are kept, a broken one goes on; methods without their weights are left
-out. `--kind tshirt --kind towel` takes both garments in turn.
+out. `--kind tshirt --kind towel` takes both garments in turn; `--garment-seed N` starts one garment
+20 times, as in the paper, one that no shipped network was trained on.
 """
 
 import argparse
@@ -51,7 +52,7 @@ from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings import read_recording
 from clothtrack.report.flattening_page import write_film_strip
 from clothtrack.world import SMALL_WORLD, SimulatedEpisode, SimulatedRobotConfig, flatten_simulated
-from clothtrack.world.simulated_episodes import EpisodeParts
+from clothtrack.world.simulated_episodes import EpisodeParts, knowing_the_garment
 
 NAME = "flattening"
 FIRST_SEED = 9000
@@ -167,6 +168,14 @@ def filming(robot: SimulatedRobotConfig, method: Method) -> SimulatedRobotConfig
     return replace(robot, film=robot.film or tracks)
 
 
+def task_of(
+    method: Method, episode: SimulatedEpisode, out: Path, robot: SimulatedRobotConfig, device: str
+) -> Task:
+    """One episode of one method, which knows the template of the one garment where there is one."""
+    config = knowing_the_garment(method.config, episode.garment, out)
+    return Task(replace(method, config=config), episode, out, filming(robot, method), device)
+
+
 def run(task: Task) -> list[Row]:
     """One episode's rows, one per action; an episode that ended early stays where it was."""
     quiet_warp()
@@ -266,17 +275,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             chosen = methods(options)
             seeds = range(options.first_seed, options.first_seed + options.episodes)
             tasks = [
-                Task(
-                    method,
-                    SimulatedEpisode(kind, seed),
-                    out / NAME,
-                    filming(robot, method),
-                    options.device,
-                )
+                task_of(method, SimulatedEpisode(kind, seed, garment_seed=options.garment_seed),
+                        out / NAME, robot, options.device)
                 for seed in seeds
                 for kind in (("towel",) if options.smoke else options.kind)
                 for method in chosen
-            ]
+            ]  # fmt: skip
             make_starts(tasks, options.workers)
             order = [one.name for one in chosen]
             rows: list[Row] = []
@@ -313,7 +317,8 @@ def make_start(task: Task) -> None:
     from clothtrack.world import SimulatedRobot
     from clothtrack.world.simulated_episodes import begin
 
-    robot = SimulatedRobot(task.episode.kind, task.episode.seed, task.robot)
+    episode = task.episode
+    robot = SimulatedRobot(episode.kind, episode.seed, task.robot, episode.garment)
     begin(robot, task.out / "starts" / f"{task.episode.label}.npz")
 
 
@@ -348,6 +353,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, help="folder of rows, episodes and starts")
     parser.add_argument("--episodes", type=int, default=20, help="starts of each garment")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="of the starts")
+    parser.add_argument("--garment-seed", type=int, help="one garment for all starts")
     parser.add_argument("--kind", action="append", choices=("towel", "tshirt"))
     parser.add_argument("--actions", type=int, default=10, help="of an episode")
     parser.add_argument("--weights", type=Path, help="of the pretrained network")

@@ -23,6 +23,7 @@ from scipy.stats import spearmanr
 from shared.bench_measures import Row
 from shared.bench_runs import kept_labels, read_rows, write_rows
 from shared.figures import say
+from shared.held_out import require_apart
 from shared.tables import table
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
@@ -62,7 +63,12 @@ class Judged:
 
 
 def judged_labels(bench: Path, folders: Sequence[Path], variant: str) -> list[Judged]:
-    """The labels of a variant's runs in folders of rows, with their evidence."""
+    """The labels of a variant's runs in folders of rows, with their evidence.
+
+    Raises:
+        InvalidResultError: there are no rows.
+        InvalidConfigError: one of another split is of a recording that the model is fitted on.
+    """
     runs: dict[tuple[Path, str], list[Row]] = {}
     for folder in folders:
         file = folder / "table1.jsonl"
@@ -80,6 +86,7 @@ def judged_labels(bench: Path, folders: Sequence[Path], variant: str) -> list[Ju
         mesh, labels = kept_labels((folder / run).with_suffix(".npz"))
         evidence = label_evidence(mesh, labels, recording)
         found += [Judged(row, evidence[int(row["action"]) - 1]) for row in rows]
+    require_fitted_apart(bench, found)
     return found
 
 
@@ -106,6 +113,19 @@ def fitted(labels: Sequence[Judged], variant: str) -> QualityModel:
         "rank_correlation_cross_validated": round(rank_correlation(expected, errors), 3),
     }
     return fit_quality(evidence, errors, provenance=provenance)
+
+
+def require_fitted_apart(bench: Path, labels: Sequence[Judged]) -> None:
+    """Refuse labels of recordings that the model is fitted on, under another name or split.
+
+    Raises:
+        InvalidConfigError: with the two recordings.
+    """
+    folders: dict[bool, dict[str, Path]] = {True: {}, False: {}}
+    for one in labels:
+        fitted_on = one.row["split"] == FITTED_ON
+        folders[fitted_on][one.recording] = bench / "recordings" / one.recording
+    require_apart(folders[True].values(), folders[False].values())
 
 
 def cross_validated(

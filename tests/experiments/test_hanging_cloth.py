@@ -2,15 +2,19 @@
 
 import csv
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from real import hanging_cloth
+from real.hanging_learning import HangingFrames
 from real.pattern import PatternConfig, Unwrapper, pattern_drift
 from real.upright import WORLD_FROM_CAMERA, level_camera, upright
 
 from clothtrack.recordings import observe, read_recording
+from clothtrack.simulation import towel
 
 SIDE, WIDTH_M, DEPTH_M, FRAMES = 9, 0.4, 1.0, 3
 COUNT = SIDE * SIDE
@@ -158,3 +162,48 @@ def test_another_triangulation_finds_the_same_print(folder):
 @pytest.mark.parametrize(("count", "rows"), [(50, [10, 20, 30, 40, 49]), (3, [1, 2]), (1, [0])])
 def test_the_judged_frames_end_with_the_last(count, rows):
     assert hanging_cloth.judged_rows(count) == rows
+
+
+@pytest.fixture(scope="module")
+def hanging(folder, tmp_path_factory):
+    """The frames as Table 2 takes them, and the cloth as a faultless tracker would follow it."""
+    recording = hanging_cloth.convert(folder, tmp_path_factory.mktemp("learned") / "recording")
+    mesh = hanging_cloth.template(folder)
+    still = SimpleNamespace(mesh=mesh, positions=np.stack([mesh.vertices] * FRAMES))
+    return HangingFrames("hanging", folder, recording, range(FRAMES)), still
+
+
+def test_the_network_is_shown_the_hanging_cloth_lying(hanging):
+    frames, still = hanging
+    picture = frames.picture(1)
+    seen = picture.camera.back_project(picture.depth_m, picture.mask)
+    np.testing.assert_allclose(seen[:, 2], -DEPTH_M, atol=1e-6)
+    assert picture.size_m == pytest.approx((WIDTH_M, WIDTH_M))
+    mesh, rest = frames.tracked_mesh(still)(1)
+    np.testing.assert_allclose(mesh.vertices[:, 2], -DEPTH_M, atol=1e-6)
+    assert rest is still.mesh
+    for labelled in (frames.labelled(still), frames.simulated(still)):
+        assert labelled.frames == tuple(range(FRAMES))
+        for one in labelled.pictures:
+            assert (one.faces[one.mask] >= 0).mean() > 0.95
+
+
+def test_the_held_corners_and_the_print_judge_it(hanging):
+    frames, still = hanging
+    mesh, rest = frames.tracked_mesh(still)(1)
+    row = frames.judged(1, mesh, rest, still)
+    assert row["corner_mm"] == pytest.approx(0.0, abs=0.01)
+    assert row["edge_strain"] < 1e-6
+    assert row["print_matched"] > 0.95
+    # A square without marks may be named in eight ways; nobody is told which is meant.
+    renamed = mesh.canonical[:, [1, 0, 2]] * (-1, 1, 1)
+    other = frames.judged(1, replace(mesh, canonical=renamed), rest, still)
+    assert other["print_matched"] == pytest.approx(row["print_matched"])
+    # A network's mesh has other vertices than the template.
+    coarse = towel(WIDTH_M, WIDTH_M, WIDTH_M / 6)
+    hung = coarse.with_vertices(coarse.vertices - (0.0, 0.0, DEPTH_M))
+    assert frames.judged(1, hung, coarse, still)["print_matched"] > 0.9
+    slid = mesh.with_vertices(mesh.vertices + (0.05, 0.0, 0.0))
+    worse = frames.judged(1, slid, rest, still)
+    assert worse["corner_mm"] == pytest.approx(50.0, abs=0.1)
+    assert worse["chamfer_mesh_m2"] > row["chamfer_mesh_m2"]

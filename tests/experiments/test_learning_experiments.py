@@ -118,6 +118,27 @@ def test_splits_that_overlap_are_refused(bench, capsys):
     assert "must not be learned from" in capsys.readouterr().err
 
 
+def test_a_recording_to_learn_from_is_found_again_under_another_name(bench, tmp_path, capsys):
+    """Two towels without a list, and a copy of the first that comes last, to be measured on."""
+    importlib.import_module("tables.network_alone").main(["--smoke", "--bench", str(bench)])
+    weights = learning_experiment.tiny_network(tmp_path / "tiny.safetensors")
+    for name, source in (("towel_0000", 0), ("towel_0001", 1), ("towel_0009", 0)):
+        for part in ("recordings", "truth"):
+            (tmp_path / part).mkdir(exist_ok=True)
+            suffix = ".npz" if part == "truth" else ""
+            old = bench / part / f"towel_000{source}{suffix}"
+            (tmp_path / part / f"{name}{suffix}").symlink_to(old)
+    words = ["--bench", str(tmp_path), "--weights", str(weights)]
+    for experiment in ("table2", "label_count"):
+        module = importlib.import_module(f"tables.{experiment}")
+        capsys.readouterr()
+        assert module.main(words) == 1
+        (line,) = capsys.readouterr().err.splitlines()[-1:]
+        assert "towel_0000, to learn from, and " in line
+        assert "towel_0009, to measure on" in line
+        assert not (tmp_path / "experiments" / "networks").exists()
+
+
 @pytest.fixture(scope="module")
 def runs(bench):
     """The default's runs of the towels that are learned from."""

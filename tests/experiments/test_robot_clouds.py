@@ -1,61 +1,18 @@
 """The robot's converter and scorer on a made-up set of the same layout."""
 
-import json
-
 import numpy as np
 import pytest
-from real import robot_clouds
+from real import drawn_robot_clouds, robot_clouds
+from real.drawn_robot_clouds import CUT_M, FRAMES, SIDE_M, TABLE_M
 
 from clothtrack.recordings import observe, read_recording
-
-FRAMES, SIDE_M, TABLE_M, CUT_M = 9, 0.2, 0.05, 0.06
-# Straight above, looking down: x right is world x, y down is world -y.
-POSE = [[1.0, 0.0, 0.0, 0.1], [0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 1.0]]
 
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     """A square that rises as a whole by 2 cm a frame, seen from above, cut at 6 cm."""
-    folder = tmp_path_factory.mktemp("set") / robot_clouds.NAME
-    (folder / "sequences").mkdir(parents=True)
-    corners = [
-        [0, 0, TABLE_M],
-        [SIDE_M, 0, TABLE_M],
-        [SIDE_M, SIDE_M, TABLE_M],
-        [0, SIDE_M, TABLE_M],
-    ]
-    camera = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0, "width": 640, "height": 480}
-    meta = {
-        "cameras": {"overhead": camera | {"camera_to_robot_3x4": POSE}},
-        "initial_cloth": {
-            "lift": {
-                "table_height_m": TABLE_M,
-                "corners_m": corners,
-                "picked_corner_m": corners[2],
-            }
-        },
-        "sequences": [{"name": "lift_white", "task": "lift", "lowest_z_m": CUT_M}],
-    }
-    (folder / "meta.json").write_text(json.dumps(meta))
-    heights = TABLE_M + 0.02 * np.arange(FRAMES)
-    clouds = [cloud_at(height) for height in heights]
-    clouds = [
-        cloud if height >= CUT_M else cloud[:0]
-        for cloud, height in zip(clouds, heights, strict=True)
-    ]
-    np.savez(
-        folder / "sequences" / "lift_white.npz",
-        points_tenth_mm=np.rint(np.concatenate(clouds) * 1e4).astype(np.int16),
-        offsets=np.cumsum([0, *map(len, clouds)]),
-        gripper_m=np.stack([[SIDE_M, SIDE_M, height] for height in heights]),
-        time_s=0.1 * np.arange(FRAMES),
-    )
+    folder = drawn_robot_clouds.write(tmp_path_factory.mktemp("set")) / robot_clouds.NAME
     return folder / "sequences" / "lift_white.npz"
-
-
-def cloud_at(height):
-    ticks = np.linspace(0, SIDE_M, 101)
-    return np.stack(np.meshgrid(ticks, ticks, [height]), -1).reshape(-1, 3)
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ import torch
 
 from clothtrack.cli import command_line as cli
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.quality import crossings
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.depth_input import DepthInput
+from clothtrack.reconstruction.first_mesh import front_up, laid_flat
 from clothtrack.reconstruction.from_picture import (
     distance_from_picture,
-    front_up,
-    laid_flat,
     network_mesh,
     observation_of,
 )
@@ -57,6 +57,17 @@ def test_fine_tuning_never_ends_farther_from_the_cloud(model, picture):
     assert scores[tuned.refinement.chosen] == min(scores) <= scores[0]
     np.testing.assert_array_equal(tuned.mesh.vertices, tuned.refinement.positions)
     np.testing.assert_array_equal(tuned.mesh.faces, plain.mesh.faces)
+
+
+def test_a_tangled_answer_is_taken_apart_when_asked(model, picture):
+    plain = network_mesh(model, picture, "towel", vertex_count=200, refinement=RefinementConfig())
+    assert plain.untangling is None
+    apart = network_mesh(
+        model, picture, "towel", vertex_count=200, refinement=RefinementConfig(), untangle=True
+    )
+    done, mesh = apart.untangling, apart.mesh
+    assert done.crossings_after == crossings(mesh.vertices.astype(float), mesh.faces)
+    assert done.crossings_after <= crossings(plain.mesh.vertices.astype(float), plain.mesh.faces)
 
 
 def test_a_known_size_is_the_size(model, picture):
@@ -194,3 +205,5 @@ def test_of_look_alike_namings_the_one_whose_front_faces_up_is_taken(kind):
     # The neck is cut deeper in front: there alone the partners are not exact.
     assert np.median(error) < 0.1 * spacing
     assert np.mean(error < 0.5 * spacing) > 0.95
+    # There, too, no two vertices fall together.
+    assert mesh.with_vertices(named).edge_lengths.min() > 0.1 * mesh.edge_lengths.min()

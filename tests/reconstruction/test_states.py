@@ -18,6 +18,7 @@ from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.files.worker_pool import PATIENCE_S
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
+from clothtrack.reconstruction.data import states
 from clothtrack.reconstruction.data.crumpling import Crumpler, CrumplingConfig
 from clothtrack.reconstruction.data.garment_draws import draw_garment
 from clothtrack.reconstruction.data.state_store import open_states, read_shard, shard_path
@@ -156,6 +157,21 @@ def test_what_is_not_sound_is_left_out_until_nothing_is_left(tmp_path: Path) -> 
         with pytest.raises(SimulationDivergedError, match="only 0 of 4"):
             generate_states(tmp_path / "none", "towel", 1, config=config)
         shutil.rmtree(tmp_path / "none")
+
+
+def test_a_garment_that_comes_to_nothing_is_exchanged_for_another(monkeypatch, caplog) -> None:
+    """One in fifty of a long run must not end it, and its place must not stay empty."""
+    first = make_shard("towel", 1, 3, TINY).mesh
+
+    def only_the_first_crosses(positions, faces):
+        return len(faces) if np.array_equal(faces, first.faces) else 0
+
+    monkeypatch.setattr(states, "crossings", only_the_first_crosses)
+    shard = make_shard("towel", 1, 3, TINY)
+    assert len(shard.positions) == TINY.shard_states
+    assert not np.array_equal(shard.mesh.faces, first.faces)
+    assert "only 0 of 4 states" in caplog.text
+    assert "another garment is drawn" in caplog.text
 
 
 def test_a_smoothed_cloth_is_flat_and_a_dropped_one_is_not() -> None:

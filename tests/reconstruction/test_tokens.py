@@ -24,6 +24,7 @@ from clothtrack.reconstruction.tokens.token_examples import (
     LabelledTokenExamples,
     TokenExamples,
     token_example,
+    with_parts_missing,
 )
 from clothtrack.reconstruction.tokens.token_network import (
     EMPTY,
@@ -288,6 +289,43 @@ def test_a_label_is_seen_from_its_own_table() -> None:
     np.testing.assert_allclose(low.height, high.height, atol=1e-6)
     np.testing.assert_allclose(low.places, high.places, atol=1e-6)
     assert low.distance == pytest.approx(high.distance)
+
+
+def test_parts_of_a_label_are_missing_now_and_then() -> None:
+    (picture, _) = _labelled(meshes()["rectangle"], "one").pictures
+    rising = picture.depth_m - 0.1 * np.arange(picture.depth_m.shape[0])[:, None] / 100
+    picture = replace(picture, depth_m=rising)
+    measured = picture.mask & (picture.depth_m > 0)
+    heights = picture.camera.back_project(picture.depth_m, measured)[:, 2]
+    shares, lowest = [], []
+    for seed in range(200):
+        shown = with_parts_missing(picture, np.random.default_rng(seed))
+        assert not (shown.mask & ~measured).any()
+        shares.append(shown.mask.sum() / measured.sum())
+        lowest.append(picture.camera.back_project(picture.depth_m, shown.mask)[:, 2].min())
+    assert 0.4 < np.mean(np.array(shares) == 1.0) < 0.6
+    assert min(shares) > 0.2
+    assert 0.2 < np.mean(np.array(lowest) > heights.min() + 0.01) < 0.5
+
+
+def test_the_short_recipe_rises_high_and_falls_once() -> None:
+    short = LearningConfig.preset("finetune_short")
+    rates = [short.tokens.rate(step, 10) for step in range(10 * short.tokens.epochs)]
+    assert max(rates) == pytest.approx(6e-4)
+    assert rates[-1] < 1e-5
+    assert (np.diff(rates) < 0).sum() > 0.9 * len(rates)
+    assert short.canonicalisation.high_rate == 1e-4
+
+
+def test_a_label_that_lies_beside_its_picture_is_left_out() -> None:
+    mesh = meshes()["rectangle"]
+    right = _labelled(mesh, "one")
+    beside = replace(right.pictures[1], positions=right.pictures[1].positions + [0.3, 0.0, 0.0])
+    mixed = replace(right, pictures=(right.pictures[0], beside))
+    assert len(LabelledTokenExamples([right], TINY)) == 2
+    assert len(LabelledTokenExamples([mixed], TINY)) == 1
+    with pytest.raises(InvalidConfigError, match="no labelled picture whose mesh lies where"):
+        LabelledTokenExamples([replace(right, pictures=(beside,))], TINY)
 
 
 def test_labels_teach_the_token_network(folders: list[Path], tmp_path: Path) -> None:

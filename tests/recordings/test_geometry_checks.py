@@ -61,8 +61,10 @@ def tip_at(frame):
 
 @pytest.fixture(scope="module")
 def towel_film(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("film") / "towel"
-    eye = camera()
+    return drawn(tmp_path_factory.mktemp("film") / "towel", camera())
+
+
+def drawn(folder, eye):
     ground = np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
     table = Rasteriser(np.array([[0, 1, 2], [0, 2, 3]]), eye).render(ground).depth
     draw = Rasteriser(towel(0.0).faces, eye)
@@ -191,6 +193,16 @@ def test_a_first_frame_that_is_not_flat_is_found_where_no_template_says_how_it_l
     (finding,) = check_geometry(begun_late)
     assert finding.check == {"heap": "first frame", "folded": "size"}[flaw]
     assert "flat" in finding.text
+
+
+def test_a_pick_beyond_the_rim_of_the_picture_is_not_doubted(tmp_path):
+    # The upper third is missing, and with it the end of the towel that is picked.
+    folder = drawn(tmp_path / "cut", replace(camera(), height=120, cy=29.5))
+    inspection = inspect(folder)
+    assert inspection.geometry == ()
+    assert any("reaches the rim of the picture in frame 0" in note for note in inspection.notes)
+    inside = moved_path(read_recording(folder), 0.2, -0.2, 0.0)
+    assert [finding.check for finding in check_geometry(inside)][:1] == ["picker path"]
 
 
 def test_what_was_cut_away_accuses_nobody(film):

@@ -1,6 +1,9 @@
 """What is written is read back exactly, and appears whole or not at all."""
 
 import errno
+import os
+import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -153,3 +156,26 @@ def test_frames_are_checked_as_they_come(tmp_path, camera):
         with pytest.raises(InvalidRecordingError, match="no spaces, commas"):
             writer.set_picker_path("left, arm", path)
     assert len(read_recording(tmp_path / "r").frames) == 1
+
+
+def test_a_signal_does_not_break_off_the_removal_of_a_half_written_recording(
+    tmp_path, camera, monkeypatch
+):
+    """A worker that is ended is told so more than once, also while it clears away."""
+    remove = shutil.rmtree
+
+    def told_again(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGTERM)
+        remove(*arguments, **options)
+
+    def leave(number, frame):
+        raise SystemExit(1)
+
+    monkeypatch.setattr(shutil, "rmtree", told_again)
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        with pytest.raises(SystemExit), RecordingWriter(tmp_path / "r", [camera], {"top": 1e-3}):
+            raise SystemExit(1)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert not list(tmp_path.iterdir())

@@ -17,6 +17,7 @@ from clothtrack.geometry.table_plane import (
     sight_lines,
     world_from_table,
 )
+from clothtrack.reconstruction.data.cloud_picture import cloud_picture
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
 from clothtrack.recordings.pictures import read_depth, read_mask
 from clothtrack.recordings.point_cloud import cloth_measured
@@ -91,7 +92,8 @@ def from_recording(folder: Path, frame: int) -> DepthInput:
     """A frame of a recording.
 
     Raises:
-        InvalidRecordingError: it cannot be read, or has no such frame or no depth.
+        InvalidRecordingError: it cannot be read, or has no such frame, or that has neither depth
+            nor a cloud.
     """
     recording = read_recording(folder)
     if not 0 <= frame < len(recording.frames):
@@ -101,6 +103,28 @@ def from_recording(folder: Path, frame: int) -> DepthInput:
     depth, mask, camera = cloth_picture(recording, recording.frames[frame])
     cloth = recording.cloth
     return DepthInput(depth, mask, camera, recording.table, cloth.kind, cloth.size_m)
+
+
+def from_cloud(
+    points: Float[np.ndarray, "points 3"],
+    table: Table | None = None,
+    *,
+    kind: str | None = None,
+    size_m: tuple[float, float] | None = None,
+) -> DepthInput:
+    """Points of a cloth [m], world, z up, as a camera straight above would have measured them.
+
+    Args:
+        points: of one camera, or of several that were merged.
+        table: horizontal; what the cloth lies on or is held over.
+        kind: the garment, when it is known.
+        size_m: its width and length [m], when they are known.
+
+    Raises:
+        InvalidRecordingError: there are too few points.
+    """
+    depth, mask, camera = cloud_picture(points)
+    return DepthInput(depth, mask, camera, table, kind, size_m)
 
 
 def from_picture(

@@ -9,19 +9,25 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.geometry.closest_point import closest_on_mesh, distance_to_mesh
+from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.alignment_frame import align
-from clothtrack.reconstruction.canonical_frame import conventional, symmetries
-from clothtrack.reconstruction.refinement import Refinement, RefinementConfig, Refiner
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.reconstruction.canonical_frame import conventional
+from clothtrack.reconstruction.refinement import (
+    VISIBILITY_TOLERANCE_M,
+    Refinement,
+    RefinementConfig,
+    Refiner,
+)
 from clothtrack.reconstruction.template_fit import TemplateFitConfig
 from clothtrack.reconstruction.trust import agreement_of, distrust
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import garment
+from clothtrack.simulation.untangling import Untangling, untangled
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.depth_input import DepthInput
@@ -38,6 +44,11 @@ OTHER_SIZES = (0.75, 0.55, 0.4, 1.35)
 """By what a garment that the network does not know so large, or so small, is multiplied."""
 
 
+SEEN_MOBILITY = 0.1
+"""Mobility of a vertex that is seen when a fine-tuned mesh is taken apart: what is seen is where it
+was measured, and what is hidden was guessed."""
+
+
 @dataclass(frozen=True, eq=False)
 class NetworkMesh:
     """What became of one picture.
@@ -51,6 +62,8 @@ class NetworkMesh:
         expected_error_m: mean distance of the vertices from their true places that the network
             expects [m]; None from a network that does not say.
         spread_m: the same of each vertex [m].
+        untangling: how the mesh was taken out of itself: crossings as the network's answer had them
+            and at the end; None when it was not asked for, or the flat garment is not known.
     """
 
     mesh: ClothMesh | None
@@ -59,6 +72,7 @@ class NetworkMesh:
     scale: float = 1.0
     expected_error_m: float | None = None
     spread_m: Float[np.ndarray, " vertices"] | None = None
+    untangling: Untangling | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +103,7 @@ def network_mesh(
     turn_rad: float = 0.0,
     refinement: RefinementConfig | None = None,
     observation: Observation | None = None,
+    untangle: bool = False,
     device: str = "cpu",
 ) -> NetworkMesh:
     """The full mesh behind a depth picture.
@@ -106,6 +121,8 @@ def network_mesh(
             again: another picture of the same cloth.
         refinement: how to fine-tune the mesh; None leaves it as the network makes it.
         observation: what it is fine-tuned against; the picture's own points when None.
+        untangle: take the mesh apart where it passes through itself, before it is fine-tuned and
+            after; there what is seen moves little.
         device: of the fine-tuning; the networks compute where they are.
 
     Raises:
@@ -128,19 +145,60 @@ def network_mesh(
         expected_error_m=None if spread_m is None else float(np.mean(spread_m)),
         spread_m=spread_m,
     )
-    if reconstruction.mesh is None or refinement is None:
+    if reconstruction.mesh is None:
         return result
+    if untangle:
+        result = _taken_apart(result, picture, device)
+    if refinement is not None:
+        result = _fine_tuned(
+            result, answer.canonical, observation or observation_of(picture), refinement,
+            table=picture.table, device=device,
+        )  # fmt: skip
+        if untangle:
+            result = _taken_apart(result, picture, device)
+    return result
+
+
+def _fine_tuned(
+    result: NetworkMesh,
+    canonical: Float[np.ndarray, "vertices 3"] | None,
+    observation: Observation,
+    refinement: RefinementConfig,
+    *,
+    table: Table | None,
+    device: str,
+) -> NetworkMesh:
+    """The same, its mesh drawn to what was observed."""
+    assert result.mesh is not None
     refiner = Refiner(
-        replace(reconstruction.mesh, canonical=answer.canonical),
-        observation or observation_of(picture),
+        replace(result.mesh, canonical=canonical),
+        observation,
         refinement,
-        rest=reconstruction.rest,
-        table=picture.table,
+        rest=result.reconstruction.rest,
+        table=table,
         device=device,
     )
-    refined = refiner.refine(reconstruction.seen)
-    mesh = reconstruction.mesh.with_vertices(refined.positions)
+    refined = refiner.refine(result.reconstruction.seen)
+    mesh = result.mesh.with_vertices(refined.positions)
     return replace(result, mesh=mesh, refinement=refined)
+
+
+def _taken_apart(result: NetworkMesh, picture: "DepthInput", device: str) -> NetworkMesh:
+    """The same without passages through itself, as far as they can be undone."""
+    mesh, rest = result.mesh, result.reconstruction.rest
+    if mesh is None or rest is None:
+        return result
+    mobility = None
+    if result.refinement is not None:
+        camera = picture.camera.resized(RefinementConfig().visibility_width)
+        visible = VisibilityCheck(
+            mesh.faces, (camera,), tolerance_m=VISIBILITY_TOLERANCE_M, device=device
+        )(mesh.vertices.astype(np.float64))
+        mobility = np.where(visible, SEEN_MOBILITY, 1.0)
+    apart = untangled(rest, mesh.vertices, mobility=mobility, table=picture.table, device=device)
+    first = result.untangling or apart
+    apart = replace(apart, crossings_before=first.crossings_before)
+    return replace(result, mesh=mesh.with_vertices(apart.positions), untangling=apart)
 
 
 def _by_token_network(
@@ -287,54 +345,3 @@ def figures_of(result: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> d
         "trusted": not reason,
         "why_not": reason,
     }
-
-
-def front_up(
-    mesh: ClothMesh, positions: Float[np.ndarray, "vertices 3"], kind: str
-) -> Float[np.ndarray, "vertices 3"]:
-    """The same cloth with its points named so that its front faces up, where names are a guess.
-
-    Front and back of a garment without marks look alike, and the network names them as it pleases.
-    Before anything has happened the convention decides: of all look-alike namings, the one whose
-    front looks up most. Each vertex goes to where its look-alike partner is.
-
-    Args:
-        mesh: the garment, canonical coordinates filled.
-        positions: where its vertices are in the world [m], z up.
-        kind: "towel" or "tshirt".
-    """
-    canonical, faces = np.asarray(mesh.canonical, np.float64), mesh.faces
-    outward = np.sign(_upward_area(canonical, faces))
-    namings = []
-    for signs in symmetries(kind):
-        face, weights = closest_on_mesh(canonical * signs, canonical, faces)
-        named = np.einsum("ij,ijk->ik", weights, positions[faces[face]])
-        namings.append(positions if (signs > 0).all() else named)
-    # The first of those that look up as much: the network's own names where they do.
-    facing = np.array([outward @ _upward_area(named, faces) for named in namings])
-    return namings[int(np.argmax(facing > 0.99 * facing.max()))]
-
-
-def _upward_area(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
-) -> Float[np.ndarray, " faces"]:
-    """Area of each triangle as seen from above [m^2], negative where it looks down."""
-    a, b, c = (vertices[faces[:, corner], :2] for corner in range(3))
-    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-
-
-def laid_flat(
-    rest: ClothMesh, positions: Float[np.ndarray, "vertices 3"], table: Table, height_m: float
-) -> ClothMesh:
-    """The flat garment on the table about where the cloth is: its rest shape in the world.
-
-    Args:
-        rest: the flat garment in its own frame [m].
-        positions: where its vertices are in the world [m].
-        table: horizontal.
-        height_m: of its lowest vertices above the table [m].
-    """
-    flat = rest.vertices.astype(np.float64)
-    placed = align(positions.astype(np.float64), flat, rest.vertex_areas).to_world(flat)
-    placed[:, 2] += table.point[2] + height_m - placed[:, 2].min()
-    return rest.with_vertices(placed)

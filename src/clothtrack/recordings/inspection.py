@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
-from clothtrack.recordings.geometry_checks.finding import Finding
+from clothtrack.recordings.geometry_checks.finding import Finding, reaches_rim
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
@@ -131,10 +131,17 @@ def _table(recording: Recording) -> str:
     if recording.table is None:
         if recording.cloth.template is not None:
             return "none: the cloth hangs"
-        return "not known yet: clothtrack calibrate-camera finds it, if the cloth lies on one"
+        return f"not known yet: {_table_finder(recording)} finds it, if the cloth lies on one"
     point, normal = recording.table.point, recording.table.normal
     tilt = np.degrees(np.arccos(np.clip(normal[2], -1, 1)))
     return f"through ({point[0]:.3f} {point[1]:.3f} {point[2]:.3f}) m, tilted {tilt:.1f} degrees"
+
+
+def _table_finder(recording: Recording) -> str:
+    """The command that finds the table; it leaves a world alone in which a path stands."""
+    posed = any((camera.world_from_camera != np.eye(4)).any() for camera in recording.cameras)
+    keep = " --keep-world" if posed and recording.picker_paths else ""
+    return f"clothtrack calibrate-camera{keep}"
 
 
 def _actions(recording: Recording) -> str:
@@ -176,6 +183,11 @@ def _notes(recording: Recording) -> tuple[str, ...]:
             f"frame 0 shows {len(observation.points)} points of cloth at 4 mm, "
             f"{extent[0]:.2f} x {extent[1]:.2f} x {extent[2]:.2f} m along x, y, z"
         )
+        if reaches_rim(observation):
+            notes.append(
+                "the cloth reaches the rim of the picture in frame 0, and tracking needs all of it "
+                "in the picture: move the camera or the cloth"
+            )
     return tuple(notes)
 
 
@@ -188,7 +200,7 @@ def _without_template(recording: Recording) -> str:
     if recording.table is None:
         return (
             f"a {kind} is tracked without one when its table is known; find the table with: "
-            "clothtrack calibrate-camera"
+            f"{_table_finder(recording)}"
         )
     return (
         "tracking starts from a flat garment fitted to the first cloud, or from the reconstruction "

@@ -4,7 +4,6 @@ import io
 import json
 import math
 import re
-import shutil
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.errors import InvalidRecordingError, StorageError
-from clothtrack.files.atomic_write import storage
+from clothtrack.files.atomic_write import remove_folder, storage
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.frame_files import PictureKind, conventional_name
 from clothtrack.recordings.picker_table import PICKER_FILE, picker_text
@@ -162,7 +161,7 @@ class RecordingWriter:
             if kind is None:
                 self._finish()
         finally:
-            shutil.rmtree(self._partial, ignore_errors=True)
+            remove_folder(self._partial)
 
     def add_frame(
         self,

@@ -25,6 +25,7 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.data.cloud_picture import cloud_picture
 from clothtrack.reconstruction.data.examples import (
     Example,
     ExampleConfig,
@@ -35,7 +36,7 @@ from clothtrack.reconstruction.data.examples import (
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.training.batches import Draw
 from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.point_cloud import cloth_measured
+from clothtrack.recordings.point_cloud import cloth_measured, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
 
@@ -126,18 +127,23 @@ def cloth_picture(
 ) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"], Camera]:
     """Depth [m], mask of the cloth and camera of a frame, by its first camera that has depth.
 
+    Of a frame that has only a cloud, as a camera straight above would have seen it.
+
     Args:
         recording: the recording.
         frame: one of its frames.
         segmenter: finds the cloth; the recording's own way by default.
 
     Raises:
-        InvalidRecordingError: no camera has a depth picture of it.
+        InvalidRecordingError: it has neither a depth picture nor a cloud.
     """
     camera = next((one for one in recording.cameras if one.name in frame.depth), None)
+    if camera is None and frame.cloud is not None:
+        return cloud_picture(observe(recording, frame, spacing_m=None).points)
     if camera is None:
         raise InvalidRecordingError(
-            f"{recording.folder}: frame {frame.index} has no depth picture; the network needs one"
+            f"{recording.folder}: frame {frame.index} has neither a depth picture nor a cloud; the "
+            "network needs one"
         )
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
     color = read_color(frame.color[camera.name]) if camera.name in frame.color else None

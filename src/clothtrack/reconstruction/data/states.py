@@ -72,6 +72,10 @@ _OF_STATES = 0x57A7E
 """Keeps the draws of this module apart from those of others with the same seed."""
 
 
+GARMENTS_TRIED = 4
+"""So many garments are drawn for a shard, one after the other, before its settings are blamed."""
+
+
 THICKEST_M = 0.008
 """Largest distance of layers [m]."""
 
@@ -168,7 +172,7 @@ def generate_states(
     Raises:
         InvalidConfigError: there are no workers or states, or `out` holds states that were made
             with another seed, kind or settings.
-        SimulationDivergedError: when hardly any state of a garment is sound.
+        SimulationDivergedError: of several garments in turn too few states are sound.
         StorageError: the disk refuses.
     """
     require_workers(processes)
@@ -207,12 +211,29 @@ def make_shard(kind: GarmentKind, number: int, seed: int, config: StatesConfig) 
     """Shard `number`: the states of one garment.
 
     An episode ends early when the cloth explodes or passes through itself too much; more
-    episodes are begun until the shard has all its states.
+    episodes are begun until the shard has all its states. A garment that does not come to so many
+    is given up for another one.
 
     Raises:
-        SimulationDivergedError: when hardly any state is sound.
+        SimulationDivergedError: `GARMENTS_TRIED` garments were given up.
     """
     rng = np.random.default_rng([_OF_STATES, seed, number, list(DEFAULT_SIZES_M).index(kind)])
+    for _ in range(GARMENTS_TRIED - 1):
+        try:
+            return _shard(kind, seed, config, rng)
+        except SimulationDivergedError as error:
+            logger.warning("shard %d: %s; another garment is drawn", number, error)
+    return _shard(kind, seed, config, rng)
+
+
+def _shard(
+    kind: GarmentKind, seed: int, config: StatesConfig, rng: np.random.Generator
+) -> StateShard:
+    """The states of the garment that is drawn next.
+
+    Raises:
+        SimulationDivergedError: too few states are sound.
+    """
     mesh = draw_garment(kind, config.garments, config.vertex_count, rng)
     size_m = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
     thickness = float(rng.uniform(*config.cloth.thickness_m))

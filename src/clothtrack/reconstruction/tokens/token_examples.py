@@ -1,6 +1,7 @@
 """Simulated states as examples of the token network: seen anew in every epoch."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,6 +24,17 @@ PIXELS = 512
 
 CUT = 0.05
 """A pixel farther from the mesh than this, over the garment's size, has no name."""
+
+LEAST_NAMED = 0.05
+"""A label whose mesh names a smaller share of the measured pixels lies elsewhere: left out."""
+
+LOWER_PART, BEYOND_LINE = 0.4, 0.2
+"""How often a label's picture lacks what lies low, and what lies beyond a line.
+
+Labels come from few recordings. What their sensor cut away, others may show, and the reverse."""
+
+MOST_LOW, MOST_BEYOND = 0.6, 0.3
+"""Largest shares of the measured pixels that are missing then."""
 
 TABLE_ERROR = 0.008
 """Standard deviation of the table's height, over the garment's size: planes are fitted."""
@@ -76,6 +88,8 @@ class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):
 class LabelledTokenExamples:
     """Tracked recordings as examples, of any garments; each is a function of index, epoch and seed.
 
+    Labels whose mesh lies beside what was measured are left out.
+
     Args:
         recordings: with their pseudo-labels.
         network: what the pictures are for.
@@ -90,18 +104,28 @@ class LabelledTokenExamples:
     ) -> None:
         self.network = network
         self.seed = seed
+        self._recordings = recordings
+        self._garments = [GarmentTokens.of(one.mesh) for one in recordings]
         self._places = [
             (number, picture)
             for number, one in enumerate(recordings)
             for picture in range(len(one.pictures))
+            if self._named_share(number, picture) >= LEAST_NAMED
         ]
         if not self._places:
             raise InvalidConfigError(
-                "there is no labelled picture; make some with: clothtrack label TRACKED..."
+                "there is no labelled picture whose mesh lies where the cloth was measured; make "
+                "some with: clothtrack label TRACKED..."
             )
-        self._recordings = recordings
-        self._garments = [GarmentTokens.of(one.mesh) for one in recordings]
         self.groups = [recordings[number].name for number, _ in self._places]
+
+    def _named_share(self, number: int, picture: int) -> float:
+        """Share of the measured pixels that are near enough to the mesh to have a name."""
+        one, cut_m = self._recordings[number], CUT * self._garments[number].size_m
+        shown = one.pictures[picture]
+        points = shown.camera.back_project(shown.depth_m, shown.mask)
+        _, _, named = faces_of_points(points, shown, one.mesh.faces, cut_m=cut_m)
+        return float(named.mean()) if len(named) else 0.0
 
     def __len__(self) -> int:
         """Number of labelled pictures."""
@@ -115,10 +139,43 @@ class LabelledTokenExamples:
         rng = np.random.default_rng([self.seed, epoch, index])
         # The first mesh lies flat on the table.
         table_m = float(np.percentile(one.mesh.vertices[:, 2], 5.0)) - RESTING_HEIGHT_M
+        whole = one.pictures[picture]
+        try:
+            return self._drawn(number, with_parts_missing(whole, rng), table_m, rng)
+        except InvalidRecordingError:
+            # All that has a name was missing.
+            return self._drawn(number, whole, table_m, rng)
+
+    def _drawn(
+        self, number: int, picture: LabelledPicture, table_m: float, rng: np.random.Generator
+    ) -> TokenExample:
+        faces = self._recordings[number].mesh.faces
         return token_example(
-            one.pictures[picture], one.mesh.faces, self._garments[number], self.network, rng,
-            table_m=table_m,
-        )  # fmt: skip
+            picture, faces, self._garments[number], self.network, rng, table_m=table_m
+        )
+
+
+def with_parts_missing(picture: LabelledPicture, rng: np.random.Generator) -> LabelledPicture:
+    """A labelled picture in which part of the cloth may not have been measured.
+
+    Args:
+        picture: what was measured.
+        rng: of everything random.
+    """
+    rows, columns = np.nonzero(picture.mask & (picture.depth_m > 0))
+    kept = np.ones(len(rows), bool)
+    if len(rows) and rng.random() < LOWER_PART:
+        measured = np.zeros_like(picture.mask)
+        measured[rows, columns] = True
+        height = picture.camera.back_project(picture.depth_m, measured)[:, 2]
+        kept &= height >= np.quantile(height, rng.uniform(0.0, MOST_LOW))
+    if len(rows) and rng.random() < BEYOND_LINE:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        along = np.cos(angle) * columns + np.sin(angle) * rows
+        kept &= along <= np.quantile(along, 1.0 - rng.uniform(0.0, MOST_BEYOND))
+    mask = np.zeros_like(picture.mask)
+    mask[rows[kept], columns[kept]] = True
+    return replace(picture, mask=mask)
 
 
 def token_example(

@@ -104,7 +104,7 @@ def training_preset(name: str, stage: StageName) -> TrainingConfig:
             "paper": fine-tuning as published, 1,000 and 2,000 epochs.
         stage: what is trained; batches are 8 for canonicalisation and 24 for completion, as in
             the reference's pretraining (the paper does not say). The token network is fine-tuned as
-            canonicalisation is.
+            canonicalisation is, but for "finetune_short": a rate six times as high that falls once.
 
     Raises:
         InvalidConfigError: there is no such preset.
@@ -156,4 +156,10 @@ def _of_tokens(name: str) -> TrainingConfig:
             held_out_share=0.05,
             bfloat16=True,
         )
-    return replace(training_preset(name, "canonicalisation"), gradient_limit=1.0, bfloat16=True)
+    fine = replace(training_preset(name, "canonicalisation"), gradient_limit=1.0, bfloat16=True)
+    if name == "finetune_short":
+        # On real labels, places came from 97 to 37 mm; in 24 epochs at half the rate, to 69.
+        return replace(
+            fine, epochs=80, low_rate=1e-6, high_rate=6e-4, rise_epochs=4.0, decay="cosine"
+        )
+    return fine

@@ -12,6 +12,7 @@ from clothtrack.recordings.geometry_checks.finding import (
     ObservedFrames,
     on_table,
     power_of_ten,
+    reaches_rim,
 )
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.point_cloud import Observation
@@ -35,9 +36,6 @@ missing; a towel with a corner folded to its middle covers 0.75."""
 
 FILL_CELL_M = 0.008
 """Side of the squares that are counted as covered [m]: twice the distance of the points."""
-
-RIM_PIXELS = 3
-"""A cloth this near to the rim of the picture may go on beyond it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +216,7 @@ def _spread(observation: Observation, table: Table) -> _Spread:
         float(len(covered) * FILL_CELL_M**2 / (long * short)),
         low,
         high - middle,
-        _cut_off(observation),
+        reaches_rim(observation),
     )
 
 
@@ -226,16 +224,6 @@ def _sides(places: Float[np.ndarray, "points 2"]) -> tuple[float, float]:
     """Longer and shorter side of the smallest rectangle around places on the table [m]."""
     _, sides, _ = cv2.minAreaRect(places.astype(np.float32))
     return float(max(sides)), float(max(min(sides), 1e-6))
-
-
-def _cut_off(observation: Observation) -> bool:
-    for camera in observation.cameras:
-        pixels, depth = camera.project(observation.points)
-        inside = pixels[depth > 0]
-        far = (camera.width - 1 - RIM_PIXELS, camera.height - 1 - RIM_PIXELS)
-        if len(inside) and ((inside < RIM_PIXELS) | (inside > far)).any(axis=1).mean() > 0.002:
-            return True
-    return False
 
 
 def _longest(points: Float[np.ndarray, "points 3"]) -> float:

@@ -9,6 +9,9 @@ from clothtrack.errors import ClothTrackError
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording, Table
 
+RIM_PIXELS = 3
+"""A cloth this near to the rim of the picture may go on beyond it."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -48,6 +51,17 @@ class ObservedFrames:
             except ClothTrackError:
                 self._seen[frame] = None
         return self._seen[frame]
+
+
+def reaches_rim(observation: Observation) -> bool:
+    """Whether the cloth reaches the rim of a picture, so that it may go on beyond it."""
+    for camera in observation.cameras:
+        pixels, depth = camera.project(observation.points)
+        inside = pixels[depth > 0]
+        far = (camera.width - 1 - RIM_PIXELS, camera.height - 1 - RIM_PIXELS)
+        if len(inside) and ((inside < RIM_PIXELS) | (inside > far)).any(axis=1).mean() > 0.002:
+            return True
+    return False
 
 
 def on_table(

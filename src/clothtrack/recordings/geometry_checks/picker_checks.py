@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
+from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames, reaches_rim
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import PickAndPlace, Recording
 
@@ -90,7 +90,11 @@ def _closes_beside(recording: Recording, hold: _Hold, frames: ObservedFrames) ->
     first = recording.actions[hold.action].first_frame
     time_s = recording.frames[hold.closed[0]].time_s
     tip = recording.picker_paths[hold.name].position_at(time_s)
-    gaps = [_gap_m(frames, frame, tip) for frame in (first, hold.closed[0])]
+    gaps = [
+        _gap_m(seen, tip)
+        for seen in (frames.at(frame) for frame in (first, hold.closed[0]))
+        if seen is not None and not _beyond(seen, tip)
+    ]
     gap_m, limit_m = float(np.nanmin([*gaps, np.inf])), REACH_M + allowance_m(recording)
     if not np.isfinite(gap_m) or gap_m <= limit_m:
         return None
@@ -110,7 +114,7 @@ def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> 
         carried_distances_m(seen, tip[None], allowance_m(recording))[0]
         for frame in {hold.closed[place] for place in chosen}
         for tip in [path.position_at(recording.frames[frame].time_s)]
-        if (seen := frames.at(frame)) is not None and len(seen.points)
+        if (seen := frames.at(frame)) is not None and len(seen.points) and not _beyond(seen, tip)
     ]
     gap_m, limit_m = float(np.median(gaps)) if gaps else 0.0, FARTHEST_CARRIED_M
     if gap_m <= limit_m:
@@ -149,9 +153,19 @@ def _hidden(seen: Observation, tips: Float[np.ndarray, "tips 3"]) -> Bool[np.nda
     return inside & ~clear
 
 
-def _gap_m(frames: ObservedFrames, frame: int, tip: Float[np.ndarray, " 3"]) -> float:
+def _beyond(seen: Observation, tip: Float[np.ndarray, " 3"]) -> bool:
+    """The cloth goes on beyond the picture, and the tip may be there: nothing is known of it."""
+    if not len(seen.points) or not reaches_rim(seen):
+        return False
+    for camera in seen.cameras:
+        (pixel,), (depth,) = camera.project(tip[None])
+        if depth > 0 and (pixel >= 0).all() and (pixel < (camera.width, camera.height)).all():
+            return False
+    return True
+
+
+def _gap_m(seen: Observation, tip: Float[np.ndarray, " 3"]) -> float:
     """Distance of a tip from the nearest point of the cloth [m]; NaN where none is seen."""
-    seen = frames.at(frame)
-    if seen is None or not len(seen.points):
+    if not len(seen.points):
         return float("nan")
     return float(cKDTree(seen.points).query(tip)[0])

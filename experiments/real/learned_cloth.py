@@ -1,0 +1,84 @@
+"""What Table 2 asks of a set of real cloth: pictures, labels, and a judge."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+from shared.bench_measures import Row
+
+from clothtrack.evaluation import QualityModel
+from clothtrack.evaluation.label_evidence import Label, label_evidence
+from clothtrack.evaluation.label_quality import SHIPPED
+from clothtrack.geometry import ClothMesh
+from clothtrack.reconstruction import DepthInput
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.recordings import Recording
+from clothtrack.tracking import TrackedTrajectory
+
+KIND = "towel"
+
+Answer = tuple[ClothMesh | None, ClothMesh | None]
+"""A mesh, and whose edges are its rest lengths; None where the network makes none."""
+
+Ask = Callable[[int], Answer]
+
+
+class Cloth(Protocol):
+    """One recording of real cloth that is learned from, or measured on.
+
+    Attributes:
+        name: of the recording.
+        folder: the recording.
+        size_m: width and length of the flat cloth [m].
+        frames: the frames that are learned from, or judged.
+    """
+
+    name: str
+    folder: Path
+    size_m: tuple[float, float]
+    frames: Sequence[int]
+
+    def picture(self, frame: int) -> DepthInput:
+        """What the network is shown."""
+        ...
+
+    def labelled(self, tracked: TrackedTrajectory, *, weighted: bool) -> LabelledRecording:
+        """Every frame, labelled by a tracker; weighted by quality, or all alike."""
+        ...
+
+    def simulated(self, simulated: TrackedTrajectory) -> LabelledRecording:
+        """The same frames with no real cloth in them: a simulated one, filmed as the real one."""
+        ...
+
+    def tracked_mesh(self, tracked: TrackedTrajectory) -> Ask:
+        """The tracker's mesh by frame, as a network would have answered."""
+        ...
+
+    def judged(
+        self, frame: int, mesh: ClothMesh, rest: ClothMesh, tracked: TrackedTrajectory
+    ) -> Row:
+        """The measures of one mesh: of a frame, with rest lengths, beside the default tracker."""
+        ...
+
+
+def quality(
+    recording: Recording, mesh: ClothMesh, frame: int, positions: Float[np.ndarray, "vertices 3"]
+) -> float:
+    """What a label of any frame is worth, 0 to 1.
+
+    Each frame counts as if its action ended there: errors grow with the way, which begins at the
+    first mesh.
+    """
+    label = Label(frame, positions, positions)
+    (evidence,) = label_evidence(mesh, [label], recording)
+    return float(QualityModel.load(SHIPPED).quality(evidence))
+
+
+def corners(mesh: ClothMesh) -> Float[np.ndarray, "4 3"]:
+    """A towel's corners in the world [m]: its outermost vertices along both diagonals."""
+    flat = np.asarray(mesh.canonical, np.float64)[:, :2]
+    flat = flat - 0.5 * (flat.min(axis=0) + flat.max(axis=0))
+    signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+    return mesh.vertices[np.argmax(flat @ signs.T, axis=0)].astype(np.float64)

@@ -1,0 +1,81 @@
+"""What is learned from and what is measured on, and that no recording is both."""
+
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.recordings import read_recording
+from clothtrack.recordings.identity import picture_digests, same_film
+from shared.bench_runs import BENCH_FILE, Trajectory, trajectories
+
+HELD_OUT = 10
+"""One trajectory in so many is held out where nobody says which: 45 of 50 are learned from, as in
+the paper."""
+
+
+def learned_from(bench: Path, split: str) -> list[Trajectory]:
+    """The trajectories of a benchmark folder to learn from.
+
+    Args:
+        bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.
+        split: this one; without bench.json, nine tenths of each garment's trajectories, the first.
+    """
+    return _parts(bench, split)[0]
+
+
+def measured_on(bench: Path, split: str) -> list[Trajectory]:
+    """The trajectories of a benchmark folder to measure on.
+
+    Args:
+        bench: as for `learned_from`.
+        split: this one; without bench.json, the last tenth of each garment's, at least one.
+    """
+    return _parts(bench, split)[1]
+
+
+def parted(found: Iterable[Trajectory]) -> tuple[list[Trajectory], list[Trajectory]]:
+    """To learn from and to measure on: of each garment, by name, the last tenth is held out."""
+    ordered = sorted(found, key=lambda one: one.name)
+    learned, held_out = [], []
+    for kind in dict.fromkeys(one.kind for one in ordered):
+        own = [one for one in ordered if one.kind == kind]
+        first = len(own) - max(1, round(len(own) / HELD_OUT))
+        learned += own[:first]
+        held_out += own[first:]
+    return learned, held_out
+
+
+def require_apart(learned: Iterable[Path], measured: Iterable[Path]) -> None:
+    """Refuse to measure on a recording that is learned from, under whatever name it lies there.
+
+    Files are compared by their content, pictures only: another document, another name, a part of
+    it or its frames backwards do not make another recording (`recordings/identity.py: same_film`).
+
+    Args:
+        learned: folders of the recordings that are learned from.
+        measured: folders of those that are measured on.
+
+    Raises:
+        InvalidConfigError: with the two recordings.
+    """
+    measured = list(measured)
+    for one in learned:
+        for other in measured:
+            if same_film(_pictures(one.resolve()), _pictures(other.resolve())):
+                raise InvalidConfigError(
+                    f"{one}, to learn from, and {other}, to measure on, show the same pictures; "
+                    "take one of them out, or record another to measure on"
+                )
+
+
+@cache
+def _pictures(folder: Path) -> frozenset[str]:
+    return picture_digests(read_recording(folder))
+
+
+def _parts(bench: Path, split: str) -> tuple[list[Trajectory], list[Trajectory]]:
+    if not (bench / BENCH_FILE).exists():
+        return parted(trajectories(bench))
+    found = trajectories(bench, split)
+    return found, found

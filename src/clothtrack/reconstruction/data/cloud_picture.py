@@ -1,0 +1,89 @@
+"""A depth picture of a cloud: as a camera straight above would have measured it.
+
+The network is shown pictures. What was recorded as points alone, of one camera or of several that
+were merged, becomes one here; what lies under something else is not in it.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.segmentation import main_components
+
+ABOVE_M = 1.5
+"""The virtual camera stands so far above the highest point [m]."""
+
+FINEST_M, COARSEST_M = 0.002, 0.01
+"""Between which a pixel is wide, on the middle of the cloud [m]."""
+
+SPACINGS = 2.0
+"""Pixels are so many times as wide as nine points in ten have a neighbour near, in plan: few pixels
+stay empty then."""
+
+LEAST_POINTS = 16
+"""A cloud with fewer shows no cloth."""
+
+_EDGE = 2
+_ENCLOSED = 5
+"""A pixel with so many measured ones of its eight neighbours is a hole."""
+
+
+def cloud_picture(
+    points: Float[np.ndarray, "points 3"],
+) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"], Camera]:
+    """Depth [m], mask of what was measured, and the camera, straight above the points.
+
+    In each pixel the highest point counts. Holes of one pixel are closed by the median of their
+    neighbours; larger ones stay: nobody knows what lies there. Of parts that do not touch, those of
+    less than a quarter of the largest are dropped, as in masks (`main_components`).
+
+    Args:
+        points: of the cloth [m], world, z up.
+
+    Raises:
+        InvalidRecordingError: there are too few points.
+    """
+    if len(points) < LEAST_POINTS:
+        raise InvalidRecordingError(
+            f"a cloud of {len(points)} points shows no cloth (at least {LEAST_POINTS}); is this "
+            "the right frame?"
+        )
+    camera = _camera_above(points)
+    pixels, depth = camera.project(points)
+    columns, rows = np.rint(pixels).astype(int).T
+    picture = np.full((camera.height, camera.width), np.inf)
+    np.minimum.at(picture, (rows, columns), depth)
+    picture = _without_holes(np.where(np.isfinite(picture), picture, 0.0))
+    mask = main_components(picture > 0)
+    return np.where(mask, picture, 0.0), mask, camera
+
+
+def _camera_above(points: Float[np.ndarray, "points 3"]) -> Camera:
+    spacing_m = cKDTree(points[:, :2]).query(points[:, :2], k=2)[0][:, 1]
+    pixel_m = float(np.clip(SPACINGS * np.percentile(spacing_m, 90), FINEST_M, COARSEST_M))
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = 0.5 * (low + high)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = middle[0], middle[1], high[2] + ABOVE_M
+    focal = (pose[2, 3] - float(np.median(points[:, 2]))) / pixel_m
+    # What is nearest to the camera looks largest.
+    half = np.ceil(0.5 * (high - low)[:2] * focal / ABOVE_M).astype(int) + _EDGE
+    width, height = (2 * half + 1).tolist()
+    return Camera("above", width, height, focal, focal, float(half[0]), float(half[1]), pose)
+
+
+def _without_holes(depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    padded = np.pad(np.where(depth > 0, depth, np.nan), 1, constant_values=np.nan)
+    around = [
+        padded[1 + y : padded.shape[0] - 1 + y, 1 + x : padded.shape[1] - 1 + x]
+        for y in (-1, 0, 1)
+        for x in (-1, 0, 1)
+        if (x, y) != (0, 0)
+    ]
+    neighbours = np.stack(around, axis=-1)
+    hole = (depth == 0) & (np.isfinite(neighbours).sum(axis=-1) >= _ENCLOSED)
+    closed = depth.copy()
+    closed[hole] = np.nanmedian(neighbours[hole], axis=-1)
+    return closed
