@@ -207,3 +207,11 @@ def test_the_table_has_a_line_per_row_and_says_its_units(recording, truth):
     assert 0.0 < float(lines[1].split()[-1]) < 1.0
     assert "m^2" in legend
     assert "[mm]" in legend
+
+
+def test_names_that_the_truth_does_not_share_are_told(recording, truth):
+    half_turn = folded(SHEET.vertices * [-1.0, -1.0, 1.0])
+    told = " ".join(str(evaluate(tracked(half_turn), recording, truth)).split())
+    assert "fold, action 1: the true error is many times the expected one" in told
+    assert "other names" not in str(evaluate(tracked(half_turn), recording))
+    assert "other names" not in str(evaluate(tracked(TRUE[1] + [0.01, 0.0, 0.0]), recording, truth))

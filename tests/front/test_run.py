@@ -102,7 +102,7 @@ def test_a_part_that_is_given_replaces_that_of_the_tracker(recording, monkeypatc
         def __init__(self, *arguments, **options):
             self.parts = Parts()
 
-        def track(self, progress):
+        def track(self, progress, watch):
             told.append(self.parts)
             raise ct.SimulationDivergedError("far enough")
 

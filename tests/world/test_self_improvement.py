@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
+from clothtrack.evaluation.label_worth import LabelWorth, every_label
 from clothtrack.files.settings import with_settings
 from clothtrack.planning.flatten_config import FlattenConfig
 from clothtrack.planning.perception import PerceptionConfig
@@ -24,6 +26,7 @@ from clothtrack.tracking.flat_fit import InitialStateConfig
 from clothtrack.tracking.pipeline import RunConfig
 from clothtrack.world import self_improvement
 from clothtrack.world.episodes import SMALL_WORLD
+from clothtrack.world.round_labels import EpisodeLabels
 from clothtrack.world.self_improvement import ImprovementConfig, improve_rounds
 from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
@@ -61,6 +64,10 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
     )
     curve = improve_rounds(weights, tmp_path / "out", "towel", config)
     assert [row["round"] for row in curve] == [0, 1]
+    # This network states no error, so that nothing speaks against a label.
+    assert curve[0]["labels"]["used"] == curve[0]["labels"]["made"] > 1
+    worth = json.loads((tmp_path / "out" / "round_0" / "worth.json").read_text())
+    assert all(one["network_mm"] is None and one["label_mm"] > 0.0 for one in worth)
     assert all(row["episodes"] == 4 == len(row["improvement"]) for row in curve)
     assert json.loads((tmp_path / "out" / "improvement.json").read_text()) == curve
     assert len(list((tmp_path / "out" / "starts").iterdir())) == 4
@@ -80,11 +87,45 @@ def test_too_few_labels_are_told(tmp_path, monkeypatch):
     weights.write_bytes(b"weights")
     monkeypatch.setattr(self_improvement, "_require_inputs", lambda *_, **__: None)
     monkeypatch.setattr(self_improvement, "_flattened", lambda *_, **__: [0.1, 0.3])
-    monkeypatch.setattr(self_improvement, "_labelled", lambda *_, **__: [tmp_path / "one"])
+    one = EpisodeLabels(tmp_path / "one", tmp_path)
+    monkeypatch.setattr(self_improvement, "label_episodes", lambda *_, **__: [one])
     with pytest.raises(ClothTrackError, match="1 of 2 episodes"):
         improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(episodes=2))
     (row,) = json.loads((tmp_path / "out" / "improvement.json").read_text())
     assert row["mean"] == pytest.approx(0.2)
+
+
+def weighed(monkeypatch, *, used):
+    """Two episodes of two labels each a round, of which the first so many teach anything."""
+
+    def worth_of(labels, weights, kind, teaches, **more):
+        return [
+            LabelWorth(labels[number // 2].path.name, number % 2, 5.0, 9.0, used=number < used)
+            for number in range(2 * len(labels))
+        ]
+
+    two = [EpisodeLabels(Path(name), Path(name)) for name in ("a", "b")]
+    monkeypatch.setattr(self_improvement, "label_episodes", lambda *_, **__: two)
+    monkeypatch.setattr(self_improvement, "worth_of", worth_of)
+    monkeypatch.setattr(
+        self_improvement, "taught",
+        lambda labels, worth: {one.recording for one in worth if one.used},
+    )  # fmt: skip
+
+
+def test_rounds_end_where_no_label_teaches_anything(tmp_path, monkeypatch):
+    weights = tmp_path / "w0"
+    weights.write_bytes(b"0")
+    monkeypatch.setattr(self_improvement, "_require_inputs", lambda *_, **__: None)
+    monkeypatch.setattr(self_improvement, "_flattened", lambda *_, **__: [0.1, 0.3])
+    # Both of one recording: nothing is left to select by.
+    weighed(monkeypatch, used=2)
+    curve = improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(rounds=3))
+    (row,) = curve
+    assert row["labels"] == {"made": 4, "used": 2}
+    assert "better than the network" in row["stopped"]
+    assert json.loads((tmp_path / "out" / "improvement.json").read_text()) == curve
+    assert not (tmp_path / "out" / "round_0" / "tuned").exists()
 
 
 def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
@@ -97,23 +138,32 @@ def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
         return [0.1 * len(asked)]
 
     def tuned(given, labels, folder, config, **more):
-        assert len(labels) == 2 * len(asked)
+        assert len(labels) == 2
         path = tmp_path / f"w{len(asked)}"
         path.write_bytes(path.name.encode())
         return path
 
     monkeypatch.setattr(self_improvement, "_require_inputs", lambda *_, **__: None)
     monkeypatch.setattr(self_improvement, "_flattened", flattened)
-    monkeypatch.setattr(self_improvement, "_labelled", lambda *_, **__: [tmp_path, tmp_path])
+    weighed(monkeypatch, used=3)
     monkeypatch.setattr(self_improvement, "_tuned", tuned)
     curve = improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(rounds=2))
     assert [name for name, _ in asked] == ["w0", "w1", "w2"]
     assert len({starts for _, starts in asked}) == 1
     assert [row["mean"] for row in curve] == pytest.approx([0.1, 0.2, 0.3])
+    # Of the labels of all rounds so far, three each time.
+    assert [row.get("labels") for row in curve] == [
+        {"made": 4, "used": 3}, {"made": 8, "used": 3}, None
+    ]  # fmt: skip
+    assert len(json.loads((tmp_path / "out" / "round_1" / "worth.json").read_text())) == 8
     # More rounds of the same go on; rounds of something else would be mixed with them.
     improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(rounds=0))
     with pytest.raises(InvalidConfigError, match=r"another settings\.old_share"):
         improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(old_share=0.5))
+    with pytest.raises(InvalidConfigError, match="another teaches"):
+        improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(), teaches=every_label)
+    with pytest.raises(InvalidConfigError, match="another garment_seed"):
+        improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(), garment_seed=1)
     with pytest.raises(InvalidConfigError, match=r"weights_sha256\.network"):
         improve_rounds(tmp_path / "w1", tmp_path / "out", "towel", ImprovementConfig())
     states = tmp_path / "states" / LIST_FILE

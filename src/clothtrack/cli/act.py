@@ -37,6 +37,7 @@ def flatten(
     *,
     garment: Literal["towel", "tshirt"] = "towel",
     template: Path | None = None,
+    garment_seed: int | None = None,
     robot: Literal["simulated", "dry-run"] = "simulated",
     perception: PerceptionChoice = "network",
     weights: Path | None = None,
@@ -62,6 +63,8 @@ def flatten(
         garment: what lies on the table.
         template: the garment's own mesh (`clothtrack garment`), of one layer for a towel, of two
             for a tshirt.
+        garment_seed: the same garment in every episode, of a cut, size and thickness that no
+            shipped network was trained on; SEED draws start, noise and candidates alone.
         robot: one in the stand-in world, or none: plans are written down and nothing moves.
         perception: the network's mesh of each picture, or the tracker's carried on; truth is a
             control (an upper bound, no result) and simulated only.
@@ -88,21 +91,18 @@ def flatten(
     )  # fmt: skip
     if show_settings:
         return list_settings(config)
-    if robot == "dry-run":
-        if recording is None:
-            complain("a dry run plans for a picture; name its --recording")
-            return 2
-        return _dry_run(output, recording, config, device=device, seed=seed)
-    if recording is not None:
-        complain("--recording is for --robot dry-run; the simulated robot has its own camera")
+    if problem := _excluded(robot, recording, template, garment_seed):
+        complain(problem)
         return 2
+    if recording is not None:
+        return _dry_run(output, recording, config, device=device, seed=seed)
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
     from clothtrack.front.flattening import episode_parts
     from clothtrack.report.flattening_page import watched_live
 
     # Before the first start is made and the page is served: weights may be missing.
-    parts = episode_parts(garment, config, device=device)
+    parts = episode_parts(garment, config, device=device, garment_seed=garment_seed, output=output)
     rows = []
     # The result on stdout stays JSON alone.
     write = complain if json else say
@@ -110,8 +110,9 @@ def flatten(
     with opened if live else nullcontext() as watch:
         for number in range(episodes):
             store = ct.flatten(
-                output, garment, config=config, seed=seed + number, device=device,
-                parts=parts, watch=watch, progress=one_of(progress, number, episodes, "episode"),
+                output, garment, config=config, garment_seed=garment_seed, seed=seed + number,
+                device=device, parts=parts, watch=watch,
+                progress=one_of(progress, number, episodes, "episode"),
             )  # fmt: skip
             rows.append(_summary(store, output))
             if not json:
@@ -119,6 +120,20 @@ def flatten(
     if json:
         say(json_module.dumps(rows, indent=2))
     return 0
+
+
+def _excluded(
+    robot: str, recording: Path | None, template: Path | None, garment_seed: int | None
+) -> str:
+    """Which options of `flatten` exclude each other; empty where none do."""
+    if garment_seed is not None and (robot == "dry-run" or template is not None):
+        given = "--template" if template is not None else "--robot dry-run"
+        return f"--garment-seed draws a garment of the simulated world; leave {given} out"
+    if robot == "dry-run" and recording is None:
+        return "a dry run plans for a picture; name its --recording"
+    if robot == "simulated" and recording is not None:
+        return "--recording is for --robot dry-run; the simulated robot has its own camera"
+    return ""
 
 
 def train_dynamics(
@@ -215,6 +230,7 @@ def improve(
     garment: Literal["towel", "tshirt"] = "towel",
     rounds: int = 1,
     episodes: int = 5,
+    garment_seed: int | None = None,
     old: Path | None = None,
     settings: Settings = (),
     show_settings: ShowSettings = False,
@@ -232,6 +248,8 @@ def improve(
         garment: what lies on the table.
         rounds: of fine-tuning; the last one is followed by one more flattening.
         episodes: per round; the same starts in every round.
+        garment_seed: the same garment in every episode, of a cut, size and thickness that no
+            shipped network was trained on; by default each start has a garment of its own.
         old: folder of simulated states to mix in, against forgetting.
         settings: changes to flatten., track. and finetune., such as flatten.actions=5; or
             hindsight=False, which tracks episodes as they were recorded, not from their end.
@@ -248,15 +266,24 @@ def improve(
     if show_settings:
         return list_settings(config)
     curve = improve_rounds(
-        weights, output, garment, config, old=old, device=device, seed=seed, progress=progress
-    )
-    lines = [
-        f"round {number}   improvement {row['mean']:.3f} +- {row['deviation']:.3f} over "
-        f"{row['episodes']} episodes   {row['weights']}"
-        for number, row in enumerate(curve)
-    ]
-    say_result("\n".join(lines), curve, json=json)
+        weights, output, garment, config, garment_seed=garment_seed, old=old, device=device,
+        seed=seed, progress=progress,
+    )  # fmt: skip
+    say_result("\n".join(map(_round_in_words, curve)), curve, json=json)
     return 0
+
+
+def _round_in_words(row: dict[str, Any]) -> str:
+    """A round of `improve` in a line."""
+    text = (
+        f"round {row['round']}   improvement {row['mean']:.3f} +- {row['deviation']:.3f} over "
+        f"{row['episodes']} episodes   {row['weights']}"
+    )
+    if "labels" in row:
+        text += f"   learned from {row['labels']['used']} of {row['labels']['made']} labels"
+    if "stopped" in row:
+        text += f"   stopped: {row['stopped']}"
+    return text
 
 
 def _config(

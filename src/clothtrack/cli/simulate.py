@@ -15,6 +15,7 @@ def simulate(
     *,
     garment: Annotated[Literal["towel", "tshirt"], arg(aliases=["--kind"])] = "towel",
     template: Path | None = None,
+    garment_seed: int | None = None,
     states: int | None = None,
     trajectories: int | None = None,
     actions: int | None = None,
@@ -30,6 +31,8 @@ def simulate(
         garment: what lies on the table.
         template: the garment's own mesh (`clothtrack garment`), of one layer for a towel, of two
             for a tshirt.
+        garment_seed: one garment for all recordings, before one camera, of a cut, size and
+            thickness that no shipped network was trained on; its recordings are KIND_gNNNN_SEED.
         states: record nothing; make at least so many labelled states with our own solver.
         trajectories: how many recordings, 1 by default; they get the seeds SEED, SEED + 1, ...
         actions: pick-and-places per recording, 3 by default.
@@ -42,8 +45,9 @@ def simulate(
         from clothtrack.files.settings import with_settings
         from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 
-        if template is not None:
-            complain("--states draws garments of many cuts; leave --template out")
+        if template is not None or garment_seed is not None:
+            given = "--template" if template is not None else "--garment-seed"
+            complain(f"--states draws garments of many cuts; leave {given} out")
             return 2
         if trajectories is not None or actions is not None:
             complain(
@@ -68,6 +72,7 @@ def simulate(
         count,
         seed=seed,
         template=template,
+        garment_seed=garment_seed,
         settings=settings,
         workers=workers,
         progress=progress,

@@ -20,10 +20,12 @@ from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.world import episodes
 from clothtrack.world.bench import vary
+from clothtrack.world.one_garment import OneGarment
 from clothtrack.world.simulated_episodes import (
     EpisodeParts,
     SimulatedEpisode,
     flatten_simulated,
+    knowing_the_garment,
     shared_parts,
 )
 from clothtrack.world.simulated_robot import SimulatedRobotConfig
@@ -34,6 +36,7 @@ def flatten(
     garment: GarmentKind = "towel",
     *,
     template: Path | str | None = None,
+    garment_seed: int | None = None,
     config: FlattenConfig | None = None,
     settings: Sequence[str] = (),
     seed: int = 0,
@@ -48,6 +51,9 @@ def flatten(
         output: folder for the episode, its recording and its truth; an interrupted episode goes on.
         garment: what lies on the table.
         template: file of its own template (`clothtrack garment`); a usual cut by default.
+        garment_seed: one garment for every `seed`, which no shipped network was trained on; its
+            template is told to the perception, its camera is its own. By default each seed has its
+            own garment.
         config: how; `settings` change it.
         settings: such as "actions=3" or "planner.candidates=300".
         seed: of garment, start, noise and candidates.
@@ -60,16 +66,18 @@ def flatten(
         The episode on disk: its steps and its status.
 
     Raises:
-        InvalidConfigError: `output` holds this episode with other settings.
+        InvalidConfigError: `output` holds this episode with other settings, or both a template and
+            a garment seed are given.
         InvalidResultError: weights are missing, damaged or of another garment.
     """
     quiet_warp()
     changed = with_settings(config or FlattenConfig(), settings)
     if template is not None:
         changed = replace(changed, perception=replace(changed.perception, template=str(template)))
-    parts = parts or episode_parts(garment, changed, device=device)
-    episode, robot = SimulatedEpisode(garment, seed), None
-    if changed.perception.template:
+    episode, robot = SimulatedEpisode(garment, seed, garment_seed=garment_seed), None
+    changed = knowing_the_garment(changed, episode.garment, Path(output))
+    parts = parts or _parts(garment, changed, device=device)
+    if episode.garment is None and changed.perception.template:
         own = replace(vary(garment, seed), size_m=None, garment=changed.perception.template)
         robot = SimulatedRobotConfig(episode=own)
     return flatten_simulated(
@@ -84,8 +92,29 @@ def flatten(
     )
 
 
-def episode_parts(garment: GarmentKind, config: FlattenConfig, *, device: str) -> EpisodeParts:
-    """What the episodes of `flatten` can share: the networks, or a policy that needs none."""
+def episode_parts(
+    garment: GarmentKind,
+    config: FlattenConfig,
+    *,
+    device: str,
+    garment_seed: int | None = None,
+    output: Path | None = None,
+) -> EpisodeParts:
+    """What the episodes of `flatten` can share: the networks, or a policy that needs none.
+
+    Args:
+        garment: what lies on the table.
+        config: how it is flattened.
+        device: where to compute.
+        garment_seed: as in `flatten`; needs `output`.
+        output: folder of the episodes.
+    """
+    if garment_seed is not None and output is not None:
+        config = knowing_the_garment(config, OneGarment(garment, garment_seed), output)
+    return _parts(garment, config, device=device)
+
+
+def _parts(garment: GarmentKind, config: FlattenConfig, *, device: str) -> EpisodeParts:
     parts = shared_parts(garment, config, device=device)
     return replace(parts, propose=POLICIES.get(config.policy))
 
@@ -127,6 +156,7 @@ def simulate(
     *,
     seed: int = 0,
     template: Path | str | None = None,
+    garment_seed: int | None = None,
     small: bool = False,
     settings: Sequence[str] = (),
     workers: int = 1,
@@ -140,6 +170,8 @@ def simulate(
         trajectories: how many recordings, with the seeds `seed`, `seed` + 1 and so on.
         seed: of garment, pose, actions, camera and noise.
         template: file of the garment's own template (`clothtrack garment`); a usual cut by default.
+        garment_seed: one garment for all recordings, which no shipped network was trained on,
+            before one camera; by default fabric and mesh of each are drawn from its seed.
         small: one action with a napkin before a small camera, in a few seconds.
         settings: changes to what is recorded, such as "sensor.width=320" or "actions=2".
         workers: processes.
@@ -147,12 +179,22 @@ def simulate(
 
     Returns:
         The folders of the recordings.
+
+    Raises:
+        InvalidConfigError: both a template and a garment seed are given, or a setting is not known.
     """
     quiet_warp()
-    config = with_settings(episodes.SMALL_WORLD if small else episodes.EpisodeConfig(), settings)
+    one = None if garment_seed is None else OneGarment(garment, garment_seed)
+    if one is not None and (template is not None or small):
+        raise InvalidConfigError(
+            "garment_seed draws a garment of its own cut and size; leave "
+            f"{'template' if template is not None else 'small'} out"
+        )
+    usual = episodes.SMALL_WORLD if small else episodes.EpisodeConfig()
+    config = with_settings(usual if one is None else one.config, settings)
     if template is not None:
         config = replace(config, size_m=None, garment=str(template))
     return episodes.simulate(
-        Path(output), garment, trajectories, seed=seed, config=config, processes=workers,
-        progress=progress,
+        Path(output), garment, trajectories, seed=seed, config=config, garment=one,
+        processes=workers, progress=progress,
     )  # fmt: skip

@@ -62,12 +62,14 @@ def weights_used(config: FlattenConfig, kind: str) -> dict[str, Path]:
 
 
 def episode_identity(config: FlattenConfig, kind: str) -> dict[str, Any]:
-    """What an episode is known by: weights count by what is in their files, not by their names.
+    """What an episode is known by: files count by what is in them, not by their names.
 
     Raises:
-        StorageError: a file of weights cannot be read.
+        StorageError: a file of weights, or a template, cannot be read.
     """
     settings = asdict(config)
+    if config.perception.template:
+        settings["perception"]["template"] = content_hash(Path(config.perception.template))
     del settings["perception"]["weights"], settings["dynamics_weights"]
     hashes = {name: content_hash(path) for name, path in weights_used(config, kind).items()}
     return {"config": settings, "weights_sha256": hashes}

@@ -178,7 +178,8 @@ class NetworkPerception:
         observation: Observation,
     ) -> Estimate | str:
         """The mesh of one view, on the table; or why there is none."""
-        from clothtrack.reconstruction.from_picture import laid_flat, network_mesh
+        from clothtrack.reconstruction.first_mesh import laid_flat
+        from clothtrack.reconstruction.from_picture import network_mesh
 
         config = self._config
         result = network_mesh(

@@ -33,8 +33,9 @@ from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, misplaced, top_down_camera
 from clothtrack.world.template_mesh import (
+    GivenGarment,
+    SeededGarment,
     TemplateConfig,
-    flat_garment,
     laid_down,
     misjudged,
     random_pose,
@@ -107,6 +108,7 @@ def simulate(
     *,
     seed: int = 0,
     config: EpisodeConfig | None = None,
+    garment: GivenGarment | None = None,
     processes: int = 1,
     progress: Progress | None = None,
 ) -> list[Path]:
@@ -121,6 +123,7 @@ def simulate(
         trajectories: how many.
         seed: of the first one.
         config: what is filmed, and how.
+        garment: of all trajectories, in place of one that is cut for each.
         processes: worker processes.
         progress: called first, and after each trajectory.
 
@@ -136,7 +139,7 @@ def simulate(
     if trajectories < 1:
         raise InvalidConfigError(f"the number of trajectories is {trajectories}; give at least 1")
     config = config or EpisodeConfig()
-    film = partial(_simulate_or_skip, kind, out=Path(out), config=config)
+    film = partial(_simulate_or_skip, kind, out=Path(out), config=config, garment=garment)
     seeds = range(seed, seed + trajectories)
 
     def tell(done: int) -> None:
@@ -149,7 +152,7 @@ def simulate(
         for done, folder in enumerate(results, 1):
             made.add(folder)
             tell(done)
-    folders = (_folder(Path(out), kind, each) for each in seeds)
+    folders = (_folder(Path(out), _name(kind, each, garment)) for each in seeds)
     return [folder for folder in folders if folder in made]
 
 
@@ -159,6 +162,7 @@ def simulate_trajectory(
     out: Path,
     *,
     config: EpisodeConfig | None = None,
+    garment: GivenGarment | None = None,
     name: str | None = None,
     tip_color: str | None = None,
 ) -> Path:
@@ -169,6 +173,8 @@ def simulate_trajectory(
         seed: of everything: fabric, pose, actions, camera, noise.
         out: folder for `recordings/` and `truth/`.
         config: what is filmed, and how.
+        garment: what is filmed, in place of one that is cut for this seed; its size is that of the
+            configuration.
         name: of the recording; `KIND_SEED` by default.
         tip_color: of a marked tip, a key of `TIP_COLORS`; the tool is grey all over by default.
             Nothing else depends on it.
@@ -181,13 +187,13 @@ def simulate_trajectory(
         StorageError: when the recording exists or the disk refuses.
     """
     config = config or EpisodeConfig()
-    name = name or f"{kind}_{seed:04d}"
+    name = name or _name(kind, seed, garment)
     root = np.random.SeedSequence([seed, list(DEFAULT_SIZES_M).index(kind)])
     of_world, of_actions, of_sensor, of_template, of_picker, of_calibration = map(
         np.random.default_rng, root.spawn(6)
     )
-    cut = partial(flat_garment, kind, config.garment, size_m=config.size_m)
-    flat = cut(vertex_count=config.vertex_count, pattern="random", seed=2 * seed)
+    cut = garment or SeededGarment(kind, config.garment, config.size_m, seed)
+    flat = cut.flat(vertex_count=config.vertex_count)
     pose = random_pose(of_world)
     # Drawn even when it is given, so that nothing else depends on whether it is.
     drawn = Fabric.sample(of_world)
@@ -212,13 +218,13 @@ def simulate_trajectory(
             template=None
             if wrong is None
             else misjudged(
-                cut(vertex_count=wrong.vertex_count, pattern="alternating", seed=2 * seed + 1),
+                cut.flat(vertex_count=wrong.vertex_count, again=True),
                 wrong,
                 laid=laid,
                 rng=of_template,
             ),
         ),
-        provenance=_provenance(seed, config),
+        provenance=_provenance(seed, config, garment),
     ) as writer:
         film = _Film(world, scene, sensor, writer, config)
         film.run(ClothMesh(world.positions, flat.faces, flat.canonical), of_actions)
@@ -329,29 +335,42 @@ class _Film:
 
 
 def _simulate_or_skip(
-    kind: GarmentKind, seed: int, *, out: Path, config: EpisodeConfig
+    kind: GarmentKind,
+    seed: int,
+    *,
+    out: Path,
+    config: EpisodeConfig,
+    garment: GivenGarment | None,
 ) -> Path | None:
-    folder = _folder(out, kind, seed)
+    folder = _folder(out, _name(kind, seed, garment))
     if folder.exists():
         return folder
     try:
-        return simulate_trajectory(kind, seed, out, config=config)
+        return simulate_trajectory(kind, seed, out, config=config, garment=garment)
     except SimulationDivergedError as error:
         logger.warning("%s left out: %s", folder.name, error)
         return None
 
 
-def _folder(out: Path, kind: GarmentKind, seed: int) -> Path:
-    return out / "recordings" / f"{kind}_{seed:04d}"
+def _name(kind: GarmentKind, seed: int, garment: GivenGarment | None) -> str:
+    return f"{kind if garment is None else garment.label}_{seed:04d}"
 
 
-def _provenance(seed: int, config: EpisodeConfig) -> dict[str, object]:
+def _folder(out: Path, name: str) -> Path:
+    return out / "recordings" / name
+
+
+def _provenance(
+    seed: int, config: EpisodeConfig, garment: GivenGarment | None
+) -> dict[str, object]:
     """How the recording was made; of the physics only what a person at the table could know."""
+    of_garment = {} if garment is None else {"garment_seed": garment.seed}
     return {
         "source": "stand-in world (clothtrack simulate)",
         "physics": f"MuJoCo {mujoco.__version__} flex shell",
         "seed": seed,
         "template": None if config.template is None else asdict(config.template),
+        **of_garment,
     }
 
 

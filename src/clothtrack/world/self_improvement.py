@@ -5,15 +5,18 @@
         recordings/            they themselves
         tracked/               tracked from the network's own first mesh
         labels/                pseudo-labels
-    OUT/round_0/tuned/         the network fine-tuned on all labels so far; the next round's
+    OUT/round_0/worth.json     every label so far: its expected error and that of the network's own
+                               mesh of the same picture; where the network's is smaller it is not
+                               learned from
+    OUT/round_0/tuned/         the network fine-tuned on all others; the next round's
     OUT/improvement.json       the curve
     OUT/asked.json             what all of it depends on
+    OUT/garments/              the template of the one garment, where there is one
 
 No truth is learned from: the score of a round is taken down and decides nothing.
 """
 
 import json
-import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -21,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
-from clothtrack.evaluation.label_quality import judge_labels
+from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.evaluation.label_worth import LabelWorth, Teaches, better_than_network
 from clothtrack.files.atomic_write import content_hash, write_file
 from clothtrack.files.bounds import Checked, Natural
 from clothtrack.files.progress import Progress
@@ -30,25 +33,35 @@ from clothtrack.files.run_manifest import begin_run
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
 from clothtrack.planning.flattening import improvement
 from clothtrack.reconstruction.data.state_store import LIST_FILE
-from clothtrack.recordings.reversal import reversed_recording
-from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
-from clothtrack.tracking.artefacts import load_tracked
-from clothtrack.tracking.pipeline import RunConfig, counted_settings, track_recordings
+from clothtrack.tracking.pipeline import RunConfig, counted_settings
+from clothtrack.world.one_garment import OneGarment
+from clothtrack.world.round_labels import (
+    EpisodeLabels,
+    label_episodes,
+    read_worth,
+    taught,
+    worth_of,
+    write_worth,
+)
 from clothtrack.world.simulated_episodes import (
     SimulatedEpisode,
     flatten_simulated,
+    knowing_the_garment,
+    require_one_garment,
     shared_parts,
 )
 from clothtrack.world.simulated_robot import SimulatedRobotConfig
 
 if TYPE_CHECKING:
+    from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
     from clothtrack.reconstruction.learning_config import LearningConfig
-
-logger = logging.getLogger(__name__)
 
 CURVE = "improvement.json"
 ASKED = "asked.json"
+MODEL = "model.safetensors"
+WORTH = "worth.json"
+STOPPED = "fewer than two recordings have a label that is expected to be better than the network"
 
 
 def _finetune() -> "LearningConfig":
@@ -103,6 +116,8 @@ def improve_rounds(
     kind: GarmentKind,
     config: ImprovementConfig,
     *,
+    garment_seed: int | None = None,
+    teaches: Teaches = better_than_network,
     old: Path | None = None,
     device: str = "cpu",
     seed: int = 0,
@@ -117,52 +132,78 @@ def improve_rounds(
         out: folder of the rounds.
         kind: the garment.
         config: how.
+        garment_seed: of one garment for all episodes (`OneGarment`); None: each has its own.
+        teaches: which labels are learned from, by their expected error and the network's.
         old: simulated states to mix in, against forgetting.
         device: where to compute.
         seed: of the first episode.
         progress: called while it is tracked and trained.
 
     Returns:
-        Per round: mean and deviation of the normalised improvement, and the weights' digest.
+        Per round: mean and deviation of the normalised improvement, the weights' digest, and how
+        many labels there were and were learned from. Where fewer than two recordings have a label
+        that teaches, that round is the last, and `stopped` says so.
 
     Raises:
         InvalidResultError: the weights or the old states cannot be read; nothing is written.
-        InvalidConfigError: the folder was begun with other settings; nothing is written.
+        InvalidConfigError: the folder was begun with other settings, or both a template and a
+            garment seed are given; nothing is written.
         ClothTrackError: a stage fails.
     """
+    garment = None if garment_seed is None else OneGarment(kind, garment_seed)
+    require_one_garment(config.flatten, garment)
     _require_inputs(weights, kind, config, old=old, device=device)
-    _take_up(out / ASKED, weights, kind, config, old=old, seed=seed)
+    asked = {"garment_seed": garment_seed, "teaches": teaches.__name__, "seed": seed}
+    _take_up(out / ASKED, weights, kind, config, old=old, asked=asked)
+    config = replace(config, flatten=knowing_the_garment(config.flatten, garment, out))
+    template = config.flatten.perception.template
     curve: list[dict[str, Any]] = []
-    labels: list[Path] = []
+    labels: list[EpisodeLabels] = []
     for number in range(config.rounds + 1):
         folder = out / f"round_{number}"
         gained = _flattened(
-            folder / "flattening", out / "starts", weights, kind, config, device=device, seed=seed
-        )
-        curve.append(
-            {
-                "round": number,
-                "weights": weights.name,
-                "weights_sha256": content_hash(weights),
-                "episodes": len(gained),
-                "mean": float(np.mean(gained)),
-                "deviation": float(np.std(gained, ddof=1)) if len(gained) > 1 else 0.0,
-                "improvement": gained,
-            }
-        )
+            folder / "flattening", out / "starts", weights, kind, config,
+            garment_seed=garment_seed, device=device, seed=seed,
+        )  # fmt: skip
+        curve.append(_row(number, weights, gained))
         _write(out / CURVE, curve)
         if number == config.rounds:
             break
-        labels += _labelled(folder, kind, weights, config, device=device, progress=progress)
+        labels += label_episodes(
+            folder, kind, weights, config.track, template=template, hindsight=config.hindsight,
+            device=device, progress=progress,
+        )  # fmt: skip
         if len(labels) < 2:
             raise ClothTrackError(
                 f"{folder}: {len(labels)} of {config.episodes} episodes could be labelled; "
                 "fine-tuning needs two, one of them to select by: give more --episodes"
             )
+        worth = _weighed(folder, labels, weights, kind, teaches, template=template, device=device)
+        used = [one for one in worth if one.used]
+        curve[-1]["labels"] = {"made": len(worth), "used": len(used)}
+        if len({one.recording for one in used}) < 2:
+            curve[-1]["stopped"] = STOPPED
+        _write(out / CURVE, curve)
+        if "stopped" in curve[-1]:
+            break
         weights = _tuned(
-            weights, labels, folder / "tuned", config, old=old, device=device, progress=progress
-        )
+            weights, taught(labels, worth), folder / "tuned", config, old=old, device=device,
+            progress=progress,
+        )  # fmt: skip
     return curve
+
+
+def _row(number: int, weights: Path, gained: Sequence[float]) -> dict[str, Any]:
+    """One point of the curve."""
+    return {
+        "round": number,
+        "weights": weights.name,
+        "weights_sha256": content_hash(weights),
+        "episodes": len(gained),
+        "mean": float(np.mean(gained)),
+        "deviation": float(np.std(gained, ddof=1)) if len(gained) > 1 else 0.0,
+        "improvement": list(gained),
+    }
 
 
 def _require_inputs(
@@ -191,7 +232,7 @@ def _take_up(
     config: ImprovementConfig,
     *,
     old: Path | None,
-    seed: int,
+    asked: dict[str, Any],
 ) -> None:
     """Note what the rounds depend on, or refuse to mix them with rounds of something else."""
     perceived = replace(config.flatten.perception, weights=str(weights))
@@ -202,11 +243,8 @@ def _take_up(
     }
     # Each round depends on those before it alone.
     del settings["rounds"]
-    asked = {
-        "garment": kind, "seed": seed, "settings": settings,
-        "old": None if old is None else content_hash(old / LIST_FILE),
-    }  # fmt: skip
-    begin_run(path, asked)
+    states = None if old is None else content_hash(old / LIST_FILE)
+    begin_run(path, {**asked, "garment": kind, "settings": settings, "old": states})
 
 
 def _flattened(
@@ -216,6 +254,7 @@ def _flattened(
     kind: GarmentKind,
     config: ImprovementConfig,
     *,
+    garment_seed: int | None,
     device: str,
     seed: int,
 ) -> list[float]:
@@ -227,7 +266,7 @@ def _flattened(
     for number in range(config.episodes):
         store = flatten_simulated(
             folder,
-            SimulatedEpisode(kind, seed + number),
+            SimulatedEpisode(kind, seed + number, garment_seed=garment_seed),
             flatten,
             robot_config=config.robot,
             parts=parts,
@@ -237,60 +276,28 @@ def _flattened(
     return gained
 
 
-def _labelled(
+def _weighed(
     folder: Path,
-    kind: str,
+    labels: Sequence[EpisodeLabels],
     weights: Path,
-    config: ImprovementConfig,
+    kind: str,
+    teaches: Teaches,
     *,
+    template: str,
     device: str,
-    progress: Progress | None,
-) -> list[Path]:
-    """Track the episodes of a round and label them; what cannot be tracked has no label."""
-    from clothtrack.evaluation.label_selection import pseudo_labels_of
-    from clothtrack.reconstruction.data.pseudo_labels import label_recording, write_labels
-
-    recordings = sorted((folder / "flattening" / "recordings").glob("[!.]*"))
-    if config.hindsight:
-        # Apart from what was tracked forwards: names of recordings, and of frames, are the same.
-        folder = folder / "hindsight"
-        recordings = [
-            reversed_recording(read_recording(one), folder / "recordings" / one.name).folder
-            for one in recordings
-        ]
-    first = replace(config.track.initial_state, source="network", weights=str(weights))
-    outcomes = track_recordings(
-        recordings, folder / "tracked", replace(config.track, initial_state=first), device=device,
-        progress=progress,
-    )  # fmt: skip
-    written = []
-    for outcome in outcomes:
-        if outcome.result is None:
-            logger.warning("no label: %s", outcome.error)
-            continue
-        path = folder / "labels" / f"{outcome.recording.name}.labels.npz"
-        if outcome.tracked_again or not path.exists():
-            tracked = load_tracked(outcome.result)
-            recording = read_recording(outcome.recording)
-            judged = judge_labels(tracked, recording, device=device)
-            try:
-                chosen = pseudo_labels_of(tracked, judged, (), weighted=True, flat_weight=0.0)
-            except InvalidResultError as error:
-                # An episode in which nothing promised a gain has no action, and so no label.
-                logger.warning("no label: %s", error)
-                continue
-            labelled = label_recording(
-                recording, tracked.mesh, chosen, kind=kind,
-                provenance={"tracked": dict(tracked.provenance), "weighted": True},
-            )  # fmt: skip
-            write_labels(labelled, path)
-        written.append(path)
-    return written
+) -> list[LabelWorth]:
+    """Every label beside the network; once it has learned from them, what was decided then."""
+    path = folder / WORTH
+    if path.exists() and (folder / "tuned" / MODEL).exists():
+        return read_worth(path)
+    worth = worth_of(labels, weights, kind, teaches, template=template, device=device)
+    write_worth(path, worth)
+    return worth
 
 
 def _tuned(
     weights: Path,
-    labels: Sequence[Path],
+    labels: "Sequence[LabelledRecording]",
     folder: Path,
     config: ImprovementConfig,
     *,
@@ -298,24 +305,23 @@ def _tuned(
     device: str,
     progress: Progress | None,
 ) -> Path:
-    """The network fine-tuned on all labels so far.
+    """The network fine-tuned on these labels.
 
     Raises:
         ClothTrackError: it was interrupted.
     """
-    from clothtrack.reconstruction.data.pseudo_labels import read_labels
     from clothtrack.reconstruction.data.state_store import open_states
     from clothtrack.reconstruction.fine_tuning import finetune
     from clothtrack.reconstruction.training.processes import Processes
 
-    tuned = folder / "model.safetensors"
+    tuned = folder / MODEL
     if tuned.exists():
         return tuned
     share = config.old_share if old is not None else 0.0
     learning = config.finetune.mixing(share)
     outcome = finetune(
         weights,
-        [read_labels(path) for path in labels],
+        labels,
         learning,
         folder,
         old=[] if old is None else [open_states(old)],

@@ -10,11 +10,12 @@ The truth is apart, as everywhere: no tracking code takes it.
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.coverage import projected_area
@@ -25,6 +26,7 @@ from clothtrack.planning.perception import Perception, perception_of
 from clothtrack.planning.planning_dynamics import PlanningDynamics
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
+from clothtrack.world.one_garment import OneGarment
 from clothtrack.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 
 logger = logging.getLogger(__name__)
@@ -37,17 +39,30 @@ class SimulatedEpisode:
     Attributes:
         kind: the garment.
         seed: of garment, world, start and candidates.
-        name: of the episode; KIND_SEED by default.
+        name: of the episode; KIND_SEED by default, KIND_gGARMENT_SEED of one garment.
+        garment_seed: of the garment (`OneGarment`), the same for every episode; None: each `seed`
+            has its own.
     """
 
     kind: GarmentKind
     seed: int
     name: str = ""
+    garment_seed: int | None = None
+
+    @property
+    def garment(self) -> OneGarment | None:
+        """The garment that does not depend on the episode's seed."""
+        return None if self.garment_seed is None else OneGarment(self.kind, self.garment_seed)
+
+    @property
+    def start(self) -> str:
+        """What garment and crumpled start are known by."""
+        return f"{self.garment.label if self.garment else self.kind}_{self.seed:04d}"
 
     @property
     def label(self) -> str:
         """The name."""
-        return self.name or f"{self.kind}_{self.seed:04d}"
+        return self.name or self.start
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +113,7 @@ def flatten_simulated(
     """
     parts = parts or EpisodeParts()
     name = episode.label
-    robot = SimulatedRobot(episode.kind, episode.seed, robot_config)
+    robot = SimulatedRobot(episode.kind, episode.seed, robot_config, episode.garment)
     dynamics, perception = parts.dynamics, parts.perception
     # Before anything is written: weights that cannot be read are refused here.
     if config.policy == "planned":
@@ -112,7 +127,7 @@ def flatten_simulated(
     if not (out / "episodes" / name / "episode.json").exists():
         if progress is not None:
             progress("crumple the cloth", 0, 0)
-        start = (parts.starts or out / "starts") / f"{episode.kind}_{episode.seed:04d}.npz"
+        start = (parts.starts or out / "starts") / f"{episode.start}.npz"
         begin(robot, start)
     flat, _ = robot.true_cloth()
     flat_area_m2 = projected_area(flat.vertices, flat.faces)
@@ -134,10 +149,10 @@ def flatten_simulated(
     )
     store = flattening.run(out / "episodes" / name, watch=watch, progress=progress)
     label = store.document["asked"]["label"]
-    store.joined(
-        out / "recordings" / name,
-        {"source": "stand-in world (clothtrack flatten)", "seed": episode.seed, **label},
-    )
+    stamp = {"source": "stand-in world (clothtrack flatten)", "seed": episode.seed, **label}
+    if episode.garment_seed is not None:
+        stamp["garment_seed"] = episode.garment_seed
+    store.joined(out / "recordings" / name, stamp)
     _write_truth(out / "truth" / f"{name}.npz", robot, store, worlds)
     return store
 
@@ -163,6 +178,43 @@ def shared_parts(
     if config.perception.name != "truth":
         perception = perception_of(kind, config.perception, device=device)
     return EpisodeParts(perception, dynamics_of(config, device=device), starts)
+
+
+def knowing_the_garment(
+    config: FlattenConfig, garment: OneGarment | None, out: Path
+) -> FlattenConfig:
+    """The configuration with the garment's own template, written into `out/garments`.
+
+    Whoever has one garment measures it once (`clothtrack garment`). Without a garment, nothing is
+    written or changed.
+
+    Args:
+        config: how it is flattened.
+        garment: the one garment, or None.
+        out: folder of the episodes.
+
+    Raises:
+        InvalidConfigError: there is a template already.
+        StorageError: the disk refuses.
+    """
+    require_one_garment(config, garment)
+    if garment is None:
+        return config
+    template = str(garment.write_template(out / "garments"))
+    return replace(config, perception=replace(config.perception, template=template))
+
+
+def require_one_garment(config: FlattenConfig, garment: OneGarment | None) -> None:
+    """Refuse a garment seed beside the template of another garment.
+
+    Raises:
+        InvalidConfigError: with both.
+    """
+    if garment is not None and config.perception.template:
+        raise InvalidConfigError(
+            f"garment_seed {garment.seed} draws a garment of its own cut and size; leave the "
+            f"template {config.perception.template} out"
+        )
 
 
 def begin(robot: SimulatedRobot, start: Path) -> None:

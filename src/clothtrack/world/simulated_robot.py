@@ -23,9 +23,10 @@ from clothtrack.world.appearance import Appearance
 from clothtrack.world.bench import vary
 from clothtrack.world.episodes import EpisodeConfig
 from clothtrack.world.flex import TIME_STEP_S, USUAL_CONTACT_S, FlexWorld
+from clothtrack.world.one_garment import OneGarment
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, top_down_camera
-from clothtrack.world.template_mesh import flat_garment, laid_down, random_pose, size_of
+from clothtrack.world.template_mesh import SeededGarment, laid_down, random_pose, size_of
 from clothtrack.world.tool import Tool
 
 MOST_DROPS = 5
@@ -81,7 +82,11 @@ class SimulatedRobot:
     """
 
     def __init__(
-        self, kind: GarmentKind, seed: int, config: SimulatedRobotConfig | None = None
+        self,
+        kind: GarmentKind,
+        seed: int,
+        config: SimulatedRobotConfig | None = None,
+        garment: OneGarment | None = None,
     ) -> None:
         """Lay the flat garment down; `crumple` makes the start of an episode of it.
 
@@ -89,19 +94,20 @@ class SimulatedRobot:
             kind: the garment.
             seed: of garment, fabric, camera, noise and the start.
             config: the robot.
+            garment: what lies on the table, in place of one that is drawn from `seed`; its camera,
+                tool and speeds too where the configuration has no episode.
         """
         self.kind: GarmentKind = kind
         self.config = config or SimulatedRobotConfig()
-        self._episode = self.config.episode or vary(kind, seed)
+        drawn = vary(kind, seed) if garment is None else garment.config
+        self._episode = self.config.episode or drawn
         root = np.random.SeedSequence([_OF_STARTS, seed, list(DEFAULT_SIZES_M).index(kind)])
         of_world, of_sensor, of_start, of_picker = map(np.random.default_rng, root.spawn(4))
         self._of_start, self._of_picker = of_start, of_picker
         episode = self._episode
-        self._flat = flat_garment(
-            kind, episode.garment, size_m=episode.size_m, vertex_count=episode.vertex_count,
-            pattern="random", seed=2 * seed,
-        )  # fmt: skip
-        fabric = episode.fabric or vary(kind, seed).fabric
+        cut = garment or SeededGarment(kind, episode.garment, episode.size_m, seed)
+        self._flat = cut.flat(vertex_count=episode.vertex_count)
+        fabric = episode.fabric or drawn.fabric
         if fabric is None:
             raise InvalidConfigError("episode.fabric is None; give one")
         laid = laid_down(self._flat, random_pose(of_world), fabric.contact_radius_m)
@@ -118,7 +124,7 @@ class SimulatedRobot:
             kind=kind,
             color=appearance.cloth,
             size_m=size_of(self._flat)
-            if episode.garment
+            if episode.garment or garment
             else episode.size_m or DEFAULT_SIZES_M[kind],
         )
         self.table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))

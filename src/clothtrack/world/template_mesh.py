@@ -7,6 +7,7 @@ a first mesh measured by hand would be.
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +36,25 @@ class TemplateConfig:
     turn_deg: float = 0.6
     scale: float = 0.005
     noise_m: float = 0.0005
+
+
+@runtime_checkable
+class GivenGarment(Protocol):
+    """A garment that does not depend on the seed of what is filmed (`world.one_garment`)."""
+
+    @property
+    def label(self) -> str:
+        """What recordings of it begin their names with."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """What it is drawn from."""
+        ...
+
+    def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
+        """The garment at rest, around the origin; `again` in another triangulation."""
+        ...
 
 
 def flat_garment(
@@ -75,6 +95,35 @@ def flat_garment(
         )
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     return mesh.with_vertices(mesh.vertices - 0.5 * (low + high) * (1.0, 1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class SeededGarment:
+    """The garment of one recording or episode: of a usual cut, or the template of a file.
+
+    Attributes:
+        kind: the garment.
+        file: as for `flat_garment`.
+        size_m: width and length [m]; usual for its kind when None.
+        seed: of the recording or episode.
+    """
+
+    kind: GarmentKind
+    file: str
+    size_m: tuple[float, float] | None
+    seed: int
+
+    @property
+    def label(self) -> str:
+        """What recordings of it begin their names with."""
+        return self.kind
+
+    def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
+        """The garment at rest, around the origin; `again` in another triangulation."""
+        return flat_garment(
+            self.kind, self.file, size_m=self.size_m, vertex_count=vertex_count,
+            pattern="alternating" if again else "random", seed=2 * self.seed + again,
+        )  # fmt: skip
 
 
 def size_of(flat: ClothMesh) -> tuple[float, float]:
