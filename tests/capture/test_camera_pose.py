@@ -97,6 +97,35 @@ def test_by_the_table(filmed):
     assert again.provenance["camera_placement"]["by"] == "table"
 
 
+def test_keeping_the_world_changes_the_table_and_nothing_else(tmp_path, capsys):
+    folder = far_table(tmp_path / "far", 0.001)
+    assert cli.main(["calibrate-camera", str(folder), "--keep-world"]) == 0
+    # A robot's base: turned about z, 0.3 m above the table.
+    pose = np.array([[0, 1, 0, 0.4], [1, 0, 0, 0.1], [0, 0, -1, 2.2], [0, 0, 0, 1]], dtype=float)
+    document = json.loads((folder / "recording.json").read_text())
+    document["cameras"][0]["world_from_camera"] = pose.tolist()
+    document["table"] = None
+    (folder / "recording.json").write_text(json.dumps(document))
+    (folder / "picker.csv").write_text("time_s,picker,x_m,y_m,z_m,closed\n0,arm,0.4,0.1,-0.2,1\n")
+    assert cli.main(["calibrate-camera", str(folder)]) == 1
+    assert "--keep-world" in capsys.readouterr().err
+    assert cli.main(["calibrate-camera", str(folder), "--keep-world"]) == 0
+    again = read_recording(folder)
+    np.testing.assert_array_equal(again.cameras[0].world_from_camera, pose)
+    assert abs(again.table.heights(np.array([[0.4, 0.1, -0.3]]))[0]) < 0.001
+    board = ["--charuco", "7", "5", "0.03", "0.02"]
+    assert cli.main(["calibrate-camera", str(folder), "--keep-world", *board]) == 2
+
+
+def test_a_plane_that_faces_down_in_the_kept_world_is_refused(tmp_path, capsys):
+    folder = far_table(tmp_path / "far", 0.001)
+    document = json.loads((folder / "recording.json").read_text())
+    del document["cameras"][0]["world_from_camera"]
+    (folder / "recording.json").write_text(json.dumps(document))
+    assert cli.main(["calibrate-camera", str(folder), "--keep-world"]) == 1
+    assert "does not face up" in capsys.readouterr().err
+
+
 def far_table(folder, noise_m):
     """A table 2.5 m under the camera, its depth off by this (standard deviation)."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -85,6 +85,36 @@ def place_by_table(recording: Recording, camera: Camera, *, force: bool = False)
         InvalidRecordingError: no plane dominates the depth, or it is far from the one found, and
             `force` is not set.
     """
+    fit = _plane_fit(recording, camera, force=force)
+    pose = world_from_table(camera, fit)
+    return CameraPlacement(camera.name, pose, _ground(), {"by": "table", **_fit_report(fit)})
+
+
+def table_in_world(recording: Recording, camera: Camera, *, force: bool = False) -> CameraPlacement:
+    """The table in the world that the recording has, from depth; the camera stays where it is.
+
+    Args:
+        recording: with depth from the camera, whose pose is right.
+        camera: the one that looks at the table.
+        force: although the depth is far from any plane.
+
+    Raises:
+        InvalidRecordingError: no plane dominates the depth, or the one found does not face up, or
+            it is far from the depth and `force` is not set.
+    """
+    fit = _plane_fit(recording, camera, force=force)
+    table = _plane_in(camera.world_from_camera, fit)
+    if table is None:
+        raise InvalidRecordingError(
+            f"{recording.folder}: camera {camera.name!r}: the plane found does not face up (along "
+            "z) in the recording's world; correct world_from_camera, or leave --keep-world out"
+        )
+    text = {"by": "table", **_fit_report(fit)}
+    return CameraPlacement(camera.name, camera.world_from_camera, table, text)
+
+
+def _plane_fit(recording: Recording, camera: Camera, *, force: bool) -> TableFit:
+    """The plane in the depth, refused where it is none."""
     fit = fit_recorded_table(recording, camera)
     if fit.residual_m > LARGEST_RESIDUAL_M and not force:
         raise InvalidRecordingError(
@@ -93,8 +123,7 @@ def place_by_table(recording: Recording, camera: Camera, *, force: bool = False)
             f"{1e3 * LARGEST_RESIDUAL_M:.0f}), which is no table then; let a bare table fill the "
             "picture, give a board with --charuco, or use --force"
         )
-    pose = world_from_table(camera, fit)
-    return CameraPlacement(camera.name, pose, _ground(), {"by": "table", **_fit_report(fit)})
+    return fit
 
 
 def placement_doubt(placement: CameraPlacement) -> str:
@@ -230,14 +259,15 @@ def place_camera(recording: Recording, placement: CameraPlacement, *, force: boo
         InvalidRecordingError: something is given in the present world, and `force` is not set.
         StorageError: the disk refuses.
     """
-    fixed = _given_in_world(recording)
-    if fixed and not force:
-        raise InvalidRecordingError(
-            f"{recording.folder}: {' and '.join(fixed)} stand in the present world, which this "
-            "would change; calibrate before they are made, or, if they are in the new world "
-            "already, use --force"
-        )
     camera = camera_named(recording, placement.camera)
+    moved = not np.array_equal(camera.world_from_camera, placement.world_from_camera)
+    fixed = _given_in_world(recording)
+    if fixed and moved and not force:
+        raise InvalidRecordingError(
+            f"{recording.folder}: this would change the world of {' and '.join(fixed)}; if the "
+            "camera's pose is in that world, find the table alone with --keep-world; else "
+            "calibrate before they are made, or, if they are in the new world already, use --force"
+        )
     poses = moved_along(recording, camera, placement.world_from_camera)
 
     def change(document: dict[str, Any]) -> None:
@@ -304,8 +334,13 @@ def _table_in(
         fit = fit_recorded_table(recording, camera)
     except InvalidRecordingError as error:
         return None, str(error)
-    normal = pose[:3, :3] @ fit.normal
-    if normal[2] <= 0.5:
+    table = _plane_in(pose, fit)
+    if table is None:
         return None, "the plane found does not face up in the robot's base"
-    point = pose[:3, 3] - fit.distance_m * normal
-    return Table(point, normal), _fit_report(fit)
+    return table, _fit_report(fit)
+
+
+def _plane_in(pose: Float[np.ndarray, "4 4"], fit: TableFit) -> Table | None:
+    """The plane in the world of a camera with this pose; None where it does not face up there."""
+    normal = pose[:3, :3] @ fit.normal
+    return Table(pose[:3, 3] - fit.distance_m * normal, normal) if normal[2] > 0.5 else None

@@ -30,6 +30,7 @@ def calibrate_camera(
     charuco: Charuco = None,
     dictionary: str = "4X4_50",
     thickness: float = 0.0,
+    keep_world: bool = False,
     output: Path | None = None,
     force: bool = False,
     json: AsJson = False,
@@ -42,18 +43,30 @@ def calibrate_camera(
         charuco: a board on the table gives the world, instead of the table's depth.
         dictionary: of the board's markers.
         thickness: how high the print lies over the table [m].
+        keep_world: the camera's pose is known, from a robot or TF: find the table alone, in the
+            world that camera and picker path stand in.
         output: write the result to this JSON file, and leave the recording as it is.
         force: although a picker path, template or clouds stand in the present world already, or
             the depth lies more than 10 mm (rms) from the plane found.
         json: machine-readable.
     """
-    from clothtrack.capture.camera_pose import camera_named, place_by_board, place_by_table
+    from clothtrack.capture.camera_pose import (
+        camera_named,
+        place_by_board,
+        place_by_table,
+        table_in_world,
+    )
     from clothtrack.recordings.store import read_recording
 
+    if keep_world and charuco is not None:
+        complain("give --keep-world or --charuco, not both: the board makes a world of its own")
+        return 2
     source = read_recording(recording)
     chosen = camera_named(source, camera)
     board = _board(charuco, dictionary)
-    if board is None:
+    if keep_world:
+        placement = table_in_world(source, chosen, force=force)
+    elif board is None:
         placement = place_by_table(source, chosen, force=force)
     else:
         placement = place_by_board(source, chosen, board, thickness_m=thickness)

@@ -1,8 +1,9 @@
 """The verbs that check a recording and import one: inspect and import."""
 
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from clothtrack.cli.options import AsJson
 from clothtrack.cli.terminal import progress, say_result
@@ -24,8 +25,8 @@ def inspect(recording: Positional[Path], *, json: AsJson = False) -> int:
 
 
 def import_(
-    source: Positional[Path],
-    recording: Positional[Path],
+    source: Positional[Annotated[Path, arg(metavar="SOURCE")]],
+    recording: Positional[Annotated[Path, arg(metavar="RECORDING")]],
     *,
     source_options: ImportOptions = ImportOptions(),  # noqa: B008
     json: AsJson = False,

@@ -134,7 +134,7 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
                 os.replace(old, path)
             for folder in (temporary, old):
                 if folder is not None:
-                    _remove(folder)
+                    remove_folder(folder)
 
 
 def _flush(path: Path) -> None:
@@ -147,8 +147,11 @@ def _is_empty_folder(path: Path) -> bool:
     return path.is_dir() and not any(path.iterdir())
 
 
-def _remove(folder: Path) -> None:
-    """Remove a folder, if it is still there, into which late writers may still write."""
+def remove_folder(folder: Path) -> None:
+    """Remove a folder, if it is still there, into which late writers may still write.
+
+    A process that is told to end meanwhile removes it first.
+    """
     with _undisturbed():
         deadline = time.monotonic() + LATE_WRITERS_S
         shutil.rmtree(folder, ignore_errors=True)

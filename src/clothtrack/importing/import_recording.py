@@ -135,7 +135,7 @@ def import_recording(
         source, folder, streams, pairing, registration,
         camera=camera, times=times, damaged=damaged, paths=paths, actions=actions,
         notes=[*text, *notes], posed=known, table=table is not None,
-        color_named=options.cloth_color is not None,
+        cloth=cloth,
     )  # fmt: skip
 
 

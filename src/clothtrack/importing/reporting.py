@@ -9,7 +9,7 @@ from clothtrack.importing.import_report import ImportReport
 from clothtrack.importing.pairing import Pairing
 from clothtrack.importing.registration import Registration
 from clothtrack.importing.source import Streams
-from clothtrack.recordings.recording import PickAndPlace, PickerPath
+from clothtrack.recordings.recording import ClothDescription, PickAndPlace, PickerPath
 
 
 def report_of(
@@ -27,7 +27,7 @@ def report_of(
     notes: Sequence[str],
     posed: bool,
     table: bool,
-    color_named: bool,
+    cloth: ClothDescription,
 ) -> ImportReport:
     """What was found, left out and is missing."""
     duration = times[-1] - times[0]
@@ -54,10 +54,12 @@ def report_of(
         actions=[(action.first_frame, action.last_frame) for action in actions],
         missing=_missing(
             folder, streams, pickers=bool(paths), actions=bool(actions), posed=posed,
-            table=table, color_named=color_named,
+            table=table, cloth=cloth,
         ),
         next_command=(
             f"clothtrack inspect {folder}"
+            if table
+            else f"clothtrack calibrate-camera {folder} --keep-world"
             if posed
             else f"clothtrack calibrate-camera {folder}{_aside(paths)}"
         ),
@@ -104,7 +106,7 @@ def _missing(
     actions: bool,
     posed: bool,
     table: bool,
-    color_named: bool,
+    cloth: ClothDescription,
 ) -> list[str]:
     missing = []
     if not posed:
@@ -117,7 +119,7 @@ def _missing(
             f"{folder}{_aside(pickers)} finds both{again if pickers else ''}"
         )
     elif not table:
-        missing.append(f"the table: clothtrack calibrate-camera {folder} finds it")
+        missing.append(f"the table: clothtrack calibrate-camera {folder} --keep-world finds it")
     if not pickers:
         missing.append(
             f"the picker's path: clothtrack find-picker {folder} finds a coloured tip in the "
@@ -130,6 +132,14 @@ def _missing(
             "actions: the path never closes; import again with --gripper-topic, a column `closed`, "
             "or --actions FIRST-LAST"
         )
-    if streams.color is not None and not color_named:
-        missing.append("the cloth's colour: --cloth-color NAME, or cloth.color in recording.json")
+    if cloth.kind not in ("towel", "tshirt"):
+        missing.append(
+            "the cloth's kind: --cloth towel or tshirt, or cloth.kind in recording.json; any other "
+            "garment needs a template (clothtrack garment)"
+        )
+    if streams.color is not None and cloth.color is None:
+        missing.append(
+            f"which pixels are cloth: clothtrack segment {folder} by a click, or its colour by "
+            "--cloth-color NAME, or cloth.color in recording.json"
+        )
     return missing
