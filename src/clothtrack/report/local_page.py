@@ -120,12 +120,11 @@ def serve_until(
     Raises:
         InvalidConfigError: there is no such port, or it is taken.
     """
-    with serving(ask, tell, port) as address:
-        with suppress(KeyboardInterrupt):
-            # Whoever has read the address may press Ctrl-C before `opened` returns.
-            if opened is not None:
-                opened(address)
-            stop.wait()
+    with serving(ask, tell, port) as address, suppress(KeyboardInterrupt):
+        # Whoever has read the address may press Ctrl-C before `opened` returns.
+        if opened is not None:
+            opened(address)
+        stop.wait()
 
 
 class _Server(ThreadingHTTPServer):
