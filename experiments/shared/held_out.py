@@ -14,33 +14,51 @@ HELD_OUT = 10
 the paper."""
 
 
-def learned_from(bench: Path, split: str) -> list[Trajectory]:
+def learned_from(bench: Path, split: str, held_out: int | None = None) -> list[Trajectory]:
     """The trajectories of a benchmark folder to learn from.
 
     Args:
         bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.
-        split: this one; without bench.json, nine tenths of each garment's trajectories, the first.
+        split: this one; without bench.json, all of each garment's trajectories but the last.
+        held_out: so many of these; a tenth, at least one, when None.
     """
-    return _parts(bench, split)[0]
+    return _parts(bench, split, held_out)[0]
 
 
-def measured_on(bench: Path, split: str) -> list[Trajectory]:
+def measured_on(bench: Path, split: str, held_out: int | None = None) -> list[Trajectory]:
     """The trajectories of a benchmark folder to measure on.
 
     Args:
         bench: as for `learned_from`.
-        split: this one; without bench.json, the last tenth of each garment's, at least one.
+        split: this one; without bench.json, the last of each garment's.
+        held_out: so many of these, as for `learned_from`.
     """
-    return _parts(bench, split)[1]
+    return _parts(bench, split, held_out)[1]
 
 
-def parted(found: Iterable[Trajectory]) -> tuple[list[Trajectory], list[Trajectory]]:
-    """To learn from and to measure on: of each garment, by name, the last tenth is held out."""
+def parted(
+    found: Iterable[Trajectory], count: int | None = None
+) -> tuple[list[Trajectory], list[Trajectory]]:
+    """To learn from and to measure on: of each garment, by name, the last are held out.
+
+    Args:
+        found: trajectories of any garments.
+        count: so many are held out; a tenth, at least one, when None.
+
+    Raises:
+        InvalidConfigError: that would leave nothing of a garment to learn from.
+    """
     ordered = sorted(found, key=lambda one: one.name)
     learned, held_out = [], []
     for kind in dict.fromkeys(one.kind for one in ordered):
         own = [one for one in ordered if one.kind == kind]
-        first = len(own) - max(1, round(len(own) / HELD_OUT))
+        last = max(1, round(len(own) / HELD_OUT)) if count is None else count
+        if not 0 < last < max(2, len(own)):
+            raise InvalidConfigError(
+                f"--held-out is {last}, and there are {len(own)} trajectories of a {kind}; "
+                f"hold out 1 to {max(1, len(own) - 1)}"
+            )
+        first = len(own) - last
         learned += own[:first]
         held_out += own[first:]
     return learned, held_out
@@ -74,8 +92,10 @@ def _pictures(folder: Path) -> frozenset[str]:
     return picture_digests(read_recording(folder))
 
 
-def _parts(bench: Path, split: str) -> tuple[list[Trajectory], list[Trajectory]]:
+def _parts(
+    bench: Path, split: str, held_out: int | None
+) -> tuple[list[Trajectory], list[Trajectory]]:
     if not (bench / BENCH_FILE).exists():
-        return parted(trajectories(bench))
+        return parted(trajectories(bench), held_out)
     found = trajectories(bench, split)
     return found, found

@@ -1,11 +1,13 @@
 """The command line that the experiments with the network share.
 
-    --weights FILE...   one per garment: model.safetensors of pretrain, finetune or the package
+    --weights FILE...   one per garment: model.safetensors of pretrain, finetune or the package; the
+                        token network's serves every garment that no other one is given for
     --bench FOLDER      recordings/, truth/ and bench.json
     --old FOLDER...     simulated states, one folder per garment: the control's old cloth
     --train NAME        split whose tracked trajectories are learned from (dev)
     --split NAME        split that is held out and measured (test); a folder without bench.json has
-                        two: the last tenth of each garment's trajectories is held out
+                        two: the last tenth of each garment's trajectories is held out, or the last
+                        --held-out N
     --set NAME=VALUE    of the training, such as canonicalisation.epochs=200
     --counts N...       trajectories to learn from (label_count only)
     --only NAME...      labels to learn from, as the table calls them (table2 only)
@@ -31,6 +33,7 @@ from clothtrack.reconstruction.data.crumpling import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
+from clothtrack.reconstruction.tokens.token_training import KIND as ANY_GARMENT
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.world import SMALL_WORLD, simulate
 from clothtrack.world.bench import vary
@@ -83,6 +86,8 @@ class LearningSetup:
         limit: most trajectories of each garment, to learn from and to measure.
         counts: how many trajectories are learned from, where that is what is asked.
         only: names of the label sets that are learned from; empty: all.
+        held_out_count: trajectories of each garment that a folder without splits holds out; None:
+            a tenth.
     """
 
     tracking: Setup
@@ -93,6 +98,7 @@ class LearningSetup:
     limit: int | None = None
     counts: tuple[int, ...] = COUNTS
     only: tuple[str, ...] = ()
+    held_out_count: int | None = None
 
     def training(self, kind: str) -> list[Trajectory]:
         """The trajectories to learn from.
@@ -129,7 +135,12 @@ class LearningSetup:
             own = [one for one in trajectories(bench) if one.kind == kind]
             first = sorted(own, key=lambda one: one.name)[:SMOKE_TOWELS]
             return parted(first)[held_out]
-        of = measured_on(bench, split) if held_out else learned_from(bench, self.train_split)
+        count = self.held_out_count
+        of = (
+            measured_on(bench, split, count)
+            if held_out
+            else learned_from(bench, self.train_split, count)
+        )
         return [one for one in of if one.kind == kind][: self.limit]
 
     def _require_apart(self, kind: str, learned: Sequence[Trajectory]) -> None:
@@ -226,15 +237,16 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
     )
     settings = (*(SMOKE_SETTINGS if options.smoke else ()), *options.settings)
     config = with_settings(LearningConfig.preset(options.training, seed=options.seed), settings)
-    weights = {kind_of(path): path for path in options.weights}
     old = {open_states(path).kind: path for path in options.old}
     if options.smoke:
         simulate(bench, "towel", SMOKE_TOWELS, config=SMALL_WORLD)
-        weights = weights or {"towel": tiny_network(out / "tiny.safetensors")}
         states = out / "old_states"
         if not states.exists():
             generate_states(states, "towel", 4, config=SMOKE_STATES)
         old = old or {"towel": states}
+    weights = weights_of_garments(options.weights, bench)
+    if options.smoke and not weights:
+        weights = {"towel": tiny_network(out / "tiny.safetensors")}
     return LearningSetup(
         tracking=tracking,
         weights=weights,
@@ -244,7 +256,26 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
         limit=options.limit,
         counts=SMOKE_COUNTS if options.smoke else tuple(options.counts),
         only=tuple(options.only),
+        held_out_count=options.held_out,
     )
+
+
+def weights_of_garments(paths: Sequence[Path], bench: Path) -> dict[str, Path]:
+    """The weights for every garment that they are for.
+
+    Args:
+        paths: files of weights; those of the token network serve each garment of the benchmark that
+            no other file is for.
+        bench: folder of the benchmark.
+
+    Raises:
+        InvalidConfigError: the benchmark is empty.
+        InvalidResultError: weights are missing or damaged.
+    """
+    found = {kind: path for path in paths if (kind := kind_of(path)) != ANY_GARMENT}
+    tokens = [path for path in paths if kind_of(path) == ANY_GARMENT]
+    kinds = dict.fromkeys(one.kind for one in trajectories(bench)) if tokens else ()
+    return found | {kind: tokens[-1] for kind in kinds if kind not in found}
 
 
 def tiny_network(path: Path, kind: str = "towel") -> Path:
@@ -278,6 +309,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--train", default="dev", help="split to learn from")
     parser.add_argument("--split", default="test", help="split to measure on")
     parser.add_argument("--limit", type=int, help="so many trajectories of each garment")
+    parser.add_argument("--held-out", type=int, help="so many of a folder without splits")
     parser.add_argument("--only", nargs="+", default=(), help="labels to learn from")
     parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="to learn from")
     presets = ("finetune", "finetune_short", "paper")

@@ -31,6 +31,7 @@ from clothtrack.reconstruction import (
 )
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, cloth_picture
 from clothtrack.reconstruction.data.state_store import StateSet
+from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.two_stages import MODEL
@@ -151,15 +152,25 @@ def kind_of(weights: Path) -> str:
 
 
 def reconstruct_frame(
-    model: MeshReconstructor, recording: Recording, frame: int, kind: str, how: Reconstructor
+    model: MeshReconstructor | TokenReconstructor,
+    recording: Recording,
+    frame: int,
+    kind: str,
+    how: Reconstructor,
 ) -> NetworkMesh:
-    """What the network makes of one frame of a recording."""
+    """What the network makes of one frame of a recording.
+
+    The token network is told the garment, as in its use: by the recording's own template
+    where it has one. The published network knows the kind alone.
+    """
     depth, mask, camera = cloth_picture(recording, recording.frames[frame])
+    told = recording.cloth.template if isinstance(model, TokenReconstructor) else None
     return network_mesh(
         model,
         DepthInput(depth, mask, camera, recording.table, kind),
         kind,
         method=how.method,
+        template=told,
         vertex_count=how.vertex_count,
         refinement=how.refinement,
     )

@@ -47,6 +47,17 @@ def test_a_folder_without_a_list_is_parted_as_the_paper_does(tmp_path, count, le
     assert [*towels[0], *towels[1]] == sorted([*towels[0], *towels[1]])
 
 
+def test_so_many_are_held_out_as_are_asked_for(tmp_path):
+    fill(tmp_path, *(f"towel_{number:04d}" for number in range(20)), "tshirt_0000", "tshirt_0001")
+    for count, learned in ((1, 20), (None, 19)):
+        first = held_out.learned_from(tmp_path, "dev", count)
+        last = held_out.measured_on(tmp_path, "test", count)
+        assert (len(first), len(first) + len(last)) == (learned, 22)
+    for count in (0, 2):
+        with pytest.raises(InvalidConfigError, match=f"is {count}, and there are .*hold out 1 to"):
+            held_out.learned_from(tmp_path, "dev", count)
+
+
 def test_a_list_decides_where_there_is_one(tmp_path):
     fill(tmp_path, "towel_0000", "towel_0001")
     entries = [

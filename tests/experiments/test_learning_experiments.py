@@ -3,6 +3,7 @@
 import importlib
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ pytest.importorskip("torch", reason="the extra [learn] brings it")
 
 from figures import real_reconstruction, reconstruction_figure
 from shared import learning_columns, learning_experiment, tables
-from shared.bench_runs import trajectories
+from shared.bench_runs import read_rows, trajectories
 from shared.learning_labels import (
     digest_of,
     kept_labels,
@@ -22,7 +23,9 @@ from shared.learning_labels import (
     true_labels,
 )
 from shared.learning_measures import Case, canonical_errors, vertex_errors
+from tables import network_alone
 
+import clothtrack
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation import Truth, material_map, material_points
 from clothtrack.geometry import ClothMesh
@@ -68,6 +71,20 @@ def test_an_experiment_runs_and_a_second_call_makes_nothing(name, variants, benc
     assert module.main(["--smoke", "--bench", str(bench)]) == 0
     assert {one: one.stat().st_mtime_ns for one in _kept(bench)} == kept
     assert capsys.readouterr().out == first.out
+
+
+def test_the_token_network_serves_every_garment_and_is_told_it(bench, tmp_path):
+    tokens = Path(clothtrack.__file__).parent / "reconstruction/weights/tokens.safetensors"
+    words = ["--smoke", "--bench", str(bench), "--weights", str(tokens), "--out", str(tmp_path)]
+    assert network_alone.main(words) == 0
+    rows = read_rows(tmp_path / "network_alone.jsonl")
+    assert {row["variant"] for row in rows} == {
+        "network, template",
+        "network, template, fine-tuned at test time",
+    }
+    (held_out,) = {row["recording"] for row in rows}
+    told = read_recording(bench / "recordings" / held_out).cloth.template
+    assert {row["vertices"] for row in rows} == {len(told.vertices)}
 
 
 def _kept(bench):
