@@ -60,13 +60,15 @@ from real.robot_learning import TO_CHOOSE, napkins, refuse_shared
 
 NETWORKS = {"tokens": SHIPPED / "tokens.safetensors", "published": SHIPPED / f"{KIND}.safetensors"}
 NONE, CONTROL, TRACKER = "none", "simulated_control", "tracker"
+JOINED = "default_and_simulated"
+"""Labels of the default tracker and the control's pictures, learned from together."""
 MODES = {
     "open_loop": ("open_loop", False),
     "paper": ("full_held_paper", False),
     "default": ("default", False),
     "weighted": ("default", True),
 }
-LABELS = (NONE, *MODES, CONTROL)
+LABELS = (NONE, *MODES, CONTROL, JOINED)
 UNTUNED = "untuned"
 """The control's dynamics: along the path with the cloth's parameters as they come."""
 
@@ -116,6 +118,8 @@ class Plan:
 
     def labels(self, name: str) -> list[LabelledRecording]:
         """What is learned from, by name; made where it is not kept."""
+        if name == JOINED:
+            return [*self.labels("default"), *self.labels(CONTROL)]
         found = []
         for cloth in self.splits["train"]:
             file = self.keep / "labels" / name / f"{cloth.name}.npz"

@@ -162,18 +162,20 @@ def test_statistics_are_over_pictures_and_the_error_over_sequences():
 def test_everything_runs_and_a_second_call_learns_nothing(tmp_path, capsys, monkeypatch):
     out = tmp_path / "rows.json"
     arguments = [
-        "--smoke", "--json", str(out), "--networks", "published", "--labels", "none", "default"
+        "--smoke", "--json", str(out), "--networks", "published", "--labels", "none",
+        "default_and_simulated",
     ]  # fmt: skip
     assert table2_real.main(arguments) == 0
     report = json.loads(out.read_text())
     names = [(row["network"], row["labels"], row["split"]) for row in report["rows"]]
-    assert names == [("published", labels, "choose") for labels in ("none", "default", "tracker")]
+    told = ("none", "default_and_simulated", "tracker")
+    assert names == [("published", labels, "choose") for labels in told]
     for row in report["rows"]:
         assert row["pictures"] == 3
         assert all(row[name] is not None for name in ("chamfer_pc_m2", "corner_mm", "edge_strain"))
-    assert report["rows"][1]["learned_pictures"] == 6
+    assert report["rows"][1]["learned_pictures"] == 12
     assert report["provenance"]["sequences"]["choose"] == ["lift_tan2"]
-    assert "| published | default | choose |" in capsys.readouterr().out
+    assert "| published | default_and_simulated | choose |" in capsys.readouterr().out
 
     # Measured again by other processes, from the weights and meshes that were kept: the same.
     shutil.rmtree(tmp_path / "rows" / "rows")
