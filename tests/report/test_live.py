@@ -133,6 +133,8 @@ def test_a_page_without_labels_takes_no_decision():
         {"Origin": "http://localhost:1"},
         {"Origin": "https://localhost:{port}"},
         {"Origin": "null"},
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"},
+        {"Sec-Fetch-Site": "same-site"},
     ],
 )
 def test_another_web_site_can_neither_read_a_page_nor_decide(address, decisions, foreign):
@@ -145,6 +147,11 @@ def test_another_web_site_can_neither_read_a_page_nor_decide(address, decisions,
     assert request(address, "POST", "/review", message, **headers)[0] == 403
     assert not decisions.path.exists()
     assert request(address, "POST", "/review", message, Origin=address[:-1])[0] == 200
+
+
+def test_a_link_of_another_web_site_may_be_followed(address):
+    followed = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    assert request(address, "GET", "/", **followed)[0] == 200
 
 
 def test_a_served_page_may_ask_its_server_only_and_lies_in_no_frame(address):

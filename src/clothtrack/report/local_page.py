@@ -9,9 +9,10 @@ import json
 import logging
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from email.message import Message
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
@@ -49,14 +50,18 @@ Ask = Callable[[str, Mapping[str, str]], Answer | None]
 Tell = Callable[[str, Mapping[str, Any]], Answer | None]
 
 
-def _refusal(hosts: Sequence[str], origins: Sequence[str], port: int) -> str | None:
+def _refusal(headers: Message, port: int) -> str | None:
     """Why a request is not answered; None when no other web site sent it.
 
+    Browsers name the site that asks in Origin. Pictures and scripts are asked for without it; newer
+    browsers say then in Sec-Fetch-Site that it is another site. A link to the page may be followed.
+
     Args:
-        hosts: the Host headers of the request.
-        origins: its Origin headers: browsers name the site there that asks.
+        headers: of the request.
         port: of the server.
     """
+    hosts, origins = (headers.get_all(name, []) for name in ("Host", "Origin"))
+    site, mode = headers.get("Sec-Fetch-Site", "none"), headers.get("Sec-Fetch-Mode")
     # Browsers leave out the port that is usual for HTTP.
     ends = (":80", "") if port == 80 else (f":{port}",)
     own = {f"{name}{end}" for name in (HOST, "localhost") for end in ends}
@@ -64,6 +69,7 @@ def _refusal(hosts: Sequence[str], origins: Sequence[str], port: int) -> str | N
         len(hosts) == 1
         and own.issuperset(hosts)
         and {f"http://{o}" for o in own}.issuperset(origins)
+        and (site in ("none", "same-origin") or mode == "navigate")
     ):
         return None
     return f"this page is for this machine only; open http://{HOST}:{port}/"
@@ -179,8 +185,7 @@ class _Handler(BaseHTTPRequestHandler):
         logger.debug(format, *args)
 
     def _answer(self, find: Callable[[], Answer | None]) -> None:
-        hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
-        refused = _refusal(hosts, origins, self.connection.getsockname()[1])
+        refused = _refusal(self.headers, self.connection.getsockname()[1])
         if refused:
             self._send(Answer.of({"error": refused}, 403))
             return
