@@ -127,7 +127,7 @@ def finetune(
     labels: Positional[tuple[Path, ...]],
     *,
     output: Path,
-    training: Literal["finetune", "finetune_short", "paper"] = "finetune",
+    training: Literal["finetune_short", "finetune", "paper"] = "finetune_short",
     old: Path | None = None,
     old_share: float = 0.25,
     settings: Settings = (),
@@ -141,8 +141,8 @@ def finetune(
         weights: model.safetensors to begin with.
         labels: NAME.labels.npz files that `label` wrote, or folders of them.
         output: folder for progress, scalars and model.safetensors.
-        training: until nothing improves, briefly at a higher rate, or the paper's 1,000 and 2,000
-            epochs.
+        training: briefly at a high rate, slowly until nothing improves, or the paper's 1,000 and
+            2,000 epochs.
         old: folder of simulated states to mix in, against forgetting.
         old_share: how often an example is one of these, if they are given.
         settings: changes, such as canonicalisation.high_rate=1e-4.
