@@ -6,13 +6,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from clothtrack.geometry.quality import crossing_edges
+from clothtrack.geometry.quality import crossing_edges, crossings
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.tracking import final_alignment
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.pipeline import RunConfig, track_recording
 from clothtrack.tracking.tracker import Tracker
+from clothtrack.tracking.visible_alignment import only_at
 
 
 @pytest.fixture
@@ -88,9 +89,7 @@ def test_vertices_at_crossings_are_left_free_unless_the_paper_is_followed(
     config = replace(config, attach_crossed=attach_crossed)
     mesh = recording.cloth.template
     tracker = Tracker(recording, mesh, config, partial(observe, recording))
-    # A third is folded over, and dips through what lies under it.
-    beyond = np.clip(mesh.vertices[:, 0] - mesh.vertices[:, 0].mean() - 0.03, 0.0, None)[:, None]
-    crossing = mesh.vertices - beyond * [2.0, 0.0, 0.1] + (beyond > 0.0) * [0.0, 0.003, 0.004]
+    crossing = dipping(mesh)
     edges, faces = crossing_edges(crossing, mesh.faces)
     crossed = np.unique(np.concatenate([edges.ravel(), faces.ravel()]))
     assert 10 < len(crossed) < 0.5 * len(crossing)
@@ -98,3 +97,36 @@ def test_vertices_at_crossings_are_left_free_unless_the_paper_is_followed(
     correction = tracker.parts.align.aligned(crossing, observe(recording, recording.frames[0]))
     assert correction.attached[crossed].any() == attach_crossed
     assert correction.attached.sum() > 0.3 * len(correction.attached)
+
+
+def dipping(mesh):
+    """A third of a cloth is folded over, and dips through what lies under it."""
+    beyond = np.clip(mesh.vertices[:, 0] - mesh.vertices[:, 0].mean() - 0.03, 0.0, None)[:, None]
+    return mesh.vertices - beyond * [2.0, 0.0, 0.1] + (beyond > 0.0) * [0.0, 0.003, 0.004]
+
+
+@pytest.mark.parametrize("untangle", [False, True])
+def test_an_action_ends_with_a_cloth_that_is_taken_apart_if_asked(recording, config, untangle):
+    final = replace(config.final_alignment, untangle=untangle, slide=False)
+    mesh = recording.cloth.template
+    tracker = Tracker(
+        recording, mesh, replace(config, final_alignment=final), partial(observe, recording),
+        start=dipping(mesh),
+    )  # fmt: skip
+    nothing = only_at((), partial(observe, recording), recording)(recording.frames[0])
+    state = tracker._state
+    assert crossings(state.positions[0], mesh.faces) > 20
+    last, _ = tracker.parts.align_last(state, nothing, False)
+    if not untangle:
+        np.testing.assert_array_equal(last.positions, state.positions)
+        return
+    assert crossings(last.positions[0], mesh.faces) == 0
+    moved = (last.positions != state.positions).any(axis=2)[0]
+    assert 10 < moved.sum() < len(moved)
+    # Sides are forgotten where layers may have been exchanged, and there only.
+    pairs = last.contacts.sides != 0
+    triangles = mesh.faces[np.abs(last.contacts.sides) - 1]
+    assert not (pairs & (moved[triangles].any(axis=-1) | moved[:, None])).any()
+    assert pairs.sum(axis=2).tolist() == last.contacts.counts.tolist()
+    far = ~(moved[mesh.faces[np.abs(state.contacts.sides) - 1]].any(axis=(0, 2, 3)) | moved)
+    np.testing.assert_array_equal(last.contacts.sides[:, far], state.contacts.sides[:, far])

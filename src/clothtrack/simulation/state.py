@@ -1,9 +1,9 @@
 """What changes while a cloth moves, and what is asked of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int, Int32
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +22,24 @@ class ContactMemory:
     distances: Float32[np.ndarray, "environments vertices slots"]
     counts: Int32[np.ndarray, "environments vertices"]
     airborne: Int32[np.ndarray, "environments vertices"]
+
+    def without(
+        self, vertices: Bool[np.ndarray, " vertices"], faces: Int[np.ndarray, "faces 3"]
+    ) -> "ContactMemory":
+        """The same without the pairs that some vertices are part of, in any environment.
+
+        Args:
+            vertices: that were moved past others: their sides are to be found anew.
+            faces: the cloth's triangles.
+        """
+        triangle = np.abs(self.sides) - 1
+        moved = vertices[faces].any(axis=1)[triangle] | vertices[:, None]
+        kept = (self.sides != 0) & ~moved
+        order = np.argsort(~kept, axis=2, kind="stable")
+        sides = np.take_along_axis(np.where(kept, self.sides, 0), order, axis=2)
+        distances = np.take_along_axis(np.where(kept, self.distances, 0.0), order, axis=2)
+        counts = kept.sum(axis=2, dtype=np.int32)
+        return replace(self, sides=sides, distances=distances.astype(np.float32), counts=counts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,6 +57,7 @@ class FinalAlignmentConfig(Checked):
         roll_s: time over which the dynamics carry it out [s], as a soft pseudo-action from which
             the cloth is left at rest: short, so that gravity has no say, but layers keep their
             sides. 0 displaces the vertices at once, through whatever is in the way (the paper).
+        untangle: take the cloth apart where it passes through itself, before and after.
     """
 
     solver: Literal["adam", "icp"] = "adam"
@@ -64,6 +65,7 @@ class FinalAlignmentConfig(Checked):
     slide: bool = True
     rounds: Count = 2
     roll_s: NotNegative = 0.1
+    untangle: bool = True
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,9 @@ _PAPER = TrackerConfig(
     score_frames=1,
     dynamics=DynamicsConfig(velocity_kept=1.0),
     alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),
-    final_alignment=FinalAlignmentConfig(iterations=200, slide=False, rounds=1, roll_s=0.0),
+    final_alignment=FinalAlignmentConfig(
+        iterations=200, slide=False, rounds=1, roll_s=0.0, untangle=False
+    ),
 )
 
 MODES: Mapping[str, TrackerConfig] = {

@@ -1,6 +1,7 @@
 """TTO2: at the end of an action the mesh is aligned to the cloud once more, and left at rest."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.state import Attachment, ClothState
+from clothtrack.simulation.untangling import untangled
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.seams import Correction, State
 from clothtrack.tracking.visible_alignment import VisibleAlignment
@@ -21,9 +23,15 @@ FINAL_STRENGTH = 1.0 - 1e-5
 """Strength of the pseudo-action that carries a final alignment out: just below 1, so that contacts,
 stretch and table still win over the observation."""
 
+SEEN_MOBILITY = 0.1
+"""Mobility of a vertex that is seen when the cloth is taken apart: it is where it was measured."""
+
 
 class FinalAlignment:
-    """Slides a cloth that nobody holds to its outline, then aligns its visible vertices."""
+    """Slides a cloth that nobody holds to its outline, then aligns its visible vertices.
+
+    Where the cloth passes through itself it is taken apart, before and after.
+    """
 
     def __init__(
         self,
@@ -64,6 +72,7 @@ class FinalAlignment:
         """
         if self._config.slide and not held:
             state = self._slid(state, observation)
+        state = self._taken_apart(state)
         losses = (np.nan, np.nan)
         for _ in range(self._config.rounds):
             correction = self._align.aligned(state.positions[0], observation)
@@ -72,7 +81,7 @@ class FinalAlignment:
             first = correction.losses[0] if np.isnan(losses[0]) else losses[0]
             losses = (first, correction.losses[1])
             state = self._corrected(state, correction)
-        return state, losses
+        return self._taken_apart(state), losses
 
     def _slid(self, state: ClothState, observation: Observation) -> ClothState:
         """The cloth slid over the table as a whole until its outline fits; at rest."""
@@ -98,6 +107,24 @@ class FinalAlignment:
             solver.restore(state)
         solver.set_velocities(np.zeros_like(state.velocities))
         return solver.save()
+
+    def _taken_apart(self, state: ClothState) -> ClothState:
+        """The state without passages through itself, as far as they can be undone; at rest.
+
+        Contact must not remember sides that a passage had exchanged.
+        """
+        positions = state.positions[0]
+        if not self._config.untangle or not np.isfinite(positions).all():
+            return state
+        mobility = np.where(self._align.sees(positions), SEEN_MOBILITY, 1.0)
+        apart = untangled(
+            self._mesh, positions, mobility=mobility, table=self._table, device=self._device
+        )
+        moved = (apart.positions != positions).any(axis=1)
+        if not moved.any():
+            return state
+        memory = state.contacts.without(moved, self._mesh.faces)
+        return self._at_rest(replace(state, contacts=memory), apart.positions)
 
     def _at_rest(
         self, state: ClothState, vertices: Float[np.ndarray, "*environments vertices 3"]

@@ -59,6 +59,10 @@ class VisibleAlignment:
         """How the predicted mesh has to move; None when there is too little cloud to tell."""
         return self.aligned(predicted.positions[0], observation)
 
+    def sees(self, positions: Float[np.ndarray, "vertices 3"]) -> Bool[np.ndarray, " vertices"]:
+        """The vertices that some camera sees when they are there [m]."""
+        return self._visible(positions)
+
     def aligned(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
     ) -> Correction | None:
