@@ -19,10 +19,15 @@ import _path  # noqa: F401
 import numpy as np
 from shared.bench_runs import Trajectory
 from shared.figures import say, write_png
-from shared.learning_experiment import LearningSetup, add_options, prepared
+from shared.learning_experiment import (
+    LearningSetup,
+    add_options,
+    prepared,
+    weights_of_garments,
+)
 from shared.learning_labels import true_labels
 from shared.learning_measures import Case, vertex_errors
-from shared.learning_runs import Reconstructor, kind_of, reconstruct_frame
+from shared.learning_runs import Reconstructor, reconstruct_frame
 from shared.reconstruction_pictures import (
     HEIGHT,
     WIDTH,
@@ -107,7 +112,7 @@ def networks(
     Raises:
         InvalidConfigError: there is no fine-tuned network of the kind.
     """
-    after = {kind_of(path): path for path in tuned}
+    after = weights_of_garments(tuned, setup.tracking.bench)
     if setup.tracking.smoke and not after:
         default = setup.tracking.variant("default", "default")
         tasks = setup.tracked(setup.training(kind), default)
