@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from clothtrack.evaluation import Truth, evaluate, material_map, material_points
+from clothtrack.evaluation import Truth, evaluate, material_points
 from clothtrack.evaluation.metrics import CLOSE_PAIR_M
+from clothtrack.evaluation.naming import true_places
 from clothtrack.geometry import ClothMesh, close_pairs, crossings, edge_strain, visible_vertices
 from clothtrack.recordings import Recording
 from clothtrack.tracking import TrackedTrajectory
@@ -31,9 +32,8 @@ def measure(tracked: TrackedTrajectory, recording: Recording, truth: Truth) -> l
         recording: what it was tracked from.
         truth: the true meshes, with canonical coordinates.
     """
-    where = material_map(
-        truth.canonical, truth.faces, np.asarray(tracked.mesh.canonical, np.float64)
-    )
+    where = true_places(tracked, truth)
+    assert where is not None  # both have canonical coordinates
     worlds = {}
     rows = []
     for row in evaluate(tracked, recording, truth).rows:
