@@ -1,7 +1,9 @@
 """Pseudo-labels: projected to what the camera sees, cut where the mesh is far, whole on disk."""
 
 import json
+import logging
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -207,6 +209,40 @@ def test_a_damaged_chunk_is_noticed(recording, tmp_path):
     content[place] ^= 0xFF
     path.write_bytes(content)
     with pytest.raises(InvalidResultError, match="not whole"):
+        read_labels(path)
+
+
+def test_a_replaced_array_is_noticed_and_labels_without_digests_are_read(
+    recording, tmp_path, caplog
+):
+    path = tmp_path / "fold.labels.npz"
+    write_labels(labelled(recording), path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    moved = arrays["1/positions"].copy()
+    moved[3, 0] += 1e-7
+    np.savez(path, **{**arrays, "1/positions": moved})
+    with pytest.raises(InvalidResultError, match=r"fold\.labels\.npz: .*1/positions is damaged"):
+        read_labels(path)
+    np.savez(path, **{name: arrays[name] for name in arrays if name != "1/positions"})
+    with pytest.raises(InvalidResultError, match="1/positions is missing"):
+        read_labels(path)
+    np.savez(path, **{name.replace("sha256", "sha25v"): arrays[name] for name in arrays})
+    with pytest.raises(InvalidResultError, match="arrays, 2 labels need 10"):
+        read_labels(path)
+    del arrays["sha256"]
+    np.savez(path, **arrays)
+    with caplog.at_level(logging.INFO):
+        assert len(read_labels(path).pictures) == 2
+    assert "without SHA-256" in caplog.text
+
+
+def test_positions_that_are_no_metres_are_refused(recording, tmp_path):
+    one = labelled(recording)
+    far = replace(one.pictures[0], positions=one.pictures[0].positions + 1e30)
+    path = tmp_path / "fold.labels.npz"
+    write_labels(replace(one, frames=(0,), pictures=(far,)), path)
+    with pytest.raises(InvalidResultError, match="within 100 m"):
         read_labels(path)
 
 

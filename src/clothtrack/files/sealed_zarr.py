@@ -12,8 +12,8 @@ import numpy as np
 import zarr
 
 from clothtrack.errors import InvalidResultError
+from clothtrack.files.array_digest import DIGEST, array_digest
 
-DIGEST = "sha256"
 CONTENTS = "contents"
 
 DAMAGE = (
@@ -54,7 +54,7 @@ def put_array(
     # go on into a folder that is being removed.
     for part in _rows(values, sizes):
         array[part] = values[part]
-    array.attrs.update({DIGEST: _digest_of(values), "unit": unit})
+    array.attrs.update({DIGEST: array_digest(values), "unit": unit})
 
 
 def _rows(values: np.ndarray, chunks: tuple[int, ...]) -> Iterator[Any]:
@@ -81,7 +81,7 @@ def take_array(group: zarr.Group, name: str) -> np.ndarray:
         raise InvalidResultError(f"array {name} is missing ({error})") from error
     except DAMAGE as error:
         raise InvalidResultError(f"array {name} cannot be read ({error})") from error
-    if _digest_of(values) != promised:
+    if array_digest(values) != promised:
         raise InvalidResultError(
             f"array {name} is damaged (its SHA-256 differs from the one it was written with)"
         )
@@ -116,11 +116,6 @@ def sealed_attributes(group: zarr.Group) -> dict[str, Any]:
             "its attributes are damaged (their SHA-256 differs from the one they were written with)"
         )
     return attributes
-
-
-def _digest_of(values: np.ndarray) -> str:
-    described = f"{values.dtype.str} {values.shape}".encode()
-    return hashlib.sha256(described + np.ascontiguousarray(values).tobytes()).hexdigest()
 
 
 def _digest_of_attributes(group: zarr.Group, contents: Iterable[Any]) -> str:

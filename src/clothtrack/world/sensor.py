@@ -1,6 +1,8 @@
 """The stand-in depth camera: what it measures of a cloth, a table and a tool in the way."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -99,12 +101,27 @@ class Sensor:
         missing = float((on_cloth == 0.0).mean()) if len(on_cloth) else 0.0
         return Picture(self._painter.paint(view), depth, view.hidden_share, missing)
 
+    def save(self) -> dict[str, Any]:
+        """Where its noise is, as plain values: the next picture follows from it."""
+        patches = 0 if self._patches is None else self._patches.count
+        return {"noise": self._rng.bit_generator.state, "patches": patches}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Go on with the noise where `save` of a sensor with the same seed was.
+
+        Raises:
+            KeyError, TypeError, ValueError: `saved` is something else.
+        """
+        self._rng.bit_generator.state = saved["noise"]
+        if self._patches is not None:
+            self._patches.count = int(saved["patches"])
+
 
 class _Patches:
     """Where there is no depth in each picture: the peaks of a slowly changing random field."""
 
     def __init__(self, config: SensorConfig, rng: np.random.Generator) -> None:
-        self._share, self._count = config.patch_dropout, 0
+        self._share, self.count = config.patch_dropout, 0
         size = config.width, config.height
         cells = [max(2, round(2.0 * length / config.patch_pixels)) for length in size[::-1]]
         self._fields = [
@@ -114,8 +131,8 @@ class _Patches:
 
     def next(self) -> Bool[np.ndarray, "height width"]:
         """The pixels without depth of one more picture."""
-        phase = 2.0 * np.pi * self._count / PATCH_PERIOD_FRAMES
-        self._count += 1
+        phase = 2.0 * np.pi * self.count / PATCH_PERIOD_FRAMES
+        self.count += 1
         field = np.cos(phase) * self._fields[0] + np.sin(phase) * self._fields[1]
         return field > np.quantile(field, 1.0 - self._share)
 

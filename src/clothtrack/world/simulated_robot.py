@@ -4,14 +4,16 @@ What a camera could not tell is in `true_cloth`, which only scoring and the name
 `perception=truth` ask.
 """
 
+import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.sealed_npz import read_npz, write_npz
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import PickPlace, Workspace
@@ -207,18 +209,23 @@ class SimulatedRobot:
     def save(self, path: Path) -> None:
         """Write the world as it is, to go on from; whole or not at all.
 
+        What the camera and the picker draw next belongs to it: the pictures of an episode that
+        goes on are those of one that was never interrupted.
+
         Raises:
             StorageError: the disk refuses.
         """
-        with atomic_file(path) as unfinished:
-            np.savez_compressed(
-                unfinished,
-                state=self._world.save(),
-                pictures=np.array(self._pictures),
-                contact_s=np.array(self.config.contact_s),
-                positions=self._world.positions,
-                faces=self._flat.faces,
-            )
+        write_npz(
+            path,
+            {
+                "state": self._world.save(),
+                "pictures": np.array(self._pictures),
+                "contact_s": np.array(self.config.contact_s),
+                "noise": np.array(json.dumps(self._noise())),
+                "positions": self._world.positions,
+                "faces": self._flat.faces,
+            },
+        )
 
     def restore(self, path: Path) -> None:
         """Go back to what `save` wrote of the same garment and seed.
@@ -228,11 +235,15 @@ class SimulatedRobot:
             InvalidConfigError: it is of another cloth, or of a world with other contacts.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                state, pictures = file["state"], int(file["pictures"])
-                # Worlds that do not say it were saved before there was a choice.
-                contact_s = float(file["contact_s"]) if "contact_s" in file else USUAL_CONTACT_S
-        except (OSError, ValueError, KeyError, EOFError) as error:
+            file = read_npz(path)
+            state, pictures = file["state"], int(file["pictures"])
+            # Worlds that do not say it were saved before there was a choice.
+            contact_s = float(file.get("contact_s", USUAL_CONTACT_S))
+            # Those without it were saved before their noise was.
+            noise = json.loads(str(file["noise"])) if "noise" in file else self._noise()
+            self._sensor.restore(noise["sensor"])
+            self._of_picker.bit_generator.state = noise["picker"]
+        except (OSError, ValueError, KeyError, TypeError, InvalidResultError) as error:
             raise InvalidResultError(
                 f"{path}: not a saved world ({error}); remove the episode and begin again"
             ) from error
@@ -243,6 +254,10 @@ class SimulatedRobot:
             )
         self._world.restore(state)
         self._pictures = pictures
+
+    def _noise(self) -> dict[str, Any]:
+        """Where the generators of camera and picker are, as plain values."""
+        return {"sensor": self._sensor.save(), "picker": self._of_picker.bit_generator.state}
 
     # What no camera knows
 

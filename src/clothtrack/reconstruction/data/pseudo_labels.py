@@ -5,8 +5,6 @@ to the part of the tracked mesh that the camera sees, and has no label where the
 """
 
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +18,7 @@ from clothtrack.errors import (
     InvalidRecordingError,
     InvalidResultError,
 )
-from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.sealed_npz import read_npz, write_npz
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
@@ -42,6 +40,12 @@ from clothtrack.recordings.segmentation import Segmenter, default_segmenter, mai
 
 FORMAT = "clothtrack-pseudo-labels"
 FORMAT_VERSION = 1
+
+FARTHEST_M = 100.0
+"""Labels hold no larger depth or coordinate [m]: such numbers are no metres."""
+
+_ARRAYS = ("document", "rest_positions", "faces", "canonical")
+_OF_PICTURES = ("depth_m", "faces", "positions")
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,8 +270,7 @@ def write_labels(labelled: LabelledRecording, path: Path) -> None:
         arrays[f"{number}/depth_m"] = np.where(picture.mask, picture.depth_m, 0).astype(np.float32)
         arrays[f"{number}/faces"] = picture.faces.astype(np.int32)
         arrays[f"{number}/positions"] = picture.positions.astype(np.float32)
-    with atomic_file(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_npz(path, arrays)
 
 
 def read_labels(path: Path) -> LabelledRecording:
@@ -281,49 +284,52 @@ def read_labels(path: Path) -> LabelledRecording:
             f"{path}: there are no such labels; make them with: clothtrack label TRACKED..."
         )
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            document = json.loads(archive["document"].tobytes())
-            found = document["format"], document["version"]
-            if found != (FORMAT, FORMAT_VERSION):
-                raise ValueError(f"format and version are {found}")
-            mesh = ClothMesh(archive["rest_positions"], archive["faces"], archive["canonical"])
-            pictures = []
-            for number, camera in enumerate(document["cameras"]):
-                depth = archive[f"{number}/depth_m"]
-                faces = archive[f"{number}/faces"]
-                positions = archive[f"{number}/positions"].astype(np.float64)
-                _check_picture(depth, faces, positions, mesh)
-                weight = float(document["weights"][number])
-                if not 0.0 <= weight <= 1.0:
-                    raise ValueError(f"the weight of label {number} is {weight}")
-                pictures.append(
-                    LabelledPicture(depth, depth > 0, _camera_of(camera), faces, positions, weight)
-                )
-        return LabelledRecording(
-            document["name"],
-            document["kind"],
-            mesh,
-            tuple(document["frames"]),
-            tuple(pictures),
-            document["provenance"],
-        )
+        return _labelled(read_npz(path))
     except (
-        OSError,
-        EOFError,
-        ValueError,
-        KeyError,
-        TypeError,
-        IndexError,
-        RecursionError,
-        zipfile.BadZipFile,
-        zlib.error,
         InvalidMeshError,
         InvalidRecordingError,
+        InvalidResultError,
+        LookupError,
+        OSError,
+        RecursionError,
+        TypeError,
+        ValueError,
     ) as error:
         raise InvalidResultError(
             f"{path}: not whole pseudo-labels of version {FORMAT_VERSION} ({error}); make them "
             "again with: clothtrack label TRACKED..."
         ) from error
+
+
+def _labelled(arrays: Mapping[str, np.ndarray]) -> LabelledRecording:
+    document = json.loads(arrays["document"].tobytes())
+    found = document["format"], document["version"]
+    if found != (FORMAT, FORMAT_VERSION):
+        raise ValueError(f"format and version are {found}")
+    mesh = ClothMesh(arrays["rest_positions"], arrays["faces"], arrays["canonical"])
+    pictures = []
+    for number, camera in enumerate(document["cameras"]):
+        depth, faces = arrays[f"{number}/depth_m"], arrays[f"{number}/faces"]
+        positions = arrays[f"{number}/positions"].astype(np.float64)
+        _check_picture(depth, faces, positions, mesh)
+        weight = float(document["weights"][number])
+        if not 0.0 <= weight <= 1.0:
+            raise ValueError(f"the weight of label {number} is {weight}")
+        pictures.append(
+            LabelledPicture(depth, depth > 0, _camera_of(camera), faces, positions, weight)
+        )
+    known = len(_ARRAYS) + len(_OF_PICTURES) * len(pictures)
+    if len(arrays) != known:
+        # The digests would not be asked for if theirs had lost its name.
+        raise ValueError(f"it has {len(arrays)} arrays, {len(pictures)} labels need {known}")
+    return LabelledRecording(
+        document["name"],
+        document["kind"],
+        mesh,
+        tuple(document["frames"]),
+        tuple(pictures),
+        document["provenance"],
+    )
 
 
 def _check_picture(
@@ -337,6 +343,9 @@ def _check_picture(
         raise ValueError(f"a pixel shows face {faces.max()} of {len(mesh.faces)}")
     if not np.isfinite(depth).all():
         raise ValueError("a depth is not finite")
+    for name, values in (("depth", depth), ("position", positions)):
+        if (farthest := np.abs(values).max(initial=0.0)) > FARTHEST_M:
+            raise ValueError(f"a {name} is {farthest:.3g} m, it must be within {FARTHEST_M:g} m")
 
 
 def _camera_document(camera: Camera) -> dict[str, Any]:

@@ -1,0 +1,62 @@
+"""NPZ files that tell when they are damaged: a SHA-256 of every array, in one array more.
+
+ZIP has a checksum of each array itself, which is short and goes along when an array is replaced.
+"""
+
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from clothtrack.errors import InvalidResultError
+from clothtrack.files.array_digest import DIGEST, array_digest
+from clothtrack.files.atomic_write import atomic_file
+
+logger = logging.getLogger(__name__)
+
+
+def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays with the SHA-256 of each, compressed; whole or not at all.
+
+    Raises:
+        StorageError: the disk refuses; what was at `path` before is untouched then.
+    """
+    digests = {name: array_digest(values) for name, values in arrays.items()}
+    with atomic_file(path) as unfinished, unfinished.open("wb") as file:
+        # First: a damaged directory of the archive loses the last entries.
+        np.savez_compressed(file, **{DIGEST: np.array(json.dumps(digests)), **arrays})
+
+
+def read_npz(path: Path) -> dict[str, np.ndarray]:
+    """Read arrays that `write_npz` has written; of older files that have no SHA-256 too.
+
+    Raises:
+        InvalidResultError: why it cannot be read, or which array is missing or is not what was
+            written; the caller names the file and what to do.
+        OSError: the system does not open it.
+    """
+    with path.open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        except Exception as error:
+            # NumPy, zipfile and zlib refuse a damaged file with a dozen kinds of exception.
+            text = " ".join(str(error).split()) or type(error).__name__
+            raise InvalidResultError(f"not a whole NPZ file ({text})") from error
+    if DIGEST not in arrays:
+        logger.info("%s: was written without SHA-256, damage may go unnoticed", path)
+        return arrays
+    try:
+        promised = dict(json.loads(str(arrays.pop(DIGEST))))
+    except (ValueError, TypeError) as error:
+        raise InvalidResultError(f"the list of its SHA-256 is damaged ({error})") from error
+    for name in sorted({*arrays, *promised}):
+        if name not in arrays:
+            raise InvalidResultError(f"array {name} is missing")
+        if array_digest(arrays[name]) != promised.get(name):
+            raise InvalidResultError(
+                f"array {name} is damaged (its SHA-256 differs from the one it was written with)"
+            )
+    return arrays
