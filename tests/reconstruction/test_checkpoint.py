@@ -1,6 +1,7 @@
 """Weights on disk: what was written comes back, and what is bad is refused and runs nothing."""
 
 import json
+import logging
 import os
 import pickle
 from functools import partial
@@ -120,6 +121,32 @@ def test_weights_of_others_are_refused(tmp_path):
         load_weights(path)
     with pytest.raises(InvalidResultError, match="no such weights"):
         load_weights(tmp_path / "nothing.safetensors")
+
+
+def test_one_altered_byte_of_weights_is_noticed(weights):
+    path, _ = weights
+    whole = path.read_bytes()
+    for place in range(8, len(whole), 7):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(InvalidResultError, match=r"weights\.safetensors: "):
+            load_weights(path)
+    path.write_bytes(whole)
+    load_weights(path)
+
+
+def test_weights_from_before_digests_are_read_and_said_to_be(weights, caplog):
+    path, stage = weights
+    described = {
+        "format": "clothtrack-weights", "version": "1", "kind": "towel",
+        "network": '{"hidden": 8}', "provenance": "{}",
+    }  # fmt: skip
+    save_file(stage.trained.state_dict(), path, described)
+    with caplog.at_level(logging.INFO):
+        load_weights(path).load_into(stage.trained)
+    assert "without SHA-256" in caplog.text
+    save_file(stage.trained.state_dict(), path, {**described, "sha25v": "1"})
+    with pytest.raises(InvalidResultError, match="'sha25v'"):
+        load_weights(path)
 
 
 @pytest.mark.parametrize("name", ["weights.safetensors", "progress.pt"])

@@ -13,7 +13,8 @@ import pytest
 import torch
 from torch import nn
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.reconstruction.training import batches
 from clothtrack.reconstruction.training.batches import BatchOrder, Mixture, loader, split_by_group
 from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
 from clothtrack.reconstruction.training.processes import Processes, require_torch_device
@@ -59,6 +60,20 @@ def test_training_learns_and_keeps_the_best(line, tmp_path):
     batch = line.line_batch([line.LineExamples(12, seed=1)[k, 0] for k in range(12)])
     with torch.no_grad():
         assert best.measure(batch)["error"].mean() == pytest.approx(outcome.best_score, abs=1e-6)
+
+
+def test_a_training_that_was_never_measured_is_no_interrupted_one(line, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        line.LineStage, "measure", lambda self, batch: {"error": batch.targets[:, 0] * np.nan}
+    )
+    for _ in range(2):
+        with pytest.raises(InvalidResultError, match="no weights came of 40 steps, error"):
+            line.train_line(tmp_path)
+
+
+def test_no_more_workers_than_cores(monkeypatch):
+    monkeypatch.setattr(batches, "_cores", lambda: 1)
+    assert loader([], [], list, workers=3).num_workers == 1
 
 
 def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):

@@ -37,8 +37,8 @@ def load_model(
         return TokenReconstructor.of(weights, device=device)
     if weights.kind != kind:
         raise InvalidResultError(
-            f"{path} is for {weights.kind!r}, the picture shows {kind!r}; give other weights, or "
-            "say what it is with --garment"
+            f"{path} is for {weights.kind!r:.80}, the picture shows {kind!r}; give other "
+            "weights, or say what it is with --garment"
         )
     model = MeshReconstructor(network_of(weights), kind)
     weights.load_into(model)

@@ -4,6 +4,7 @@ Everything is a function of seed, epoch and index, so that a resumed run sees wh
 killed would have seen, however many processes make the examples.
 """
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol, runtime_checkable
 
@@ -165,8 +166,9 @@ def loader(
         examples: the set.
         order: what each batch consists of.
         collate: examples to a batch.
-        workers: processes; none: in this one.
+        workers: processes, as many as there are cores at most; none: in this one.
     """
+    workers = min(workers, _cores())
     return DataLoader(
         examples,
         batch_sampler=order,
@@ -178,6 +180,13 @@ def loader(
         generator=Generator(),
         worker_init_fn=_start,
     )
+
+
+def _cores() -> int:
+    """Processor cores that this process may use; PyTorch warns of more workers."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _start(number: int) -> None:

@@ -4,7 +4,9 @@ Neither can run code: safetensors holds numbers and text, and progress is read b
 unpickler of PyTorch, which knows tensors and plain containers and refuses everything else.
 """
 
+import hashlib
 import json
+import logging
 import pickle
 import warnings
 import zipfile
@@ -19,11 +21,15 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.files.array_digest import DIGEST
 from clothtrack.files.atomic_write import atomic_file
+
+logger = logging.getLogger(__name__)
 
 FORMAT = "clothtrack-weights"
 PROGRESS_FORMAT = "clothtrack-training-progress"
 FORMAT_VERSION = 1
+_DESCRIPTION = {"format", "version", "network", "kind", "provenance"}
 _REMEDY = "train again, or fetch an undamaged copy"
 
 
@@ -91,6 +97,7 @@ def save_weights(
         "kind": kind,
         "provenance": json.dumps(provenance or {}, default=str),
     }
+    metadata[DIGEST] = weights_digest(copies, metadata)
     try:
         with atomic_file(path) as temporary:
             save_file(copies, temporary, metadata)
@@ -104,7 +111,7 @@ def load_weights(path: Path) -> Weights:
     """Read a weights file; nothing in it is executed.
 
     Raises:
-        InvalidResultError: it is missing, truncated, of another version or something else.
+        InvalidResultError: it is missing, damaged, of another version or something else.
     """
     if not path.is_file():
         raise InvalidResultError(f"{path}: there is no such weights file; check the name")
@@ -118,10 +125,11 @@ def load_weights(path: Path) -> Weights:
         ) from error
     if metadata.get("format") != FORMAT or metadata.get("version") != str(FORMAT_VERSION):
         raise InvalidResultError(
-            f"{path}: format and version are {metadata.get('format')!r}, "
-            f"{metadata.get('version')!r}, expected {FORMAT!r}, '{FORMAT_VERSION}'; give weights "
-            "that clothtrack has written"
+            f"{path}: format and version are {metadata.get('format')!r:.80}, "
+            f"{metadata.get('version')!r:.80}, expected {FORMAT!r}, '{FORMAT_VERSION}'; give "
+            "weights that clothtrack has written"
         )
+    _check_digest(path, tensors, metadata)
     try:
         network, provenance = (json.loads(metadata[key]) for key in ("network", "provenance"))
         kind = metadata["kind"]
@@ -132,6 +140,39 @@ def load_weights(path: Path) -> Weights:
     if not isinstance(network, dict) or not isinstance(provenance, dict):
         raise InvalidResultError(f"{path}: its description is not a list of settings; {_REMEDY}")
     return Weights(path, tensors, network, kind, provenance)
+
+
+def weights_digest(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
+    """SHA-256 of weights and of what describes them, in hexadecimal digits.
+
+    Args:
+        tensors: by name.
+        metadata: of the file; a digest in it does not count.
+    """
+    described = {name: text for name, text in metadata.items() if name != DIGEST}
+    digest = hashlib.sha256(json.dumps(described, sort_keys=True).encode())
+    for name, value in sorted(tensors.items()):
+        digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
+        # As bytes: NumPy does not know all types of numbers that PyTorch has.
+        digest.update(value.contiguous().reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
+
+
+def _check_digest(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
+    if DIGEST in metadata:
+        if weights_digest(tensors, metadata) != metadata[DIGEST]:
+            raise InvalidResultError(
+                f"{path}: is damaged (its SHA-256 differs from the one it was written with); "
+                f"{_REMEDY}"
+            )
+    elif unknown := set(metadata) - _DESCRIPTION:
+        # A digest whose own name is damaged is no missing one.
+        raise InvalidResultError(
+            f"{path}: its description is damaged (a field is called {min(unknown)!r:.80}); "
+            f"{_REMEDY}"
+        )
+    else:
+        logger.info("%s: was written without SHA-256, damage may go unnoticed", path)
 
 
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
@@ -168,7 +209,7 @@ def check_tensors(module: nn.Module, tensors: Mapping[str, Tensor], path: Path) 
     if wrong:
         what = "lacks" if wrong[0] in wanted else "has, and the network does not know,"
         raise InvalidResultError(
-            f"{path} {what} {wrong[0]!r} ({len(wrong)} names differ): it belongs to another "
+            f"{path} {what} {wrong[0]!r:.80} ({len(wrong)} names differ): it belongs to another "
             "preset or stage; give weights of this one"
         )
     for name, value in tensors.items():

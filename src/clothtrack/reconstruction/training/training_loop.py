@@ -116,7 +116,8 @@ def train(
         progress: called after every step.
 
     Raises:
-        InvalidResultError: the folder's progress is damaged or of another stage or preset.
+        InvalidResultError: the folder's progress is damaged or of another stage or preset, or no
+            measurement was finite.
         InvalidConfigError: it is of other settings or data, or the loss is not finite.
         StorageError: when the disk refuses.
     """
@@ -149,6 +150,12 @@ def train(
                 run.save()
                 return run.outcome("interrupted")
         run.save()
+    if not np.isfinite(run.best_score):
+        raise InvalidResultError(
+            f"{folder}: no weights came of {run.step} steps, {stage.score} of the held-out "
+            "examples was never finite; check what it learns from, lower high_rate "
+            f"({config.high_rate}), and train in another folder"
+        )
     return run.outcome("converged" if run.converged else "finished")
 
 
