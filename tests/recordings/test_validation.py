@@ -336,6 +336,27 @@ def test_a_link_out_of_the_folder_is_refused(write, edit, tmp_path):
     assert_refused(folder, ["frames[1].depth", "leads out"])
 
 
+def test_a_picker_file_out_of_the_folder_is_refused_and_not_shown(write, tmp_path):
+    folder = tmp_path / "recording"
+    write(folder)
+    (tmp_path / "secret").write_text("root:x:0:0\n")
+    (folder / "picker.csv").unlink()
+    (folder / "picker.csv").symlink_to(tmp_path / "secret")
+    assert_refused(folder, ["picker.csv", "leads out"])
+    assert not any("root" in one.message for one in check_recording(folder).violations)
+
+
+def test_pictures_found_by_their_names_stay_inside_too(tmp_path):
+    folder = tmp_path / "by_hand"
+    folder.mkdir()
+    test_a_recording_written_by_hand_needs_little(folder)
+    (folder / "depth").rename(tmp_path / "elsewhere")
+    (folder / "depth").symlink_to(tmp_path / "elsewhere")
+    first = check_recording(folder).violations[0].message
+    assert "frames[0].depth" in first
+    assert "leads out" in first
+
+
 def test_a_folder_of_recordings_is_told_from_a_recording(write, tmp_path):
     write(tmp_path / "fold")
     with pytest.raises(InvalidRecordingError, match="such as fold"):

@@ -21,6 +21,9 @@ TERMINATED = 128 + signal.SIGTERM
 
 _SAME_REQUEST_S = 1.0
 
+_LONGEST_LINE = 1_000
+"""Characters of a complaint."""
+
 progress = ProgressLine()
 """Says how far the verb is (`clothtrack.files.progress`), on standard error."""
 
@@ -39,8 +42,11 @@ def say_result(text: str, document: object, *, json: bool) -> None:
 
 
 def complain(text: str) -> None:
-    """Write one clear line of what is wrong."""
+    """Write one clear line of what is wrong; of a very long one the beginning and the end."""
     progress.clear()
+    if len(text) > _LONGEST_LINE:
+        # What stands in a file may be of any length; what to do stands at the end.
+        text = f"{text[: _LONGEST_LINE // 2]} ... {text[-_LONGEST_LINE // 2 :]}"
     sys.stderr.write(f"clothtrack: {text}\n")
 
 

@@ -68,7 +68,7 @@ def find_frames(
                                         camera_names, violations)
                      for kind in _FILE_KINDS}  # fmt: skip
         else:
-            files = {kind: _conventional_files(folder, index, kind, camera_names)
+            files = {kind: _conventional_files(folder, index, kind, camera_names, violations)
                      for kind in _FILE_KINDS}  # fmt: skip
         cloud = next(iter(files.pop("cloud").values()), None)
         if not (files["depth"] or cloud or entry.keys() & {"depth", "cloud"}):
@@ -142,14 +142,20 @@ def _named_files(
 
 
 def _conventional_files(
-    folder: Path, index: int, kind: FileKind, camera_names: Sequence[str]
+    folder: Path,
+    index: int,
+    kind: FileKind,
+    camera_names: Sequence[str],
+    violations: Violations,
 ) -> dict[str, Path]:
     paths = {}
-    for name in camera_names:
-        path = folder / conventional_name(kind, index, name if len(camera_names) > 1 else None)
+    for camera in camera_names:
+        name = conventional_name(kind, index, camera if len(camera_names) > 1 else None)
+        path = folder / name
         # A folder of pictures must be complete; masks may show some frames only.
-        if path.is_file() if kind == "mask" else path.parent.is_dir():
-            paths[name] = path
+        is_there = path.is_file() if kind == "mask" else path.parent.is_dir()
+        if is_there and named_file(folder, name, f"frames[{index}].{kind}", violations):
+            paths[camera] = path
     return paths
 
 

@@ -141,5 +141,5 @@ def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(content) < len(pairs):
         names = [name for name, _ in pairs]
         double = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"the field {double!r} stands twice in one object")
+        raise ValueError(f"the field {double!r:.80} stands twice in one object")
     return content

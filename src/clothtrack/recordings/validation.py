@@ -172,11 +172,16 @@ class _Check:
 
     def _picker_paths(self, cameras: list[Camera]) -> dict[str, PickerPath] | None:
         """Path per picker; None where they cannot be read."""
-        if not (self._folder / PICKER_FILE).exists():
+        file = self._folder / PICKER_FILE
+        if not file.exists():
             return {}
+        if not file.resolve().is_relative_to(self._folder):
+            words = "the link leads out of the recording; put the file itself inside"
+            self.violations.add("", "", words, file=PICKER_FILE)
+            return None
         paths = None
         with self.violations.of_errors(self._folder, PICKER_FILE):
-            paths = read_picker_paths(self._folder / PICKER_FILE)
+            paths = read_picker_paths(file)
         for name, path in (paths or {}).items():
             distances = [
                 np.linalg.norm(path.positions - camera.position, axis=1) for camera in cameras
