@@ -5,6 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
@@ -31,6 +32,9 @@ def test_a_card_lies_beside_the_weights_and_is_of_them(weights, limit_mb):
     card = weights.with_suffix(".md").read_text(encoding="utf-8")
     assert hashlib.sha256(content).hexdigest() in card
     assert f"`{weights.name}`" in card
+    with safe_open(weights, framework="pt") as file:
+        assert len(file.metadata()["sha256"]) == 64
+    load_weights(weights)
 
 
 @pytest.mark.parametrize("kind", DEFAULT_SIZES_M)
