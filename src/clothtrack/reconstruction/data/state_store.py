@@ -5,10 +5,12 @@
     OUT/README.md              the dataset card
 
 A shard is written under a temporary name and renamed, so that one under its final name is whole.
-Every array carries the SHA-256 of its values: Zarr reads a chunk that is missing as zeros.
+Every array carries the SHA-256 of its values, the shard that of all attributes: Zarr reads a chunk
+that is missing as zeros.
 """
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,9 +21,19 @@ import zarr
 from jaxtyping import Float, Float32, Int
 
 from clothtrack.errors import InvalidMeshError, InvalidResultError
+from clothtrack.files.array_digest import DIGEST
 from clothtrack.files.atomic_write import atomic_file, atomic_folder
-from clothtrack.files.sealed_zarr import DAMAGE, put_array, take_array
+from clothtrack.files.sealed_zarr import (
+    CONTENTS,
+    DAMAGE,
+    put_array,
+    seal,
+    sealed_attributes,
+    take_array,
+)
 from clothtrack.geometry.mesh import ClothMesh
+
+logger = logging.getLogger(__name__)
 
 FORMAT = "clothtrack-states"
 VERSION = 1
@@ -248,8 +260,8 @@ def _write(group: zarr.Group, shard: StateShard) -> None:
     put_array(group, "episodes", shard.episodes)
     for name, values in shard.measures.items():
         put_array(group, f"measures/{name}", values, unit=MEASURES.get(name, ""))
-    # Attributes last: a group without them was not finished.
-    group.attrs.update(
+    seal(
+        group,
         {
             "format": FORMAT,
             "version": VERSION,
@@ -257,7 +269,7 @@ def _write(group: zarr.Group, shard: StateShard) -> None:
             "recipes": list(shard.recipes),
             "seed": shard.seed,
             "measures": list(shard.measures),
-        }
+        },
     )
 
 
@@ -280,6 +292,10 @@ def _check_version(group: zarr.Group) -> None:
 
 
 def _read(group: zarr.Group) -> StateShard:
+    if CONTENTS in group.attrs or DIGEST in group.attrs:
+        sealed_attributes(group)
+    else:
+        logger.info("%s: its attributes were written without SHA-256", group.store_path)
     positions = _take(group, "positions")
     if positions.dtype != np.float32 or positions.ndim != 3 or positions.shape[2] != 3:
         raise InvalidResultError(
