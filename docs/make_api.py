@@ -21,7 +21,7 @@ What is listed here is what clothtrack promises. Each name is imported when it i
 CHAPTERS = {
     "Track and look": [
         "track", "load", "Run", "Label", "evaluate", "judge_labels", "Truth", "view",
-        "write_report", "export",
+        "write_report", "export", "verify", "Verification",
     ],
     "Configure": ["mode", "MODES", "TrackerConfig", "RunConfig", "with_settings"],
     "Recordings": [

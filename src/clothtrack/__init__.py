@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from clothtrack.front.learning import label, reconstruct
     from clothtrack.front.look import export, view, write_report
     from clothtrack.front.run import Label, Run, evaluate, load, track
+    from clothtrack.front.verification import Verification, verify
     from clothtrack.geometry.camera import Camera
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.recordings.inspection import inspect as inspect_recording
@@ -68,6 +69,7 @@ __all__ = [
     "Table",
     "TrackerConfig",
     "Truth",
+    "Verification",
     "__version__",
     "evaluate",
     "export",
@@ -86,6 +88,7 @@ __all__ = [
     "shipped_recording",
     "simulate",
     "track",
+    "verify",
     "view",
     "with_settings",
     "write_report",

@@ -121,6 +121,17 @@ def test_what_can_go_wrong_is_said_in_one_line(monkeypatch, capsys, error, code,
     assert shown.out == ""
 
 
+def test_a_value_of_any_length_leaves_the_file_and_the_next_step_in_sight(monkeypatch, capsys):
+    fail = raising(InvalidRecordingError(f"a.json: kind is {'x' * 5_000}; write towel"))
+    fail.__name__ = "fail"
+    monkeypatch.setattr(cli, "VERBS", [fail])
+    assert cli.main(["fail"]) == 1
+    shown = capsys.readouterr().err
+    assert len(shown) < 1_100
+    assert shown.startswith("clothtrack: a.json: kind is x")
+    assert shown.endswith("x; write towel\n")
+
+
 def test_a_defect_of_ours_is_not_hidden(monkeypatch):
     fail = raising(ZeroDivisionError())
     fail.__name__ = "fail"

@@ -1,12 +1,15 @@
 """Modes are values of one configuration, and contradictions are refused by name."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.settings import from_plain
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import MODES, FinalAlignmentConfig, TrackerConfig, mode
+from clothtrack.tracking.pipeline import RunConfig
 
 
 @pytest.mark.parametrize(
@@ -69,3 +72,16 @@ def test_every_ablation_differs_from_the_paper_in_one_switch() -> None:
 def test_an_unknown_mode_lists_the_known_ones() -> None:
     with pytest.raises(InvalidConfigError, match="full_held_paper"):
         mode("best")
+
+
+@pytest.mark.parametrize("name", MODES)
+def test_settings_of_a_run_come_back_from_its_result(name: str) -> None:
+    config = RunConfig(tracker=MODES[name], seed=5)
+    plain = json.loads(json.dumps(asdict(config)))
+    assert asdict(from_plain(RunConfig(), plain)) == asdict(config)
+    plain["tracker"]["score_frames"] = 0
+    with pytest.raises(InvalidConfigError, match="score_frames is 0"):
+        from_plain(RunConfig(), plain)
+    del plain["seed"]
+    with pytest.raises(InvalidConfigError, match="'seed'"):
+        from_plain(RunConfig(), plain)

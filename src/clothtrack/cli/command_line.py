@@ -26,13 +26,14 @@ from clothtrack.cli.simulate import bench, simulate
 from clothtrack.cli.terminal import INTERRUPTED, complain, end_by_interrupt, exit_code
 from clothtrack.cli.track import demo, track
 from clothtrack.cli.usage import WRONG_USAGE, WrongUsageError, parse
+from clothtrack.cli.verify import verify
 from clothtrack.cli.versions import versions
 from clothtrack.cli.warnings_once import logged
 
 VERBS: tuple[Callable[..., int], ...] = (
     demo, inspect, import_, record, calibrate_camera, calibrate_hand_eye, segment, find_picker,
     garment, simulate, bench, track, label, pretrain, finetune, reconstruct, flatten,
-    train_dynamics, improve, evaluate, view, export,
+    train_dynamics, improve, evaluate, view, export, verify,
 )  # fmt: skip
 """The functions behind the verbs, in the order of the README."""
 

@@ -166,3 +166,38 @@ _KINDS = {
 def _kind(value: Any) -> str:
     """What a value is, in words."""
     return _KINDS.get(type(value), "a group of settings")
+
+
+def from_plain(config: Config, values: Mapping[str, Any]) -> Config:
+    """A configuration with the values that a stored one had (`dataclasses.asdict`, through JSON).
+
+    Args:
+        config: any of the same type, which says what lies where.
+        values: all fields of it, those below as mappings.
+
+    Raises:
+        InvalidConfigError: a field is missing, unknown, or has a value that cannot be.
+    """
+    known = {field.name for field in fields(config)}
+    if differing := sorted(known ^ set(values)):
+        raise InvalidConfigError(
+            f"{type(config).__name__}: {differing[0]!r:.80} is known to one only"
+        )
+    changes = {}
+    for name in known:
+        old, new = getattr(config, name), values[name]
+        if is_dataclass(old) and isinstance(new, Mapping):
+            changes[name] = from_plain(old, new)
+        else:
+            changes[name] = _without_lists(new)
+    try:
+        return replace(config, **changes)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InvalidConfigError(f"{type(config).__name__}: {error}") from error
+
+
+def _without_lists(value: Any) -> Any:
+    """Lists as the tuples that they were before JSON."""
+    if isinstance(value, Mapping):
+        return {key: _without_lists(one) for key, one in value.items()}
+    return tuple(map(_without_lists, value)) if isinstance(value, list | tuple) else value

@@ -154,7 +154,8 @@ def track_recording(
     )
     if parts:
         tracker.parts = replace(tracker.parts, **parts)
-        stamp["replaced_parts"] = sorted(parts)
+    if parts or segmenter is not None:
+        stamp["replaced_parts"] = sorted([*parts, *(["segmenter"] if segmenter else [])])
     tracked = tracker.track(progress, watch)
     stamp |= {
         "initial_state": dict(first.origin),

@@ -11,7 +11,8 @@ that is missing as zeros.
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -273,13 +274,20 @@ def _write(group: zarr.Group, shard: StateShard) -> None:
     )
 
 
-def _take(group: zarr.Group, name: str) -> np.ndarray:
+@contextmanager
+def _to_be_made_again() -> Iterator[None]:
+    """Adds the next step to what is damaged."""
     try:
-        return take_array(group, name)
+        yield
     except InvalidResultError as error:
         raise InvalidResultError(
             f"{error}; remove the shard and run the command that made it again"
         ) from error
+
+
+def _take(group: zarr.Group, name: str) -> np.ndarray:
+    with _to_be_made_again():
+        return take_array(group, name)
 
 
 def _check_version(group: zarr.Group) -> None:
@@ -293,7 +301,8 @@ def _check_version(group: zarr.Group) -> None:
 
 def _read(group: zarr.Group) -> StateShard:
     if CONTENTS in group.attrs or DIGEST in group.attrs:
-        sealed_attributes(group)
+        with _to_be_made_again():
+            sealed_attributes(group)
     else:
         logger.info("%s: its attributes were written without SHA-256", group.store_path)
     positions = _take(group, "positions")

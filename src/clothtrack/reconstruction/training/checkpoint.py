@@ -142,6 +142,12 @@ def load_weights(path: Path) -> Weights:
     return Weights(path, tensors, network, kind, provenance)
 
 
+def is_sealed(path: Path) -> bool:
+    """Whether a whole weights file has a SHA-256; those from before have none."""
+    with safe_open(path, framework="pt") as file:
+        return DIGEST in (file.metadata() or {})
+
+
 def weights_digest(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
     """SHA-256 of weights and of what describes them, in hexadecimal digits.
 

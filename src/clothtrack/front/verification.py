@@ -1,0 +1,251 @@
+"""Is a file still what was written? Every artefact, told by its content."""
+
+import json
+import re
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
+from clothtrack.evaluation.truth import Truth
+from clothtrack.files.array_digest import DIGEST
+from clothtrack.files.atomic_write import content_hash
+from clothtrack.files.progress import Progress
+from clothtrack.front.learning_extra import require_learning
+from clothtrack.geometry.devices import quiet_warp
+from clothtrack.recordings.store import read_recording
+from clothtrack.recordings.validation import check_recording
+from clothtrack.recordings.violation import DOCUMENT, grouped
+from clothtrack.tracking.artefacts import inside
+from clothtrack.tracking.replay import replay
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
+
+VERIFIED = (
+    "verify takes a recording, NAME.zarr that `track` wrote, labels or truth (.npz), weights "
+    "(.safetensors), or a folder of states or of the benchmark"
+)
+_LISTED = 3
+_UNSEALED = "has no SHA-256"
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was found of one artefact.
+
+    Attributes:
+        path: where it lies.
+        kind: what it is; empty where nobody can tell.
+        problems: what is wrong with it; empty where all is well.
+        notes: what was checked, what it holds.
+    """
+
+    path: Path
+    kind: str
+    problems: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+    def __str__(self) -> str:
+        """One line: the path, ok or damaged, and what was found."""
+        if self.ok:
+            return f"{self.path}   ok: {', '.join([self.kind, *self.notes])}"
+        more = len(self.problems) - _LISTED
+        said = "; ".join(self.problems[:_LISTED]) + (f" (and {more} more)" if more > 0 else "")
+        return f"{self.path}   damaged: {said}"
+
+
+def verify(
+    artefact: Path | str,
+    recording: Path | str | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Verification:
+    """Check one artefact against what was written, by its checksums where it has some.
+
+    Of a recording every picture is decoded. Of a tracked trajectory whose recording is given the
+    first action is tracked again and compared to the bit, where versions and machine are those that
+    tracked it; the notes say where they are not.
+
+    Args:
+        artefact: a recording, NAME.zarr, labels or truth (.npz), weights (.safetensors), or a
+            folder of states or of the benchmark.
+        recording: of a tracked trajectory: its recording, or the folder in which it lies by name.
+        progress: is told how much is done.
+    """
+    path = Path(artefact)
+    quiet_warp()
+    kind = ""
+    try:
+        kind, check = _kind_of(path)
+        if kind == "tracked trajectory" and recording is not None:
+            return _replayed(path, Path(recording), progress)
+        return Verification(path, kind, *check(path, progress))
+    except (ClothTrackError, OSError) as error:
+        text = str(error).removeprefix(f"{path}: ").removeprefix(f"{path} ")
+        return Verification(path, kind, (text,))
+
+
+Findings = tuple[tuple[str, ...], tuple[str, ...]]
+"""Problems and notes."""
+
+Check = Callable[[Path, Progress | None], Findings]
+
+
+def _kind_of(path: Path) -> tuple[str, Check]:
+    """What lies there, and what checks it."""
+    for name, kind, check in (
+        (DOCUMENT, "recording", _recording),
+        ("bench.json", "benchmark", _bench),
+        ("states.json", "states", _states),
+    ):
+        if (path / name).is_file():
+            return kind, check
+    if path.suffix == ".zarr" and path.is_dir():
+        return ("shard of states", _shard) if _is_shard(path) else ("tracked trajectory", _tracked)
+    if path.suffix == ".safetensors":
+        return "weights", _weights
+    if path.suffix == ".npz":
+        return ("labels", _labels) if "document" in _names_in(path) else ("truth", _truth)
+    if not path.exists():
+        raise InvalidConfigError(f"{path}: there is no such file or folder; {VERIFIED}")
+    raise InvalidConfigError(f"{path}: nothing that can be told by its content; {VERIFIED}")
+
+
+def _is_shard(path: Path) -> bool:
+    try:
+        document = json.loads((path / "zarr.json").read_bytes())
+        return document["attributes"]["format"] == "clothtrack-states"
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return path.parent.name == "shards"
+
+
+def _names_in(path: Path) -> set[str]:
+    """The arrays of an NPZ file."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {name.removesuffix(".npy") for name in archive.namelist()}
+    except FileNotFoundError as error:
+        raise InvalidConfigError(f"{path}: there is no such file; {VERIFIED}") from error
+    except (zipfile.BadZipFile, ValueError, NotImplementedError):
+        # Whoever reads it says what is wrong.
+        return {"document"} if path.name.endswith(".labels.npz") else set()
+
+
+def _recording(path: Path, progress: Progress | None) -> Findings:
+    del progress
+    checked = check_recording(path, thorough=True)
+    if checked.recording is None:
+        return tuple(grouped(checked.violations)), ()
+    counts = f"{len(checked.recording.frames)} frames, {len(checked.recording.actions)} actions"
+    return (), (f"{counts}, every picture decoded",)
+
+
+def _tracked(path: Path, progress: Progress | None) -> Findings:
+    del progress
+    return (), (_counts(TrackedTrajectory.load(path)),)
+
+
+def _counts(tracked: TrackedTrajectory) -> str:
+    frames, vertices = tracked.positions.shape[:2]
+    return f"{frames} frames, {vertices} vertices, {len(tracked.actions)} actions"
+
+
+def _replayed(path: Path, recordings: Path, progress: Progress | None) -> Verification:
+    tracked = TrackedTrajectory.load(path)
+    is_it = (recordings / DOCUMENT).exists()
+    try:
+        recording = read_recording(recordings if is_it else inside(recordings, tracked.name))
+    except ClothTrackError as error:
+        notes = _counts(tracked), f"not replayed: {error}"
+        return Verification(path, "tracked trajectory", (), notes)
+    again = replay(tracked, recording, progress)
+    problems = (again.text,) if again.outcome == "differs" else ()
+    return Verification(path, "tracked trajectory", problems, (_counts(tracked), again.text))
+
+
+def _labels(path: Path, progress: Progress | None) -> Findings:
+    del progress
+    require_learning()
+    from clothtrack.reconstruction.data.pseudo_labels import read_labels
+
+    labels = read_labels(path)
+    sealed = () if DIGEST in _names_in(path) else (_UNSEALED,)
+    return (), (f"{len(labels.pictures)} labels of {labels.name}", *sealed)
+
+
+def _truth(path: Path, progress: Progress | None) -> Findings:
+    del progress
+    truth = Truth.load(path)
+    return (), (f"{len(truth.frames)} frames, {truth.positions.shape[1]} vertices",)
+
+
+def _weights(path: Path, progress: Progress | None) -> Findings:
+    del progress
+    require_learning()
+    from clothtrack.reconstruction.training.checkpoint import is_sealed, load_weights
+
+    weights = load_weights(path)
+    for name, values in weights.tensors.items():
+        if values.is_floating_point() and not bool(values.isfinite().all()):
+            raise InvalidResultError(f"{name} is not finite; fetch an undamaged copy")
+    notes = [f"{len(weights.tensors)} arrays for {weights.kind}"]
+    if not is_sealed(path):
+        notes.append(_UNSEALED)
+    for card in (path.with_suffix(".md"), path.with_name("model_card.md")):
+        stated = _stated(card, path.name)
+        if stated and stated != content_hash(path):
+            return (f"it is another file than its card {card} tells of; fetch both again",), ()
+    return (), tuple(notes)
+
+
+def _stated(card: Path, name: str) -> str:
+    """The SHA-256 that a model card gives for a file; empty where there is none."""
+    try:
+        text = card.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
+    found = re.search(rf"`{re.escape(name)}`, SHA-256 `([0-9a-f]{{64}})`", text)
+    return found[1] if found else ""
+
+
+def _states(path: Path, progress: Progress | None) -> Findings:
+    from clothtrack.reconstruction.data.state_store import SHARD_FOLDER, open_states, read_shard
+
+    found = open_states(path)
+    listed: Any = found.document.get("shards", {})
+    names = {shard.name for shard in found.shards}
+    listed = set(listed) if isinstance(listed, Mapping) else set()
+    problems = [f"{SHARD_FOLDER}/{name} is missing" for name in sorted(listed - names)]
+    states = 0
+    for done, shard in enumerate(found.shards):
+        if progress is not None:
+            progress(f"{shard.name}, {done + 1}/{len(found.shards)}", done, len(found.shards))
+        try:
+            states += len(read_shard(shard).positions)
+        except ClothTrackError as error:
+            problems.append(str(error).removeprefix(f"{path}/"))
+    return tuple(problems), (f"{len(found.shards)} garments, {states} states",)
+
+
+def _shard(path: Path, progress: Progress | None) -> Findings:
+    del progress
+    from clothtrack.reconstruction.data.state_store import read_shard
+
+    return (), (f"{len(read_shard(path).positions)} states",)
+
+
+def _bench(path: Path, progress: Progress | None) -> Findings:
+    del progress
+    from clothtrack.world.bench_generation import LIST_FILE, verify_bench
+
+    try:
+        return tuple(verify_bench(path)), (f"as listed in {LIST_FILE}",)
+    except (LookupError, TypeError, AttributeError) as error:
+        text = f"{LIST_FILE}: an entry is damaged ({error}); unpack it again"
+        raise InvalidResultError(text) from error

@@ -1,0 +1,168 @@
+"""Every artefact is told by its content; a trajectory is tracked again and compared to the bit."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import clothtrack as ct
+from clothtrack.cli.command_line import main
+from clothtrack.reconstruction.availability import SHIPPED
+from clothtrack.reconstruction.data.state_store import StateShard, write_states
+from clothtrack.simulation.garments import garment
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Folder with recordings/ and truth/ of one napkin, folded once."""
+    folder = tmp_path_factory.mktemp("world")
+    ct.simulate(folder, "towel", 1, seed=3, small=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(world):
+    """Tracked by the dynamics alone, which is quick."""
+    return ct.track(world / "recordings" / "towel_0003", mode="open_loop", settings=("seed=7",))
+
+
+@pytest.fixture
+def artefacts(run, world, tmp_path):
+    """One of each kind, by its kind; to be damaged."""
+    shutil.copytree(world / "recordings", tmp_path / "recordings")
+    shutil.copytree(world / "truth", tmp_path / "truth")
+    run.save(tmp_path / "towel.zarr")
+    ct.label(run, tmp_path / "towel.labels.npz")
+    mesh = garment("towel", vertex_count=60)
+    positions = np.stack([mesh.vertices] * 2).astype(np.float32)
+    shard = StateShard("towel", mesh, positions, np.zeros(2, np.int32), ("flat", "drop"), 3)
+    write_states(tmp_path / "states", "towel", [shard], {})
+    shutil.copy(SHIPPED / "towel.safetensors", tmp_path)
+    return {
+        "recording": tmp_path / "recordings" / "towel_0003",
+        "truth": tmp_path / "truth" / "towel_0003.npz",
+        "tracked trajectory": tmp_path / "towel.zarr",
+        "labels": tmp_path / "towel.labels.npz",
+        "states": tmp_path / "states",
+        "shard of states": tmp_path / "states" / "shards" / "0000.zarr",
+        "weights": tmp_path / "towel.safetensors",
+    }
+
+
+def test_whole_artefacts_are_known_and_damaged_ones_told_in_one_line(artefacts, capsys):
+    paths = list(map(str, artefacts.values()))
+    assert main(["verify", *paths]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for line, (kind, path) in zip(lines, artefacts.items(), strict=True):
+        assert line.startswith(f"{path}   ok: {kind}")
+    for kind, path in artefacts.items():
+        if kind == "states":
+            continue  # its shard is one of the others
+        files = [one for one in path.rglob("*") if one.is_file()] or [path]
+        # The largest file of each: pictures, chunks, archives.
+        largest = max(files, key=lambda one: (one.suffix == ".png", one.stat().st_size))
+        content = bytearray(largest.read_bytes())
+        content[len(content) // 2] ^= 255
+        largest.write_bytes(content)
+    assert main(["verify", *paths, "--json"]) == 1
+    told = capsys.readouterr()
+    assert told.err == ""
+    for one, (kind, path) in zip(json.loads(told.out), artefacts.items(), strict=True):
+        assert (one["path"], one["kind"], one["ok"]) == (str(path), kind, False)
+        assert one["problems"]
+        assert "\n" not in one["problems"][0]
+
+
+def test_a_shard_that_is_listed_and_gone_is_missed(artefacts):
+    folder = artefacts["states"]
+    document = json.loads((folder / "states.json").read_text())
+    document["shards"] = {"0000.zarr": {}, "0001.zarr": {}}
+    (folder / "states.json").write_text(json.dumps(document))
+    assert ct.verify(folder).problems == ("shards/0001.zarr is missing",)
+
+
+def test_weights_are_held_against_their_card(artefacts):
+    path = artefacts["weights"]
+    text = (SHIPPED / "towel.md").read_text()
+    path.with_suffix(".md").write_text(text)
+    assert ct.verify(path).ok
+    shutil.copy(SHIPPED / "tshirt.safetensors", path)
+    assert "another file than its card" in str(ct.verify(path))
+
+
+def test_the_benchmark_is_held_against_its_list(artefacts, tmp_path):
+    entry = {"name": "towel_0003", "recording_sha256": "0" * 64, "truth_sha256": "0" * 64}
+    listed = {"name": "clothtrack-bench", "format": 1, "trajectories": [entry]}
+    (tmp_path / "bench.json").write_text(json.dumps(listed))
+    assert "towel_0003: " in str(ct.verify(tmp_path))
+    assert "SHA-256 differs" in str(ct.verify(tmp_path))
+    del entry["recording_sha256"]
+    (tmp_path / "bench.json").write_text(json.dumps(listed))
+    assert "an entry is damaged" in str(ct.verify(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nothing.zarr", "no such file or folder; verify takes"),
+        ("nothing.npz", "no such file; verify takes"),
+        ("empty.npz", "cannot be read as a truth file"),
+        ("empty.labels.npz", "not whole pseudo-labels"),
+        ("empty.safetensors", "not a whole safetensors file"),
+        ("empty.zarr", "not a tracked trajectory"),
+        ("empty.txt", "nothing that can be told"),
+    ],
+)
+def test_what_is_none_is_told_without_a_traceback(name, words, tmp_path, capsys):
+    if name == "empty.zarr":
+        (tmp_path / name).mkdir()
+    elif name.startswith("empty"):
+        (tmp_path / name).touch()
+    assert main(["verify", str(tmp_path / name)]) == 1
+    told = capsys.readouterr().out
+    assert words in told
+    assert told.count("\n") == 1
+
+
+def test_a_trajectory_is_replayed_to_the_same_bits(artefacts, world, capsys):
+    words = ["verify", str(artefacts["tracked trajectory"])]
+    assert main([*words, "--recordings", str(world / "recordings")]) == 0
+    assert "replayed to the same bits" in capsys.readouterr().out
+
+
+def test_an_altered_trajectory_that_was_sealed_again_is_no_replay(run, world, tmp_path):
+    positions = run.positions.copy()
+    positions[3, 0, 0] += 1e-6
+    replace(run, positions=positions).save(tmp_path / "towel.zarr")
+    assert ct.verify(tmp_path / "towel.zarr").ok
+    found = ct.verify(tmp_path / "towel.zarr", world / "recordings")
+    assert "replayed, frame 3 differs (by 1e-06 m" in str(found)
+    assert not found.ok
+
+
+@pytest.mark.parametrize(
+    ("stamp", "words"),
+    [
+        ({"clothtrack": "9.9"}, "made with clothtrack 9.9, here is"),
+        ({"machine": "Plan9 vax"}, "made with machine Plan9 vax"),
+        ({"packages": {"numpy": "0.1"}}, "made with numpy 0.1"),
+        ({"config_hash": "0"}, "settings"),
+        ({"recording_sha256": "0"}, "is not what was tracked"),
+        ({"replaced_parts": ["align"]}, "other parts of the method (align)"),
+        ({"device": "cuda:99"}, "cuda:99"),
+    ],
+)
+def test_what_cannot_be_replayed_says_why_and_is_no_damage(run, world, tmp_path, stamp, words):
+    replace(run, provenance={**run.provenance, **stamp}).save(tmp_path / "towel.zarr")
+    found = ct.verify(tmp_path / "towel.zarr", world / "recordings")
+    assert found.ok
+    assert "not replayed: " in str(found)
+    assert words in str(found)
+
+
+def test_a_trajectory_without_its_recording_is_not_replayed(artefacts, tmp_path):
+    found = ct.verify(artefacts["tracked trajectory"], tmp_path / "nowhere")
+    assert found.ok
+    assert "not replayed: " in str(found)
