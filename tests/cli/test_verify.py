@@ -123,6 +123,8 @@ def test_what_is_none_is_told_without_a_traceback(name, words, tmp_path, capsys)
     assert main(["verify", str(tmp_path / name)]) == 1
     told = capsys.readouterr().out
     assert words in told
+    known = "not known" if "verify takes" in words or "can be told" in words else "damaged"
+    assert f"{name}   {known}: " in told
     assert told.count("\n") == 1
 
 

@@ -52,12 +52,12 @@ class Verification:
         return not self.problems
 
     def __str__(self) -> str:
-        """One line: the path, ok or damaged, and what was found."""
+        """One line: the path; ok, damaged or not known; and what was found."""
         if self.ok:
             return f"{self.path}   ok: {', '.join([self.kind, *self.notes])}"
         more = len(self.problems) - _LISTED
         said = "; ".join(self.problems[:_LISTED]) + (f" (and {more} more)" if more > 0 else "")
-        return f"{self.path}   damaged: {said}"
+        return f"{self.path}   {'damaged' if self.kind else 'not known'}: {said}"
 
 
 def verify(
@@ -142,8 +142,9 @@ def _recording(path: Path, progress: Progress | None) -> Findings:
     checked = check_recording(path, thorough=True)
     if checked.recording is None:
         return tuple(grouped(checked.violations)), ()
-    counts = f"{len(checked.recording.frames)} frames, {len(checked.recording.actions)} actions"
-    return (), (f"{counts}, every picture decoded",)
+    recording = checked.recording
+    counts = _count(len(recording.frames), "frame"), _count(len(recording.actions), "action")
+    return (), (*counts, "every picture decoded")
 
 
 def _tracked(path: Path, progress: Progress | None) -> Findings:
@@ -153,7 +154,13 @@ def _tracked(path: Path, progress: Progress | None) -> Findings:
 
 def _counts(tracked: TrackedTrajectory) -> str:
     frames, vertices = tracked.positions.shape[:2]
-    return f"{frames} frames, {vertices} vertices, {len(tracked.actions)} actions"
+    return (
+        f"{_count(frames, 'frame')}, {vertices} vertices, {_count(len(tracked.actions), 'action')}"
+    )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _replayed(path: Path, recordings: Path, progress: Progress | None) -> Verification:
@@ -176,13 +183,13 @@ def _labels(path: Path, progress: Progress | None) -> Findings:
 
     labels = read_labels(path)
     sealed = () if DIGEST in _names_in(path) else (_UNSEALED,)
-    return (), (f"{len(labels.pictures)} labels of {labels.name}", *sealed)
+    return (), (f"{_count(len(labels.pictures), 'label')} of {labels.name:.80}", *sealed)
 
 
 def _truth(path: Path, progress: Progress | None) -> Findings:
     del progress
     truth = Truth.load(path)
-    return (), (f"{len(truth.frames)} frames, {truth.positions.shape[1]} vertices",)
+    return (), (f"{_count(len(truth.frames), 'frame')}, {truth.positions.shape[1]} vertices",)
 
 
 def _weights(path: Path, progress: Progress | None) -> Findings:
@@ -194,7 +201,7 @@ def _weights(path: Path, progress: Progress | None) -> Findings:
     for name, values in weights.tensors.items():
         if values.is_floating_point() and not bool(values.isfinite().all()):
             raise InvalidResultError(f"{name} is not finite; fetch an undamaged copy")
-    notes = [f"{len(weights.tensors)} arrays for {weights.kind}"]
+    notes = [f"{len(weights.tensors)} arrays for {weights.kind:.80}"]
     if not is_sealed(path):
         notes.append(_UNSEALED)
     for card in (path.with_suffix(".md"), path.with_name("model_card.md")):
@@ -230,7 +237,7 @@ def _states(path: Path, progress: Progress | None) -> Findings:
             states += len(read_shard(shard).positions)
         except ClothTrackError as error:
             problems.append(str(error).removeprefix(f"{path}/"))
-    return tuple(problems), (f"{len(found.shards)} garments, {states} states",)
+    return tuple(problems), (f"{_count(len(found.shards), 'garment')}, {states} states",)
 
 
 def _shard(path: Path, progress: Progress | None) -> Findings:
