@@ -6,6 +6,7 @@
 #   make test      install the test tools too, run the tests
 #   make pages     open every page in a headless Chromium, where there is one
 #   make wheel     build a wheel, run the demo from it away from this folder
+#   make release   build what is released twice, compare, try it on every Python; bill of materials
 #   make check     lint, format, types, direction of imports
 #   make docs      the documentation as a site, to out/site
 #   make bench     quick forms of all benchmarks, to out/bench_*.json (docs/benchmarks.md)
@@ -24,10 +25,10 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install learn demo test test-all pages wheel check docs format bench clean
+.PHONY: help install learn demo test test-all pages wheel release check docs format bench clean
 
 help:
-	@sed -n '3,14s/^# \{0,1\}//p' Makefile
+	@sed -n '3,15s/^# \{0,1\}//p' Makefile
 
 install: $(VENV)/.installed $(EXTRAS:%=$(VENV)/.installed-%)
 
@@ -66,6 +67,9 @@ pages: $(VENV)/.installed-dev
 
 wheel: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow tests/end_to_end/test_wheel.py
+
+release:
+	.ci/release $(PYTHONS)
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check
