@@ -13,8 +13,6 @@ import pytest
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files.worker_pool import end_workers, finished_in_workers, require_workers
-from clothtrack.tracking import pipeline
-from clothtrack.tracking.pipeline import Outcome, RunConfig, track_recordings
 
 LONG_S = 120.0
 
@@ -98,37 +96,45 @@ def test_the_results_of_workers_come_as_they_are_finished(tmp_path):
 
 
 def touch_or_die(told: Path) -> Path:
-    if told.name == "deadly":
-        while not (told.parent / "second").exists():
-            time.sleep(0.02)
+    """A deadly item kills its worker: each time, or the first time only."""
+    tries = told.parent / f"{told.name}_tries"
+    with tries.open("a") as file:
+        file.write("x")
+    if told.name == "deadly" or (told.name == "heavy" and tries.stat().st_size == 1):
         os.kill(os.getpid(), signal.SIGKILL)
     told.touch()
     return told
 
 
-def test_a_worker_that_dies_is_told_after_what_the_others_finished(tmp_path):
-    items = [tmp_path / name for name in ("first", "deadly", "second")]
-    results = finished_in_workers(touch_or_die, items, 2)
-    assert next(results) == items[0]
-    with pytest.raises(ClothTrackError, match=r"worker process was killed.*fewer workers"):
-        list(results)
+def test_a_worker_that_is_killed_costs_its_own_item_alone(tmp_path):
+    items = [tmp_path / name for name in ("first", "deadly", "heavy", "second", "third")]
+    results = finished_in_workers(touch_or_die, items, 2, lost=lambda item: f"lost {item.name}")
+    found = list(results)
+    assert found.pop() == f"lost {items[1].name}"
+    assert sorted(found) == sorted(items[:1] + items[2:])
+    # It may have been handed out, and not begun, when another worker was killed.
+    assert (tmp_path / "deadly_tries").read_text() in ("x", "xx")
     assert not active_children()
 
 
-def test_recordings_that_a_dead_worker_leaves_are_told_one_by_one(tmp_path, monkeypatch):
-    folders = [tmp_path / name for name in ("first", "second", "third")]
+def test_without_another_way_lost_items_are_an_error_after_all_others(tmp_path):
+    items = [tmp_path / name for name in ("deadly", "first", "second")]
+    results = finished_in_workers(touch_or_die, items, 2)
+    assert {next(results), next(results)} == set(items[1:])
+    with pytest.raises(ClothTrackError, match=r"1 of 3: .*killed, also.*run the same command"):
+        next(results)
 
-    def dying(work, items, processes):
-        yield Outcome(items[1], tmp_path / "out" / "second.zarr")
-        raise ClothTrackError("a worker process was killed")
 
-    monkeypatch.setattr(pipeline, "finished_in_workers", dying)
-    outcomes = track_recordings(folders, tmp_path / "out", RunConfig(), workers=2)
-    assert [outcome.recording for outcome in outcomes] == folders
-    assert not outcomes[1].error
-    for folder, outcome in ((folders[0], outcomes[0]), (folders[2], outcomes[2])):
-        assert outcome.result is None
-        assert outcome.error == f"{folder}: a worker process was killed"
+def die(told: Path) -> None:
+    with (told.parent / "tries").open("a") as file:
+        file.write("x")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_where_no_worker_finishes_anything_not_every_item_is_tried(tmp_path):
+    with pytest.raises(ClothTrackError, match="12 of 12"):
+        list(finished_in_workers(die, [tmp_path / str(number) for number in range(12)], 2))
+    assert (tmp_path / "tries").stat().st_size <= 5
 
 
 SLOW = """

@@ -23,7 +23,8 @@ from clothtrack.tracking.flat_fit import InitialStateConfig
 from clothtrack.tracking.initial_state import find_initial_state
 from clothtrack.tracking.pipeline import RunConfig, config_hash, counted_settings
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-from clothtrack.world.episodes import SMALL_WORLD, simulate
+from clothtrack.world.episodes import SMALL_WORLD
+from clothtrack.world.filming import simulate
 
 SHORT = (
     "tracker.calibration.method=none", "tracker.final_alignment.iterations=20",

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
+from clothtrack.files.owner import Owner
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.store import read_recording
 from clothtrack.world import bench_generation
@@ -146,11 +147,11 @@ def test_a_stranger_can_verify_with_sha256sum(made: Path) -> None:
 
 
 def test_what_is_finished_is_kept(copy: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*") if path.is_file()}
+    before = {path: path.stat().st_mtime_ns for path in copy.glob("[!.]*/**/*")}
     seen = []
     generate_bench(copy, PAIR, progress=lambda *told: seen.append(told))
     assert [done for _, *done in seen] == [[0, 2], [1, 2], [2, 2]]
-    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*") if path.is_file()} == before
+    assert {path: path.stat().st_mtime_ns for path in copy.glob("[!.]*/**/*")} == before
 
 
 def test_what_is_broken_is_found_and_made_again(copy: Path) -> None:
@@ -158,7 +159,9 @@ def test_what_is_broken_is_found_and_made_again(copy: Path) -> None:
     assert verify_bench(copy, PAIR) == []
     picture = next((copy / "recordings" / "towel_dev_01" / "depth").iterdir())
     picture.write_bytes(picture.read_bytes()[:-1] + b"x")
-    (copy / "recordings" / ".towel_dev_01.0123.partial").mkdir()
+    me = Owner.me()
+    mark = f"{me.machine}-{me.pid}-{me.start + 1}-01234567"
+    (copy / "recordings" / f".towel_dev_01.{mark}.partial").mkdir()
     (wrong,) = verify_bench(copy, PAIR)
     assert "towel_dev_01" in wrong
     generate_bench(copy, PAIR)

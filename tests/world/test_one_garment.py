@@ -16,7 +16,8 @@ from clothtrack.reconstruction.data.garment_draws import GarmentRanges
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.outlines import ShirtOutline, draw_shirt
 from clothtrack.world.bench import Ranges, vary
-from clothtrack.world.episodes import EpisodeConfig, simulate
+from clothtrack.world.episodes import EpisodeConfig
+from clothtrack.world.filming import simulate
 from clothtrack.world.one_garment import OneGarment
 from clothtrack.world.self_improvement import ImprovementConfig, improve_rounds
 from clothtrack.world.simulated_episodes import SimulatedEpisode, knowing_the_garment

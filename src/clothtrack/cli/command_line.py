@@ -19,6 +19,7 @@ from clothtrack.cli.capture import (
 from clothtrack.cli.garment import garment
 from clothtrack.cli.learn import finetune, label, pretrain, reconstruct
 from clothtrack.cli.look import evaluate, export, view
+from clothtrack.cli.options import remember
 from clothtrack.cli.picker import find_picker
 from clothtrack.cli.recordings import import_, inspect
 from clothtrack.cli.signature import name_of
@@ -55,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except WrongUsageError as wrong:
         complain(str(wrong))
         return WRONG_USAGE
+    remember(words)
     with logged(verbose="--verbose" in words):
         code = exit_code(lambda: _quietly(run))
     if code == INTERRUPTED and arguments is None:

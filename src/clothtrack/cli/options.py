@@ -1,14 +1,20 @@
 """Options that several verbs of the command line share."""
 
+import re
+import shlex
+from collections.abc import Sequence
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
 from clothtrack.cli.terminal import say
 from clothtrack.errors import InvalidConfigError
+
+if TYPE_CHECKING:
+    from clothtrack.files.shared_work import Share
 
 AsJson = Annotated[bool, arg(name="json", help="write one JSON document to standard output")]
 Device = Annotated[str, arg(help="cpu, or cuda:0")]
@@ -17,6 +23,13 @@ Settings = Annotated[
     tuple[str, ...],
     arg(name="set", metavar="NAME=VALUE"),
     UseAppendAction,
+]
+Shard = Annotated[
+    str,
+    arg(
+        metavar="I/N",
+        help="do only the I-th of N parts, I from 1; for a Slurm array, docs/many_machines.md",
+    ),
 ]
 ShowSettings = Annotated[bool, arg(help="list what --set can change, and do nothing else")]
 
@@ -40,3 +53,23 @@ def require_weights(path: Path) -> None:
     """
     if not path.is_file():
         raise InvalidConfigError(f"{path}: there is no such weights file; check the name")
+
+
+_written: list[str] = []
+
+
+def remember(words: Sequence[str]) -> None:
+    """Keep the words after `clothtrack`, for whoever wants to tell the command again."""
+    _written[:] = words
+
+
+def share_of(shard: str) -> "Share":
+    """The share of the work that --shard asks for, and the command that asks for all of it.
+
+    Raises:
+        InvalidConfigError: it is no share.
+    """
+    from clothtrack.files.shared_work import Share
+
+    command = shlex.join(["clothtrack", *_written])
+    return Share.parse(shard, re.sub(r" --shard[= ]\S+", "", command))

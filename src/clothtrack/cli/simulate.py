@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import clothtrack as ct
-from clothtrack.cli.options import AsJson, Seed, Settings
+from clothtrack.cli.options import AsJson, Seed, Settings, Shard, share_of
 from clothtrack.cli.terminal import complain, progress, say_result
 
 
@@ -21,6 +21,7 @@ def simulate(
     actions: int | None = None,
     settings: Settings = (),
     workers: int = 1,
+    shard: Shard = "",
     seed: Seed = 0,
     json: AsJson = False,
 ) -> int:
@@ -38,9 +39,11 @@ def simulate(
         actions: pick-and-places per recording, 3 by default.
         settings: changes to what is recorded, such as sensor.width=320 or vertex_count=300.
         workers: processes.
+        shard: do only one of several parts.
         seed: of garment, pose, actions, camera and noise.
         json: machine-readable.
     """
+    share = share_of(shard)
     if states is not None:
         from clothtrack.files.settings import with_settings
         from clothtrack.reconstruction.data.states import StatesConfig, generate_states
@@ -57,8 +60,9 @@ def simulate(
             return 2
         recipe = with_settings(StatesConfig(), settings)
         store = generate_states(
-            output, garment, states, seed=seed, config=recipe, processes=workers, progress=progress
-        )
+            output, garment, states, seed=seed, config=recipe, processes=workers,
+            progress=progress, share=share,
+        )  # fmt: skip
         card, garments = store.folder / "README.md", len(store.shards)
         report = {"states": store.folder, "card": card, "garments": garments}
         say_result(f"{card}   ({garments} garments)", report, json=json)
@@ -76,9 +80,10 @@ def simulate(
         settings=settings,
         workers=workers,
         progress=progress,
+        share=share,
     )
     say_result("\n".join(map(str, folders)), folders, json=json)
-    return 0 if len(folders) == count else 1
+    return 0 if len(folders) == len(share.of(range(count))) else 1
 
 
 def bench(
@@ -87,6 +92,7 @@ def bench(
     split: Literal["all", "dev", "test", "hard"] = "all",
     verify: bool = False,
     workers: int = 1,
+    shard: Shard = "",
     json: AsJson = False,
 ) -> int:
     """Record the benchmark: 20 trajectories to tune on (dev), 30 to score (test), 10 hard ones.
@@ -96,6 +102,7 @@ def bench(
         split: only this part.
         verify: record nothing; check what is there against its checksums.
         workers: processes.
+        shard: do only one of several parts.
         json: machine-readable.
     """
     from clothtrack.world import bench as contents
@@ -108,6 +115,8 @@ def bench(
         text = f"{len(listed) - len(wrong)} of {len(listed)} trajectories are as listed"
         say_result(text, {"trajectories": len(listed), "wrong": wrong}, json=json)
         return 1 if wrong else 0
-    entries = generation.generate_bench(output, listed, processes=workers, progress=progress)
+    entries = generation.generate_bench(
+        output, listed, processes=workers, progress=progress, share=share_of(shard)
+    )
     say_result(generation.table(entries), entries, json=json)
     return 0

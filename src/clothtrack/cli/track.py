@@ -17,14 +17,17 @@ from clothtrack.cli.options import (
     Device,
     Seed,
     Settings,
+    Shard,
     ShowSettings,
     list_settings,
+    share_of,
 )
 from clothtrack.cli.terminal import complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
     from clothtrack.evaluation.verdict import Verdict
+    from clothtrack.files.shared_work import Share
     from clothtrack.tracking.pipeline import Outcome
     from clothtrack.tracking.seams import Watch
 
@@ -85,6 +88,7 @@ def track(
     settings: Settings = (),
     show_settings: ShowSettings = False,
     workers: int = 1,
+    shard: Shard = "",
     device: Device = "cpu",
     seed: Seed = 0,
     force: bool = False,
@@ -110,6 +114,7 @@ def track(
             initial_state.source=template (network, flat).
         show_settings: list them all with their values and do nothing else.
         workers: processes; each tracks one recording at a time.
+        shard: do only one of several parts.
         device: where to compute.
         seed: stored with the result.
         force: go on although the first mesh lies more than 2 cm (rms) from its cloud.
@@ -130,7 +135,7 @@ def track(
     settings = (*_file_settings(template=template, weights=weights), *settings)
     tracked = partial(
         _track, recordings, output, mode, settings,
-        seed=seed, device=device, workers=workers, force=force,
+        seed=seed, device=device, workers=workers, force=force, share=share_of(shard),
     )  # fmt: skip
     outcomes = _track_live(tracked, port) if live else tracked()
     if json:
@@ -187,6 +192,7 @@ def _track(
     workers: int = 1,
     force: bool = False,
     watch: "Watch | None" = None,
+    share: "Share | None" = None,
 ) -> "list[Outcome]":
     from clothtrack.front.run import run_config
     from clothtrack.geometry.devices import require_device
@@ -196,7 +202,7 @@ def _track(
     config = run_config(mode, settings, seed=seed)
     return track_recordings(
         recordings, output, config, workers=workers, device=device, progress=progress, force=force,
-        watch=watch,
+        watch=watch, share=share,
     )  # fmt: skip
 
 

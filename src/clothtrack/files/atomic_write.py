@@ -5,18 +5,22 @@ import hashlib
 import os
 import shutil
 import signal
-import tempfile
 import threading
 import time
 import unicodedata
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 
 from clothtrack.errors import StorageError
+from clothtrack.files.owner import hidden_name, hidden_parts
 
 LATE_WRITERS_S = 2.0
 """Writers that have not heard of a failure may go on so long [s] in a folder that is removed."""
+
+OLD = ".old"
+"""Ends the hidden name of a folder that is being replaced."""
 
 LONGEST_NAME = 200
 """Characters of a name; file systems take 255, and suffixes come on top."""
@@ -73,11 +77,8 @@ def atomic_file(path: Path) -> Iterator[Path]:
     with storage(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            handle, name = tempfile.mkstemp(
-                prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent
-            )
-            os.close(handle)
-            temporary = Path(name)
+            temporary = path.with_name(hidden_name(path.stem, path.suffix))
+            temporary.touch(exist_ok=False)
             yield temporary
             # Some writers make the file anew, for their owner alone.
             temporary.chmod(0o644)
@@ -120,13 +121,14 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
                 raise StorageError(
                     f"{path} exists and is not empty; choose another name or remove it"
                 )
-            temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+            temporary = path.with_name(hidden_name(path.name))
+            temporary.mkdir()
             temporary.chmod(0o755)
             yield temporary
             if replace and path.exists():
                 if path.is_symlink() or not path.is_dir():
                     raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-                old = temporary.with_name(f"{temporary.name}.old")
+                old = temporary.with_name(temporary.name + OLD)
                 os.replace(path, old)
             os.replace(temporary, path)
         finally:
@@ -158,6 +160,58 @@ def remove_folder(folder: Path) -> None:
         while folder.exists() and time.monotonic() < deadline:
             time.sleep(0.05)
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def clear_leftovers(path: Path, *, claimed: bool = False) -> None:
+    """Remove what dead processes have left beside `path` while they wrote it.
+
+    What belongs to a living process stays, and so does what may belong to one of another machine,
+    unless the caller has the claim to `path`: then nobody else is at it.
+
+    Args:
+        path: file or folder under its final name; it is not touched itself, unless a process was
+            killed while it replaced the folder: then the old one gets its name back.
+        claimed: whether the caller has the claim.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    path = Path(path)
+    with storage(path.parent):
+        for left in path.parent.glob(f".{escape(path.stem)}.*"):
+            name, _, suffix = hidden_parts(left.name) or ("", None, "")
+            if name == path.name or (name, suffix) == (path.stem, path.suffix):
+                _clear(left, claimed=claimed)
+
+
+def clear_dead(folders: Iterable[Path]) -> None:
+    """Remove what dead processes of this machine have left in folders, whatever they wrote.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    for folder in folders:
+        with storage(folder):
+            for left in folder.glob(".*"):
+                _clear(left, claimed=False)
+
+
+def _clear(left: Path, *, claimed: bool) -> None:
+    """Remove what a process has left, unless it is alive."""
+    parts = hidden_parts(left.name)
+    if parts is None:
+        return
+    name, owner, _ = parts
+    if owner.alive or (owner.alive is None and not claimed):
+        return
+    final = left.with_name(name)
+    if left.suffix == OLD and not final.exists():
+        with suppress(FileNotFoundError):
+            os.replace(left, final)
+    elif left.is_dir():
+        shutil.rmtree(left, ignore_errors=True)
+    else:
+        left.unlink(missing_ok=True)
 
 
 @contextmanager

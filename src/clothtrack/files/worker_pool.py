@@ -6,8 +6,9 @@ import signal
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children, get_context, parent_process
 from types import FrameType
@@ -21,6 +22,12 @@ Result = TypeVar("Result")
 
 PATIENCE_S = 10.0
 """How long workers may take to clear away what is half-written before they are killed [s]."""
+
+KILLED = (
+    "the worker process was killed, also when no other worked beside it (out of memory?); free "
+    "some memory, or take a machine with more, and run the same command again: what is finished "
+    "is kept"
+)
 
 _ASK_AGAIN_S = 0.5
 _PR_SET_PDEATHSIG = 1
@@ -73,7 +80,11 @@ def end_workers(patience_s: float = PATIENCE_S) -> None:
 
 
 def finished_in_workers(
-    work: Callable[[Item], Result], items: Sequence[Item], processes: int
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    processes: int,
+    *,
+    lost: Callable[[Item], Result] | None = None,
 ) -> Generator[Result, None, None]:
     """Do the same work on many items, in this process or in several; results as they come.
 
@@ -84,42 +95,73 @@ def finished_in_workers(
     An interrupt may also come while the caller is busy with a result: close the results then
     (`contextlib.closing`), or the workers go on for as long as a traceback holds on to them.
 
+    A worker that is killed (out of memory?) costs nothing but time: the others go on, and at the
+    end what it was at is tried again, alone.
+
     Args:
         work: a function of a module, so that a worker can find it.
         items: what to work on, handed to the workers in this order.
         processes: how many; one works right here.
+        lost: the result of an item whose worker was killed when it was tried alone, too.
 
     Raises:
         InvalidConfigError: when there are no workers.
-        ClothTrackError: when a worker was killed; after the results of what is finished.
+        ClothTrackError: workers were killed alone, too, and `lost` is not given; after all results.
     """
     require_workers(processes)
     if processes == 1 or len(items) <= 1:
         yield from map(work, items)
         return
-    jobs: list[Future[Result]] = []
-    lost: list[Future[Result]] = []
+    left: deque[Item] = deque(items)
+    suspects: list[Item] = []
+    while left:
+        suspects += yield from _until_one_is_killed(work, left, processes)
+        if len(suspects) == len(items) - len(left) >= 2 * processes:
+            break  # Nothing was finished: it may be no item's fault.
+    dead: list[Item] = []
+    for number, item in enumerate(alone := [*suspects, *left]):
+        dead += yield from _until_one_is_killed(work, deque([item]), 1)
+        if dead and left:
+            dead += alone[number + 1 :]
+            break
+    if lost is not None:
+        yield from map(lost, dead)
+    elif dead:
+        raise ClothTrackError(f"{len(dead)} of {len(items)}: {KILLED}")
+
+
+def _until_one_is_killed(
+    work: Callable[[Item], Result], left: deque[Item], processes: int
+) -> Generator[Result, None, list[Item]]:
+    """Take items from `left` until a worker is killed; gives what was in work then."""
+    jobs: dict[Future[Result], Item] = {}
+    killed = False
     with ProcessPoolExecutor(processes, get_context("spawn"), _start_stoppable_worker) as pool:
         try:
-            jobs.extend(pool.submit(_work_or_leave, work, item) for item in items)
-            for job in as_completed(jobs):
-                if isinstance(job.exception(), BrokenProcessPool):
-                    lost.append(job)
-                else:
-                    yield job.result()
-            for job in lost:
-                job.result()
-        except BrokenProcessPool as error:
-            raise ClothTrackError(
-                "a worker process was killed (out of memory?); use fewer workers and run again: "
-                "what is finished is kept"
-            ) from error
+            while jobs or (left and not killed):
+                # No more than there are workers: what is handed out is what may have killed one.
+                while left and not killed and len(jobs) < processes:
+                    try:
+                        job = pool.submit(_work_or_leave, work, left[0])
+                    except BrokenProcessPool:
+                        killed = True
+                    else:
+                        jobs[job] = left.popleft()
+                wait(jobs, return_when=ALL_COMPLETED if killed else FIRST_COMPLETED)
+                for job in [job for job in jobs if job.done()]:
+                    if isinstance(job.exception(), BrokenProcessPool):
+                        killed = True
+                    else:
+                        jobs.pop(job)
+                        yield job.result()
+                if killed and all(job.done() for job in jobs):
+                    break
         finally:
-            if lost or len(jobs) < len(items) or not all(job.done() for job in jobs):
+            if jobs or left:
                 # The pool finds its workers gone and ends; it is waited for, because one that ends
                 # while the interpreter does may complain of a pipe that it has closed itself.
-                # What has not begun is not cancelled: the pool stumbles over that while it ends.
                 end_workers()
+    return list(jobs.values())
 
 
 def _work_or_leave(work: Callable[[Item], Result], item: Item) -> Result:

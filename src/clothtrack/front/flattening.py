@@ -8,6 +8,7 @@ from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
 from clothtrack.files.settings import with_settings
+from clothtrack.files.shared_work import Share
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
@@ -18,8 +19,9 @@ from clothtrack.planning.robots.robot import MotionLimits
 from clothtrack.planning.seen import seen_area
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
-from clothtrack.world import episodes
 from clothtrack.world.bench import vary
+from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig
+from clothtrack.world.filming import simulate as film_many
 from clothtrack.world.one_garment import OneGarment
 from clothtrack.world.simulated_episodes import (
     EpisodeParts,
@@ -161,6 +163,7 @@ def simulate(
     settings: Sequence[str] = (),
     workers: int = 1,
     progress: Progress | None = None,
+    share: Share | None = None,
 ) -> list[Path]:
     """Record pick-and-places in a simulated world that knows the truth.
 
@@ -176,9 +179,10 @@ def simulate(
         settings: changes to what is recorded, such as "sensor.width=320" or "actions=2".
         workers: processes.
         progress: called first, and after each recording.
+        share: which of the recordings are this process's; all by default.
 
     Returns:
-        The folders of the recordings.
+        The folders of the recordings of the share.
 
     Raises:
         InvalidConfigError: both a template and a garment seed are given, or a setting is not known.
@@ -190,11 +194,11 @@ def simulate(
             "garment_seed draws a garment of its own cut and size; leave "
             f"{'template' if template is not None else 'small'} out"
         )
-    usual = episodes.SMALL_WORLD if small else episodes.EpisodeConfig()
+    usual = SMALL_WORLD if small else EpisodeConfig()
     config = with_settings(usual if one is None else one.config, settings)
     if template is not None:
         config = replace(config, size_m=None, garment=str(template))
-    return episodes.simulate(
+    return film_many(
         Path(output), garment, trajectories, seed=seed, config=config, garment=one,
-        processes=workers, progress=progress,
+        processes=workers, progress=progress, share=share,
     )  # fmt: skip

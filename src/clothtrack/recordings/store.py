@@ -4,7 +4,6 @@ import io
 import json
 import math
 import re
-import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.errors import InvalidRecordingError, StorageError
-from clothtrack.files.atomic_write import remove_folder, storage
+from clothtrack.files.atomic_write import clear_leftovers, remove_folder, storage
+from clothtrack.files.owner import hidden_name
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.frame_files import PictureKind, conventional_name
 from clothtrack.recordings.picker_table import PICKER_FILE, picker_text
@@ -96,7 +96,8 @@ class RecordingWriter:
 
     Use it in a `with` block. Files go to a hidden folder beside the target as they come; when the
     block ends well they are checked and the folder is renamed; when it raises, they are removed.
-    A process that is killed leaves only the hidden folder `.NAME.….partial`.
+    A process that is killed leaves only the hidden folder `.NAME.….partial`; whoever writes NAME
+    next removes it.
     """
 
     def __init__(
@@ -136,8 +137,8 @@ class RecordingWriter:
         self._paths: dict[str, PickerPath] = {}
         if self._folder.exists():
             raise StorageError(f"{folder} exists; delete it or write to another name")
-        mark = f".{self._folder.name}.{uuid.uuid4().hex[:8]}.partial"
-        self._partial = self._folder.with_name(mark)
+        clear_leftovers(self._folder)
+        self._partial = self._folder.with_name(hidden_name(self._folder.name, ".partial"))
         with storage(self._partial):
             self._partial.mkdir(parents=True)
 

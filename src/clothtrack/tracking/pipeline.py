@@ -7,12 +7,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from clothtrack.errors import (
-    ClothTrackError,
     InvalidConfigError,
     InvalidRecordingError,
     StorageError,
@@ -20,7 +19,9 @@ from clothtrack.errors import (
 from clothtrack.files.atomic_write import content_hash, name_problem
 from clothtrack.files.progress import Progress, one_of
 from clothtrack.files.provenance import made_with
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.files.shared_work import Attempt, Share, attempts
+from clothtrack.files.work_folder import WorkFolder
+from clothtrack.files.worker_pool import require_workers
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
@@ -194,10 +195,12 @@ def track_recordings(
     progress: Progress | None = None,
     force: bool = True,
     watch: Watch | None = None,
+    share: Share | None = None,
 ) -> list[Outcome]:
     """Track many recordings; finished ones are skipped, a bad one does not stop the others.
 
-    A finished one whose recording has changed since is tracked again.
+    A finished one whose recording has changed since is tracked again. Several processes, of several
+    machines, may do so in one folder at once.
 
     Args:
         recordings: recording folders.
@@ -208,9 +211,10 @@ def track_recordings(
         progress: called after every frame (with one worker) or every recording; counts all.
         force: track although a first mesh lies beside its cloud; otherwise that is its outcome.
         watch: is shown every mesh; needs one worker.
+        share: which of the recordings are this process's; all by default.
 
     Returns:
-        One outcome per recording, in the given order.
+        One outcome per recording of the share, in the given order.
 
     Raises:
         InvalidConfigError: there are no workers, or several while somebody watches, or two
@@ -236,67 +240,82 @@ def track_recordings(
                 "rename the folder"
             )
     output.mkdir(parents=True, exist_ok=True)
-    work = partial(_track_folder, output=output, config=config, device=device, force=force)
-    if workers == 1 or len(folders) == 1:
-        return [
-            work(folder, progress=one_of(progress, done, len(folders)), watch=watch)
-            for done, folder in enumerate(folders)
-        ]
-    return _track_in_parallel(work, folders, workers, progress)
+    alone = workers == 1 or len(folders) == 1
+    work = _Tracking(output, config, device, force, *((progress, watch, folders) if alone else ()))
+    shared = attempts(
+        work, folders, WorkFolder(output, "track"), kind="recordings", processes=workers,
+        share=share, progress=None if alone else progress,
+    )  # fmt: skip
+    with closing(shared) as tries:
+        outcomes = {one.item: _outcome(one) for one in tries}
+    return [outcomes[folder] for folder in (share or Share()).of(folders)]
 
 
-def _track_in_parallel(
-    work: Callable[[Path], Outcome],
-    folders: Sequence[Path],
-    workers: int,
-    progress: Progress | None,
-) -> list[Outcome]:
-    outcomes: dict[Path, Outcome] = {}
-    try:
-        with closing(finished_in_workers(work, folders, workers)) as results:
-            for done, outcome in enumerate(results, 1):
-                outcomes[outcome.recording] = outcome
-                if progress is not None:
-                    progress(f"{done}/{len(folders)} recordings", done, len(folders))
-    except ClothTrackError as error:
-        # A worker was killed, and nobody knows over which recording.
-        for folder in folders:
-            outcomes.setdefault(folder, Outcome(folder, None, error=f"{folder}: {error}"))
-    return [outcomes[folder] for folder in folders]
+def _outcome(attempt: Attempt[Path, Outcome]) -> Outcome:
+    if attempt.result is not None:
+        return attempt.result
+    folder, error = attempt.item, str(attempt.error)
+    return Outcome(folder, None, error=error if str(folder) in error else f"{folder}: {error}")
+
+
+@dataclass(frozen=True)
+class _Tracking:
+    """Track a folder, as `clothtrack.files.shared_work.Work`.
+
+    Progress is told from here where everything is tracked in one process.
+    """
+
+    output: Path
+    config: RunConfig
+    device: str
+    force: bool
+    progress: Progress | None = None
+    watch: Watch | None = None
+    folders: Sequence[Path] = ()
+
+    def name(self, folder: Path) -> str:
+        """What the recording, and so its result, is called."""
+        return folder.resolve().name
+
+    def paths(self, folder: Path) -> list[Path]:
+        """The tracked trajectory."""
+        return [result_path(folder, self.output)]
+
+    def kept(self, folder: Path) -> Outcome | None:
+        """What was tracked before, from the same files with the same settings."""
+        path = result_path(folder, self.output)
+        earlier = self._earlier(path)
+        if earlier is None or earlier.get(DIGEST_FIELD) != recording_digest(read_recording(folder)):
+            return None
+        logger.info("%s: finished before, skipped", path)
+        return Outcome(folder, path, skipped=True)
+
+    def do(self, folder: Path) -> Outcome:
+        """Track the recording."""
+        path = result_path(folder, self.output)
+        again = self._earlier(path) is not None
+        progress = self.progress
+        if self.folders:
+            progress = one_of(progress, self.folders.index(folder), len(self.folders))
+        tracked = track_recording(
+            read_recording(folder), self.config, device=self.device, progress=progress,
+            force=self.force, watch=self.watch,
+        )  # fmt: skip
+        tracked.save(path)
+        return Outcome(folder, path, tracked_again=again)
+
+    def _earlier(self, path: Path) -> Mapping[str, Any] | None:
+        """What an earlier result says of itself; one with other settings is refused."""
+        if not path.exists():
+            return None
+        earlier = TrackedTrajectory.load(path).provenance
+        _refuse_other_settings(path, earlier, self.config)
+        return earlier
 
 
 def result_path(recording: Path, output: Path) -> Path:
     """Where the tracked trajectory of a recording lies."""
     return output / f"{recording.resolve().name}.zarr"
-
-
-def _track_folder(
-    folder: Path,
-    output: Path,
-    config: RunConfig,
-    device: str,
-    *,
-    force: bool,
-    progress: Progress | None = None,
-    watch: Watch | None = None,
-) -> Outcome:
-    path = result_path(folder, output)
-    try:
-        earlier = TrackedTrajectory.load(path).provenance if path.exists() else None
-        if earlier is not None:
-            _refuse_other_settings(path, earlier, config)
-        recording = read_recording(folder)
-        if earlier is not None and earlier.get(DIGEST_FIELD) == recording_digest(recording):
-            logger.info("%s: finished before, skipped", path)
-            return Outcome(folder, path, skipped=True)
-        tracked = track_recording(
-            recording, config, device=device, progress=progress, force=force, watch=watch
-        )
-        tracked.save(path)
-    except ClothTrackError as error:
-        named = str(error) if str(folder) in str(error) else f"{folder}: {error}"
-        return Outcome(folder, None, error=named)
-    return Outcome(folder, path, tracked_again=earlier is not None)
 
 
 def _refuse_other_settings(path: Path, earlier: Mapping[str, Any], config: RunConfig) -> None:

@@ -6,7 +6,8 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.world.bench import BenchTrajectory
-    from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate, simulate_trajectory
+    from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate_trajectory
+    from clothtrack.world.filming import simulate
     from clothtrack.world.scene import Scene
     from clothtrack.world.sensor import Sensor
     from clothtrack.world.simulated_episodes import SimulatedEpisode, flatten_simulated

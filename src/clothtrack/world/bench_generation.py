@@ -1,7 +1,7 @@
 """Makes the benchmark, goes on where it stopped, and checks it against its checksums.
 
-`OUT/bench.json` lists every finished trajectory. It is written anew after each one, so that what
-it lists is whole, and what it does not list was never finished.
+`OUT/bench.json` lists every finished trajectory. It is written anew after each one, by one process
+at a time, so that what it lists is whole, and what it does not list was never finished.
 """
 
 import hashlib
@@ -10,10 +10,9 @@ import logging
 import platform
 import shutil
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict
-from functools import partial
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,9 @@ import numpy as np
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import atomic_file, content_hash, storage
 from clothtrack.files.progress import Progress
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.files.shared_work import Share, attempts, results_of
+from clothtrack.files.work_folder import WorkFolder
+from clothtrack.files.worker_pool import require_workers
 from clothtrack.version import __version__
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
@@ -44,6 +45,7 @@ def generate_bench(
     *,
     processes: int = 1,
     progress: Progress | None = None,
+    share: Share | None = None,
 ) -> list[Entry]:
     """Film trajectories of the benchmark into `out/recordings` and `out/truth`.
 
@@ -55,15 +57,16 @@ def generate_bench(
         selected: which trajectories; all of the benchmark when None.
         processes: worker processes.
         progress: called first, and after each trajectory, kept ones included.
+        share: which of them are this process's; all by default.
 
     Returns:
-        The entries of the wanted trajectories, in their order.
+        The entries of the trajectories of the share, in their order.
 
     Raises:
         InvalidConfigError: there are no workers, or `out` holds a benchmark that was made with
             other settings.
         SimulationDivergedError: the physics of a trajectory diverges with all its spare seeds.
-        ClothTrackError: a worker was killed.
+        ClothTrackError: a worker was killed, also when it worked alone.
         StorageError: the disk refuses.
     """
     require_workers(processes)
@@ -71,29 +74,48 @@ def generate_bench(
     listed = _read_list(out)
     for trajectory in selected:
         _refuse_other_settings(out, trajectory, listed.get(trajectory.name))
-    missing, done = [], 0
+    shared = attempts(
+        _Filming(out), selected, WorkFolder(out, "bench"), kind="trajectories",
+        processes=processes, share=share, progress=progress,
+    )  # fmt: skip
+    with closing(shared) as tries:
+        entries = {one.name: entry for one, entry in results_of(tries)}
+    return [entries[one.name] for one in (share or Share()).of(selected)]
 
-    def tell(name: str = "") -> None:
-        if progress is not None:
-            last = f", the last {name}" if name else ""
-            progress(f"{done}/{len(selected)} trajectories{last}", done, len(selected))
 
-    tell()
-    for trajectory in selected:
-        if trajectory.name in listed and not damage(out, listed[trajectory.name]):
-            done += 1
-            tell(trajectory.name)
-        else:
-            missing.append(trajectory)
-            listed.pop(trajectory.name, None)
-            _remove(out, trajectory.name)
-    with closing(_filmed(missing, out, processes)) as entries:
-        for entry in entries:
-            listed[entry["name"]] = entry
-            _write_list(out, listed)
-            done += 1
-            tell(entry["name"])
-    return [listed[trajectory.name] for trajectory in selected]
+@dataclass(frozen=True)
+class _Filming:
+    """Film a trajectory and list it, as `clothtrack.files.shared_work.Work`."""
+
+    out: Path
+
+    def name(self, trajectory: BenchTrajectory) -> str:
+        """The trajectory's own name."""
+        return trajectory.name
+
+    def paths(self, trajectory: BenchTrajectory) -> list[Path]:
+        """The truth, and the recording, which comes last."""
+        recording, truth = _paths(self.out, trajectory.name)
+        return [truth, recording]
+
+    def kept(self, trajectory: BenchTrajectory) -> Entry | None:
+        """The entry of one that is listed, and as it is listed."""
+        entry = _read_list(self.out).get(trajectory.name)
+        return None if entry is None or damage(self.out, entry) else entry
+
+    def do(self, trajectory: BenchTrajectory) -> Entry:
+        """Film it over what is left of an earlier try, and list it."""
+        folder = WorkFolder(self.out, "bench")
+        with folder.locked(LIST_FILE):
+            listed = _read_list(self.out)
+            if listed.pop(trajectory.name, None) is not None:
+                _write_list(self.out, listed)
+        _remove(self.out, trajectory.name)
+        entry = _film(trajectory, self.out)
+        # Other processes write the list as well.
+        with folder.locked(LIST_FILE):
+            _write_list(self.out, {**_read_list(self.out), trajectory.name: entry})
+        return entry
 
 
 def table(entries: Sequence[Entry]) -> str:
@@ -213,35 +235,17 @@ def _measured(truth: Path) -> dict[str, int | float]:
         }
 
 
-def _filmed(
-    missing: Sequence[BenchTrajectory], out: Path, processes: int
-) -> Generator[Entry, None, None]:
-    """Film trajectories; their entries in the order in which they are finished."""
-    unfinished = {trajectory.name for trajectory in missing}
-    try:
-        with closing(finished_in_workers(partial(_film, out=out), missing, processes)) as entries:
-            for entry in entries:
-                unfinished.discard(entry["name"])
-                yield entry
-    finally:
-        # A worker that was killed clears nothing away.
-        for name in unfinished:
-            _remove(out, name)
-
-
 def _paths(out: Path, name: str) -> tuple[Path, Path]:
     return Path(out) / "recordings" / name, Path(out) / "truth" / f"{name}.npz"
 
 
 def _remove(out: Path, name: str) -> None:
-    """Remove what an earlier try left of a trajectory."""
+    """Remove a trajectory that is damaged or was not listed."""
     recording, truth = _paths(out, name)
     with storage(recording):
-        for folder in (recording, *recording.parent.glob(f".{name}.*.partial")):
-            if folder.exists():
-                shutil.rmtree(folder)
-        for file in (truth, *truth.parent.glob(f".{name}.*.npz")):
-            file.unlink(missing_ok=True)
+        if recording.exists():
+            shutil.rmtree(recording)
+        truth.unlink(missing_ok=True)
 
 
 def _refuse_other_settings(

@@ -8,7 +8,6 @@ measured by hand would be.
 
 import json
 import logging
-from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,10 +16,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.files.progress import Progress
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
@@ -101,61 +97,6 @@ SMALL_WORLD = EpisodeConfig(
 """One action with a napkin, in a few seconds: for smoke runs and tests, and proof of nothing."""
 
 
-def simulate(
-    out: Path,
-    kind: GarmentKind,
-    trajectories: int,
-    *,
-    seed: int = 0,
-    config: EpisodeConfig | None = None,
-    garment: GivenGarment | None = None,
-    processes: int = 1,
-    progress: Progress | None = None,
-) -> list[Path]:
-    """Film several trajectories, with the seeds `seed`, `seed` + 1 and so on.
-
-    Recordings that exist are left as they are, so a broken run goes on where it stopped.
-    Trajectories whose physics diverges are logged and left out.
-
-    Args:
-        out: folder for `recordings/` and `truth/`.
-        kind: the garment.
-        trajectories: how many.
-        seed: of the first one.
-        config: what is filmed, and how.
-        garment: of all trajectories, in place of one that is cut for each.
-        processes: worker processes.
-        progress: called first, and after each trajectory.
-
-    Returns:
-        The folders of the recordings that exist now.
-
-    Raises:
-        InvalidConfigError: there are no workers, or no trajectories are asked for.
-        ClothTrackError: when a worker was killed.
-        StorageError: when the disk refuses.
-    """
-    require_workers(processes)
-    if trajectories < 1:
-        raise InvalidConfigError(f"the number of trajectories is {trajectories}; give at least 1")
-    config = config or EpisodeConfig()
-    film = partial(_simulate_or_skip, kind, out=Path(out), config=config, garment=garment)
-    seeds = range(seed, seed + trajectories)
-
-    def tell(done: int) -> None:
-        if progress is not None:
-            progress(f"{done}/{trajectories} recordings", done, trajectories)
-
-    with closing(finished_in_workers(film, seeds, processes)) as results:
-        made = set()
-        tell(0)
-        for done, folder in enumerate(results, 1):
-            made.add(folder)
-            tell(done)
-    folders = (_folder(Path(out), _name(kind, each, garment)) for each in seeds)
-    return [folder for folder in folders if folder in made]
-
-
 def simulate_trajectory(
     kind: GarmentKind,
     seed: int,
@@ -187,7 +128,7 @@ def simulate_trajectory(
         StorageError: when the recording exists or the disk refuses.
     """
     config = config or EpisodeConfig()
-    name = name or _name(kind, seed, garment)
+    name = name or recording_name(kind, seed, garment)
     root = np.random.SeedSequence([seed, list(DEFAULT_SIZES_M).index(kind)])
     of_world, of_actions, of_sensor, of_template, of_picker, of_calibration = map(
         np.random.default_rng, root.spawn(6)
@@ -334,30 +275,9 @@ class _Film:
         return PickerPath(times, tips + bias + noise, np.array(self.closed))
 
 
-def _simulate_or_skip(
-    kind: GarmentKind,
-    seed: int,
-    *,
-    out: Path,
-    config: EpisodeConfig,
-    garment: GivenGarment | None,
-) -> Path | None:
-    folder = _folder(out, _name(kind, seed, garment))
-    if folder.exists():
-        return folder
-    try:
-        return simulate_trajectory(kind, seed, out, config=config, garment=garment)
-    except SimulationDivergedError as error:
-        logger.warning("%s left out: %s", folder.name, error)
-        return None
-
-
-def _name(kind: GarmentKind, seed: int, garment: GivenGarment | None) -> str:
+def recording_name(kind: GarmentKind, seed: int, garment: GivenGarment | None) -> str:
+    """What the recording of a seed is called: KIND_SEED, or after the one garment."""
     return f"{kind if garment is None else garment.label}_{seed:04d}"
-
-
-def _folder(out: Path, name: str) -> Path:
-    return out / "recordings" / name
 
 
 def _provenance(

@@ -7,12 +7,10 @@ interrupted run goes on where it stopped.
 
 import logging
 import math
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +18,14 @@ import numpy as np
 from jaxtyping import Float32
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.atomic_write import atomic_file, storage
+from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain, require_same
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.files.shared_work import Share, attempts, results_of
+from clothtrack.files.work_folder import WorkFolder
+from clothtrack.files.worker_pool import require_workers
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.crumpling import (
@@ -157,6 +157,7 @@ def generate_states(
     config: StatesConfig | None = None,
     processes: int = 1,
     progress: Progress | None = None,
+    share: Share | None = None,
 ) -> StateSet:
     """Make at least so many states: as many whole shards as that takes.
 
@@ -167,7 +168,8 @@ def generate_states(
         seed: of everything.
         config: what is made, and how.
         processes: worker processes.
-        progress: called with the shards that are kept, and after each further one.
+        progress: called first, and after each shard, kept ones included.
+        share: which of the shards are this process's; all by default.
 
     Raises:
         InvalidConfigError: there are no workers or states, or `out` holds states that were made
@@ -180,31 +182,70 @@ def generate_states(
         raise InvalidConfigError(f"the number of states is {states}; give at least 1")
     out, config = Path(out), config or StatesConfig()
     count = math.ceil(states / config.shard_states)
-    document = _document(out, kind, seed, config)
-    listed: dict[str, dict[str, Any]] = document["shards"]
-    missing = [number for number in range(count) if not _finished(out, number, listed)]
-    done = count - len(missing)
-    if progress is not None:
-        progress(f"{done}/{count} garments", done, count)
-    write_list(out, document)
-    work = partial(_make_and_write, out=out, kind=kind, seed=seed, config=config)
-    try:
-        with closing(finished_in_workers(work, missing, processes)) as results:
-            for number, entry in results:
-                listed[shard_path(out, number).name] = entry
-                document["shards"] = dict(sorted(listed.items()))
-                write_list(out, document)
-                done += 1
-                if progress is not None:
-                    progress(f"{done}/{count} garments", done, count)
-    finally:
-        # A worker that was killed, or stopped while another of its threads wrote, leaves parts.
-        for number in missing:
-            _clear(shard_path(out, number))
-    found = open_states(out)
-    with atomic_file(out / CARD_FILE) as unfinished:
-        unfinished.write_text(dataset_card(found), encoding="utf-8")
+    folder = WorkFolder(out, "simulate")
+    with folder.locked(LIST_FILE):
+        write_list(out, _document(out, kind, seed, config))
+    shared = attempts(
+        _Making(out, kind, seed, config), range(count), folder, kind="garments",
+        processes=processes, share=share, progress=progress,
+    )  # fmt: skip
+    with closing(shared) as tries:
+        for _ in results_of(tries):
+            pass
+    with folder.locked(LIST_FILE):
+        found = open_states(out)
+        with atomic_file(out / CARD_FILE) as unfinished:
+            unfinished.write_text(dataset_card(found), encoding="utf-8")
     return found
+
+
+@dataclass(frozen=True)
+class _Making:
+    """Make a shard, as `clothtrack.files.shared_work.Work`."""
+
+    out: Path
+    kind: GarmentKind
+    seed: int
+    config: StatesConfig
+
+    def name(self, number: int) -> str:
+        """The shard's own name."""
+        return shard_path(self.out, number).name
+
+    def paths(self, number: int) -> list[Path]:
+        """The shard."""
+        return [shard_path(self.out, number)]
+
+    def kept(self, number: int) -> int | None:
+        """The number of a shard that is whole and listed."""
+        path = shard_path(self.out, number)
+        if not path.exists():
+            return None
+        try:
+            shard = read_shard(path)
+        except InvalidResultError as error:
+            logger.warning("made again: %s", error)
+            return None
+        if path.name not in ((read_list(self.out) or {}).get("shards") or {}):
+            # A process was killed between the shard and the list.
+            self._list(number, len(shard.positions), None)
+        return number
+
+    def do(self, number: int) -> int:
+        """Make the shard, write it, and list it."""
+        start = time.process_time()
+        shard = make_shard(self.kind, number, self.seed, self.config)
+        write_shard(shard, shard_path(self.out, number))
+        self._list(number, len(shard.positions), round(time.process_time() - start, 2))
+        return number
+
+    def _list(self, number: int, states: int, cpu_s: float | None) -> None:
+        """Add the shard to the list, which other processes write as well."""
+        with WorkFolder(self.out, "simulate").locked(LIST_FILE):
+            document = _document(self.out, self.kind, self.seed, self.config)
+            entry = {shard_path(self.out, number).name: {"states": states, "cpu_s": cpu_s}}
+            document["shards"] = dict(sorted({**document["shards"], **entry}.items()))
+            write_list(self.out, document)
 
 
 def make_shard(kind: GarmentKind, number: int, seed: int, config: StatesConfig) -> StateShard:
@@ -312,42 +353,6 @@ def _near_origin(
     middle = 0.5 * (moved[:, :2].min(axis=0) + moved[:, :2].max(axis=0))
     moved[:, :2] += rng.uniform(-shift_m, shift_m, 2) - middle
     return moved.astype(np.float32)
-
-
-def _make_and_write(
-    number: int, *, out: Path, kind: GarmentKind, seed: int, config: StatesConfig
-) -> tuple[int, dict[str, Any]]:
-    """Make one shard and write it; its number and its entry in the list."""
-    start = time.process_time()
-    path = shard_path(out, number)
-    _clear(path)
-    shard = make_shard(kind, number, seed, config)
-    write_shard(shard, path)
-    cpu_s = round(time.process_time() - start, 2)
-    return number, {"states": len(shard.positions), "cpu_s": cpu_s}
-
-
-def _finished(out: Path, number: int, listed: dict[str, dict[str, Any]]) -> bool:
-    """Whether a shard is whole; one that was finished but not listed yet is listed."""
-    path = shard_path(out, number)
-    if not path.exists():
-        listed.pop(path.name, None)
-        return False
-    try:
-        shard = read_shard(path)
-    except InvalidResultError as error:
-        logger.warning("made again: %s", error)
-        listed.pop(path.name, None)
-        return False
-    listed.setdefault(path.name, {"states": len(shard.positions), "cpu_s": None})
-    return True
-
-
-def _clear(path: Path) -> None:
-    """Remove what an earlier try left of a shard."""
-    with storage(path):
-        for left in path.parent.glob(f".{path.name}.*"):
-            shutil.rmtree(left)
 
 
 def _document(out: Path, kind: GarmentKind, seed: int, config: StatesConfig) -> dict[str, Any]:

@@ -1,0 +1,109 @@
+"""Films many trajectories of the stand-in world, whoever else films some of them."""
+
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from clothtrack.errors import InvalidConfigError, SimulationDivergedError
+from clothtrack.files.progress import Progress
+from clothtrack.files.shared_work import Attempt, Share, attempts, results_of
+from clothtrack.files.work_folder import WorkFolder
+from clothtrack.files.worker_pool import require_workers
+from clothtrack.simulation.garments import GarmentKind
+from clothtrack.world.episodes import EpisodeConfig, recording_name, simulate_trajectory
+from clothtrack.world.template_mesh import GivenGarment
+
+logger = logging.getLogger(__name__)
+
+
+def simulate(
+    out: Path,
+    kind: GarmentKind,
+    trajectories: int,
+    *,
+    seed: int = 0,
+    config: EpisodeConfig | None = None,
+    garment: GivenGarment | None = None,
+    processes: int = 1,
+    progress: Progress | None = None,
+    share: Share | None = None,
+) -> list[Path]:
+    """Film several trajectories, with the seeds `seed`, `seed` + 1 and so on.
+
+    Recordings that exist are left as they are, so a broken run goes on where it stopped.
+    Trajectories whose physics diverges are logged and left out.
+
+    Args:
+        out: folder for `recordings/` and `truth/`.
+        kind: the garment.
+        trajectories: how many.
+        seed: of the first one.
+        config: what is filmed, and how.
+        garment: of all trajectories, in place of one that is cut for each.
+        processes: worker processes.
+        progress: called first, and after each trajectory.
+        share: which of them are this process's; all by default.
+
+    Returns:
+        The folders of the recordings of the share that exist now.
+
+    Raises:
+        InvalidConfigError: there are no workers, or no trajectories are asked for.
+        ClothTrackError: when a worker was killed, also when it worked alone.
+        StorageError: when the disk refuses.
+    """
+    require_workers(processes)
+    if trajectories < 1:
+        raise InvalidConfigError(f"the number of trajectories is {trajectories}; give at least 1")
+    filming = _Filming(Path(out), kind, config or EpisodeConfig(), garment)
+    shared = attempts(
+        filming, range(seed, seed + trajectories), WorkFolder(Path(out), "simulate"),
+        kind="recordings", processes=processes, share=share, progress=progress,
+    )  # fmt: skip
+    with closing(shared) as tries:
+        folders = dict(results_of(_without_diverged(tries, filming)))
+    return [folders[each] for each in sorted(folders)]
+
+
+def _without_diverged(
+    tries: Iterable[Attempt[int, Path]], filming: "_Filming"
+) -> Iterator[Attempt[int, Path]]:
+    for one in tries:
+        if isinstance(one.error, SimulationDivergedError):
+            logger.warning("%s left out: %s", filming.name(one.item), one.error)
+        else:
+            yield one
+
+
+@dataclass(frozen=True)
+class _Filming:
+    """Film a seed, as `clothtrack.files.shared_work.Work`."""
+
+    out: Path
+    kind: GarmentKind
+    config: EpisodeConfig
+    garment: GivenGarment | None
+
+    def name(self, seed: int) -> str:
+        """What the recording is called."""
+        return recording_name(self.kind, seed, self.garment)
+
+    def paths(self, seed: int) -> list[Path]:
+        """The truth, and the recording, which comes last."""
+        return [
+            self.out / "truth" / f"{self.name(seed)}.npz",
+            self.out / "recordings" / self.name(seed),
+        ]
+
+    def kept(self, seed: int) -> Path | None:
+        """The recording of before."""
+        folder = self.out / "recordings" / self.name(seed)
+        return folder if folder.exists() else None
+
+    def do(self, seed: int) -> Path:
+        """Film it."""
+        return simulate_trajectory(
+            self.kind, seed, self.out, config=self.config, garment=self.garment
+        )
