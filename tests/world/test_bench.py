@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import astuple, fields, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,24 @@ def test_equal_seeds_give_equal_bytes_in_another_process(made: Path, tmp_path: P
         document(made)["trajectories"], document(tmp_path)["trajectories"], strict=True
     ):
         assert {**ours, "cpu_s": 0} == {**theirs, "cpu_s": 0}
+
+
+def test_two_processes_with_different_parts_lose_no_entry(made: Path, tmp_path: Path) -> None:
+    parts = [PAIR[:1], PAIR[1:], PAIR]
+    processes = [
+        get_context("spawn").Process(target=generate_bench, args=(tmp_path, part)) for part in parts
+    ]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0, 0, 0]
+    assert verify_bench(tmp_path, PAIR) == []
+    for ours, theirs in zip(
+        document(made)["trajectories"], document(tmp_path)["trajectories"], strict=True
+    ):
+        assert {**ours, "cpu_s": 0} == {**theirs, "cpu_s": 0}
+    assert not list(tmp_path.glob(".work/bench/claims/*"))
 
 
 def test_a_stranger_can_verify_with_sha256sum(made: Path) -> None:

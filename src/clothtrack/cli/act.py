@@ -1,7 +1,7 @@
 """The verbs of the command line that act: flattening, its learned dynamics, and getting better."""
 
 import json as json_module
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,9 +14,11 @@ from clothtrack.cli.options import (
     Device,
     Seed,
     Settings,
+    Shard,
     ShowSettings,
     list_settings,
     require_weights,
+    share_of,
 )
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
@@ -47,6 +49,7 @@ def flatten(
     recording: Path | None = None,
     actions: int = 10,
     episodes: int = 1,
+    shard: Shard = "",
     live: bool = False,
     port: int | None = None,
     settings: Settings = (),
@@ -77,6 +80,7 @@ def flatten(
         recording: for a dry run: its last picture is what is planned for.
         actions: most actions of an episode.
         episodes: how many, with the seeds SEED, SEED + 1 and so on.
+        shard: do only one of several parts of the episodes.
         live: show it in a browser while it happens, on this machine only.
         port: of that page; any free one by default.
         settings: changes, such as planner.candidates=300 or planner.strip_m=0.
@@ -99,6 +103,7 @@ def flatten(
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
     from clothtrack.front.flattening import episode_parts
+    from clothtrack.front.many_episodes import flattened
     from clothtrack.report.flattening_page import watched_live
 
     # Before the first start is made and the page is served: weights may be missing.
@@ -107,16 +112,23 @@ def flatten(
     # The result on stdout stays JSON alone.
     write = complain if json else say
     opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
+    share = share_of(shard)
     with opened if live else nullcontext() as watch:
-        for number in range(episodes):
+
+        def run(seed: int, number: int, count: int) -> dict[str, Any]:
             store = ct.flatten(
-                output, garment, config=config, garment_seed=garment_seed, seed=seed + number,
+                output, garment, config=config, garment_seed=garment_seed, seed=seed,
                 device=device, parts=parts, watch=watch,
-                progress=one_of(progress, number, episodes, "episode"),
+                progress=one_of(progress, number, count, "episode"),
             )  # fmt: skip
-            rows.append(_summary(store, output))
-            if not json:
-                say(_in_words(rows[-1]))
+            return _summary(store, output)
+
+        seeds = range(seed, seed + episodes)
+        with closing(flattened(run, output, garment, garment_seed, seeds, share=share)) as results:
+            for row in results:
+                rows.append(row)
+                if not json:
+                    say(_in_words(row))
     if json:
         say(json_module.dumps(rows, indent=2))
     return 0

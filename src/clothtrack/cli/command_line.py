@@ -24,6 +24,7 @@ from clothtrack.cli.picker import find_picker
 from clothtrack.cli.recordings import import_, inspect
 from clothtrack.cli.signature import name_of
 from clothtrack.cli.simulate import bench, simulate
+from clothtrack.cli.status import status
 from clothtrack.cli.terminal import INTERRUPTED, complain, end_by_interrupt, exit_code
 from clothtrack.cli.track import demo, track
 from clothtrack.cli.usage import WRONG_USAGE, WrongUsageError, parse
@@ -34,7 +35,7 @@ from clothtrack.cli.warnings_once import logged
 VERBS: tuple[Callable[..., int], ...] = (
     demo, inspect, import_, record, calibrate_camera, calibrate_hand_eye, segment, find_picker,
     garment, simulate, bench, track, label, pretrain, finetune, reconstruct, flatten,
-    train_dynamics, improve, evaluate, view, export, verify,
+    train_dynamics, improve, evaluate, view, export, verify, status,
 )  # fmt: skip
 """The functions behind the verbs, in the order of the README."""
 

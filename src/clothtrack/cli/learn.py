@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-import clothtrack as ct
-from clothtrack.cli.options import AsJson, Device, Seed, Settings
+from clothtrack.cli.options import AsJson, Device, Seed, Settings, Shard, share_of
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 from clothtrack.front.learning_extra import require_learning
@@ -30,6 +29,8 @@ def label(
     garment: GarmentChoice = "as recorded",
     weighted: Annotated[bool, arg(help="let labels of any quality count alike")] = True,
     flat_weight: float = 1.0,
+    workers: int = 1,
+    shard: Shard = "",
     device: Device = "cpu",
     json: AsJson = False,
 ) -> int:
@@ -40,25 +41,35 @@ def label(
     Args:
         tracked: NAME.zarr folders that `track` wrote.
         recordings: the recording, or the folder in which recordings lie by name.
-        output: folder that gets one NAME.labels.npz per trajectory.
+        output: folder that gets one NAME.labels.npz per trajectory; those that are there from the
+            same trajectory, review and options are kept.
         garment: what it is, where the recording does not say or says otherwise.
         weighted: weigh each label by its quality.
         flat_weight: weight of the first frame, before any action; 0 leaves it out.
+        workers: processes.
+        shard: do only one of several parts.
         device: where to compute.
         json: machine-readable.
     """
     require_learning()
+    from clothtrack.front.many import label_many
     from clothtrack.reconstruction.data.pseudo_labels import read_labels
 
     if not tracked:
         complain("no tracked trajectory given; name at least one NAME.zarr")
         return 2
-    kind = None if garment == "as recorded" else garment
+    options = {
+        "garment": None if garment == "as recorded" else garment,
+        "weighted": weighted,
+        "flat_weight": flat_weight,
+        "device": device,
+    }
+    files = label_many(
+        tracked, recordings, output, options, workers=workers, share=share_of(shard),
+        progress=progress,
+    )  # fmt: skip
     rows = []
-    for path in tracked:
-        run = ct.load(path, recordings)
-        file = output / f"{run.name}.labels.npz"
-        ct.label(run, file, garment=kind, weighted=weighted, flat_weight=flat_weight, device=device)
+    for file in files:
         labels = read_labels(file)
         weights = [picture.weight for picture in labels.pictures]
         rejected = len(labels.provenance["rejected_actions"])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 import clothtrack as ct
-from clothtrack.cli.options import AsJson, Device, Seed
+from clothtrack.cli.options import AsJson, Device, Seed, Shard, share_of
 from clothtrack.cli.terminal import complain, progress, say, say_result
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 
@@ -26,6 +26,8 @@ def evaluate(
     truth: Path | None = None,
     output: Path | None = None,
     all: bool = False,  # noqa: A002
+    workers: int = 1,
+    shard: Shard = "",
     device: Device = "cpu",
     seed: Seed = 0,
     json: AsJson = False,
@@ -36,23 +38,24 @@ def evaluate(
         tracked: NAME.zarr folders that `track` wrote.
         recordings: the recording, or the folder in which recordings lie by name.
         truth: truth file, or the folder in which NAME.npz lie.
-        output: also write all measures to this JSON file.
+        output: also write all measures to this JSON file, and those of the other parts.
         all: show every measure, before and after the final alignment, in wide rows.
+        workers: processes.
+        shard: do only one of several parts.
         device: where to compute.
         seed: of surface samples.
         json: machine-readable.
     """
-    from clothtrack.evaluation.results import as_json, save_json, summary, table
+    from clothtrack.evaluation.results import as_json, summary, table
+    from clothtrack.front.many import evaluate_many
 
     if not tracked:
         complain("no tracked trajectory given; name at least one NAME.zarr folder")
         return 2
-    evaluations = [
-        ct.evaluate(ct.load(path, recordings), truth=truth, device=device, seed=seed)
-        for path in tracked
-    ]
-    if output is not None:
-        save_json(evaluations, output)
+    evaluations = evaluate_many(
+        tracked, recordings, output, {"truth": truth, "device": device, "seed": seed},
+        workers=workers, share=share_of(shard), progress=progress,
+    )  # fmt: skip
     shown = as_json if json else table if all else summary
     say(shown(evaluations))
     return 0

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from clothtrack.errors import InvalidResultError
+from clothtrack.evaluation.label_evidence import LabelEvidence
 from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.metrics import (
     ClothMeasures,
@@ -258,6 +259,30 @@ def as_plain(evaluation: Evaluation) -> dict[str, Any]:
     """An evaluation as JSON holds it, with a verdict on every label."""
     verdicts = [{"action": one.action, **asdict(verdict(one))} for one in evaluation.labels]
     return _plain({**asdict(evaluation), "verdicts": verdicts})
+
+
+def from_plain(document: Mapping[str, Any]) -> Evaluation:
+    """The evaluation that `as_plain` has written.
+
+    Raises:
+        KeyError, TypeError: it is something else.
+    """
+
+    def numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: np.nan if value is None else value for name, value in values.items()}
+
+    rows = []
+    for row in document["rows"]:
+        errors = {
+            name: ErrorSummary(**numbers(one)) for name, one in row["vertex_error_mm"].items()
+        }
+        cloth = ClothMeasures(**numbers(row["cloth"]))
+        rows.append(Row(**{**numbers(row), "vertex_error_mm": errors, "cloth": cloth}))
+    labels = [
+        LabelQuality(**{**numbers(one), "evidence": LabelEvidence(**numbers(one["evidence"]))})
+        for one in document["labels"]
+    ]
+    return Evaluation(document["name"], tuple(rows), tuple(labels), document["provenance"])
 
 
 def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
