@@ -3,6 +3,7 @@
 import json as json_module
 from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -108,23 +109,16 @@ def flatten(
 
     # Before the first start is made and the page is served: weights may be missing.
     parts = episode_parts(garment, config, device=device, garment_seed=garment_seed, output=output)
-    rows = []
-    # The result on stdout stays JSON alone.
-    write = complain if json else say
+    rows, write = [], complain if json else say  # The result on stdout stays JSON alone.
     opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
-    share = share_of(shard)
     with opened if live else nullcontext() as watch:
-
-        def run(seed: int, number: int, count: int) -> dict[str, Any]:
-            store = ct.flatten(
-                output, garment, config=config, garment_seed=garment_seed, seed=seed,
-                device=device, parts=parts, watch=watch,
-                progress=one_of(progress, number, count, "episode"),
-            )  # fmt: skip
-            return _summary(store, output)
-
-        seeds = range(seed, seed + episodes)
-        with closing(flattened(run, output, garment, garment_seed, seeds, share=share)) as results:
+        run = partial(
+            _flatten_one, output, garment, config=config, garment_seed=garment_seed,
+            device=device, parts=parts, watch=watch,
+        )  # fmt: skip
+        seeds, share = range(seed, seed + episodes), share_of(shard)
+        shared = flattened(run, output, garment, garment_seed, seeds, share=share)
+        with closing(shared) as results:
             for row in results:
                 rows.append(row)
                 if not json:
@@ -132,6 +126,20 @@ def flatten(
     if json:
         say(json_module.dumps(rows, indent=2))
     return 0
+
+
+def _flatten_one(
+    output: Path,
+    garment: Literal["towel", "tshirt"],
+    seed: int,
+    number: int,
+    count: int,
+    **options: Any,
+) -> dict[str, Any]:
+    """Flatten with a seed, `number` episodes of `count` being done, and write the report."""
+    told = one_of(progress, number, count, "episode")
+    store = ct.flatten(output, garment, seed=seed, progress=told, **options)
+    return _summary(store, output)
 
 
 def _excluded(

@@ -19,7 +19,8 @@ from clothtrack.files.worker_pool import finished_in_workers
 from clothtrack.front.learning import label
 from clothtrack.front.run import Run, evaluate, load
 from clothtrack.recordings.identity import recording_digest
-from clothtrack.tracking.artefacts import inside
+from clothtrack.recordings.store import read_recording
+from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder
 from clothtrack.version import __version__
 
 
@@ -134,22 +135,24 @@ class _Source:
         same = [one for one in self.tracked if one.stem == path.stem]
         return path.stem if len(same) == 1 else f"{path.stem}_{same.index(path)}"
 
-    def load(self, path: Path) -> tuple[Run, str]:
-        """A run, and a digest of all that its result depends on."""
-        run = load(path, self.recordings)
-        parts = [__version__, json.dumps(self.options, sort_keys=True, default=str)]
-        parts.append(content_hash(path / "zarr.json"))
-        if run.recording is not None:
-            parts.append(recording_digest(run.recording))
-        files = [review_path(path)]
+    def digest(self, path: Path) -> str:
+        """SHA-256 over all that the result of a run depends on."""
+        tracked = load_tracked(path)
+        recording = read_recording(recording_folder(tracked, self.recordings))
+        files = [path / "zarr.json", review_path(path)]
         if truth := self.options.get("truth"):
-            files.append(inside(Path(truth), f"{run.name}.npz"))
+            files.append(inside(Path(truth), f"{tracked.name}.npz"))
+        parts = [__version__, json.dumps(self.options, sort_keys=True, default=str)]
         parts += [content_hash(file) if file.is_file() else "" for file in files]
-        return run, hashlib.sha256("\n".join(parts).encode()).hexdigest()
+        return hashlib.sha256("\n".join([*parts, recording_digest(recording)]).encode()).hexdigest()
+
+    def run(self, path: Path) -> Run:
+        """A run with its recording; a warning tells when that has changed since."""
+        return load(path, self.recordings)
 
     def evaluation(self, path: Path) -> tuple[Path, Evaluation]:
         """Measure a run."""
-        return path, evaluate(load(path, self.recordings), **self.options)
+        return path, evaluate(self.run(path), **self.options)
 
 
 @dataclass(frozen=True)
@@ -173,14 +176,15 @@ class _Labelling:
         note, file = self.paths(path)
         if not (note.is_file() and file.is_file()):
             return None
-        _, digest = self.source.load(path)
-        return file if note.read_text("ascii") == f"{digest} {content_hash(file)}" else None
+        if note.read_text("ascii") != f"{self.source.digest(path)} {content_hash(file)}":
+            return None
+        self.source.run(path)
+        return file
 
     def do(self, path: Path) -> Path:
         """Label it."""
-        run, digest = self.source.load(path)
-        note, file = self.paths(path)
-        label(run, file, **self.source.options)
+        digest, (note, file) = self.source.digest(path), self.paths(path)
+        label(self.source.run(path), file, **self.source.options)
         write_file(note, f"{digest} {content_hash(file)}".encode())
         return file
 
@@ -207,16 +211,18 @@ class _Measuring:
             return None
         try:
             document = json.loads(file.read_text("utf-8"))
-            _, digest = self.source.load(path)
-            return from_plain(document["evaluation"]) if document["digest"] == digest else None
+            if document["digest"] != self.source.digest(path):
+                return None
+            found = from_plain(document["evaluation"])
         except (ValueError, KeyError, TypeError):
             return None
+        self.source.run(path)
+        return found
 
     def do(self, path: Path) -> Evaluation:
         """Measure it."""
-        run, digest = self.source.load(path)
-        found = evaluate(run, **self.source.options)
-        (file,) = self.paths(path)
+        digest, (file,) = self.source.digest(path), self.paths(path)
+        found = evaluate(self.source.run(path), **self.source.options)
         document = {"digest": digest, "evaluation": as_plain(found)}
         write_file(file, json.dumps(document, allow_nan=False).encode())
         return found

@@ -42,7 +42,7 @@ def recording_of(tracked: "TrackedTrajectory", path: Path, artefact: Path) -> "R
     from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
     from clothtrack.recordings.store import read_recording
 
-    folder = path if (path / "recording.json").exists() else inside(path, tracked.name)
+    folder = recording_folder(tracked, path)
     recording = read_recording(folder)
     if tracked.provenance.get(DIGEST_FIELD, digest := recording_digest(recording)) != digest:
         logger.warning(
@@ -52,6 +52,11 @@ def recording_of(tracked: "TrackedTrajectory", path: Path, artefact: Path) -> "R
             folder,
         )
     return recording
+
+
+def recording_folder(tracked: "TrackedTrajectory", path: Path) -> Path:
+    """The recording itself, or the one of the trajectory's name in a folder of recordings."""
+    return path if (path / "recording.json").exists() else inside(path, tracked.name)
 
 
 def inside(path: Path, name: str) -> Path:
