@@ -8,6 +8,7 @@ from typing import Any
 
 from clothtrack.files.shared_work import Share, attempts, results_of
 from clothtrack.files.work_folder import WorkFolder
+from clothtrack.planning.episode_store import DOCUMENT
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.world.simulated_episodes import SimulatedEpisode
 
@@ -69,9 +70,12 @@ class _Flattening:
         ]
 
     def kept(self, seed: int) -> Row | None:
-        """Nothing: `run` itself finds out how far an episode is."""
-        del seed
-        return None
+        """What became of an episode that has ended; `run` opens it, and plays no more."""
+        document = self.output / "episodes" / self.name(seed) / DOCUMENT
+        if not (document.is_file() and self.paths(seed)[-1].is_file()):
+            return None
+        ended = '"status": "running"' not in document.read_text("utf-8")
+        return self.do(seed) if ended else None
 
     def do(self, seed: int) -> Row:
         """Begin the episode, or go on with it."""
