@@ -134,7 +134,7 @@ def die(told: Path) -> None:
 def test_where_no_worker_finishes_anything_not_every_item_is_tried(tmp_path):
     with pytest.raises(ClothTrackError, match="12 of 12"):
         list(finished_in_workers(die, [tmp_path / str(number) for number in range(12)], 2))
-    assert (tmp_path / "tries").stat().st_size <= 5
+    assert (tmp_path / "tries").stat().st_size <= 6
 
 
 SLOW = """

@@ -121,7 +121,8 @@ def finished_in_workers(
     dead: list[Item] = []
     for number, item in enumerate(alone := [*suspects, *left]):
         dead += yield from _until_one_is_killed(work, deque([item]), 1)
-        if dead and left:
+        if left and len(dead) == number + 1 >= 2:
+            # Alone neither of the first two was finished: it is no item's fault.
             dead += alone[number + 1 :]
             break
     if lost is not None:
