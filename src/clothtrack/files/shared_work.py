@@ -214,8 +214,7 @@ def _attempt(
     name = work.name(item)
     try:
         if (result := work.kept(item)) is not None:
-            if folder.record(name).get("status") != "done":
-                folder.note_done(name, None)
+            _note_kept(name, folder)
             return Attempt(item, result, kept=True)
         with folder.claimed(name) as mine:
             if not mine:
@@ -233,6 +232,15 @@ def _attempt(
     except ClothTrackError as error:
         folder.note_failed(name, error)
         return Attempt(item, error=error)
+
+
+def _note_kept(name: str, folder: WorkFolder) -> None:
+    """Note that an item was found finished, unless who finished it notes so, and in how long."""
+    if folder.record(name).get("status") == "done":
+        return
+    with folder.claimed(name) as mine:
+        if mine and folder.record(name).get("status") != "done":
+            folder.note_done(name, None)
 
 
 def _lost(item: Item, *, work: Work[Item, Result], folder: WorkFolder) -> Attempt[Item, Result]:
