@@ -95,14 +95,22 @@ def reference(counts, calibration):
 )  # fmt: skip
 def test_against_the_slow_reference(x, y, tilt, roll, seed):
     counts = np.random.default_rng(seed).integers(500, 700, (36, 48)).astype(np.uint16)
-    one = calibration(
-        Intrinsics(56, 40, 52.0, 51.0, 28.0, 19.0), shifted(x, y, 0.01, (tilt, 0.02, roll))
+    pose = shifted(x, y, 0.01, (tilt, 0.02, roll))
+
+    def one(moved_px):
+        color = Intrinsics(56, 40, 52.0, 51.0, 28.0 + moved_px, 19.0 + moved_px)
+        return calibration(color, pose)
+
+    expected, carried = reference(counts, one(0)), Registration(one(0)).depth(counts)
+    # A centre exactly on an edge may fall on either side of it in single precision. Such
+    # pixels change when the picture moves by a thousandth of a pixel; they are not compared.
+    certain = (reference(counts, one(-1e-3)) == expected) & (
+        reference(counts, one(1e-3)) == expected
     )
-    expected, carried = reference(counts, one), Registration(one).depth(counts)
-    covered = expected > 0
-    # Single precision may put a centre on the other side of an edge, rarely.
+    covered = (expected > 0) & certain
+    assert certain.mean() > 0.8
     same = np.abs(carried.astype(int) - expected)[covered] <= 1
-    assert same.mean() > 0.99
+    assert same.mean() > 0.999
 
 
 def test_distortion_is_taken_out_of_depth():
