@@ -25,6 +25,22 @@ def passes_through(p: wp.vec3d, q: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec
 
 
 @no_type_check
+@wp.func
+def crosses(edge: wp.vec2i, face: wp.vec3i, vertices: wp.array(dtype=wp.vec3d)):
+    """Whether an edge passes through a triangle that it has no vertex in common with."""
+    for corner in range(3):
+        if face[corner] == edge[0] or face[corner] == edge[1]:
+            return False
+    return passes_through(
+        vertices[edge[0]],
+        vertices[edge[1]],
+        vertices[face[0]],
+        vertices[face[1]],
+        vertices[face[2]],
+    )
+
+
+@no_type_check
 @wp.kernel
 def find_crossings(
     tree: wp.uint64,
@@ -50,17 +66,9 @@ def find_crossings(
     index = int(0)
     while wp.mesh_query_aabb_next(query, index):
         face = faces[index]
-        shares = bool(False)
-        for corner in range(3):
-            if face[corner] == edge[0] or face[corner] == edge[1]:
-                shares = True
-        if not shares:
-            a = vertices[face[0]]
-            b = vertices[face[1]]
-            c = vertices[face[2]]
-            if passes_through(p, q, a, b, c):
-                edge_crosses[number] = wp.uint8(1)
-                face_crossed[index] = wp.uint8(1)
+        if crosses(edge, face, vertices):
+            edge_crosses[number] = wp.uint8(1)
+            face_crossed[index] = wp.uint8(1)
 
 
 @no_type_check
@@ -90,16 +98,8 @@ def list_crossings(
     count = int(0)
     while wp.mesh_query_aabb_next(query, index):
         face = faces[index]
-        shares = bool(False)
-        for corner in range(3):
-            if face[corner] == edge[0] or face[corner] == edge[1]:
-                shares = True
-        if not shares:
-            a = vertices[face[0]]
-            b = vertices[face[1]]
-            c = vertices[face[2]]
-            if passes_through(p, q, a, b, c):
-                if count < crossed.shape[1]:
-                    crossed[number, count] = index
-                count += 1
+        if crosses(edge, face, vertices):
+            if count < crossed.shape[1]:
+                crossed[number, count] = index
+            count += 1
     counts[number] = count

@@ -50,7 +50,9 @@ class EdgeContact:
         self._cell_first = wp.zeros(cells + 1, dtype=int, device=device)
         self._cells = wp.zeros((environments, edges), dtype=int, device=device)
         self._ranks = wp.zeros((environments, edges), dtype=int, device=device)
+        self._balls = wp.zeros((environments, edges), dtype=wp.vec4, device=device)
         self._sorted = wp.zeros(environments * edges, dtype=int, device=device)
+        self._sorted_balls = wp.zeros(environments * edges, dtype=wp.vec4, device=device)
         slots = (environments, edges, kernels.EDGES_PER_EDGE)
         self._partners = wp.zeros(slots, dtype=int, device=device)
         self._distances = wp.zeros(slots, dtype=float, device=device)
@@ -67,18 +69,18 @@ class EdgeContact:
             kernels.count_bent,
             dim=shape,
             inputs=[
-                1.0 / self._reach, FLAT_COSINE, self._edges, self._sides, buffers.faces,
-                buffers.positions,
+                buffers.clocks, 1.0 / self._reach, FLAT_COSINE, self._distance + self._margin,
+                self._edges, self._sides, buffers.faces, buffers.positions, buffers.velocities,
             ],
-            outputs=[self._cell_counts, self._cells, self._ranks],
+            outputs=[self._cell_counts, self._cells, self._ranks, self._balls],
             device=device,
         )  # fmt: skip
         wp.utils.array_scan(self._cell_counts, self._cell_first, inclusive=False)
         wp.launch(
             kernels.sort_bent,
             dim=shape,
-            inputs=[self._cell_first, self._cells, self._ranks],
-            outputs=[self._sorted],
+            inputs=[self._cell_first, self._cells, self._ranks, self._balls],
+            outputs=[self._sorted, self._sorted_balls],
             device=device,
         )
         wp.launch(
@@ -86,8 +88,8 @@ class EdgeContact:
             dim=shape,
             inputs=[
                 buffers.clocks, 1.0 / self._reach, self._cell_first, self._cells, self._sorted,
-                self._reach, self._distance, self._margin, self._edges, buffers.rest,
-                buffers.positions, buffers.velocities,
+                self._balls, self._sorted_balls, self._reach, self._distance, self._margin,
+                self._edges, buffers.rest, buffers.positions, buffers.velocities,
             ],
             outputs=[
                 self._partners, self._distances, self._counts, self._totals, self._overflows,

@@ -91,20 +91,58 @@ def face_normal(environment: int, face: wp.vec3i, positions: wp.array2d(dtype=wp
 
 
 @no_type_check
+@wp.func
+def ball_around(
+    a: wp.vec3, b: wp.vec3, velocity_a: wp.vec3, velocity_b: wp.vec3, near: float, time: float
+):
+    """Centre and radius [m] of a ball: edges whose balls are apart may not be listed as a pair.
+
+    It holds the edge, half of the distance within which edges are listed, and how far the faster
+    end flies until the next search. A thousandth more is for rounding.
+    """
+    fastest = wp.sqrt(wp.max(wp.dot(velocity_a, velocity_a), wp.dot(velocity_b, velocity_b)))
+    radius = 0.5 * wp.length(b - a) + 0.5 * near + fastest * time
+    middle = 0.5 * (a + b)
+    return wp.vec4(middle[0], middle[1], middle[2], 1.001 * radius)
+
+
+@no_type_check
+@wp.func
+def balls_touch(one: wp.vec4, other: wp.vec4):
+    """Whether two balls have a point in common."""
+    x = one[0] - other[0]
+    y = one[1] - other[1]
+    z = one[2] - other[2]
+    radii = one[3] + other[3]
+    return x * x + y * y + z * z <= radii * radii
+
+
+@no_type_check
 @wp.kernel
 def count_bent(
+    clocks: wp.array(dtype=Clock),
     cells_per_metre: float,
     flat: float,
+    near: float,
     edges: wp.array(dtype=wp.vec2i),
     sides: wp.array(dtype=wp.vec2i),
     faces: wp.array(dtype=wp.vec3i),
     positions: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
     counts: wp.array(dtype=int),
     cells: wp.array2d(dtype=int),
     ranks: wp.array2d(dtype=int),
+    balls: wp.array2d(dtype=wp.vec4),
 ):
-    """The cell of every bent or open edge, -1 for a flat one; count per cell."""
+    """The ball of every edge; the cell of every bent or open one, -1 for a flat one."""
     environment, edge = wp.tid()
+    ends = edges[edge]
+    a = positions[environment, ends[0]]
+    b = positions[environment, ends[1]]
+    balls[environment, edge] = ball_around(
+        a, b, velocities[environment, ends[0]], velocities[environment, ends[1]], near,
+        clocks[0].rebuild_s,
+    )  # fmt: skip
     side = sides[edge]
     cells[environment, edge] = -1
     if side[1] >= 0:
@@ -112,9 +150,7 @@ def count_bent(
         other = face_normal(environment, faces[side[1]], positions)
         if wp.dot(one, other) > flat:
             return
-    ends = edges[edge]
-    middle = 0.5 * (positions[environment, ends[0]] + positions[environment, ends[1]])
-    cell = cell_of(environment, middle, cells_per_metre)
+    cell = cell_of(environment, 0.5 * (a + b), cells_per_metre)
     cells[environment, edge] = cell
     ranks[environment, edge] = wp.atomic_add(counts, cell, 1)
 
@@ -125,13 +161,17 @@ def sort_bent(
     first: wp.array(dtype=int),
     cells: wp.array2d(dtype=int),
     ranks: wp.array2d(dtype=int),
+    balls: wp.array2d(dtype=wp.vec4),
     sorted_edges: wp.array(dtype=int),
+    sorted_balls: wp.array(dtype=wp.vec4),
 ):
     """Put the bent edges in the order of their cells."""
     environment, edge = wp.tid()
     cell = cells[environment, edge]
     if cell >= 0:
-        sorted_edges[first[cell] + ranks[environment, edge]] = edge
+        place = first[cell] + ranks[environment, edge]
+        sorted_edges[place] = edge
+        sorted_balls[place] = balls[environment, edge]
 
 
 @no_type_check
@@ -142,6 +182,8 @@ def find_edges(
     first: wp.array(dtype=int),
     cells: wp.array2d(dtype=int),
     sorted_edges: wp.array(dtype=int),
+    balls: wp.array2d(dtype=wp.vec4),
+    sorted_balls: wp.array(dtype=wp.vec4),
     reach: float,
     distance: float,
     margin: float,
@@ -164,6 +206,7 @@ def find_edges(
     a = positions[environment, ends[0]]
     b = positions[environment, ends[1]]
     middle = 0.5 * (a + b)
+    ball = balls[environment, edge]
     bent = cells[environment, edge] >= 0
     found = wp.int32(0)
     block = block_around(middle, reach, cells_per_metre)
@@ -171,6 +214,8 @@ def find_edges(
         for y in range(block.y0, block.y1 + 1):
             row = row_at(environment, y, z)
             for place in range(first[row + block.left], first[row + block.right + 1]):
+                if not balls_touch(ball, sorted_balls[place]):
+                    continue
                 other = sorted_edges[place]
                 if bent and other <= edge:
                     continue
