@@ -32,8 +32,19 @@ def test_the_error_to_expect_is_that_of_the_frames_action(tracked):
     later = replace(tracked, frames=tracked.frames + 1)
     assert np.isnan(expected_errors(later, judged(2.0, 9.0)).values[-1]).all()
     values = expected_errors(tracked, judged(2.0, 9.0)).values
-    np.testing.assert_array_equal(values[:3], 2.0)
-    np.testing.assert_array_equal(values[3:], 9.0)
+    np.testing.assert_allclose(values[:3], 2.0)
+    np.testing.assert_allclose(values[3:], 9.0)
+
+
+def test_where_candidates_disagree_more_error_is_expected(tracked):
+    spread = np.linspace(0.0, 1e-3, tracked.mesh.vertex_count)
+    first, *others = tracked.actions
+    first = replace(first, calibration=replace(first.calibration, spread_m=spread))
+    known = replace(tracked, actions=(first, *others))
+    values = expected_errors(known, judged(2.0, 9.0)).values
+    assert values[0].mean() == pytest.approx(2.0)
+    assert (np.diff(values[0]) > 0.0).all()
+    np.testing.assert_allclose(values[-1], 9.0)
 
 
 def with_canonical(tracked):

@@ -126,7 +126,10 @@ def test_without_a_correction_the_dynamics_go_on_alone(recording, parts):
 def test_the_final_alignment_is_what_the_next_action_starts_from(recording, parts):
     lifted = replace(
         parts,
-        align_last=lambda state, cloud, held: (Cloth(state.positions + [0, 0, 7]), (2.0, 1.0)),
+        align_last=lambda state, theta, cloud, held: (
+            Cloth(state.positions + [0, 0, 7]),
+            (2.0, 1.0),
+        ),
     )
     (action,) = tracked(recording, lifted).actions
     assert (action.positions_before_final_alignment[:, 2] == 0.0).all()
@@ -151,6 +154,24 @@ def test_a_candidate_is_followed_once_and_the_others_leave_nothing(recording, pa
     assert result.actions[0].parameters == {"drift_m": 2.0}
     alone = tracked(recording, parts, {"drift_m": 2.0})
     np.testing.assert_array_equal(result.positions, alone.positions)
+
+
+def test_only_the_chosen_candidate_is_aligned_last_with_its_own_theta(recording, parts):
+    aligned = []
+
+    def align_last(state, theta, cloud, held):
+        aligned.append((theta["drift_m"], state.positions[0, 0, 0], held))
+        return state, (2.0, 1.0)
+
+    def second(action, state, theta, follow_with):
+        for drift in (3.0, 2.0, 5.0):
+            follow_with({"drift_m": drift})
+        return {"drift_m": 2.0}, Calibration.none()
+
+    exchanged = replace(parts, calibrate=second, align_last=align_last)
+    (action,) = tracked(recording, exchanged).actions
+    end = action.positions_before_final_alignment[0, 0]
+    assert aligned == [(2.0, end, False)]
 
 
 def test_an_ablation_is_a_part_that_is_exchanged(recording):

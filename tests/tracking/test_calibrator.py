@@ -7,6 +7,7 @@ import pytest
 
 from clothtrack.tracking import algorithm
 from clothtrack.tracking.calibration import CalibrationConfig
+from clothtrack.tracking.calibrator import ends_apart
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.pipeline import RunConfig, track_recording
 
@@ -29,6 +30,11 @@ def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recordin
     assert 0.0 < found.scores.min() < 0.2
     taken = dict(zip(found.names, found.candidates[found.best].tolist(), strict=True))
     assert {name: action.parameters[name] for name in taken} == taken
+    # The candidates part where the picker has moved the cloth, and hardly elsewhere.
+    moved = np.linalg.norm(tracked.positions[-1] - tracked.positions[0], axis=1)
+    still, carried = moved < np.quantile(moved, 0.2), moved > np.quantile(moved, 0.8)
+    assert found.spread_m.shape == moved.shape
+    assert found.spread_m[carried].mean() > 1.5 * found.spread_m[still].mean() > 0.0
 
     alone = replace(
         config,
@@ -38,6 +44,13 @@ def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recordin
     again = track_recording(recording, RunConfig(tracker=alone))
     np.testing.assert_array_equal(tracked.positions, again.positions)
     np.testing.assert_array_equal(tracked.steps.loss_after, again.steps.loss_after)
+
+
+def test_vertices_at_which_passes_end_apart_are_told():
+    one, other, gone = (np.full((5, 3), each, np.float32) for each in (0.0, 0.0, np.nan))
+    other[2] = 0.0, 0.006, 0.0
+    np.testing.assert_allclose(ends_apart([one, other]), [0, 0, 0.003, 0, 0], atol=1e-9)
+    assert ends_apart([one, gone]).shape == ends_apart([]).shape == (0,)
 
 
 def test_where_one_layer_lies_no_second_one_is_tried(recording, config, monkeypatch):

@@ -1,5 +1,6 @@
 """Modes are values of one configuration, and contradictions are refused by name."""
 
+import inspect
 import json
 from dataclasses import asdict, replace
 
@@ -10,6 +11,7 @@ from clothtrack.files.settings import from_plain
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import MODES, FinalAlignmentConfig, TrackerConfig, mode
 from clothtrack.tracking.pipeline import RunConfig
+from clothtrack.tracking.theta import check_parameter
 
 
 @pytest.mark.parametrize(
@@ -85,3 +87,10 @@ def test_settings_of_a_run_come_back_from_its_result(name: str) -> None:
     del plain["seed"]
     with pytest.raises(InvalidConfigError, match="'seed'"):
         from_plain(RunConfig(), plain)
+
+
+@pytest.mark.parametrize("value", [None, "x", True, float("nan"), float("inf"), [1.0]])
+def test_what_is_no_number_is_no_value_to_try(value):
+    with pytest.raises(InvalidConfigError, match=r"held_layers is .*; it must be a finite number"):
+        # What checks annotations in tests stands before our own check.
+        inspect.unwrap(check_parameter)("held_layers", value)

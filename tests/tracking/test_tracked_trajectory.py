@@ -28,8 +28,9 @@ def tracked() -> TrackedTrajectory:
     mesh = ClothMesh(vertices, np.array([[0, 1, 2], [1, 3, 2]]), canonical=vertices)
     positions = rng.normal(size=(5, 4, 3)).astype(np.float32)
     calibration = Calibration(
-        "grid", ("table_friction",), np.array([[0.5], [1.0]]), np.array([2e-4, 1e-4]), 1, 2.0
-    )
+        "grid", ("table_friction",), np.array([[0.5], [1.0]]), np.array([2e-4, 1e-4]), 1, 2.0,
+        spread_m=np.array([0.0, 1e-3, 2e-3, 0.5]),
+    )  # fmt: skip
     action = TrackedAction(
         0, 4, positions[3], positions[4], np.array([2e-4, 1e-4]), {"table_friction": 1.0},
         calibration, {"tweezer": (3,)},
@@ -60,6 +61,7 @@ def test_round_trip_keeps_every_bit(tracked: TrackedTrajectory, tmp_path: Path) 
         action.positions_before_final_alignment, saved.positions_before_final_alignment
     )
     np.testing.assert_array_equal(action.calibration.scores, saved.calibration.scores)
+    np.testing.assert_allclose(action.calibration.spread_m, saved.calibration.spread_m, rtol=1e-7)
     assert action.parameters == saved.parameters
     assert action.held_vertices == saved.held_vertices
     assert loaded.config == tracked.config
@@ -106,6 +108,32 @@ def test_unfinished_foreign_and_future_groups_are_refused(
     zarr.open_group(tmp_path / "fold.zarr", mode="r+").attrs["version"] = 99
     with pytest.raises(InvalidResultError, match="version 99"):
         TrackedTrajectory.load(tmp_path / "fold.zarr")
+
+
+@pytest.mark.parametrize("spread", ["was not kept", "of nothing", "of three vertices"])
+def test_a_spread_may_be_missing_and_has_all_vertices_or_none(
+    tracked: TrackedTrajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spread: str
+) -> None:
+    (action,) = tracked.actions
+    if spread == "was not kept":
+        put = tracked_trajectory._put
+        monkeypatch.setattr(
+            tracked_trajectory,
+            "_put",
+            lambda group, name, *values, **unit: (
+                None if name == "calibration_spread" else put(group, name, *values, **unit)
+            ),
+        )
+    count = 3 if spread == "of three vertices" else 0
+    calibration = replace(action.calibration, spread_m=np.zeros(count))
+    written = replace(tracked, actions=(replace(action, calibration=calibration),))
+    written.save(tmp_path / "fold.zarr")
+    if count:
+        with pytest.raises(InvalidResultError, match="calibration_spread has shape"):
+            TrackedTrajectory.load(tmp_path / "fold.zarr")
+    else:
+        (read,) = TrackedTrajectory.load(tmp_path / "fold.zarr").actions
+        assert read.calibration.spread_m.shape == (0,)
 
 
 @pytest.fixture

@@ -116,7 +116,7 @@ def test_an_action_ends_with_a_cloth_that_is_taken_apart_if_asked(recording, con
     nothing = only_at((), partial(observe, recording), recording)(recording.frames[0])
     state = tracker._state
     assert crossings(state.positions[0], mesh.faces) > 20
-    last, _ = tracker.parts.align_last(state, nothing, False)
+    last, _ = tracker.parts.align_last(state, config.parameters, nothing, False)
     if not untangle:
         np.testing.assert_array_equal(last.positions, state.positions)
         return

@@ -15,6 +15,7 @@ from clothtrack.errors import ClothTrackError, InvalidResultError
 from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.naming import true_places
 from clothtrack.evaluation.truth import Truth, material_points
+from clothtrack.evaluation.vertex_errors import expected_vertex_errors
 from clothtrack.recordings.recording import Recording
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -94,15 +95,16 @@ def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_
 
 
 def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) -> Coloring:
-    """The error [mm] to expect of the label at the end of each action, over its frames."""
+    """The error [mm] to expect of each vertex at the end of an action, over its frames."""
     values = np.full(tracked.visible.shape, np.nan, np.float32)
     for action, label in zip(tracked.actions, judged, strict=True):
         inside = (tracked.frames >= action.first_frame) & (tracked.frames <= action.last_frame)
-        values[inside] = label.expected_error_mm
+        values[inside] = 1e3 * expected_vertex_errors(action, label)
     return Coloring(
         "label",
-        "Expected error of the action's label [mm]",
-        "Estimated from what was observed, without the truth; one number for the whole mesh.",
+        "Expected error at the end of the action [mm]",
+        "Estimated without the truth: on the whole from what was observed, vertex by vertex from "
+        "where the tracked candidates disagree.",
         graded_limit(values),
         values,
     )

@@ -39,8 +39,10 @@ def track(
         follow_with = _each_once(recording, action, state, parts, recorder)
         theta, calibration = parts.calibrate(action, state, theta, follow_with)  # Sec. III-B.1
         followed = follow_with(theta)
-        recorder.keep(action, followed, calibration)
-        state, theta = followed.state, followed.theta
+        theta, last = followed.theta, recording.frames[action.last_frame]
+        held = followed.grasps.closed_at(last.time_s)
+        state, losses = parts.align_last(followed.state, theta, parts.observe(last), held)  # TTO2
+        recorder.keep(followed, state, losses, calibration)
 
 
 def follow(
@@ -53,7 +55,7 @@ def follow(
     parts: Parts,
     recorder: Recorder,
 ) -> FollowedAction:
-    """Follow one pick-and-place to its end with one choice of parameters.
+    """Follow one pick-and-place to its last frame with one choice of parameters.
 
     Args:
         recording: frames with their times.
@@ -76,8 +78,7 @@ def follow(
         corrected = line_search(dyn, state, picker_action, predicted, correction)  # Sec. III-B.3
         notes.step(frame, correction, corrected)
         state = corrected.state  # x_{t+1} = dyn(x_t, a_t, a~_t)
-    last = parts.align_last(state, observe(frames[-1]), grasps.closed_at(frames[-1].time_s))  # TTO2
-    return notes.finished(theta, grasps, last)
+    return notes.finished(theta, grasps, state)
 
 
 def _each_once(

@@ -15,6 +15,7 @@ from clothtrack.simulation.state import Attachment, ClothState
 from clothtrack.simulation.untangling import untangled
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.seams import Correction, State
+from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.visible_alignment import VisibleAlignment
 
 logger = logging.getLogger(__name__)
@@ -58,18 +59,20 @@ class FinalAlignment:
         self._device = device
 
     def __call__(
-        self, state: ClothState, observation: Observation, held: bool
+        self, state: ClothState, theta: Theta, observation: Observation, held: bool
     ) -> tuple[ClothState, tuple[float, float]]:
         """The state that the next action starts from: aligned, at rest, contacts remembered.
 
         Args:
             state: the cloth at the last frame of an action.
+            theta: its parameters, with which a correction is carried out.
             observation: the cloud of that frame.
             held: some picker still holds it: it is not slid.
 
         Returns:
             The state, and the objective [m^2] before and after; NaN where there was no cloud.
         """
+        self._dynamics.solver.set_parameters(cloth_parameters(theta))
         if self._config.slide and not held:
             state = self._slid(state, observation)
         state = self._taken_apart(state)
@@ -139,6 +142,7 @@ class FinalAlignment:
 
 def no_final_alignment(
     state: State,
+    theta: Theta,  # noqa: ARG001
     observation: Observation,  # noqa: ARG001
     held: bool,  # noqa: ARG001
 ) -> tuple[State, tuple[float, float]]:

@@ -19,9 +19,9 @@ from clothtrack.errors import (
 from clothtrack.files.atomic_write import content_hash, name_problem
 from clothtrack.files.progress import Progress, one_of
 from clothtrack.files.provenance import made_with
-from clothtrack.files.shared_work import Attempt, Share, attempts
+from clothtrack.files.shared_work import Attempt, Executor, Share, attempts
 from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import require_workers
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
@@ -196,6 +196,7 @@ def track_recordings(
     force: bool = True,
     watch: Watch | None = None,
     share: Share | None = None,
+    executor: Executor = finished_in_workers,
 ) -> list[Outcome]:
     """Track many recordings; finished ones are skipped, a bad one does not stop the others.
 
@@ -212,19 +213,23 @@ def track_recordings(
         force: track although a first mesh lies beside its cloud; otherwise that is its outcome.
         watch: is shown every mesh; needs one worker.
         share: which of the recordings are this process's; all by default.
+        executor: who runs the work; worker processes by default.
 
     Returns:
         One outcome per recording of the share, in the given order.
 
     Raises:
-        InvalidConfigError: there are no workers, or several while somebody watches, or two
-            recordings have one name, or a name is none for a file.
+        InvalidConfigError: there are no workers, or several or others' while somebody watches, or
+            two recordings have one name, or a name is none for a file.
     """
     require_workers(workers)
     if watch is not None and workers > 1:
         raise InvalidConfigError(
             f"workers is {workers}; one recording after the other can be watched: --workers 1"
         )
+    here = executor is finished_in_workers
+    if watch is not None and not here:
+        raise InvalidConfigError("only what this process tracks can be watched; leave out --ray")
     folders = [Path(folder) for folder in recordings]
     names = [folder.resolve().name for folder in folders]
     twice = {name for name in names if names.count(name) > 1}
@@ -240,11 +245,11 @@ def track_recordings(
                 "rename the folder"
             )
     output.mkdir(parents=True, exist_ok=True)
-    alone = workers == 1 or len(folders) == 1
+    alone = here and (workers == 1 or len(folders) == 1)
     work = _Tracking(output, config, device, force, *((progress, watch, folders) if alone else ()))
     shared = attempts(
         work, folders, WorkFolder(output, "track"), kind="recordings", processes=workers,
-        share=share, progress=None if alone else progress,
+        share=share, progress=None if alone else progress, executor=executor,
     )  # fmt: skip
     with closing(shared) as tries:
         outcomes = {one.item: _outcome(one) for one in tries}

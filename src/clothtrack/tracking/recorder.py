@@ -100,11 +100,23 @@ class Recorder:
         )
 
     def keep(
-        self, action: PickAndPlace, followed: FollowedAction, calibration: Calibration
+        self,
+        followed: FollowedAction,
+        state: State,
+        losses: tuple[float, float],
+        calibration: Calibration,
     ) -> None:
-        """Keep the pass that was chosen; what comes after it starts from where it ended."""
+        """Keep the pass that was chosen, with its final alignment.
+
+        Args:
+            followed: the pass.
+            state: the cloth after TTO2; the frames that follow start from there.
+            losses: objective of TTO2 [m^2], before and after.
+            calibration: the candidates that were tried.
+        """
+        action = followed.action
         within = slice(action.first_frame + 1, action.last_frame + 1)
-        end = np.asarray(followed.state.positions[0], np.float32)
+        end = np.asarray(state.positions[0], np.float32)
         self._positions[within] = followed.positions
         self._positions[action.last_frame :] = end
         self._show(self._recording.frames[action.last_frame], end)
@@ -116,7 +128,7 @@ class Recorder:
                 last_frame=action.last_frame,
                 positions_before_final_alignment=followed.positions[-1],
                 positions_after_final_alignment=end,
-                final_alignment_losses=np.array(followed.losses),
+                final_alignment_losses=np.array(losses),
                 parameters=dict(followed.theta),
                 calibration=calibration,
                 held_vertices=followed.grasps.held_vertices,
@@ -184,13 +196,10 @@ class Pass:
         self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
         self._tell(self._action, frame, self._positions[-1])
 
-    def finished(
-        self, theta: Theta, grasps: Grasps, last: tuple[State, tuple[float, float]]
-    ) -> FollowedAction:
-        """The whole pass, with what the final alignment made of its end."""
-        state, losses = last
+    def finished(self, theta: Theta, grasps: Grasps, state: State) -> FollowedAction:
+        """The whole pass, and the cloth that it ends with."""
         return FollowedAction(
-            self._action, theta, grasps, np.stack(self._positions), state, losses, self._records
+            self._action, theta, grasps, np.stack(self._positions), state, self._records
         )
 
     def _clocked(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:

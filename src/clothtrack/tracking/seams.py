@@ -171,12 +171,13 @@ class AlignLast(Protocol):
     """Test-time optimisation 2: at the end of an action the mesh is aligned once more."""
 
     def __call__(
-        self, state: State, observation: Observation, held: bool
+        self, state: State, theta: Theta, observation: Observation, held: bool
     ) -> tuple[State, tuple[float, float]]:
         """The cloth that the next action starts from, at rest.
 
         Args:
             state: the cloth at the action's last frame.
+            theta: its parameters.
             observation: the cloud of that frame.
             held: some picker still holds it.
 
@@ -219,15 +220,14 @@ class Pick(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FollowedAction:
-    """One action, followed to its end with one choice of parameters.
+    """One action, followed to its last frame with one choice of parameters.
 
     Attributes:
         action: the pick-and-place.
         theta: the parameters.
         grasps: what the pickers held.
-        positions: vertices [m] at every frame after the action's first, before the final alignment.
-        state: the cloth after the final alignment.
-        losses: objective [m^2] of the final alignment before and after.
+        positions: vertices [m] at every frame after the action's first.
+        state: the cloth at the last one.
         records: what happened at each frame; those outside the action are empty.
     """
 
@@ -236,7 +236,6 @@ class FollowedAction:
     grasps: Grasps
     positions: Float32[np.ndarray, "frames vertices 3"]
     state: State
-    losses: tuple[float, float]
     records: StepRecords
 
 

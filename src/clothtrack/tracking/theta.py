@@ -1,5 +1,6 @@
 """theta: what is calibrated per action, four properties of the cloth and how the tool holds it."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -34,8 +35,9 @@ def check_parameter(name: str, value: float) -> None:
     Raises:
         InvalidConfigError: with the name, the value and what is allowed.
     """
-    if not np.isfinite(value):
-        raise InvalidConfigError(f"{name} is {value}; it must be finite")
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not number or not abs(value) < math.inf:
+        raise InvalidConfigError(f"{name} is {value!r:.80}; it must be a finite number")
     if not name.startswith("grasp_offset") and value < 0.0:
         raise InvalidConfigError(f"{name} is {value}; it must be 0 or more")
     if name == "held_layers" and value != int(value):

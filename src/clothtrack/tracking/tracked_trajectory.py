@@ -45,6 +45,9 @@ class Calibration:
         best: index of the chosen candidate, -1 when nothing was calibrated.
         roll_outs: full roll-outs spent, early-stopped ones counted by the share they ran.
         judge: "open_loop" or "tracking": what the scores are.
+        spread_m: how far apart the tracked candidates end at each vertex, as their mean distance
+            from their mean [m]; empty where fewer than two were tracked. They differ where the
+            cloud does not decide.
     """
 
     method: str
@@ -54,6 +57,7 @@ class Calibration:
     best: int
     roll_outs: float
     judge: str = "open_loop"
+    spread_m: Float[np.ndarray, " vertices"] = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def none(cls) -> "Calibration":
@@ -213,6 +217,7 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
         _put(part, "calibration_candidates", action.calibration.candidates)
         unit = "m^2" if action.calibration.judge == "open_loop" else "1"
         _put(part, "calibration_scores", action.calibration.scores, unit=unit)
+        _put(part, "calibration_spread", action.calibration.spread_m.astype(np.float32), unit="m")
         part.attrs.update(
             {
                 "first_frame": action.first_frame,
@@ -310,6 +315,7 @@ def _read_action(
             calibration["best"],
             calibration["roll_outs"],
             calibration["judge"],
+            _take_spread(group, f"{place}/calibration_spread", mesh.vertex_count),
         ),
         held_vertices={k: tuple(v) for k, v in attributes["held_vertices"].items()},
     )
@@ -319,7 +325,17 @@ def _take(group: zarr.Group, name: str, *shape: int) -> np.ndarray:
     values = take_array(group, name)
     if values.shape != shape:
         raise InvalidResultError(f"array {name} has shape {values.shape}, it must have {shape}")
+    if values.dtype.kind not in "biuf":
+        raise InvalidResultError(f"array {name} holds {values.dtype}, it must hold numbers")
     return values
+
+
+def _take_spread(group: zarr.Group, name: str, vertices: int) -> np.ndarray:
+    """Empty where nothing was searched, and in what was written before it was kept."""
+    if name not in group:
+        return np.zeros(0)
+    values = take_array(group, name)
+    return _take(group, name, vertices if values.size else 0).astype(np.float64)
 
 
 def _take_positions(group: zarr.Group, name: str, *counts: int) -> np.ndarray:

@@ -1,0 +1,121 @@
+"""Does the spread of the candidates tell which vertices of a label are wrong?
+
+    clothtrack bench OUT --split dev
+    clothtrack track OUT/recordings/*_dev_* --output TRACKED
+    python experiments vertex_errors TRACKED/*.zarr --truth OUT/truth
+
+For every label: correlation of the candidates' spread with the true error over its vertices, and
+the true error, in parts of the label's mean, of the fifth of the vertices with the largest spread,
+of the fifth with the smallest, and of the hidden ones. Then how far an expected error is off that
+deals so much of the label's mean out by the spread.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import _path  # noqa: F401
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import spearmanr
+from shared.figures import say
+
+from clothtrack.errors import ClothTrackError
+from clothtrack.evaluation import Truth, material_map, material_points
+from clothtrack.tracking import TrackedTrajectory
+
+SHARES = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """One label with what is known of its vertices.
+
+    Attributes:
+        name: trajectory and number of the action.
+        spread_m: how far apart the candidates end [m].
+        error_m: distance from the truth [m].
+        hidden: no camera sees the vertex.
+    """
+
+    name: str
+    spread_m: Float[np.ndarray, " vertices"]
+    error_m: Float[np.ndarray, " vertices"]
+    hidden: Bool[np.ndarray, " vertices"]
+
+    @property
+    def share(self) -> Float[np.ndarray, " vertices"]:
+        """The errors in parts of their mean."""
+        return self.error_m / self.error_m.mean()
+
+    def row(self) -> list[float]:
+        """Error in mm, both correlations, and the three parts of the cloth."""
+        spread, share = self.spread_m, self.share
+        most, least = spread >= np.quantile(spread, 0.8), spread <= np.quantile(spread, 0.2)
+        return [
+            1e3 * float(self.error_m.mean()),
+            float(np.corrcoef(spread, share)[0, 1]),
+            float(spearmanr(spread, share)[0]),
+            float(share[most].mean()),
+            float(share[least].mean()),
+            float(share[self.hidden].mean()) if self.hidden.any() else np.nan,
+        ]
+
+    def off_by(self, dealt: float) -> float:
+        """Mean absolute error of the expectation, in parts of the label's mean error."""
+        expected = 1.0 - dealt + dealt * self.spread_m / self.spread_m.mean()
+        return float(np.abs(self.share - expected).mean())
+
+
+def labels(path: Path, truths: Path) -> list[Label]:
+    """The labels of a trajectory whose candidates were tracked.
+
+    Raises:
+        InvalidResultError: the trajectory or its truth cannot be read.
+    """
+    tracked = TrackedTrajectory.load(path)
+    truth = Truth.load(truths / f"{tracked.name}.npz")
+    canonical = np.asarray(tracked.mesh.canonical, np.float64)
+    where = material_map(truth.canonical, truth.faces, canonical)
+    found = []
+    for number, action in enumerate(tracked.actions):
+        right = material_points(truth.at(action.last_frame), truth.faces, where)
+        step = int(np.flatnonzero(tracked.frames == action.last_frame)[0])
+        error = np.linalg.norm(action.positions_after_final_alignment - right, axis=1)
+        if len(action.calibration.spread_m):
+            spread, hidden = action.calibration.spread_m, ~tracked.visible[step]
+            found.append(Label(f"{tracked.name} {number + 1}", spread, error, hidden))
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print both tables; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("tracked", type=Path, nargs="+", help="NAME.zarr, tracked by the default")
+    parser.add_argument("--truth", type=Path, required=True, help="folder of NAME.npz")
+    options = parser.parse_args(arguments)
+    try:
+        found = [one for path in options.tracked for one in labels(path, options.truth)]
+    except ClothTrackError as error:
+        sys.stderr.write(f"{error}\n")
+        return 1
+    if not found:
+        sys.stderr.write("no label has a spread: track with the default mode, which searches\n")
+        return 1
+    say("| label | error mm | correlation | rank | widest fifth | narrowest fifth | hidden |\n")
+    say("|---|---:|---:|---:|---:|---:|---:|\n")
+    rows = np.array([one.row() for one in found])
+    names = [*(one.name for one in found), f"mean of {len(found)}"]
+    for name, row in zip(names, [*rows, np.nanmean(rows, axis=0)], strict=True):
+        say(f"| {name} | {row[0]:.1f} | " + " | ".join(f"{each:.2f}" for each in row[1:]) + " |\n")
+    say("\n| dealt out by the spread | off by, of the label's mean error |\n|---:|---:|\n")
+    for dealt in SHARES:
+        off = np.mean([one.off_by(dealt) for one in found])
+        say(f"| {dealt:.1f} | {off:.3f} |\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

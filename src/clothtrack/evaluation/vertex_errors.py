@@ -1,0 +1,32 @@
+"""Which vertices of a label to expect wrong: where the tracked candidates of its action disagree.
+
+The search for the cloth's parameters follows every action several times. All candidates fit the
+cloud; they part where it does not decide, under folds above all. Their spread tells which vertices
+are wrong, the label's expected error how wrong they are on the whole (docs/label_quality.md).
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.evaluation.label_quality import LabelQuality
+from clothtrack.tracking.tracked_trajectory import TrackedAction
+
+SPREAD_SHARE = 0.8
+"""Share of the expected error that is dealt out by the spread; the rest falls on all alike."""
+
+
+def expected_vertex_errors(
+    action: TrackedAction, label: LabelQuality
+) -> Float[np.ndarray, " vertices"]:
+    """The error to expect of each vertex of a label [m]; their mean is the label's.
+
+    Args:
+        action: with the spread of its candidates; without one, all vertices are alike.
+        label: the same action's label, judged; NaN where nothing was seen.
+    """
+    expected_m = 1e-3 * label.expected_error_mm
+    spread_m, vertices = action.calibration.spread_m, len(action.positions_after_final_alignment)
+    mean_m = float(spread_m.mean()) if len(spread_m) else 0.0
+    if mean_m == 0.0:
+        return np.full(vertices, expected_m)
+    return expected_m * (1.0 - SPREAD_SHARE + SPREAD_SHARE * spread_m / mean_m)
