@@ -144,6 +144,18 @@ def test_an_altered_trajectory_that_was_sealed_again_is_no_replay(run, world, tm
     assert not found.ok
 
 
+@pytest.mark.parametrize("then", ["Another Processor, avx512f", None])
+def test_other_last_bits_of_another_processor_are_no_damage(run, world, tmp_path, then):
+    positions = run.positions.copy()
+    positions[3, 0, 0] += 1e-6
+    stamp = {**run.provenance, "processor": then}
+    replace(run, positions=positions, provenance=stamp).save(tmp_path / "towel.zarr")
+    found = ct.verify(tmp_path / "towel.zarr", world / "recordings")
+    assert found.ok
+    assert "differs (by 1e-06 m" in str(found)
+    assert f"tracked on {then or 'a processor that it does not name'}, here is" in str(found)
+
+
 @pytest.mark.parametrize(
     ("stamp", "words"),
     [

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 import clothtrack as ct
-from clothtrack.cli.options import AsJson, Device, Seed, Shard, share_of
+from clothtrack.cli.options import (
+    AsJson,
+    Device,
+    Ray,
+    RayMemory,
+    Seed,
+    Shard,
+    executor_of,
+    share_of,
+)
 from clothtrack.cli.terminal import complain, progress, say, say_result
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 
@@ -28,6 +37,8 @@ def evaluate(
     all: bool = False,  # noqa: A002
     workers: int = 1,
     shard: Shard = "",
+    ray: Ray = "",
+    ray_memory: RayMemory = 0.0,
     device: Device = "cpu",
     seed: Seed = 0,
     json: AsJson = False,
@@ -42,6 +53,8 @@ def evaluate(
         all: show every measure, before and after the final alignment, in wide rows.
         workers: processes.
         shard: do only one of several parts.
+        ray: address of Ray, which is to do it.
+        ray_memory: for each item.
         device: where to compute.
         seed: of surface samples.
         json: machine-readable.
@@ -55,6 +68,7 @@ def evaluate(
     evaluations = evaluate_many(
         tracked, recordings, output, {"truth": truth, "device": device, "seed": seed},
         workers=workers, share=share_of(shard), progress=progress,
+        executor=executor_of(ray, ray_memory, device),
     )  # fmt: skip
     shown = as_json if json else table if all else summary
     say(shown(evaluations))

@@ -1,12 +1,17 @@
-"""What a result was made with: the commit, the versions, the machine."""
+"""What a result was made with: the commit, the versions, the machine and its processor."""
 
 import importlib.metadata
 import platform
+import re
 import subprocess
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from clothtrack.version import __version__
+
+_VECTORS = ("avx512f", "avx2", "avx", "sse4_2", "sve", "asimd")
+"""Instructions for vectors, as Linux calls them, the widest first."""
 
 
 def made_with(packages: Iterable[str]) -> dict[str, object]:
@@ -20,8 +25,29 @@ def made_with(packages: Iterable[str]) -> dict[str, object]:
         "commit": commit(),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
+        "processor": processor(),
         "packages": {name: version for name in packages if (version := _version(name))},
     }
+
+
+@cache
+def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
+    """Model of the processor, and the widest vectors that it computes with.
+
+    Kernels are compiled for the processor that is there, and another kind rounds other last bits.
+
+    Args:
+        listing: what Linux tells of it; elsewhere Python is asked.
+    """
+    try:
+        text = listing.read_text("utf-8", errors="replace")
+    except OSError:
+        return platform.processor() or platform.machine()
+    told = dict(re.findall(r"^(model name|flags|Features)[ \t]*: *(.*)$", text, re.MULTILINE))
+    flags = f"{told.get('flags', '')} {told.get('Features', '')}".split()
+    widest = next((one for one in _VECTORS if one in flags), "")
+    model = told.get("model name", platform.machine())
+    return f"{model}, {widest}" if widest else model
 
 
 def commit() -> str:
