@@ -9,10 +9,9 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -23,7 +22,9 @@ from clothtrack.baselines import PeerConfig, follow
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation import Truth
 from clothtrack.evaluation.label_evidence import Label
-from clothtrack.geometry import ClothMesh, quiet_warp
+from clothtrack.files import finished_in_workers
+from clothtrack.files.shared_work import Executor
+from clothtrack.geometry import ClothMesh
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import RunConfig, TrackedTrajectory, Tracker, find_initial_state
 from clothtrack.tracking.pipeline import counted_settings, observer, provenance
@@ -159,6 +160,7 @@ def run_all(
     tasks: Sequence[Task],
     *,
     workers: int = 1,
+    executor: Executor = finished_in_workers,
     progress: Callable[[str], None] | None = None,
 ) -> list[list[Row]]:
     """The rows of every task, in order; finished runs are read, the others are made.
@@ -177,15 +179,14 @@ def run_all(
         if progress is not None:
             progress(f"{task.variant.name}, {task.trajectory.name}: {word}\n")
 
-    if workers > 1 and len(missing) > 1:
-        with ProcessPoolExecutor(workers, get_context("spawn"), quiet_warp) as pool:
-            jobs = {pool.submit(make, task): task for task in missing.values()}
-            for job in as_completed(jobs):
-                note(jobs[job], job.result())
-    else:
-        for task in missing.values():
-            note(task, make(task))
+    with closing(executor(_made, list(missing.values()), workers)) as made:
+        for task, rows in made:
+            note(task, rows)
     return [failed[task.file] if task.file in failed else read_rows(task.file) for task in tasks]
+
+
+def _made(task: Task) -> tuple[Task, list[Row]]:
+    return task, make(task)
 
 
 def make(task: Task) -> list[Row]:

@@ -20,6 +20,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.files import finished_in_workers
+from clothtrack.files.ray_executor import RayExecutor
+from clothtrack.files.shared_work import Executor
 from clothtrack.geometry import quiet_warp
 from clothtrack.tracking import RunConfig, TrackerConfig, mode
 from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate
@@ -41,6 +44,8 @@ SMOKE_SUBSTEP_S = 3.3e-3
 FILMED_SEED = 5000
 """Of the first trajectory that an experiment films itself; the benchmark's seeds lie below."""
 
+RAY_HELP = "let Ray track: local, with WORKERS processes here, or the address of a cluster"
+
 Run = tuple[Trajectory, Variant]
 
 
@@ -55,6 +60,7 @@ class Setup:
         limit: most trajectories.
         vertices: resample first meshes to so many vertices; None leaves them.
         workers: processes.
+        executor: who runs the tracking.
         device: "cpu" or "cuda:0".
         smoke: whether this only shows that everything runs.
     """
@@ -65,6 +71,7 @@ class Setup:
     limit: int | None = None
     vertices: int | None = None
     workers: int = 1
+    executor: Executor = finished_in_workers
     device: str = "cpu"
     smoke: bool = False
 
@@ -106,7 +113,7 @@ class Setup:
             Task(trajectory, variant, self.out / "runs", self.device)
             for trajectory, variant in runs
         ]
-        parts = run_all(tasks, workers=self.workers, progress=_progress)
+        parts = run_all(tasks, workers=self.workers, executor=self.executor, progress=_progress)
         return [
             {
                 "experiment": experiment,
@@ -141,6 +148,7 @@ def run_experiment(
             limit=1 if options.smoke else options.limit,
             vertices=options.vertices,
             workers=options.workers,
+            executor=executor_of(options),
             device=options.device,
             smoke=options.smoke,
         )
@@ -173,6 +181,7 @@ def parse(description: str, arguments: Sequence[str] | None) -> argparse.Namespa
     parser.add_argument("--vertices", type=int, help="resample first meshes to about so many")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="variants, or beginnings of them")
     parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--ray", metavar="ADDRESS", help=RAY_HELP)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--smoke", action="store_true", help="one small towel, under a minute")
     parser.add_argument("--verbose", action="store_true", help="log what happens")
@@ -180,6 +189,11 @@ def parse(description: str, arguments: Sequence[str] | None) -> argparse.Namespa
     if options.bench is None and not options.smoke:
         parser.error("give --bench FOLDER (clothtrack simulate FOLDER makes one), or --smoke")
     return options
+
+
+def executor_of(options: argparse.Namespace) -> Executor:
+    """Who runs the tracking: worker processes, or Ray where --ray says so."""
+    return RayExecutor(options.ray) if options.ray else finished_in_workers
 
 
 def _wanted(variant: Variant, names: Sequence[str]) -> bool:

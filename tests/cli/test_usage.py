@@ -10,6 +10,7 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 from clothtrack.cli.signature import name_of, options_of
+from clothtrack.cli.terminal import complain
 from clothtrack.cli.warnings_once import logged
 from clothtrack.files.settings import settings_of
 from clothtrack.version import __version__
@@ -146,3 +147,16 @@ def test_one_cause_is_one_warning_and_a_count(capsys):
         "WARNING frame 3 of towel_0002: no cloud (color/0003.png: no blue)",
         "26 more like this: WARNING frame 0 of towel_0001: no cloud (color/0000.png: no blue)",
     ]
+
+
+def test_a_very_long_choice_is_not_repeated_whole(capsys):
+    assert cli.main(["label", "x", "--garment", "9" * 3000, "--recordings", "y"]) == 2
+    assert len(capsys.readouterr().err) < 500
+
+
+def test_of_a_very_long_value_the_ends_are_shown(capsys):
+    complain(f"picker.csv: closed is {'9' * 5000}; write 0 or 1")
+    told = capsys.readouterr().err
+    assert len(told) < 250
+    assert told.startswith("clothtrack: picker.csv: closed is 999")
+    assert told.endswith("999; write 0 or 1\n")

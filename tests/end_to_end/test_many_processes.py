@@ -9,9 +9,11 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
+from clothtrack import reconstruction
 from clothtrack.cli import command_line as cli
 
 FAST = ("--set", "tracker.calibration.method=none")
@@ -36,9 +38,10 @@ def start():
     """Starts command lines that end with the test."""
     processes = []
 
-    def started(*words):
+    def started(*words, code=""):
+        program = ["-c", code] if code else ["-m", "clothtrack.cli"]
         process = subprocess.Popen(
-            [sys.executable, "-m", "clothtrack.cli", *map(str, words)],
+            [sys.executable, *program, *map(str, words)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
         processes.append(process)
@@ -155,3 +158,78 @@ def test_four_that_track_and_one_that_is_killed(start, towels, tmp_path, capsys)
 def test_a_folder_without_work_has_no_status(tmp_path, capsys):
     assert cli.main(["status", str(tmp_path)]) == 1
     assert "nothing was begun here" in capsys.readouterr().err
+
+
+SMALL_ROBOT = """
+import sys
+from clothtrack.world import SMALL_WORLD
+from clothtrack.world import simulated_episodes as episodes
+robot = episodes.SimulatedRobot
+small = episodes.SimulatedRobotConfig(episode=SMALL_WORLD)
+episodes.SimulatedRobot = lambda kind, seed, _, garment: robot(kind, seed, small, garment)
+from clothtrack.cli.command_line import main
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+
+
+def test_two_that_flatten_at_once_flatten_what_one_flattens(start, tmp_path):
+    words = ("--policy", "heuristic", "--actions", "1", "--episodes", "2")
+    together, alone = tmp_path / "together", tmp_path / "alone"
+    ended_well(*(start("flatten", together, *words, code=SMALL_ROBOT) for _ in range(2)))
+    ended_well(start("flatten", alone, *words, code=SMALL_ROBOT))
+    for pattern in ("recordings/**/*", "truth/*", "worlds/**/*", "starts/**/*"):
+        assert bits(together, pattern) == bits(alone, pattern)
+    for folder in sorted((alone / "episodes").iterdir()):
+        first, second = (
+            [row["true_m2"] for row in json.loads((out / "episode.json").read_text())["steps"]]
+            for out in (folder, together / "episodes" / folder.name)
+        )
+        assert len(first) == 2
+        assert first == second
+    assert len(list(together.glob("*.html"))) == 2
+    assert None not in seconds(together, "flatten")
+    no_litter(together)
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from clothtrack.files.work_folder import WorkFolder
+with WorkFolder(Path(sys.argv[1]), sys.argv[2]).alone():
+    (Path(sys.argv[1]) / "held").touch()
+    time.sleep(600.0)
+"""
+
+
+def files_of(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("verb", ["train-dynamics", "improve"])
+def test_what_cannot_be_shared_is_refused_in_one_line(start, tmp_path, capsys, verb):
+    out = tmp_path / "out"
+    words = [verb, str(out), "--only-roll-outs", "--roll-outs", "1", "--garment", "towel"]
+    words += ["--set", "roll_outs.vertex_count=120", "--set", "roll_outs.starts=1"]
+    words += ["--set", "roll_outs.actions=1", "--set", "roll_outs.states.crumpling.states=1"]
+    if verb == "improve":
+        pytest.importorskip("torch")
+        weights = Path(reconstruction.__file__).parent / "weights" / "towel.safetensors"
+        words = [verb, str(weights), "--output", str(out)]
+    first = start(out, verb, code=HOLD)
+    while not (out / "held").exists():
+        assert first.poll() is None, first.communicate()
+        time.sleep(0.02)
+    before = files_of(out)
+    assert cli.main(words) == 1
+    complained = capsys.readouterr().err
+    assert f"{verb} is at work here already" in complained
+    assert f"process {first.pid}, since 2" in complained
+    assert complained.count("\n") == 1
+    assert files_of(out) == before
+    first.kill()
+    first.communicate()
+    if verb == "train-dynamics":
+        assert cli.main(words) == 0
+        assert len(list(out.glob("roll_outs/towel/shards/*.npz"))) == 1
+        no_litter(out)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -13,8 +14,14 @@ from pathlib import Path
 
 import pytest
 
+from clothtrack.errors import StorageError
 from clothtrack.files import claims
-from clothtrack.files.atomic_write import atomic_file, clear_dead, clear_leftovers
+from clothtrack.files.atomic_write import (
+    atomic_file,
+    atomic_folder,
+    clear_dead,
+    clear_leftovers,
+)
 from clothtrack.files.claims import LEASE_S, claimed, holder_of, locked
 from clothtrack.files.owner import Owner, hidden_name, hidden_parts
 
@@ -196,3 +203,33 @@ def test_a_folder_that_was_being_replaced_gets_its_name_back(tmp_path):
     clear_leftovers(tmp_path / "towel.zarr")
     assert [path.name for path in tmp_path.iterdir()] == ["towel.zarr"]
     assert (tmp_path / "towel.zarr" / "yesterday").exists()
+
+
+def test_a_full_disk_leaves_no_claim_without_an_owner(tmp_path):
+    """Its name takes no room, its content does: others would wait for a machine that is none."""
+    with claimed(tmp_path, "earlier"):
+        pass
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(StorageError), claimed(tmp_path, "towel"):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_who_writes_into_a_folder_first_removes_what_dead_processes_left_there(tmp_path, kind):
+    """Verbs with one result have no list of work that would do so."""
+    me = Owner.me()
+    names = {
+        pid: f".sheet.{me.machine}-{me.pid}-{start}-00000000.png"
+        for pid, start in (("dead", me.start - 1), ("alive", me.start))
+    }
+    for name in names.values():
+        (tmp_path / name).touch()
+    writer = atomic_file(tmp_path / "new") if kind == "file" else atomic_folder(tmp_path / "new")
+    with writer:
+        pass
+    assert {path.name for path in tmp_path.iterdir()} == {"new", names["alive"]}

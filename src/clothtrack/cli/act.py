@@ -1,33 +1,34 @@
 """The verbs of the command line that act: flattening, its learned dynamics, and getting better."""
 
 import json as json_module
-from contextlib import closing, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
-import clothtrack as ct
+from clothtrack.cli.episodes import played
 from clothtrack.cli.options import (
     AsJson,
     Device,
+    Ray,
+    RayMemory,
     Seed,
     Settings,
     Shard,
     ShowSettings,
+    executor_of,
     list_settings,
     require_weights,
     share_of,
 )
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.progress import one_of
+from clothtrack.files.work_folder import WorkFolder
 from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
-    from clothtrack.planning.episode_store import EpisodeStore
     from clothtrack.planning.flatten_config import FlattenConfig
     from clothtrack.reconstruction.training.training_loop import TrainingOutcome
 
@@ -50,7 +51,10 @@ def flatten(
     recording: Path | None = None,
     actions: int = 10,
     episodes: int = 1,
+    workers: int = 1,
     shard: Shard = "",
+    ray: Ray = "",
+    ray_memory: RayMemory = 0.0,
     live: bool = False,
     port: int | None = None,
     settings: Settings = (),
@@ -81,7 +85,10 @@ def flatten(
         recording: for a dry run: its last picture is what is planned for.
         actions: most actions of an episode.
         episodes: how many, with the seeds SEED, SEED + 1 and so on.
+        workers: processes; each runs one episode at a time.
         shard: do only one of several parts of the episodes.
+        ray: address of Ray, which is to do it.
+        ray_memory: for each item.
         live: show it in a browser while it happens, on this machine only.
         port: of that page; any free one by default.
         settings: changes, such as planner.candidates=300 or planner.strip_m=0.
@@ -103,43 +110,26 @@ def flatten(
         return _dry_run(output, recording, config, device=device, seed=seed)
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
+    here = workers == 1 and not ray
+    if live and not here:
+        complain("--live shows one process; leave out --workers and --ray, or --live")
+        return 2
     from clothtrack.front.flattening import episode_parts
-    from clothtrack.front.many_episodes import flattened
     from clothtrack.report.flattening_page import watched_live
 
     # Before the first start is made and the page is served: weights may be missing.
     parts = episode_parts(garment, config, device=device, garment_seed=garment_seed, output=output)
-    rows, write = [], complain if json else say  # The result on stdout stays JSON alone.
+    write = complain if json else say  # The result on stdout stays JSON alone.
     opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
     with opened if live else nullcontext() as watch:
-        run = partial(
-            _flatten_one, output, garment, config=config, garment_seed=garment_seed,
-            device=device, parts=parts, watch=watch,
+        rows = played(
+            output, garment, config, range(seed, seed + episodes), share=share_of(shard),
+            garment_seed=garment_seed, device=device, parts=parts, watch=watch, workers=workers,
+            executor=executor_of(ray, ray_memory, device), here=here, json=json,
         )  # fmt: skip
-        seeds, share = range(seed, seed + episodes), share_of(shard)
-        shared = flattened(run, output, garment, garment_seed, seeds, share=share)
-        with closing(shared) as results:
-            for row in results:
-                rows.append(row)
-                if not json:
-                    say(_in_words(row))
     if json:
         say(json_module.dumps(rows, indent=2))
     return 0
-
-
-def _flatten_one(
-    output: Path,
-    garment: Literal["towel", "tshirt"],
-    seed: int,
-    number: int,
-    count: int,
-    **options: Any,
-) -> dict[str, Any]:
-    """Flatten with a seed, `number` episodes of `count` being done, and write the report."""
-    told = one_of(progress, number, count, "episode")
-    store = ct.flatten(output, garment, seed=seed, progress=told, **options)
-    return _summary(store, output)
 
 
 def _excluded(
@@ -208,8 +198,10 @@ def train_dynamics(
             )
         ]  # fmt: skip
 
+    alone = WorkFolder(output, "train-dynamics").alone
     if only_roll_outs:
-        say(f"{output / 'roll_outs'}   ({len(make())} shards)")
+        with alone():
+            say(f"{output / 'roll_outs'}   ({len(make())} shards)")
         return 0
     # What cannot be trained is refused before anything is rolled out.
     require_learning()
@@ -224,9 +216,10 @@ def train_dynamics(
     config = with_settings(replace(config, loop=replace(config.loop, seed=seed)), mine)
     frames_per_step(config.network.step_s, recipe.frame_s)
     names = ", ".join(dict.fromkeys(garment))
-    outcome = train_mesh_dynamics(
-        make(), names, config, output / "model", device=device, progress=progress
-    )
+    with alone():
+        outcome = train_mesh_dynamics(
+            make(), names, config, output / "model", device=device, progress=progress
+        )
     return _say_outcome(outcome, json=json)
 
 
@@ -336,31 +329,6 @@ def _config(
         actions=actions,
     )
     return with_settings(config, settings)
-
-
-def _in_words(row: dict[str, Any]) -> str:
-    """A summary in a line."""
-    control = "   CONTROL" if row["control"] else ""
-    return (
-        f"{row['report']}   improvement {row['improvement'][-1]:.2f} after {row['actions']} "
-        f"actions; {row['status']}{control}"
-    )
-
-
-def _summary(store: "EpisodeStore", output: Path) -> dict[str, Any]:
-    """Write the report of an episode; what a program wants to know of it. Controls say so."""
-    from clothtrack.planning.flattening import improvement
-    from clothtrack.report.flattening_page import write_flattening_report
-
-    page = write_flattening_report(store, output / f"{store.folder.name}.html")
-    return {
-        "episode": str(store.folder),
-        "status": store.document["status"],
-        "actions": len(store.steps) - 1,
-        **store.document["asked"]["label"],
-        "improvement": improvement(store.steps),
-        "report": str(page),
-    }
 
 
 def _dry_run(

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from clothtrack.cli.options import AsJson, Device, Seed, Settings, Shard, share_of
+from clothtrack.cli.options import (
+    AsJson,
+    Device,
+    Ray,
+    RayMemory,
+    Seed,
+    Settings,
+    Shard,
+    executor_of,
+    share_of,
+)
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 from clothtrack.front.learning_extra import require_learning
@@ -31,6 +41,8 @@ def label(
     flat_weight: float = 1.0,
     workers: int = 1,
     shard: Shard = "",
+    ray: Ray = "",
+    ray_memory: RayMemory = 0.0,
     device: Device = "cpu",
     json: AsJson = False,
 ) -> int:
@@ -48,6 +60,8 @@ def label(
         flat_weight: weight of the first frame, before any action; 0 leaves it out.
         workers: processes.
         shard: do only one of several parts.
+        ray: address of Ray, which is to do it.
+        ray_memory: for each item.
         device: where to compute.
         json: machine-readable.
     """
@@ -66,7 +80,7 @@ def label(
     }
     files = label_many(
         tracked, recordings, output, options, workers=workers, share=share_of(shard),
-        progress=progress,
+        progress=progress, executor=executor_of(ray, ray_memory, device),
     )  # fmt: skip
     rows = []
     for file in files:

@@ -14,10 +14,21 @@ from clothtrack.cli.terminal import say
 from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
-    from clothtrack.files.shared_work import Share
+    from clothtrack.files.shared_work import Executor, Share
 
 AsJson = Annotated[bool, arg(name="json", help="write one JSON document to standard output")]
 Device = Annotated[str, arg(help="cpu, or cuda:0")]
+Ray = Annotated[
+    str,
+    arg(
+        metavar="ADDRESS",
+        help="let Ray do it: 'local' with WORKERS processes here, or the address of a cluster, "
+        "such as auto or ray://HOST:10001; docs/many_machines.md",
+    ),
+]
+RayMemory = Annotated[
+    float, arg(metavar="GB", help="memory that Ray keeps free for each item; 0: it does not ask")
+]
 Seed = Annotated[int, arg(help="seed of everything random")]
 Settings = Annotated[
     tuple[str, ...],
@@ -73,3 +84,25 @@ def share_of(shard: str) -> "Share":
 
     command = shlex.join(["clothtrack", *_written])
     return Share.parse(shard, re.sub(r" --shard[= ]\S+", "", command))
+
+
+def executor_of(ray: str, ray_memory: float, device: str = "cpu") -> "Executor":
+    """Who runs the work: worker processes, or Ray where --ray says so.
+
+    Args:
+        ray: address of Ray, or nothing.
+        ray_memory: of an item [10^9 bytes].
+        device: where to compute; on a graphics card an item has one of its own.
+
+    Raises:
+        InvalidConfigError: --ray-memory without --ray, or it is negative.
+    """
+    if ray:
+        from clothtrack.files.ray_executor import RayExecutor
+
+        return RayExecutor(ray, ray_memory, 0.0 if device == "cpu" else 1.0)
+    if ray_memory:
+        raise InvalidConfigError(f"--ray-memory is {ray_memory:g}, without --ray; leave it out")
+    from clothtrack.files.worker_pool import finished_in_workers
+
+    return finished_in_workers

@@ -6,7 +6,16 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import clothtrack as ct
-from clothtrack.cli.options import AsJson, Seed, Settings, Shard, share_of
+from clothtrack.cli.options import (
+    AsJson,
+    Ray,
+    RayMemory,
+    Seed,
+    Settings,
+    Shard,
+    executor_of,
+    share_of,
+)
 from clothtrack.cli.terminal import complain, progress, say_result
 
 
@@ -22,6 +31,8 @@ def simulate(
     settings: Settings = (),
     workers: int = 1,
     shard: Shard = "",
+    ray: Ray = "",
+    ray_memory: RayMemory = 0.0,
     seed: Seed = 0,
     json: AsJson = False,
 ) -> int:
@@ -40,10 +51,12 @@ def simulate(
         settings: changes to what is recorded, such as sensor.width=320 or vertex_count=300.
         workers: processes.
         shard: do only one of several parts.
+        ray: address of Ray, which is to do it.
+        ray_memory: for each item.
         seed: of garment, pose, actions, camera and noise.
         json: machine-readable.
     """
-    share = share_of(shard)
+    share, executor = share_of(shard), executor_of(ray, ray_memory)
     if states is not None:
         from clothtrack.files.settings import with_settings
         from clothtrack.reconstruction.data.states import StatesConfig, generate_states
@@ -61,7 +74,7 @@ def simulate(
         recipe = with_settings(StatesConfig(), settings)
         store = generate_states(
             output, garment, states, seed=seed, config=recipe, processes=workers,
-            progress=progress, share=share,
+            progress=progress, share=share, executor=executor,
         )  # fmt: skip
         card, garments = store.folder / "README.md", len(store.shards)
         report = {"states": store.folder, "card": card, "garments": garments}
@@ -81,6 +94,7 @@ def simulate(
         workers=workers,
         progress=progress,
         share=share,
+        executor=executor,
     )
     say_result("\n".join(map(str, folders)), folders, json=json)
     return 0 if len(folders) == len(share.of(range(count))) else 1
@@ -93,6 +107,8 @@ def bench(
     verify: bool = False,
     workers: int = 1,
     shard: Shard = "",
+    ray: Ray = "",
+    ray_memory: RayMemory = 0.0,
     json: AsJson = False,
 ) -> int:
     """Record the benchmark: 20 trajectories to tune on (dev), 30 to score (test), 10 hard ones.
@@ -103,6 +119,8 @@ def bench(
         verify: record nothing; check what is there against its checksums.
         workers: processes.
         shard: do only one of several parts.
+        ray: address of Ray, which is to do it.
+        ray_memory: for each item.
         json: machine-readable.
     """
     from clothtrack.world import bench as contents
@@ -116,7 +134,8 @@ def bench(
         say_result(text, {"trajectories": len(listed), "wrong": wrong}, json=json)
         return 1 if wrong else 0
     entries = generation.generate_bench(
-        output, listed, processes=workers, progress=progress, share=share_of(shard)
-    )
+        output, listed, processes=workers, progress=progress, share=share_of(shard),
+        executor=executor_of(ray, ray_memory),
+    )  # fmt: skip
     say_result(generation.table(entries), entries, json=json)
     return 0

@@ -15,10 +15,13 @@ import clothtrack as ct
 from clothtrack.cli.options import (
     AsJson,
     Device,
+    Ray,
+    RayMemory,
     Seed,
     Settings,
     Shard,
     ShowSettings,
+    executor_of,
     list_settings,
     share_of,
 )
@@ -27,7 +30,7 @@ from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
     from clothtrack.evaluation.verdict import Verdict
-    from clothtrack.files.shared_work import Share
+    from clothtrack.files.shared_work import Executor, Share
     from clothtrack.tracking.pipeline import Outcome
     from clothtrack.tracking.seams import Watch
 
@@ -89,6 +92,8 @@ def track(
     show_settings: ShowSettings = False,
     workers: int = 1,
     shard: Shard = "",
+    ray: Ray = "",
+    ray_memory: RayMemory = 0.0,
     device: Device = "cpu",
     seed: Seed = 0,
     force: bool = False,
@@ -115,6 +120,8 @@ def track(
         show_settings: list them all with their values and do nothing else.
         workers: processes; each tracks one recording at a time.
         shard: do only one of several parts.
+        ray: address of Ray, which is to do it.
+        ray_memory: for each item.
         device: where to compute.
         seed: stored with the result.
         force: go on although the first mesh lies more than 2 cm (rms) from its cloud.
@@ -136,6 +143,7 @@ def track(
     tracked = partial(
         _track, recordings, output, mode, settings,
         seed=seed, device=device, workers=workers, force=force, share=share_of(shard),
+        executor=executor_of(ray, ray_memory, device),
     )  # fmt: skip
     outcomes = _track_live(tracked, port) if live else tracked()
     if json:
@@ -193,16 +201,19 @@ def _track(
     force: bool = False,
     watch: "Watch | None" = None,
     share: "Share | None" = None,
+    executor: "Executor | None" = None,
 ) -> "list[Outcome]":
+    from clothtrack.files.worker_pool import finished_in_workers
     from clothtrack.front.run import run_config
     from clothtrack.geometry.devices import require_device
     from clothtrack.tracking.pipeline import track_recordings
 
-    require_device(device)
+    if executor in (None, finished_in_workers):
+        require_device(device)
     config = run_config(mode, settings, seed=seed)
     return track_recordings(
         recordings, output, config, workers=workers, device=device, progress=progress, force=force,
-        watch=watch, share=share,
+        watch=watch, share=share, executor=executor or finished_in_workers,
     )  # fmt: skip
 
 

@@ -28,6 +28,9 @@ _BOX = re.compile("\x1b\\[[0-9;]*m|[│╭╮╰╯]")
 _REFUSED = re.compile(r"could be instantiated from \[(.*)\]")
 _EXPLAINED = "  Argument helptext:"
 _MARGIN = 2
+_LONGEST = 300
+"""Characters of what is said about an option."""
+
 _HELP_INDENT = 8
 """Spaces that tyro puts before the help of an option, in the list of those that are missing."""
 
@@ -102,4 +105,7 @@ def _first_sentence(drawn: str, verb: str) -> str:
     if refused is not None:
         option = rows[rows.index(_EXPLAINED) + 1].strip() if _EXPLAINED in rows else "an option"
         sentence = f"{option} cannot be {refused[1]}"
+    if len(sentence) > _LONGEST:
+        # A long value comes in rows of the box: no word of it is long.
+        sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
     return f"{sentence}; clothtrack {verb} --help says more"

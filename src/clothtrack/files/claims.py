@@ -144,6 +144,10 @@ def _take(folder: Path, name: str) -> Path | None:
                 file.write(text)
         except FileExistsError:
             return None
+        except OSError:
+            # The disk took the name and not the content: others would wait for nobody.
+            path.unlink(missing_ok=True)
+            raise
     # Between our look and our file another process may have finished with all of them, and a third
     # one begun: then ours is one too many.
     again = _read(earlier[-1]) if earlier else None
@@ -179,7 +183,7 @@ def _read(path: Path) -> tuple[str, float] | None:
 
 
 def _parsed(text: str) -> tuple[Owner | None, float]:
-    with suppress(ValueError, TypeError, KeyError):
+    with suppress(ValueError, TypeError, KeyError, RecursionError):
         document = json.loads(text)
         return Owner.of(document), float(document["since"])
     return None, 0.0

@@ -11,19 +11,26 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Mapping
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 from clothtrack import errors
-from clothtrack.errors import ClothTrackError
+from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files.atomic_write import write_file
 from clothtrack.files.claims import Holder, claimed, clear_dead_claims, file_time, holder_of, locked
 from clothtrack.files.owner import Owner
 
 HIDDEN = ".work"
+
+_WHOLE = "all"
+"""What `alone` claims; no item is called so in the same verb."""
+
+LARGEST = 2**53
+"""Numbers in these files are smaller."""
 
 Record = dict[str, Any]
 """What became of an item: status ("done" or "failed"), seconds, host, pid, error, kind."""
@@ -66,9 +73,31 @@ class WorkFolder:
         return file_time(self.folder / "claims")
 
     def asked(self) -> list[dict[str, Any]]:
-        """All that was asked for, the latest last."""
+        """All that was asked for, the latest last; what is damaged was not."""
         paths = sorted((self.folder / "asked").glob("[0-9a-f]*.json"), key=_changed)
-        return [found for path in paths if (found := _json(path))]
+        return [found for path in paths if _is_asked(found := _json(path) or {})]
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Be the only process at this verb in this folder, for the time of the block.
+
+        For work whose parts depend on each other, so that it cannot be shared out.
+
+        Raises:
+            InvalidConfigError: another process is; with its machine, its number and since when.
+        """
+        while True:
+            with self.claimed(_WHOLE) as mine:
+                if mine:
+                    yield
+                    return
+            if (holder := self.holder(_WHOLE)) is not None:
+                since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(holder.since))
+                raise InvalidConfigError(
+                    f"{self.out}: {self.verb} is at work here already ({holder.owner.host}, "
+                    f"process {holder.owner.pid}, since {since}); wait until it ends, or choose "
+                    "another folder"
+                )
 
     def claimed(self, name: str) -> AbstractContextManager[bool]:
         """Hold the claim to an item (`claims.claimed`)."""
@@ -95,8 +124,9 @@ class WorkFolder:
         self._note(name, {"status": "failed", "error": str(error), "kind": type(error).__name__})
 
     def record(self, name: str) -> Record:
-        """What became of an item; empty where nothing has yet."""
-        return _json(self._path(name)) or {}
+        """What became of an item; empty where nothing has yet, without what is damaged."""
+        found = _json(self._path(name)) or {}
+        return {key: found[key] for key, kind in _FIELDS.items() if _fits(found.get(key), kind)}
 
     def failed_since(self, name: str, time_s: float) -> ClothTrackError | None:
         """Why an item has failed since a time of the disk; None when it has not."""
@@ -122,6 +152,28 @@ def verbs_of(out: Path) -> list[WorkFolder]:
     return [WorkFolder(out, path.name) for path in sorted((out / HIDDEN).glob("[a-z]*"))]
 
 
+_FIELDS: Mapping[str, type | UnionType] = {
+    "status": str, "seconds": int | float, "host": str, "pid": int, "error": str, "kind": str,
+    "ended": int | float,
+}  # fmt: skip
+
+
+def _fits(value: object, kind: type | UnionType) -> bool:
+    # Python reads NaN, and whole numbers that are no float.
+    is_large = isinstance(value, int | float) and not abs(value) < LARGEST
+    return isinstance(value, kind) and not is_large
+
+
+def _is_asked(found: Mapping[str, Any]) -> bool:
+    """Whether a document says what was asked for."""
+    items = found.get("items")
+    return (
+        isinstance(found.get("command"), str)
+        and isinstance(items, dict)
+        and all(isinstance(place, str) and "\0" not in place for place in items.values())
+    )
+
+
 def _changed(path: Path) -> float:
     return path.stat().st_mtime
 
@@ -130,6 +182,6 @@ def _json(path: Path) -> dict[str, Any] | None:
     """A file that somebody may be about to write for the first time, or has damaged."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None

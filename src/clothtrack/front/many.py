@@ -13,7 +13,7 @@ from clothtrack.evaluation.label_review import review_path
 from clothtrack.evaluation.results import Evaluation, as_plain, from_plain
 from clothtrack.files.atomic_write import content_hash, write_file
 from clothtrack.files.progress import Progress
-from clothtrack.files.shared_work import Share, attempts, results_of
+from clothtrack.files.shared_work import Executor, Share, attempts, results_of
 from clothtrack.files.work_folder import WorkFolder
 from clothtrack.files.worker_pool import finished_in_workers
 from clothtrack.front.learning import label
@@ -33,6 +33,7 @@ def label_many(
     workers: int = 1,
     share: Share | None = None,
     progress: Progress | None = None,
+    executor: Executor = finished_in_workers,
 ) -> list[Path]:
     """Write the pseudo-labels of many runs; those that are there from the same input are kept.
 
@@ -44,6 +45,7 @@ def label_many(
         workers: processes.
         share: which of the runs are this process's; all by default.
         progress: called first, and after each run.
+        executor: who runs the work; worker processes by default.
 
     Returns:
         The files of the share, in the order of the runs.
@@ -55,7 +57,7 @@ def label_many(
     work = _Labelling(_Source(recordings, _without_twins(tracked), dict(options)), output)
     shared = attempts(
         work, tracked, WorkFolder(output, "label"), kind="trajectories", processes=workers,
-        share=share, progress=progress,
+        share=share, progress=progress, executor=executor,
     )  # fmt: skip
     with closing(shared) as tries:
         files = dict(results_of(tries))
@@ -71,6 +73,7 @@ def evaluate_many(
     workers: int = 1,
     share: Share | None = None,
     progress: Progress | None = None,
+    executor: Executor = finished_in_workers,
 ) -> list[Evaluation]:
     """Measure many runs; with an output, what others have measured for it is kept.
 
@@ -82,6 +85,7 @@ def evaluate_many(
         workers: processes.
         share: which of the runs are this process's; all by default.
         progress: called first, and after each run.
+        executor: who runs the work; worker processes by default.
 
     Returns:
         The measures of the share, in the order of the runs.
@@ -93,14 +97,14 @@ def evaluate_many(
     source = _Source(recordings, tuple(tracked), dict(options))
     if output is None:
         mine = share.of(tracked)
-        with closing(finished_in_workers(source.evaluation, mine, workers)) as results:
+        with closing(executor(source.evaluation, mine, workers)) as results:
             measured = dict(results)
         return [measured[path] for path in mine]
     folder = WorkFolder(output.parent, "evaluate")
     work = _Measuring(source, folder.folder / "measured" / output.name)
     shared = attempts(
         work, tracked, folder, kind="trajectories", processes=workers, share=share,
-        progress=progress,
+        progress=progress, executor=executor,
     )  # fmt: skip
     with closing(shared) as tries:
         measured = dict(results_of(tries))
@@ -214,7 +218,7 @@ class _Measuring:
             if document["digest"] != self.source.digest(path):
                 return None
             found = from_plain(document["evaluation"])
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             return None
         self.source.run(path)
         return found

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clothtrack.files.shared_work import Share, attempts, results_of
+from clothtrack.files.progress import Progress
+from clothtrack.files.shared_work import Executor, Share, attempts, results_of
 from clothtrack.files.work_folder import WorkFolder
+from clothtrack.files.worker_pool import finished_in_workers
 from clothtrack.planning.episode_store import DOCUMENT
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.world.simulated_episodes import SimulatedEpisode
@@ -24,24 +26,35 @@ def flattened(
     seeds: Sequence[int],
     *,
     share: Share,
+    workers: int = 1,
+    progress: Progress | None = None,
+    executor: Executor = finished_in_workers,
 ) -> Generator[Row, None, None]:
-    """Run episodes in this process, as they come to it; what became of each.
+    """Run episodes, in the order in which they end; what became of each.
 
     Args:
         run: flattens with a seed, and writes the report; also gets how many episodes of the share
-            come before it, and how many there are. One that is finished it leaves as it is.
+            come before it, and how many there are. One that is finished it leaves as it is. Other
+            processes are sent it, where there are several workers.
         output: folder of the episodes.
         garment: what lies on the table.
         garment_seed: of the one garment, if there is one.
         seeds: of all episodes.
         share: which of them are this process's.
+        workers: processes.
+        progress: called first, and after each episode.
+        executor: who runs the episodes; worker processes by default.
 
     Raises:
         ClothTrackError: an episode failed; after all others.
     """
     work = _Flattening(run, output, garment, garment_seed, tuple(share.of(seeds)))
     folder = WorkFolder(output, "flatten")
-    with closing(attempts(work, seeds, folder, kind="episodes", share=share)) as tries:
+    shared = attempts(
+        work, seeds, folder, kind="episodes", processes=workers, share=share, progress=progress,
+        executor=executor,
+    )  # fmt: skip
+    with closing(shared) as tries:
         for _, row in results_of(tries):
             yield row
 
@@ -74,7 +87,7 @@ class _Flattening:
         document = self.output / "episodes" / self.name(seed) / DOCUMENT
         if not (document.is_file() and self.paths(seed)[-1].is_file()):
             return None
-        ended = '"status": "running"' not in document.read_text("utf-8")
+        ended = '"status": "running"' not in document.read_text("utf-8", errors="replace")
         return self.do(seed) if ended else None
 
     def do(self, seed: int) -> Row:

@@ -19,6 +19,7 @@ from clothtrack.evaluation import results
 from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.truth import Truth
 from clothtrack.evaluation.verdict import Verdict, trajectory_verdict
+from clothtrack.evaluation.vertex_errors import expected_vertex_errors
 from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp, require_device
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
@@ -43,6 +44,7 @@ class Label:
         positions: vertices after the final alignment [m].
         quality: weight for training in 0..1; one half is typical of the benchmark.
         expected_error_mm: mean vertex error to expect [mm]; NaN where nothing was seen.
+        vertex_errors_m: the error to expect of each vertex [m]; their mean is the same error.
     """
 
     action: int
@@ -50,6 +52,7 @@ class Label:
     positions: Float[np.ndarray, "vertices 3"]
     quality: float
     expected_error_mm: float
+    vertex_errors_m: Float[np.ndarray, " vertices"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +114,7 @@ class Run(TrackedTrajectory):
                 action.positions_after_final_alignment,
                 judged.label_quality,
                 judged.expected_error_mm,
+                expected_vertex_errors(action, judged),
             )
             for judged, action in zip(self._judged, self.actions, strict=True)
         )

@@ -22,9 +22,9 @@ import numpy as np
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import atomic_file, content_hash, storage
 from clothtrack.files.progress import Progress
-from clothtrack.files.shared_work import Share, attempts, results_of
+from clothtrack.files.shared_work import Executor, Share, attempts, results_of
 from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import require_workers
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.version import __version__
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
@@ -46,6 +46,7 @@ def generate_bench(
     processes: int = 1,
     progress: Progress | None = None,
     share: Share | None = None,
+    executor: Executor = finished_in_workers,
 ) -> list[Entry]:
     """Film trajectories of the benchmark into `out/recordings` and `out/truth`.
 
@@ -58,6 +59,7 @@ def generate_bench(
         processes: worker processes.
         progress: called first, and after each trajectory, kept ones included.
         share: which of them are this process's; all by default.
+        executor: who runs the work; worker processes by default.
 
     Returns:
         The entries of the trajectories of the share, in their order.
@@ -76,7 +78,7 @@ def generate_bench(
         _refuse_other_settings(out, trajectory, listed.get(trajectory.name))
     shared = attempts(
         _Filming(out), selected, WorkFolder(out, "bench"), kind="trajectories",
-        processes=processes, share=share, progress=progress,
+        processes=processes, share=share, progress=progress, executor=executor,
     )  # fmt: skip
     with closing(shared) as tries:
         entries = {one.name: entry for one, entry in results_of(tries)}
@@ -280,7 +282,7 @@ def _read_list(out: Path) -> dict[str, Entry]:
             f"{path}: not the list of a {NAME}: the field {error} is missing; unpack it again, or "
             "choose another folder"
         ) from error
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         raise InvalidResultError(
             f"{path}: not the list of a {NAME} of format {FORMAT} ({error}); unpack it again, or "
             "choose another folder"

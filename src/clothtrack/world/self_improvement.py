@@ -30,6 +30,7 @@ from clothtrack.files.atomic_write import content_hash, write_file
 from clothtrack.files.bounds import Checked, Natural
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import begin_run
+from clothtrack.files.work_folder import WorkFolder
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
 from clothtrack.planning.flattening import improvement
 from clothtrack.reconstruction.data.state_store import LIST_FILE
@@ -146,16 +147,37 @@ def improve_rounds(
 
     Raises:
         InvalidResultError: the weights or the old states cannot be read; nothing is written.
-        InvalidConfigError: the folder was begun with other settings, or both a template and a
-            garment seed are given; nothing is written.
+        InvalidConfigError: the folder was begun with other settings, another process is at work in
+            it, or both a template and a garment seed are given; nothing is written.
         ClothTrackError: a stage fails.
     """
     garment = None if garment_seed is None else OneGarment(kind, garment_seed)
     require_one_garment(config.flatten, garment)
     _require_inputs(weights, kind, config, old=old, device=device)
     asked = {"garment_seed": garment_seed, "teaches": teaches.__name__, "seed": seed}
-    _take_up(out / ASKED, weights, kind, config, old=old, asked=asked)
-    config = replace(config, flatten=knowing_the_garment(config.flatten, garment, out))
+    with WorkFolder(out, "improve").alone():
+        _take_up(out / ASKED, weights, kind, config, old=old, asked=asked)
+        config = replace(config, flatten=knowing_the_garment(config.flatten, garment, out))
+        return _rounds(
+            weights, out, kind, config, garment_seed=garment_seed, teaches=teaches, old=old,
+            device=device, seed=seed, progress=progress,
+        )  # fmt: skip
+
+
+def _rounds(
+    weights: Path,
+    out: Path,
+    kind: GarmentKind,
+    config: ImprovementConfig,
+    *,
+    garment_seed: int | None,
+    teaches: Teaches,
+    old: Path | None,
+    device: str,
+    seed: int,
+    progress: Progress | None,
+) -> list[dict[str, Any]]:
+    """The rounds themselves."""
     template = config.flatten.perception.template
     curve: list[dict[str, Any]] = []
     labels: list[EpisodeLabels] = []
