@@ -1,7 +1,7 @@
 """Limits in annotations refuse what lies outside, in a line that says what is allowed."""
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Literal
 
 import pytest
@@ -20,6 +20,7 @@ from clothtrack.files.bounds import (
     Share,
 )
 from clothtrack.files.settings import with_settings
+from clothtrack.simulation.pick_and_place import ActionConfig
 
 
 @dataclass(frozen=True)
@@ -92,3 +93,22 @@ def test_limits_hold_for_settings_of_the_command_line():
     assert with_settings(LineSearchConfig(), ["decay=0.5"]).decay == 0.5
     with pytest.raises(InvalidConfigError, match=r"line_search.decay is 2.0; it must be above 0"):
         with_settings(LineSearchConfig(), ["decay=2"])
+
+
+@pytest.mark.parametrize("value", [(1.0,), (1, 2, 3), "ab", (None, 1), (0.2, 0.1), (0, 1e308), 3])
+def test_what_is_no_pair_of_numbers_in_order_is_no_interval(value):
+    assert not Interval(least=0, empty=True, most=10).holds(value)
+    assert str(Interval(least=0, most=10)) == "it must be (low, high) with 0 <= low < high <= 10"
+
+
+def test_a_value_of_any_length_is_refused_in_a_short_line():
+    # As a user has it: what checks annotations in tests stands before our own check.
+    config = object.__new__(ActionConfig)
+    for field in fields(ActionConfig):
+        object.__setattr__(config, field.name, field.default)
+    object.__setattr__(config, "distance_m", (0.0,) * 1000)
+    with pytest.raises(InvalidConfigError, match=r"action.distance_m is \(0.0, .* low <= high") as (
+        refused
+    ):
+        ActionConfig.__post_init__(config)
+    assert len(str(refused.value)) < 300

@@ -100,3 +100,16 @@ def test_settings_are_listed_with_value_and_meaning_group_by_group():
 def test_every_listed_setting_can_be_given_back_as_it_is_written():
     words = [f"{one.name}={one.value}" for one in settings_of(Told())]
     assert with_settings(Told(), words) == Told()
+
+
+@pytest.mark.parametrize("text", ["9" * 5000, "[" * 5000])
+def test_what_json_cannot_read_is_a_text(text):
+    assert with_settings(Outer(), [f"inner.kind={text}"]).inner.kind == text
+    with pytest.raises(InvalidConfigError, match="cannot replace 3") as refused:
+        with_settings(Outer(), [f"inner.count={text}"])
+    assert len(str(refused.value)) < 300
+
+
+def test_a_refusal_does_not_list_a_whole_group():
+    with pytest.raises(InvalidConfigError, match=r'inner: "x" cannot replace Inner, which is a'):
+        with_settings(Outer(), ["inner=x"])

@@ -26,6 +26,10 @@ makers = importlib.util.module_from_spec(_spec)
 sys.modules["import_makers"] = makers
 _spec.loader.exec_module(makers)
 
+sys.path.append(str(Path(__file__).parents[2] / "experiments"))
+
+from shared.damage import damaged  # noqa: E402
+
 from clothtrack.errors import ClothTrackError  # noqa: E402
 from clothtrack.geometry.devices import quiet_warp  # noqa: E402
 from clothtrack.importing.import_options import ImportOptions  # noqa: E402
@@ -37,7 +41,6 @@ FORMATS = (
     "ros1", "ros1-lz4", "mcap", "mcap-zstd", "sqlite", "realsense-bag", "realsense-db3", "kinect",
     "tum", "open3d", "bop",
 )  # fmt: skip
-NASTY = (0, 1, 0x7F, 0x80, 0xFF)
 
 
 def seed_file(kind, folder):
@@ -65,33 +68,6 @@ def seed_file(kind, folder):
         depth = rng.integers(500, 900, (2, 288, 320)).astype(np.uint16)
         return makers.write_kinect(folder / "seed.mkv", depth, None, film.times - makers.START_NS)
     return makers.write_folder(folder / "seed", film, kind)
-
-
-def damaged(data, rng):
-    """Bytes with a few changes: flipped, overwritten, cut, doubled, shortened or lengthened."""
-    data = bytearray(data)
-    for _ in range(int(rng.integers(1, 6))):
-        if not data:
-            break
-        # Half of the damage hits the start, where the structure is.
-        reach = len(data) if rng.random() < 0.5 else min(len(data), 4096)
-        at, size = int(rng.integers(reach)), int(2 ** rng.integers(0, 7))
-        how = rng.integers(7)
-        if how == 0:
-            data[at] ^= 1 << int(rng.integers(8))
-        elif how == 1:
-            data[at : at + size] = bytes(rng.integers(0, 256, size, dtype=np.uint8))
-        elif how == 2:
-            data[at : at + 4] = bytes([NASTY[int(rng.integers(len(NASTY)))]] * 4)
-        elif how == 3:
-            del data[at : at + size]
-        elif how == 4:
-            data[at:at] = data[at : at + size]
-        elif how == 5:
-            data[at : at + 8] = int(rng.integers(0, 2**63)).to_bytes(8, "little")
-        else:
-            del data[int(rng.integers(len(data))) :]
-    return bytes(data)
 
 
 def damage_folder(folder, rng):

@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import pickle
+import resource
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -238,6 +239,18 @@ def test_a_killed_write_leaves_the_old_file(line, tmp_path, monkeypatch):
     monkeypatch.undo()
     assert load_progress(path)["step"] == 1
     assert [one.name for one in tmp_path.iterdir()] == ["progress.pt"]
+
+
+def test_a_full_disk_is_told_and_not_pytorch_s_error_of_it(tmp_path):
+    path = tmp_path / "progress.pt"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(StorageError, match="free some space"):
+            save_progress(path, {"step": 1, "weights": torch.zeros(10_000)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_description_is_plain_text(weights):

@@ -211,7 +211,7 @@ def test_the_pointer_tells_vertex_layer_and_millimetres(opened):
         words = page.ask(HOVER)
         assert re.search(r"vertex \d+", words)
         assert "layer 2" in words
-        assert re.search(r"Expected error of the action's label: [\d.]+ mm", words)
+        assert re.search(r"Expected error at the end of the action: [\d.]+ mm", words)
         page.call("Input.dispatchMouseEvent", type="mouseMoved", x=left + 4, y=top + 4)
         page.wait_for("document.querySelector('.hover').hidden")
 

@@ -64,3 +64,17 @@ def test_settings_that_cannot_be_computed_are_refused():
         SolverConfig(buckling=0.5)
     with pytest.raises(InvalidConfigError, match="contact_depth_m"):
         SolverConfig(thickness_m=0.02)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"damping": -1.0}, {"damping": np.nan}, {"sleep_speed": -0.1}, {"speed_limit": 0.0},
+        {"contact_margin_m": -1e-3}, {"contact_depth_m": np.nan}, {"push_out_speed": -1.0},
+        {"bend_limit": 1.5}, {"gravity": (0.0, np.nan, 0.0)},
+    ],
+)  # fmt: skip
+def test_physics_that_gain_energy_or_leave_the_numbers_are_refused(setting):
+    (name,) = setting
+    with pytest.raises(InvalidConfigError, match=f"solver.{name} is .*; it must be "):
+        SolverConfig(**setting)

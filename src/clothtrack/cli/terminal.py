@@ -5,6 +5,7 @@ Results go to standard output, everything else to standard error.
 
 import json as json_module
 import os
+import re
 import signal
 import sys
 import time
@@ -24,6 +25,10 @@ _SAME_REQUEST_S = 1.0
 _LONGEST_LINE = 1_000
 """Characters of a complaint."""
 
+_LONG_WORD = re.compile(r"\S{301,}")
+_WORD_END = 80
+"""Characters that are shown of each end of a word that is longer than any path one would write."""
+
 progress = ProgressLine()
 """Says how far the verb is (`clothtrack.files.progress`), on standard error."""
 
@@ -42,8 +47,9 @@ def say_result(text: str, document: object, *, json: bool) -> None:
 
 
 def complain(text: str) -> None:
-    """Write one clear line of what is wrong; of a very long one the beginning and the end."""
+    """Write one clear line of what is wrong; of what is very long the beginning and the end."""
     progress.clear()
+    text = _LONG_WORD.sub(lambda word: f"{word[0][:_WORD_END]}...{word[0][-_WORD_END:]}", text)
     if len(text) > _LONGEST_LINE:
         # What stands in a file may be of any length; what to do stands at the end.
         text = f"{text[: _LONGEST_LINE // 2]} ... {text[-_LONGEST_LINE // 2 :]}"

@@ -77,6 +77,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
     with storage(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            _clear_dead_once(path.parent)
             temporary = path.with_name(hidden_name(path.stem, path.suffix))
             temporary.touch(exist_ok=False)
             yield temporary
@@ -89,7 +90,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
                 temporary.unlink(missing_ok=True)
 
 
-def write_file(path: Path, data: bytes) -> None:
+def write_file(path: Path, data: bytes | memoryview) -> None:
     """Write a file, whole or not at all.
 
     Raises:
@@ -117,6 +118,7 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     with storage(path):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            _clear_dead_once(path.parent)
             if not replace and path.exists() and not _is_empty_folder(path):
                 raise StorageError(
                     f"{path} exists and is not empty; choose another name or remove it"
@@ -194,6 +196,18 @@ def clear_dead(folders: Iterable[Path]) -> None:
         with storage(folder):
             for left in folder.glob(".*"):
                 _clear(left, claimed=False)
+
+
+_CLEARED: set[str] = set()
+"""Folders in which this process has looked for what dead ones have left."""
+
+
+def _clear_dead_once(folder: Path) -> None:
+    """`clear_dead`, the first time that this process writes into a folder: a look at all names."""
+    name = str(folder.resolve())
+    if name not in _CLEARED:
+        _CLEARED.add(name)
+        clear_dead([folder])
 
 
 def _clear(left: Path, *, claimed: bool) -> None:

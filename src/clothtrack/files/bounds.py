@@ -68,21 +68,32 @@ class Interval:
     Attributes:
         least: smallest value of the first; None: any.
         empty: whether both may be the same.
+        most: largest value of the second; None: any.
     """
 
     least: int | float | None = None
     empty: bool = False
+    most: int | float | None = None
 
-    def holds(self, value: tuple[float, float]) -> bool:
-        """Whether a pair is such an interval."""
+    def holds(self, value: object) -> bool:
+        """Whether something is such an interval."""
+        if not isinstance(value, tuple) or len(value) != 2 or not all(map(_is_number, value)):
+            return False
         low, high = value
         rises = low <= high if self.empty else low < high
-        return rises and Bounds(least=self.least).holds(low) and math.isfinite(high)
+        limits = Bounds(least=self.least, most=self.most)
+        return rises and limits.holds(low) and limits.holds(high)
 
     def __str__(self) -> str:
         """What a pair must be, in words."""
         from_least = "" if self.least is None else f"{self.least} <= "
-        return f"it must be (low, high) with {from_least}low {'<=' if self.empty else '<'} high"
+        to_most = "" if self.most is None else f" <= {self.most}"
+        rises = "<=" if self.empty else "<"
+        return f"it must be (low, high) with {from_least}low {rises} high{to_most}"
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 Count = Annotated[int, Bounds(least=1)]
@@ -118,8 +129,8 @@ class Checked:
         """
         for field in fields(self):
             if limit := _refused(field.type, getattr(self, field.name)):
-                value = getattr(self, field.name)
-                raise InvalidConfigError(f"{_group(type(self))}.{field.name} is {value!r}; {limit}")
+                value = f"{getattr(self, field.name)!r:.120}"
+                raise InvalidConfigError(f"{_group(type(self))}.{field.name} is {value}; {limit}")
 
 
 def _refused(declared: Any, value: Any) -> str:

@@ -35,7 +35,7 @@ def begin_run(path: Path, asked: Mapping[str, Any]) -> None:
     try:
         with storage(path):
             stored = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InvalidResultError(
             f"{path}: not what the folder was begun with ({error}); remove the folder and begin "
             "again"

@@ -50,7 +50,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
         return arrays
     try:
         promised = dict(json.loads(str(arrays.pop(DIGEST))))
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise InvalidResultError(f"the list of its SHA-256 is damaged ({error})") from error
     for name in sorted({*arrays, *promised}):
         if name not in arrays:

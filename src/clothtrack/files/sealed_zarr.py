@@ -5,11 +5,13 @@ Zarr itself reads a chunk that is missing as zeros, and values that were altered
 
 import hashlib
 import json
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import zarr
+from zarr.errors import ZarrFutureWarning
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.files.array_digest import DIGEST, array_digest
@@ -74,7 +76,7 @@ def take_array(group: zarr.Group, name: str) -> np.ndarray:
             written.
     """
     try:
-        array = group[name]
+        array = _member(group, name)
         values = np.asarray(array[...])
         promised = array.attrs[DIGEST]
     except KeyError as error:
@@ -118,12 +120,19 @@ def sealed_attributes(group: zarr.Group) -> dict[str, Any]:
     return attributes
 
 
+def _member(group: zarr.Group, name: str) -> zarr.Array | zarr.Group:
+    """An array or group below a group; of a type that only damage explains, without a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ZarrFutureWarning)
+        return group[name]
+
+
 def _digest_of_attributes(group: zarr.Group, contents: Iterable[Any]) -> str:
     own = {name: value for name, value in group.attrs.asdict().items() if name != DIGEST}
     attributes = {"": own}
     for name in contents:
         try:
-            attributes[name] = group[name].attrs.asdict()
+            attributes[name] = _member(group, name).attrs.asdict()
         except DAMAGE as error:
             raise InvalidResultError(f"{name} is missing or cannot be read ({error})") from error
     # Through JSON once before names are sorted: it makes texts of names that are numbers.

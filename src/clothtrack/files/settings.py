@@ -118,7 +118,8 @@ def _parsed(text: str) -> Any:
         return _PYTHON_WORDS[text]
     try:
         return json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):
+        # Also a number of more digits than Python reads.
         return text
 
 
@@ -152,9 +153,14 @@ def _of_same_type(old: Any, new: Any, name: str) -> Any:
         fits = old is None or isinstance(new, type(old))
     if not fits or is_dataclass(old) or isinstance(old, Mapping):
         raise InvalidConfigError(
-            f"{name}: {json.dumps(new)} cannot replace {old!r}, which is {_kind(old)}"
+            f"{name}: {json.dumps(new):.120} cannot replace {_shown(old)}, which is {_kind(old)}"
         )
     return new
+
+
+def _shown(value: Any) -> str:
+    """A value in a message; of a group, which may hold hundreds, its name."""
+    return type(value).__name__ if is_dataclass(value) else f"{value!r:.120}"
 
 
 _KINDS = {

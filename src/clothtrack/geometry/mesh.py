@@ -12,6 +12,9 @@ from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidMeshError
 
+FARTHEST_M = 1e5
+"""No vertex of a cloth, in metres or mistaken for metres, is farther from the origin [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class ClothMesh:
@@ -84,7 +87,18 @@ class ClothMesh:
 
 
 def _check(mesh: ClothMesh) -> None:
-    vertices, faces = mesh.vertices, mesh.faces
+    _check_arrays(mesh.vertices, mesh.faces)
+    _check_surface(mesh)
+
+
+def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Shapes, types, and numbers that can be metres and indices."""
+    for name, array, kinds in (("vertices", vertices, "fiu"), ("faces", faces, "iu")):
+        if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in kinds:
+            raise InvalidMeshError(
+                f"{name} are an array of shape {array.shape} and type {array.dtype}; they must be "
+                "rows of three numbers"
+            )
     if len(faces) == 0:
         raise InvalidMeshError("the mesh has no triangle; a cloth needs at least one")
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
@@ -93,11 +107,21 @@ def _check(mesh: ClothMesh) -> None:
             f"vertex {bad[0]} is {vertices[bad[0]].tolist()}: {len(bad)} of {len(vertices)} "
             "vertices are not finite; repair or re-export the mesh"
         )
+    if (farthest := float(np.abs(vertices).max(initial=0.0))) > FARTHEST_M:
+        raise InvalidMeshError(
+            f"a vertex is {farthest:.1e} m from the origin (at most {FARTHEST_M:g} m); scale the "
+            "mesh to metres"
+        )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise InvalidMeshError(
             f"a face names vertex {int(faces.max() if faces.min() >= 0 else faces.min())}, "
             f"but vertices run from 0 to {len(vertices) - 1}"
         )
+
+
+def _check_surface(mesh: ClothMesh) -> None:
+    """Triangles that are a manifold surface without anything loose."""
+    vertices, faces = mesh.vertices, mesh.faces
     twice = np.flatnonzero(
         (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
     )
@@ -129,4 +153,9 @@ def _check(mesh: ClothMesh) -> None:
     if mesh.canonical is not None and len(mesh.canonical) != len(vertices):
         raise InvalidMeshError(
             f"{len(mesh.canonical)} canonical coordinates for {len(vertices)} vertices"
+        )
+    if mesh.canonical is not None and bool((np.abs(mesh.canonical) > FARTHEST_M).any()):
+        raise InvalidMeshError(
+            f"a canonical coordinate is {np.nanmax(np.abs(mesh.canonical)):.1e} m (at most "
+            f"{FARTHEST_M:g} m); scale the mesh to metres"
         )

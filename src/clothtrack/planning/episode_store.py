@@ -74,7 +74,7 @@ class EpisodeStore:
             document = json.loads(path.read_text(encoding="utf-8"))
             parts = ("asked", "made_with", "status", "steps")
             self.document = {name: document[name] for name in parts}
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise InvalidResultError(
                 f"{path}: not an episode ({error}); remove its folder and begin again"
             ) from error

@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from clothtrack.files.atomic_write import atomic_file
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.arrows import draw_action, shown_depth
 from clothtrack.planning.episode_store import EpisodeStore
@@ -28,6 +27,7 @@ from clothtrack.recordings.store import read_recording
 from clothtrack.report.document import write_document
 from clothtrack.report.lettering import caption
 from clothtrack.report.live import live_page
+from clothtrack.report.picture_file import write_picture
 from clothtrack.report.sections import Figure, jpeg_uri, key_figures
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.viewpoint import three_quarter_view
@@ -114,8 +114,7 @@ def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Pa
     blank = np.full_like(tiles[0], 255)
     tiles += [blank] * (-len(tiles) % columns)
     rows = [np.hstack(tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
-    with atomic_file(path) as temporary:
-        cv2.imwrite(str(temporary), cv2.cvtColor(np.vstack(rows), cv2.COLOR_RGB2BGR))
+    write_picture(path, np.vstack(rows))
     return path
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.evaluation.metrics import root_mean_square_mm
-from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.evidence import (
@@ -33,6 +32,7 @@ from clothtrack.report.palette import (
     PICKER_OPEN,
     rgb255,
 )
+from clothtrack.report.picture_file import write_picture
 from clothtrack.report.shading import Shader, ShadingConfig
 from clothtrack.report.video import frame_rate, write_video
 from clothtrack.report.viewpoint import view_of
@@ -243,8 +243,7 @@ def write_contact_sheet(overlay: Overlay, path: Path, *, rows: int = 6) -> Path:
     count = len(overlay.tracked.frames)
     steps = np.unique(np.linspace(0, count - 1, min(rows, count)).round().astype(int))
     sheet = np.vstack(list(_sheet_rows(overlay, steps.tolist())))
-    with atomic_file(path) as temporary:
-        cv2.imwrite(str(temporary), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
+    write_picture(path, sheet)
     return path
 
 

@@ -1,10 +1,11 @@
 """What a cloth is made of, and how its motion is computed."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Bounds, Checked, NotNegative, Positive
+from clothtrack.files.bounds import Bounds, Checked, NotNegative, Positive, Share
 from clothtrack.recordings.recording import Table
 
 ELASTIC_SUBSTEPS = 3
@@ -37,6 +38,11 @@ class ClothParameters(Checked):
     bend_compliance: NotNegative = 10.0
     table_friction: NotNegative = 0.75
     particle_friction: NotNegative = 0.5
+
+
+def _is_finite(value: object) -> bool:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and math.isfinite(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +79,16 @@ class SolverConfig(Checked):
     substep_s: Positive = 1.1e-3
     area_density: Positive = 0.2
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    damping: float = 1.0
-    sleep_speed: float = 0.02
-    speed_limit: float = 3.0
+    damping: NotNegative = 1.0
+    sleep_speed: NotNegative = 0.02
+    speed_limit: Positive = 3.0
     table: Table | None = None
     rebuild_s: Positive = 0.01
-    contact_margin_m: float = 0.0025
-    contact_depth_m: float = 0.007
+    contact_margin_m: NotNegative = 0.0025
+    contact_depth_m: Positive = 0.007
     edge_contact: bool = True
-    push_out_speed: float = 0.6
-    bend_limit: float = 0.55
+    push_out_speed: NotNegative = 0.6
+    bend_limit: Share = 0.55
     buckling: Annotated[float, Bounds(least=1)] = 1.0
 
     def __post_init__(self) -> None:
@@ -92,6 +98,10 @@ class SolverConfig(Checked):
             InvalidConfigError: with the field, its value and the limit.
         """
         super().__post_init__()
+        if len(self.gravity) != 3 or not all(map(_is_finite, self.gravity)):
+            raise InvalidConfigError(
+                f"solver.gravity is {self.gravity!s:.80}; it must be three finite numbers"
+            )
         if self.contact_depth_m < self.thickness_m:
             raise InvalidConfigError(
                 f"solver.contact_depth_m is {self.contact_depth_m}; it must be at least "

@@ -5,12 +5,13 @@ taken, as with a robot that waits for its camera.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from clothtrack.files.bounds import Bounds, Checked, Interval, Share
 from clothtrack.geometry.mesh import ClothMesh
 
 Picks = Literal["outline", "middle", "folded", "pulled"]
@@ -35,8 +36,13 @@ FOLD_REACH_M = 0.05
 """Cloth that lies together and is farther apart than this [m] in the flat cloth is folded."""
 
 
+Length = Annotated[float, Bounds(least=0, most=10)]
+Lengths = Annotated[tuple[float, float], Interval(least=0, empty=True, most=10)]
+Speed = Annotated[float, Bounds(least=1e-3, most=100)]
+
+
 @dataclass(frozen=True)
-class ActionConfig:
+class ActionConfig(Checked):
     """Ranges that random pick-and-places are drawn from, and how the gripper moves.
 
     Attributes:
@@ -57,15 +63,15 @@ class ActionConfig:
             a stack is laid down and not pressed into the table.
     """
 
-    distance_m: tuple[float, float] = (0.05, 0.2)
-    lift_m: tuple[float, float] = (0.05, 0.1)
-    speed: float = 0.25
-    both_layers: float = 0.5
-    grasp_radius_m: float = 0.01
-    reach_m: float = 0.2
-    release_height_m: float = 0.004
-    free_speed: float = 1.25
-    frame_rate: float = 20.0
+    distance_m: Lengths = (0.05, 0.2)
+    lift_m: Lengths = (0.05, 0.1)
+    speed: Speed = 0.25
+    both_layers: Share = 0.5
+    grasp_radius_m: Length = 0.01
+    reach_m: Length = 0.2
+    release_height_m: Length = 0.004
+    free_speed: Speed = 1.25
+    frame_rate: Annotated[float, Bounds(least=0.1, most=1000)] = 20.0
     picks: Picks = "outline"
     clear_held: bool = False
 

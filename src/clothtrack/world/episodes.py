@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.bounds import Checked, NotNegative, Positive
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
@@ -29,6 +30,7 @@ from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, misplaced, top_down_camera
 from clothtrack.world.template_mesh import (
+    Error,
     GivenGarment,
     SeededGarment,
     TemplateConfig,
@@ -45,7 +47,7 @@ PICKER = "gripper"
 
 
 @dataclass(frozen=True)
-class EpisodeConfig:
+class EpisodeConfig(Checked):
     """What is filmed, and how.
 
     Attributes:
@@ -73,17 +75,17 @@ class EpisodeConfig:
     garment: str = ""
     vertex_count: int = 1000
     actions: int = 3
-    settle_speed: float = 0.01
-    settle_limit_s: float = 1.0
-    picker_bias_m: float = 0.0007
-    picker_noise_m: float = 0.0007
+    settle_speed: Positive = 0.01
+    settle_limit_s: NotNegative = 1.0
+    picker_bias_m: Error = 0.0007
+    picker_noise_m: Error = 0.0007
     template: TemplateConfig | None = field(default_factory=TemplateConfig)
     action: ActionConfig = field(default_factory=ActionConfig)
     sensor: SensorConfig = field(default_factory=SensorConfig)
     fabric: Fabric | None = None
     tool: Tool | None = None
     reach_across: bool = False
-    calibration_error_m: float = 0.0
+    calibration_error_m: Error = 0.0
 
 
 SMALL_WORLD = EpisodeConfig(

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.files.progress import Progress
-from clothtrack.files.shared_work import Attempt, Share, attempts, results_of
+from clothtrack.files.shared_work import Attempt, Executor, Share, attempts, results_of
 from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import require_workers
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.world.episodes import EpisodeConfig, recording_name, simulate_trajectory
 from clothtrack.world.template_mesh import GivenGarment
@@ -29,6 +29,7 @@ def simulate(
     processes: int = 1,
     progress: Progress | None = None,
     share: Share | None = None,
+    executor: Executor = finished_in_workers,
 ) -> list[Path]:
     """Film several trajectories, with the seeds `seed`, `seed` + 1 and so on.
 
@@ -45,6 +46,7 @@ def simulate(
         processes: worker processes.
         progress: called first, and after each trajectory.
         share: which of them are this process's; all by default.
+        executor: who runs the work; worker processes by default.
 
     Returns:
         The folders of the recordings of the share that exist now.
@@ -61,6 +63,7 @@ def simulate(
     shared = attempts(
         filming, range(seed, seed + trajectories), WorkFolder(Path(out), "simulate"),
         kind="recordings", processes=processes, share=share, progress=progress,
+        executor=executor,
     )  # fmt: skip
     with closing(shared) as tries:
         folders = dict(results_of(_without_diverged(tries, filming)))

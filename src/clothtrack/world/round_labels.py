@@ -197,7 +197,7 @@ def read_worth(path: Path) -> list[LabelWorth]:
     """
     try:
         return [LabelWorth(**one) for one in json.loads(path.read_text(encoding="utf-8"))]
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         raise InvalidResultError(
             f"{path}: not what was learned from ({error}); remove it, and run the command again"
         ) from error

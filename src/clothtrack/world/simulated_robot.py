@@ -243,7 +243,9 @@ class SimulatedRobot:
             noise = json.loads(str(file["noise"])) if "noise" in file else self._noise()
             self._sensor.restore(noise["sensor"])
             self._of_picker.bit_generator.state = noise["picker"]
-        except (OSError, ValueError, KeyError, TypeError, InvalidResultError) as error:
+        except (
+            OSError, ValueError, KeyError, TypeError, RecursionError, InvalidResultError,
+        ) as error:  # fmt: skip
             raise InvalidResultError(
                 f"{path}: not a saved world ({error}); remove the episode and begin again"
             ) from error

@@ -7,20 +7,24 @@ a first mesh measured by hand would be.
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.garments import GarmentKind, TowelPattern, garment
 from clothtrack.world.flex import CONTACT_RADIUS_M
 
+Error = Annotated[float, Bounds(least=0, most=1)]
+"""How far [m] something is from where it is said to be."""
+
 
 @dataclass(frozen=True)
-class TemplateConfig:
+class TemplateConfig(Checked):
     """The first mesh that a recording carries, and how wrong it is.
 
     Attributes:
@@ -31,11 +35,11 @@ class TemplateConfig:
         noise_m: standard deviation of independent noise of each vertex along x and along y [m].
     """
 
-    vertex_count: int = 1500
-    shift_m: float = 0.002
-    turn_deg: float = 0.6
-    scale: float = 0.005
-    noise_m: float = 0.0005
+    vertex_count: Count = 1500
+    shift_m: Error = 0.002
+    turn_deg: Annotated[float, Bounds(least=0, most=180)] = 0.6
+    scale: Annotated[float, Bounds(least=0, most=0.2)] = 0.005
+    noise_m: Error = 0.0005
 
 
 @runtime_checkable

@@ -1,17 +1,22 @@
 """What a depth camera measures of perfect depth: noise, silhouettes, grazing surfaces, holes."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.files.bounds import Bounds, Checked, Share
+
 REFERENCE_DEPTH_M = 0.75
+
+Pixels = Annotated[int, Bounds(least=8, most=10_000)]
+Noise = Annotated[float, Bounds(least=0, most=1)]
 
 
 @dataclass(frozen=True)
-class SensorConfig:
+class SensorConfig(Checked):
     """A depth camera above a table, and how badly it measures.
 
     The defaults are those of an active stereo camera of the RealSense D400 kind: noise grows with
@@ -38,22 +43,22 @@ class SensorConfig:
         patch_pixels: usual width of such a patch [pixels].
     """
 
-    width: int = 640
-    height: int = 480
-    focal: float = 600.0
-    camera_height_m: float = 0.75
-    tilt_deg: float = 2.0
-    white_m: float = 0.001
-    wave_m: float = 0.0005
-    step_m: float = 0.0005
-    disparity_step_m: float = 0.0
-    dropout: float = 0.02
-    grazing_dropout: float = 0.6
-    edge_step_m: float = 0.01
-    edge_dropout: float = 0.4
-    edge_mixing: float = 0.5
-    patch_dropout: float = 0.0
-    patch_pixels: float = 24.0
+    width: Pixels = 640
+    height: Pixels = 480
+    focal: Annotated[float, Bounds(least=1, most=100_000)] = 600.0
+    camera_height_m: Annotated[float, Bounds(least=0.01, most=100)] = 0.75
+    tilt_deg: Annotated[float, Bounds(least=0, most=45)] = 2.0
+    white_m: Noise = 0.001
+    wave_m: Noise = 0.0005
+    step_m: Annotated[float, Bounds(least=1e-7, most=0.1)] = 0.0005
+    disparity_step_m: Noise = 0.0
+    dropout: Share = 0.02
+    grazing_dropout: Share = 0.6
+    edge_step_m: Noise = 0.01
+    edge_dropout: Share = 0.4
+    edge_mixing: Share = 0.5
+    patch_dropout: Share = 0.0
+    patch_pixels: Annotated[float, Bounds(least=1, most=10_000)] = 24.0
 
     @classmethod
     def perfect(cls, **changes: Any) -> "SensorConfig":

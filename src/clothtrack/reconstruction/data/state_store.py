@@ -203,7 +203,7 @@ def read_list(folder: Path) -> dict[str, Any] | None:
         found = document["format"], document["version"], document["kind"]
         if found[:2] != (FORMAT, VERSION) or not isinstance(found[2], str):
             raise ValueError(f"it is {found[0]!r}, version {found[1]!r}")
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise InvalidResultError(
             f"{path}: not the list of {FORMAT} version {VERSION} ({error}); choose another folder "
             "or make it again"

@@ -23,9 +23,9 @@ from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain, require_same
-from clothtrack.files.shared_work import Share, attempts, results_of
+from clothtrack.files.shared_work import Executor, Share, attempts, results_of
 from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import require_workers
+from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.crumpling import (
@@ -158,6 +158,7 @@ def generate_states(
     processes: int = 1,
     progress: Progress | None = None,
     share: Share | None = None,
+    executor: Executor = finished_in_workers,
 ) -> StateSet:
     """Make at least so many states: as many whole shards as that takes.
 
@@ -170,6 +171,7 @@ def generate_states(
         processes: worker processes.
         progress: called first, and after each shard, kept ones included.
         share: which of the shards are this process's; all by default.
+        executor: who runs the work; worker processes by default.
 
     Raises:
         InvalidConfigError: there are no workers or states, or `out` holds states that were made
@@ -187,7 +189,7 @@ def generate_states(
         write_list(out, _document(out, kind, seed, config))
     shared = attempts(
         _Making(out, kind, seed, config), range(count), folder, kind="garments",
-        processes=processes, share=share, progress=progress,
+        processes=processes, share=share, progress=progress, executor=executor,
     )  # fmt: skip
     with closing(shared) as tries:
         for _ in results_of(tries):

@@ -5,6 +5,7 @@ unpickler of PyTorch, which knows tensors and plain containers and refuses every
 """
 
 import hashlib
+import io
 import json
 import logging
 import pickle
@@ -22,7 +23,7 @@ from torch import Tensor, nn
 
 from clothtrack.errors import InvalidResultError, StorageError
 from clothtrack.files.array_digest import DIGEST
-from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.atomic_write import atomic_file, write_file
 
 logger = logging.getLogger(__name__)
 
@@ -234,8 +235,10 @@ def save_progress(path: Path, document: Mapping[str, Any]) -> None:
         StorageError: when the disk refuses.
     """
     content = {"format": PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
-    with atomic_file(path) as temporary, temporary.open("wb") as file:
-        torch.save(content, file)
+    # Into memory first: torch answers a full disk with an error of its own.
+    whole = io.BytesIO()
+    torch.save(content, whole)
+    write_file(path, whole.getbuffer())
 
 
 def load_progress(path: Path) -> dict[str, Any]:

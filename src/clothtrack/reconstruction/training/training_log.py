@@ -70,7 +70,7 @@ def read_scalars(folder: Path) -> list[dict[str, Any]]:
     for text in (folder / SCALARS).read_text(encoding="utf-8").splitlines():
         try:
             lines.append(json.loads(text))
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             break
     return lines
 

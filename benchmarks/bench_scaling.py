@@ -1,0 +1,177 @@
+"""What a trajectory costs by its vertices, frames and candidates, and what a million of them cost.
+
+The T-shirt of staged_fold.py is tracked at several numbers of vertices: in default mode without
+calibration, with half of its frames, and with candidates. CPU time of the process
+(`time.process_time`), after a run that compiles; memory is the highest of the process; bytes and
+files are those of the saved trajectory. Then the memory of the work is asked about many made-up
+items: what `status` and the start of a run take, and the look for leftovers before each item.
+
+    python benchmarks/bench_scaling.py --json out/bench_scaling.json [--quick]
+"""
+
+import argparse
+import json
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from results import provenance, write_json
+from staged_fold import SIZE_M, STEPS, shirt, staged
+
+from clothtrack.files.atomic_write import clear_leftovers
+from clothtrack.files.work_folder import WorkFolder
+from clothtrack.files.work_status import work_status
+from clothtrack.geometry import quiet_warp
+from clothtrack.recordings import Recording, observe
+from clothtrack.tracking import Tracker, TrackerConfig, mode
+from clothtrack.tracking.calibration import CalibrationConfig
+
+AXES = {"table_friction": (0.3, 1.0, 3.0)}
+"""Candidates where there are some: three, each tracked to the end of the action."""
+
+
+def configured(*, candidates: bool) -> TrackerConfig:
+    """The default mode, with few candidates or none."""
+    config = mode("default")
+    searched = replace(config.calibration, axes=AXES)
+    return replace(config, calibration=searched if candidates else CalibrationConfig(method="none"))
+
+
+def shortened(recording: Recording, steps: int) -> Recording:
+    """The first steps of a recording with one action."""
+    action = replace(recording.actions[0], last_frame=steps)
+    return replace(recording, frames=recording.frames[: steps + 1], actions=(action,))
+
+
+def row(recording: Recording, vertex_count: int, *, candidates: bool, folder: Path) -> dict:
+    """One trajectory: CPU seconds, memory, bytes and files."""
+    mesh = shirt(vertex_count)
+    start = time.process_time()
+    result = Tracker(
+        recording, mesh, configured(candidates=candidates), partial(observe, recording)
+    ).track()
+    tracked_s = time.process_time() - start
+    saved = folder / f"{vertex_count}_{len(recording.frames)}_{candidates}.zarr"
+    result.save(saved)
+    files = [path for path in saved.rglob("*") if path.is_file()]
+    return {
+        "vertices": mesh.vertex_count,
+        "frames": len(recording.frames),
+        "candidates": float(result.actions[0].calibration.roll_outs),
+        "cpu_s": round(tracked_s, 3),
+        "save_s": round(time.process_time() - start - tracked_s, 3),
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "bytes": sum(path.stat().st_size for path in files),
+        "disk_bytes": sum(512 * path.stat().st_blocks for path in saved.rglob("*")),
+        "files": len(files),
+        "entries": sum(1 for _ in saved.rglob("*")) + 1,
+    }
+
+
+def fitted(rows: list[dict]) -> dict[str, float]:
+    """CPU seconds = frames (per frame + vertices per vertex) (1 + candidates share)."""
+    plain = [one for one in rows if not one["candidates"]]
+    searched = [one for one in rows if one["candidates"]]
+    frames = np.array([one["frames"] for one in plain], dtype=float)
+    vertices = np.array([one["vertices"] for one in plain], dtype=float)
+    spent = np.array([one["cpu_s"] for one in plain])
+    columns = np.stack([frames, frames * vertices], axis=1)
+    # Relative errors count: the largest trajectory must not decide alone.
+    solution, *_ = np.linalg.lstsq(columns / spent[:, None], np.ones(len(plain)), rcond=None)
+    model = dict(zip(("per_frame_s", "per_frame_and_vertex_s"), map(float, solution), strict=True))
+    shares = []
+    for one in searched:
+        (same,) = [other for other in plain if other["frames"] == one["frames"]
+                   and other["vertices"] == one["vertices"]]  # fmt: skip
+        shares.append((one["cpu_s"] / same["cpu_s"] - 1.0) / one["candidates"])
+    misses = columns @ solution / spent - 1.0
+    return {**model, "share_of_a_candidate": float(np.mean(shares)),
+            "largest_miss": float(np.abs(misses).max())}  # fmt: skip
+
+
+def of_many(count: int, folder: Path) -> dict:
+    """What the memory of the work takes with so many items, all done but one in a hundred."""
+    out = folder / f"items_{count}"
+    work = WorkFolder(out, "track")
+    names = [f"towel_{number:07d}" for number in range(count)]
+    results = {name: out / f"{name}.zarr" for name in names}
+    ask_s = timed(lambda: work.ask("track recordings/*", results))
+    (work.folder / "items").mkdir()
+    note = json.dumps({"status": "done", "seconds": 9.5, "host": "node", "pid": 1, "ended": 1.0})
+    for name in names[: count - count // 100]:
+        (work.folder / "items" / f"{name}.json").write_text(note)
+        results[name].touch()
+    left_s = timed(lambda: [clear_leftovers(results[n], claimed=True) for n in names[:5]]) / 5
+    return {
+        "items": count,
+        "ask_s": ask_s,
+        "asked_bytes": sum(path.stat().st_size for path in (work.folder / "asked").iterdir()),
+        "status_s": timed(lambda: work_status(out)),
+        "claim_s": timed(partial(_claim, work)) / 20,
+        "leftovers_s": left_s,
+        "list_s": timed(lambda: list(out.iterdir())),
+    }
+
+
+def _claim(work: WorkFolder) -> None:
+    for number in range(20):
+        with work.claimed(f"item_{number}"):
+            pass
+
+
+def timed(run: Callable[[], object]) -> float:
+    """CPU seconds."""
+    start = time.process_time()
+    run()
+    return time.process_time() - start
+
+
+def table(rows: list[dict], model: dict[str, float], many: list[dict]) -> str:
+    """The figures as text."""
+    lines = ["vertices frames candidates   CPU s  save s  peak MB    bytes  files"]
+    lines += [
+        f"{one['vertices']:8d} {one['frames']:6d} {one['candidates']:10.1f} {one['cpu_s']:7.2f} "
+        f"{one['save_s']:7.2f} {one['peak_mb']:8.0f} {one['bytes']:8d} {one['files']:6d}"
+        for one in rows
+    ]
+    lines.append("  ".join(f"{name} {value:.3g}" for name, value in model.items()))
+    lines += ["  ".join(f"{name} {value:.4g}" for name, value in one.items()) for one in many]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Film once, track at every size, ask about many items, write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, required=True, help="where the result goes")
+    parser.add_argument("--quick", action="store_true", help="two sizes, a thousand items")
+    options = parser.parse_args()
+    quiet_warp()
+    counts = [250, 500] if options.quick else [250, 500, 1000, 2000]
+    items = [1000] if options.quick else [1000, 10_000, 100_000]
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="bench-scaling-") as temporary:
+        folder = Path(temporary)
+        whole = staged(folder / "fold")
+        half = shortened(whole, STEPS // 2)
+        row(shortened(whole, 2), counts[0], candidates=True, folder=folder / "first")
+        rows += [row(half, count, candidates=False, folder=folder) for count in counts]
+        rows.append(row(whole, counts[1], candidates=False, folder=folder))
+        rows.append(row(half, counts[1], candidates=True, folder=folder))
+        model = fitted(rows)
+        many = [of_many(count, folder) for count in items]
+    write_json(
+        options.json,
+        {"benchmark": "scaling", "size_m": SIZE_M, "rows": rows, "model": model,
+         "many_items": many, "provenance": provenance()},
+    )  # fmt: skip
+    sys.stdout.write(table(rows, model, many))
+
+
+if __name__ == "__main__":
+    main()
