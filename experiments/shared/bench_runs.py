@@ -222,7 +222,7 @@ def prepared(recording: Recording, truth: Truth, variant: Variant) -> Recording:
 def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTrajectory:
     """Follow the cloth through a recording as the variant says."""
     config = variant.config
-    cloud = observer(recording, config.cloud_spacing_m)
+    cloud = observer(recording, config.cloud_spacing_m, color=config.tracker.uses_color)
     first = find_initial_state(
         recording, cloud(recording.frames[0]), config.initial_state, device=device
     )

@@ -13,6 +13,7 @@ from clothtrack.tracking.algorithm import track
 from clothtrack.tracking.calibrator import uncalibrated
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.final_alignment import no_final_alignment
+from clothtrack.tracking.picture_marks import no_marks
 from clothtrack.tracking.recorder import Recorder
 from clothtrack.tracking.seams import Corrected, Correction, Parts
 from clothtrack.tracking.tracked_trajectory import Calibration
@@ -76,6 +77,7 @@ def parts(recording):
         align=to_the_origin,
         line_search=half,
         align_last=no_final_alignment,
+        mark=no_marks,
     )
 
 

@@ -28,13 +28,27 @@ __all__ = ["Alignment", "AlignmentConfig", "CloudAligner"]
 
 
 @dataclass(frozen=True, eq=False)
+class Marks:
+    """Where followed points of the pictures want vertices.
+
+    Attributes:
+        wanted: places [m], world frame; anything where the weight is 0.
+        weight: how many followed points want each vertex there.
+    """
+
+    wanted: Float[np.ndarray, "vertices 3"]
+    weight: Float[np.ndarray, " vertices"]
+
+
+@dataclass(frozen=True, eq=False)
 class Alignment:
     """What an alignment found.
 
     Attributes:
         corrections: displacement of every vertex [m], world frame.
         losses: objective [m^2] at the start and after every iteration.
-        terms: the same per weighted term: "chamfer", "rigidity", "two_way", "length", "table".
+        terms: the same per weighted term: "chamfer", "rigidity", "two_way", "length", "table",
+            "marks".
         iterations: iterations done.
         reason: why it ended: "iterations", or "no points", "no visible vertex" or "not finite",
             in which cases the corrections are zero.
@@ -79,6 +93,7 @@ class CloudAligner:
         trusted: Bool[np.ndarray, " vertices"] | None = None,
         table: Table | None = None,
         rest_height_m: float = 0.0,
+        marks: Marks | None = None,
     ) -> Alignment:
         """Correct the vertices towards the cloud.
 
@@ -90,6 +105,7 @@ class CloudAligner:
                 for a cloud point themselves. All visible ones when None.
             table: the plane that the cloth cannot pass, or None.
             rest_height_m: height of a vertex that lies on the table [m].
+            marks: where followed points want vertices.
 
         Returns:
             The corrections and how the objective fell; zero corrections, with the reason, when
@@ -102,11 +118,12 @@ class CloudAligner:
             return self._nothing("not finite")
         problem = self._problem(positions, observation_points, visible, trusted)
         problem.weights = self._weights(problem, table, rest_height_m)
+        self._mark(problem, marks)
         solve = solve_adam if self._config.solver == "adam" else solve_icp
         corrections, sums = solve(problem, self._config)
         if not np.isfinite(corrections).all():
             return self._nothing("not finite")
-        terms = self._terms(sums, len(observation_points))
+        terms = self._terms(problem, sums)
         return Alignment(
             corrections=corrections,
             losses=np.sum(list(terms.values()), axis=0),
@@ -125,6 +142,7 @@ class CloudAligner:
         trusted: Bool[np.ndarray, " vertices"] | None = None,
         table: Table | None = None,
         rest_height_m: float = 0.0,
+        marks: Marks | None = None,
     ) -> tuple[float, Float[np.ndarray, "vertices 3"]]:
         """The objective [m^2] and its gradient [m] at a displacement [m], matches held fixed.
 
@@ -132,12 +150,13 @@ class CloudAligner:
         """
         problem = self._problem(positions, observation_points, visible, trusted)
         problem.weights = self._weights(problem, table, rest_height_m)
+        self._mark(problem, marks)
         displaced = self._array(displacements.astype(np.float32), wp.vec3)
         moved = self._array(problem.initial.numpy() + displaced.numpy(), wp.vec3)
         problem.matcher.rebuild(moved)
         sums = problem.sums(1)
         gradient = problem.measure(moved, displaced, sums)
-        terms = self._terms(sums.numpy(), problem.point_count)
+        terms = self._terms(problem, sums.numpy())
         return float(sum(term[0] for term in terms.values())), gradient.numpy()
 
     def _array(self, values: np.ndarray, dtype: type) -> wp.array:
@@ -168,7 +187,18 @@ class CloudAligner:
         matches = kernels.Matches()
         matches.cloud, matches.partner = cloud, matcher.partner
         matches.pulled_count, matches.pulled_sum = matcher.pulled_count, matcher.pulled_sum
+        matches.wanted = wp.zeros(len(initial), dtype=wp.vec3, device=self._device)
+        matches.wanted_weight = wp.zeros(len(initial), dtype=wp.float32, device=self._device)
         return Problem(centre, initial, matcher, matches, self._topology, len(points))
+
+    def _mark(self, problem: Problem, marks: Marks | None) -> None:
+        """Say where followed points want vertices."""
+        if marks is None or self._config.marks_weight == 0.0:
+            return
+        wanted = np.where(marks.weight[:, None] > 0.0, marks.wanted - problem.centre, 0.0)
+        problem.matches.wanted = self._array(wanted.astype(np.float32), wp.vec3)
+        problem.matches.wanted_weight = self._array(marks.weight.astype(np.float32), wp.float32)
+        problem.weights.marks = self._config.marks_weight / problem.point_count
 
     def _weights(self, problem: Problem, table: Table | None, rest_height_m: float) -> object:
         config = self._config
@@ -177,6 +207,7 @@ class CloudAligner:
         weights.rigidity = config.rigidity_weight / self._edges
         weights.length = config.length_weight / self._edges
         weights.two_way = config.two_way_weight
+        weights.marks = 0.0
         weights.lowest = -1e6
         if table is not None:
             weights.table = TABLE_WEIGHT / self._vertices
@@ -184,8 +215,8 @@ class CloudAligner:
             weights.lowest = rest_height_m + float((table.point - problem.centre) @ table.normal)
         return weights
 
-    def _terms(self, sums: np.ndarray, points: int) -> dict[str, np.ndarray]:
-        config = self._config
+    def _terms(self, problem: Problem, sums: np.ndarray) -> dict[str, np.ndarray]:
+        config, points = self._config, problem.point_count
         partners = np.maximum(sums[:, kernels.PARTNERS], 1)
         squares = sums[:, : kernels.PARTNERS] / kernels.FIXED_POINT_SQUARE
         return {
@@ -194,4 +225,5 @@ class CloudAligner:
             "two_way": config.two_way_weight / partners * squares[:, kernels.TWO_WAY],
             "length": config.length_weight / self._edges * squares[:, kernels.LENGTH],
             "table": TABLE_WEIGHT / self._vertices * squares[:, kernels.TABLE],
+            "marks": float(problem.weights.marks) * squares[:, kernels.MARKS],
         }

@@ -29,6 +29,8 @@ class AlignmentConfig(Checked):
         rigidity_weight: difference of the displacements along edges (the paper: 10).
         two_way_weight: trusted visible vertex to nearest cloud point, within `TWO_WAY_RANGE_M`; 0
             is the paper.
+        marks_weight: vertex to where followed points of the pictures want it, each of them as much
+            as so many cloud points; 0 is the paper, which throws the colour away.
         length_weight: stretch of edges against the first mesh; 0 is the paper.
         icp_inner: conjugate gradient steps in each of its iterations.
         icp_momentum: part of its last step that is added to the next.
@@ -40,5 +42,6 @@ class AlignmentConfig(Checked):
     rigidity_weight: NotNegative = 10.0
     two_way_weight: NotNegative = 1.0
     length_weight: NotNegative = 300.0
+    marks_weight: NotNegative = 30.0
     icp_inner: Count = 12
     icp_momentum: float = 0.8

@@ -4,8 +4,10 @@ The objective of a displacement d of the vertices is, with every term a mean of 
 
     a mean_p |p - x_near(p)|^2 + b mean_ij |d_i - d_j|^2 + c mean_t |x_t - q_t|^2
     + e mean_ij (|x_i - x_j| - l_ij)^2 + f mean_i max(0, h - height_i)^2
+    + g sum_i w_i |x_i - m_i|^2
 
-over cloud points p, edges ij, trusted visible vertices t with a partner q_t, and vertices i. One
+over cloud points p, edges ij, trusted visible vertices t with a partner q_t, and vertices i, some
+of which are wanted at a place m_i by followed points of the pictures. One
 thread gathers everything that depends on one vertex, so that nothing is added in parallel but
 integers; an edge is seen from both of its ends and counts half each time.
 
@@ -26,7 +28,7 @@ from clothtrack.alignment.nearest_kernels import (
     Progress,
 )
 
-DATA, RIGIDITY, TWO_WAY, LENGTH, TABLE, PARTNERS = range(6)
+COLUMNS = DATA, RIGIDITY, TWO_WAY, LENGTH, TABLE, MARKS, PARTNERS = tuple(range(7))
 """Columns of the sums that each iteration records."""
 
 _LENGTH_UNIT = wp.constant(wp.float64(FIXED_POINT_LENGTH))
@@ -42,6 +44,7 @@ class Weights:
     rigidity: wp.float32
     length: wp.float32
     two_way: wp.float32
+    marks: wp.float32
     table: wp.float32
     table_normal: wp.vec3
     lowest: wp.float32
@@ -60,12 +63,14 @@ class Topology:
 @no_type_check
 @wp.struct
 class Matches:
-    """What the cloud wants: points per vertex with their sum, partner of each vertex."""
+    """What the observation wants: points per vertex with their sum, partner and mark of each."""
 
     cloud: wp.array(dtype=wp.vec3)
     pulled_count: wp.array(dtype=wp.int32)
     pulled_sum: wp.array(dtype=wp.int64)
     partner: wp.array(dtype=wp.int32)
+    wanted: wp.array(dtype=wp.vec3)
+    wanted_weight: wp.array(dtype=wp.float32)
 
 
 @no_type_check
@@ -78,6 +83,7 @@ class Slope:
     two_way: wp.float32
     length: wp.float32
     table: wp.float32
+    marks: wp.float32
 
 
 @no_type_check
@@ -115,6 +121,11 @@ def _slope(
             miss = position - matches.cloud[partner]
             gradient += weights.two_way / float(partners) * miss
             slope.two_way = miss[0] * miss[0] + miss[1] * miss[1] + miss[2] * miss[2]
+    wanted_weight = matches.wanted_weight[vertex]
+    if wanted_weight > 0.0:
+        slide = position - matches.wanted[vertex]
+        gradient += weights.marks * wanted_weight * slide
+        slope.marks = wanted_weight * wp.dot(slide, slide)
     difference_sum = wp.vec3()
     stretch_sum = wp.vec3()
     first = topology.first[vertex]
@@ -148,6 +159,7 @@ class Tally:
     two_way: wp.float64
     length: wp.float64
     table: wp.float64
+    marks: wp.float64
     step: wp.float32
     stale: wp.float32
 
@@ -159,6 +171,7 @@ def _add(tally: Tally, slope: Slope):
     tally.two_way += wp.float64(slope.two_way)
     tally.length += wp.float64(slope.length)
     tally.table += wp.float64(slope.table)
+    tally.marks += wp.float64(slope.marks)
     return tally
 
 
@@ -170,7 +183,8 @@ def _record(tally: Tally, progress: Progress, sums: wp.array2d(dtype=wp.int64)):
     wp.atomic_add(sums, row, 2, wp.int64(tally.two_way * _SQUARE_UNIT))
     wp.atomic_add(sums, row, 3, wp.int64(tally.length * _SQUARE_UNIT))
     wp.atomic_add(sums, row, 4, wp.int64(tally.table * _SQUARE_UNIT))
-    sums[row, 5] = wp.int64(progress.partners[0])
+    wp.atomic_add(sums, row, 5, wp.int64(tally.marks * _SQUARE_UNIT))
+    sums[row, 6] = wp.int64(progress.partners[0])
     wp.atomic_max(progress.step, 0, tally.step)
     wp.atomic_max(progress.next_stale, 0, tally.stale)
 
@@ -300,6 +314,7 @@ def linearise(
         own = weights.data * float(matches.pulled_count[vertex])
         if partners > 0 and matches.partner[vertex] >= 0:
             own += weights.two_way / float(partners)
+        own += weights.marks * matches.wanted_weight[vertex]
         own_part = wp.vec3(own, own, own)
         normal = weights.table_normal
         below = slope.table > 0.0
@@ -441,13 +456,14 @@ def solve_alone(topology: Topology, weights: Weights, conjugate: Conjugate, step
 @no_type_check
 @wp.func
 def _objective(weights: Weights, sums: wp.array2d(dtype=wp.int64), row: wp.int32):
-    partners = wp.max(sums[row, 5], wp.int64(1))
+    partners = wp.max(sums[row, 6], wp.int64(1))
     return (
         wp.float64(weights.data) * wp.float64(sums[row, 0])
         + wp.float64(weights.rigidity) * wp.float64(sums[row, 1])
         + wp.float64(weights.two_way) * wp.float64(sums[row, 2]) / wp.float64(partners)
         + wp.float64(weights.length) * wp.float64(sums[row, 3])
         + wp.float64(weights.table) * wp.float64(sums[row, 4])
+        + wp.float64(weights.marks) * wp.float64(sums[row, 5])
     )
 
 

@@ -33,7 +33,7 @@ class Problem:
 
     def sums(self, rows: int) -> wp.array:
         """Room for the sums of so many evaluations."""
-        return wp.zeros((rows, 6), dtype=wp.int64, device=self.initial.device)
+        return wp.zeros((rows, len(kernels.COLUMNS)), dtype=wp.int64, device=self.initial.device)
 
     @property
     def objective(self) -> list[object]:

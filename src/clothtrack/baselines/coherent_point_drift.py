@@ -25,6 +25,7 @@ from clothtrack.tracking.algorithm import track
 from clothtrack.tracking.calibrator import uncalibrated
 from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.picking import HeldCloth, find_grasps, without_motion
+from clothtrack.tracking.picture_marks import no_marks
 from clothtrack.tracking.recorder import Recorder
 from clothtrack.tracking.seams import Corrected, Correction, Dyn, Parts
 from clothtrack.tracking.theta import Theta
@@ -127,6 +128,7 @@ def follow(
         align=align,
         line_search=Projection(mesh, config, recording.table),
         align_last=no_final_alignment,
+        mark=no_marks,
     )
     recorder = Recorder(recording, mesh, start, visible)
     track(recording, start, {}, parts, recorder)

@@ -1,7 +1,7 @@
 """What the cameras saw of the cloth in one frame: points, and where they were blind."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -40,6 +40,20 @@ _HALF_NEIGHBOURS = [
 
 
 @dataclass(frozen=True, eq=False)
+class FollowedPoints:
+    """Points of the cloth in one frame that are followed from picture to picture.
+
+    Attributes:
+        numbers: one per point, ascending; the same number is the same material point in every
+            frame.
+        positions: where they are in the world [m].
+    """
+
+    numbers: Int[np.ndarray, " followed"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    positions: Float[np.ndarray, "followed 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+@dataclass(frozen=True, eq=False)
 class Observation:
     """What was seen of the cloth in one frame.
 
@@ -51,6 +65,8 @@ class Observation:
         lowest_height_m: world height [m] under which points were cut away, or None.
         tool_positions: tip of every picker in the world [m].
         tool_clearance_m: radius around the tips [m] within which points were cut away.
+        followed: points that are followed from picture to picture; none unless somebody asked for
+            them (`clothtrack.recordings.point_following`).
     """
 
     points: Float[np.ndarray, "points 3"]
@@ -59,6 +75,7 @@ class Observation:
     lowest_height_m: float | None
     tool_positions: Float[np.ndarray, "tools 3"]
     tool_clearance_m: float
+    followed: FollowedPoints = field(default_factory=FollowedPoints)
 
     def unobservable(
         self, vertices: Float[np.ndarray, "vertices 3"]

@@ -36,6 +36,7 @@ def track(
         recorder: keeps the passes that are chosen; the other candidates leave nothing.
     """
     for action in recording.actions:  # Algorithm 1, line 2
+        parts.mark(state, parts.observe(recording.frames[action.first_frame]))  # not in the paper
         follow_with = _each_once(recording, action, state, parts, recorder)
         theta, calibration = parts.calibrate(action, state, theta, follow_with)  # Sec. III-B.1
         followed = follow_with(theta)

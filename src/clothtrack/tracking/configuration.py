@@ -131,6 +131,11 @@ class TrackerConfig(Checked):
             check_parameter(name, value)
 
     @property
+    def uses_color(self) -> bool:
+        """Whether points are followed from picture to picture."""
+        return self.alignment.marks_weight > 0.0
+
+    @property
     def last_alignment(self) -> AlignmentConfig:
         """What TTO2 minimises, and how."""
         last = self.final_alignment
@@ -150,7 +155,7 @@ _PAPER = TrackerConfig(
     attach_crossed=True,
     score_frames=1,
     dynamics=DynamicsConfig(velocity_kept=1.0),
-    alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0),
+    alignment=AlignmentConfig(two_way_weight=0.0, length_weight=0.0, marks_weight=0.0),
     final_alignment=FinalAlignmentConfig(
         iterations=200, slide=False, rounds=1, roll_s=0.0, untangle=False
     ),

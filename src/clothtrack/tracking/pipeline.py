@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
-from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.point_cloud import FollowedPoints, Observation, observe
+from clothtrack.recordings.point_following import follow_points
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
@@ -82,7 +83,11 @@ class Outcome:
 
 
 def observer(
-    recording: Recording, spacing_m: float, segmenter: Segmenter | None = None
+    recording: Recording,
+    spacing_m: float,
+    segmenter: Segmenter | None = None,
+    *,
+    color: bool = False,
 ) -> Callable[[Frame], Observation]:
     """The clouds of a recording, those of the latest frames kept.
 
@@ -92,13 +97,19 @@ def observer(
         recording: read and validated.
         spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
+        color: follow points of the cloth in the pictures, too.
     """
     longest = max((a.last_frame - a.first_frame for a in recording.actions), default=0)
 
     @lru_cache(maxsize=min(longest + 2, CLOUDS_KEPT))
     def observed(frame_index: int) -> Observation:
         frame = recording.frames[frame_index]
-        return observe(recording, frame, segmenter, spacing_m=spacing_m or None)
+        seen = observe(recording, frame, segmenter, spacing_m=spacing_m or None)
+        return replace(seen, followed=followed()[frame_index]) if color else seen
+
+    @cache
+    def followed() -> Mapping[int, FollowedPoints]:
+        return follow_points(recording, segmenter)
 
     return lambda frame: observed(frame.index)
 
@@ -137,7 +148,7 @@ def track_recording(
             )
     clock = time.process_time()
     stamp = provenance(recording, config, device)
-    cloud = observer(recording, config.cloud_spacing_m, segmenter)
+    cloud = observer(recording, config.cloud_spacing_m, segmenter, color=config.tracker.uses_color)
     if progress is not None:
         progress(f"{recording.name}: first mesh", 0, 0)
     first = find_initial_state(

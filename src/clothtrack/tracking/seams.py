@@ -262,6 +262,20 @@ class Calibrate(Protocol):
         ...
 
 
+@runtime_checkable
+class Mark(Protocol):
+    """Colour as a second witness: binds points that are followed in the pictures to the cloth."""
+
+    def __call__(self, state: State, observation: Observation) -> None:
+        """Note which material points they are; TTO1 and TTO2 ask for it later.
+
+        Args:
+            state: the cloth at the first frame of an action.
+            observation: what is seen there.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Parts:
     """The functions that Algorithm 1 is made of.
@@ -274,6 +288,7 @@ class Parts:
         align: TTO1.
         line_search: the pseudo-action.
         align_last: TTO2.
+        mark: binds points that are followed in the pictures to the cloth, at every action.
     """
 
     observe: Observe
@@ -283,3 +298,4 @@ class Parts:
     align: Aligner
     line_search: LineSearch
     align_last: AlignLast
+    mark: Mark

@@ -10,6 +10,7 @@ from clothtrack.files.progress import Progress
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.refinement import SETTLE_IN_S
+from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.solver import ClothSolver
@@ -19,8 +20,9 @@ from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.final_alignment import FinalAlignment, no_final_alignment
 from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.picking import pick, without_motion
+from clothtrack.tracking.picture_marks import PictureMarks, no_marks
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Dyn, Observe, Parts, Watch
+from clothtrack.tracking.seams import Dyn, Observe, Parts, State, Watch
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.visible_alignment import (
@@ -116,9 +118,11 @@ def _parts(
     device: str,
 ) -> Parts:
     """The paper's method, ours, or an ablation: each is a choice of functions."""
+    marks = PictureMarks(mesh, visible)
     aligned = partial(
-        VisibleAlignment, mesh, config, visible=visible, table=recording.table, device=device
-    )
+        VisibleAlignment, mesh, config, visible=visible, table=recording.table, marks=marks,
+        device=device,
+    )  # fmt: skip
     take_hold = partial(pick, recording=recording, mesh=mesh)
     align_last = no_final_alignment
     if config.use_final_alignment:
@@ -126,6 +130,11 @@ def _parts(
             recording, mesh, config, aligned(alignment=config.last_alignment), dynamics,
             device=device,
         )  # fmt: skip
+
+    def aligned_first(state: State, seen: Observation) -> State:
+        start_s = recording.frames[0].time_s
+        held = any(path.closed_at(start_s) for path in recording.picker_paths.values())
+        return align_last(state, config.parameters, seen, held)[0]
 
     def simulated(theta: Theta) -> Dyn:
         dynamics.solver.set_parameters(cloth_parameters(theta))
@@ -147,4 +156,5 @@ def _parts(
         align=align if config.use_dynamics_initialisation else from_last_mesh(align),
         line_search=PseudoActionSearch(config.line_search, config.attachment_strength),
         align_last=align_last,
+        mark=partial(marks.bind, aligned=aligned_first) if config.uses_color else no_marks,
     )

@@ -1,13 +1,13 @@
 """TTO1: the visible vertices of a predicted mesh are aligned to the cloud of its frame."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
+from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner, Marks
 from clothtrack.alignment.cloud_distance import within_reach
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossing_edges
@@ -40,6 +40,7 @@ class VisibleAlignment:
         visible: VisibilityCheck,
         *,
         table: Table | None,
+        marks: Callable[[Float[np.ndarray, "vertices 3"], Observation], Marks | None],
         device: str = "cpu",
     ) -> None:
         """Prepare topology and rest lengths once.
@@ -50,9 +51,11 @@ class VisibleAlignment:
             alignment: objective and solver of the optimisation.
             visible: which vertices some camera sees.
             table: the plane that the cloth cannot pass.
+            marks: where followed points of the pictures want vertices.
             device: "cpu" or "cuda:0".
         """
         self._faces, self._config, self._visible, self._table = mesh.faces, config, visible, table
+        self._marks = marks
         self._aligner = CloudAligner(mesh, alignment, device=device)
 
     def __call__(self, predicted: Prediction, observation: Observation) -> Correction | None:
@@ -80,6 +83,7 @@ class VisibleAlignment:
             trusted=observed,
             table=self._table,
             rest_height_m=config.solver.resting_height_m,
+            marks=self._marks(positions, observation),
         )
         attached = visible
         if config.attach_observed_only:

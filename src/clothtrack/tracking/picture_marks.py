@@ -1,0 +1,104 @@
+"""Colour as a second witness: which material points are followed from picture to picture?
+
+They are bound to the cloth where an action begins, and say from then on where these points are.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.alignment.aligner import Marks
+from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.tracking.seams import State
+
+NEAR_M = 0.006
+"""A followed point farther from what is seen of the mesh [m] is not bound to it."""
+
+DOUBT_M = 0.02
+"""A followed point that far from its material point [m] counts a quarter (Geman and McClure's
+weight): it is followed wrongly, or bound wrongly."""
+
+
+class PictureMarks:
+    """Binds followed points to a cloth, and says where they want its vertices."""
+
+    def __init__(self, mesh: ClothMesh, visible: VisibilityCheck) -> None:
+        """Begin with nothing bound.
+
+        Args:
+            mesh: the flat first mesh.
+            visible: which vertices some camera sees.
+        """
+        self._faces, self._visible = mesh.faces, visible
+        self._bound: dict[int, tuple[int, np.ndarray]] | None = None
+
+    def bind(
+        self,
+        state: State,
+        observation: Observation,
+        *,
+        aligned: Callable[[State, Observation], State],
+    ) -> None:
+        """Bind the points that are followed here and not bound yet; forget those that are lost.
+
+        Args:
+            state: the cloth at the first frame of an action.
+            observation: what is seen there.
+            aligned: a state of the cloth, aligned to a cloud; the first one is.
+        """
+        numbers = observation.followed.numbers
+        if self._bound is None and len(numbers):
+            # What is bound to a first mesh that lies beside its cloud would hold it there. Later
+            # ones have been aligned.
+            state = aligned(state, observation)
+        before = self._bound or {}
+        self._bound = {number: before[number] for number in numbers.tolist() if number in before}
+        fresh = np.array([number not in before for number in numbers.tolist()], dtype=bool)
+        positions = state.positions[0].astype(np.float64)
+        seen = np.flatnonzero(self._visible(positions)[self._faces].all(axis=1))
+        if not (fresh.any() and len(seen)):
+            return
+        points = observation.followed.positions[fresh]
+        place, weights = closest_on_mesh(points, positions, self._faces[seen])
+        face = seen[place]
+        gaps = np.linalg.norm(_at(positions, self._faces[face], weights) - points, axis=1)
+        for index in np.flatnonzero(gaps < NEAR_M).tolist():
+            self._bound[int(numbers[fresh][index])] = int(face[index]), weights[index]
+
+    def __call__(
+        self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
+    ) -> Marks | None:
+        """Where the followed points want vertices that are here now [m]; None without any."""
+        numbers, bound = observation.followed.numbers, self._bound or {}
+        known = np.array([number in bound for number in numbers.tolist()], dtype=bool)
+        if not known.any():
+            return None
+        found = [bound[number] for number in numbers[known].tolist()]
+        corners = self._faces[[face for face, _ in found]]
+        weights = np.stack([weights for _, weights in found])
+        miss = observation.followed.positions[known] - _at(positions, corners, weights)
+        trust = 1.0 / (1.0 + (miss**2).sum(axis=1) / DOUBT_M**2) ** 2
+        # A point pulls the corners of its triangle, each by its share, the way that it is off.
+        share, count = (trust[:, None] * weights).ravel(), len(positions)
+        pull = [np.bincount(corners.ravel(), share * np.repeat(axis, 3), count) for axis in miss.T]
+        total = np.bincount(corners.ravel(), share, count)
+        wanted = positions + np.stack(pull, axis=1) / np.maximum(total, 1e-12)[:, None]
+        return Marks(wanted, total)
+
+
+def no_marks(state: State, observation: Observation) -> None:  # noqa: ARG001
+    """Throw the colour away, as the paper does."""
+    return
+
+
+def _at(
+    positions: Float[np.ndarray, "vertices 3"],
+    corners: np.ndarray,
+    weights: Float[np.ndarray, "points 3"],
+) -> Float[np.ndarray, "points 3"]:
+    """Points of triangles [m] by their barycentric coordinates."""
+    return np.einsum("ij,ijk->ik", weights, positions[corners])
