@@ -9,13 +9,13 @@ import warp as wp
 from scipy.optimize import check_grad
 from scipy.spatial import cKDTree
 
-from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner
+from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner, Marks
 from clothtrack.alignment.alignment_config import ADAM_STEP_M, TABLE_WEIGHT, TWO_WAY_RANGE_M
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table
 
-PAPER = AlignmentConfig(two_way_weight=0.0, length_weight=0.0)
+PAPER = AlignmentConfig(two_way_weight=0.0, length_weight=0.0, marks_weight=0.0)
 OURS = AlignmentConfig()
 TABLE = Table(point=np.array([0.0, 0.0, 0.002]), normal=np.array([0.0, 0.6, 0.8]))
 
@@ -46,7 +46,10 @@ def scene(seed=0, shift=(0.006, -0.004, 0.003), points=400):
 class Oracle:
     """The objective as its definition reads, in double precision, with k-d trees."""
 
-    def __init__(self, mesh, config, positions, cloud, visible, *, table=None, rest=0.0):
+    def __init__(
+        self, mesh, config, positions, cloud, visible, *, table=None, rest=0.0, marks=None
+    ):
+        self.marks = marks
         self.mesh, self.config, self.positions, self.cloud = mesh, config, positions, cloud
         self.visible, self.table, self.rest = np.flatnonzero(visible), table, rest
         self.tree = cKDTree(cloud)
@@ -83,6 +86,11 @@ class Oracle:
         part += 2 * config.length_weight / len(edges) * (stretch / length)[:, None] * edge
         np.add.at(gradient, edges[:, 0], part)
         np.add.at(gradient, edges[:, 1], -part)
+        if self.marks is not None:
+            weight = config.marks_weight / len(self.cloud) * self.marks.weight
+            miss = x - self.marks.wanted
+            value += (weight * (miss**2).sum(1)).sum()
+            gradient += 2 * weight[:, None] * miss
         if self.table is not None:
             depth = np.maximum(0.0, self.rest - self.table.heights(x))
             value += TABLE_WEIGHT * (depth**2).mean()
@@ -112,11 +120,21 @@ VARIANTS = {
 }
 
 
+def some_marks(positions):
+    """A third of the vertices is wanted a few millimetres from where it is."""
+    rng = np.random.default_rng(3)
+    weight = rng.uniform(0.1, 1.0, len(positions)) * (np.arange(len(positions)) % 3 == 0)
+    return Marks(positions + rng.normal(scale=3e-3, size=positions.shape), weight)
+
+
 @pytest.mark.parametrize("name", VARIANTS)
 def test_the_oracle_s_gradient_is_its_finite_difference(name):
     mesh, positions, cloud, visible = scene()
     table = Table(positions.mean(0), TABLE.normal)
-    oracle = Oracle(mesh, VARIANTS[name], positions, cloud, visible, table=table, rest=0.01)
+    oracle = Oracle(
+        mesh, VARIANTS[name], positions, cloud, visible, table=table, rest=0.01,
+        marks=some_marks(positions),
+    )  # fmt: skip
     start = np.random.default_rng(1).normal(scale=2e-3, size=positions.shape)
     oracle.match(start)
     error = check_grad(
@@ -133,12 +151,13 @@ def test_kernel_gradient_and_objective_are_the_oracle_s(name):
     config = VARIANTS[name]
     mesh, positions, cloud, visible = scene()
     table = Table(positions.mean(0), TABLE.normal)
-    oracle = Oracle(mesh, config, positions, cloud, visible, table=table, rest=0.01)
+    marks = some_marks(positions)
+    oracle = Oracle(mesh, config, positions, cloud, visible, table=table, rest=0.01, marks=marks)
     displacement = np.random.default_rng(1).normal(scale=2e-3, size=positions.shape)
     oracle.match(displacement)
     value, gradient = oracle.value_and_gradient(displacement)
     loss, measured = CloudAligner(mesh, config).gradient(
-        positions, displacement, cloud, visible, table=table, rest_height_m=0.01
+        positions, displacement, cloud, visible, table=table, rest_height_m=0.01, marks=marks
     )
     assert loss == pytest.approx(value, rel=1e-5)
     np.testing.assert_allclose(measured, gradient, atol=2e-5 * np.abs(gradient).max())
@@ -234,6 +253,39 @@ def test_the_length_term_keeps_the_rest_lengths():
     assert strains[0] > 0.03
     assert strains[1] < 0.3 * strains[0]
     assert strains[2] < strains[1]
+
+
+@pytest.mark.parametrize("solver", ["adam", "icp"])
+def test_only_marks_see_a_sheet_slide_along_itself(solver):
+    """A sheet longer than the picture slides by 6 mm; followed points show it, the cloud does not."""
+    mesh = sheet()
+    truth = mesh.vertices + [0.006, 0.0, 0.0]
+    inside = np.abs(mesh.vertices[:, 0]) < 0.05
+    rng = np.random.default_rng(0)
+    cloud = np.stack([*rng.uniform([-0.05, -0.07], [0.05, 0.07], (3000, 2)).T, np.zeros(3000)], 1)
+    some = inside & (np.arange(len(truth)) % 4 == 0)
+    marks = Marks(np.where(some[:, None], truth, 0.0), some.astype(float))
+    aligner = CloudAligner(mesh, replace(OURS, solver=solver, iterations=400))
+    off = []
+    for seen in (None, marks):
+        result = aligner.align(mesh.vertices, cloud, inside, marks=seen)
+        moved = mesh.vertices + result.corrections
+        off.append(np.linalg.norm(moved - truth, axis=1)[inside].mean())
+        assert (result.terms["marks"][0] > 0) == (seen is not None)
+    assert off[0] > 0.005
+    assert off[1] < 0.002
+
+
+@pytest.mark.parametrize("solver", ["adam", "icp"])
+def test_without_marks_every_bit_is_that_of_the_objective_without_them(solver):
+    mesh, positions, cloud, visible = scene()
+    results = [
+        CloudAligner(mesh, replace(OURS, solver=solver, iterations=20, marks_weight=weight)).align(
+            positions, cloud, visible, marks=marks
+        )
+        for weight, marks in ((30.0, None), (0.0, some_marks(positions)))
+    ]
+    np.testing.assert_array_equal(results[0].corrections, results[1].corrections)
 
 
 def test_only_the_two_way_term_pulls_an_overhanging_edge_in():

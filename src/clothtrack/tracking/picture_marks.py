@@ -6,12 +6,11 @@ They are bound to the cloth where an action begins, and say from then on where t
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from clothtrack.alignment.aligner import Marks
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.tracking.seams import State
 
@@ -26,7 +25,11 @@ weight): it is followed wrongly, or bound wrongly."""
 class PictureMarks:
     """Binds followed points to a cloth, and says where they want its vertices."""
 
-    def __init__(self, mesh: ClothMesh, visible: VisibilityCheck) -> None:
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        visible: Callable[[Float[np.ndarray, "vertices 3"]], Bool[np.ndarray, " vertices"]],
+    ) -> None:
         """Begin with nothing bound.
 
         Args:
@@ -97,7 +100,7 @@ def no_marks(state: State, observation: Observation) -> None:  # noqa: ARG001
 
 def _at(
     positions: Float[np.ndarray, "vertices 3"],
-    corners: np.ndarray,
+    corners: Int[np.ndarray, "points 3"],
     weights: Float[np.ndarray, "points 3"],
 ) -> Float[np.ndarray, "points 3"]:
     """Points of triangles [m] by their barycentric coordinates."""

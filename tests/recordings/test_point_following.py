@@ -1,0 +1,118 @@
+"""Points that are followed in pictures move as the cloth does; plain cloth has none."""
+
+import cv2
+import numpy as np
+import pytest
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.point_following import HOME_PX, follow_points
+from clothtrack.recordings.recording import PickerPath
+from clothtrack.recordings.store import RecordingWriter, read_recording
+
+WIDTH, HEIGHT, HIGH_M = 160, 120, 0.8
+CAMERA = Camera(
+    "top", WIDTH, HEIGHT, 150.0, 150.0, 79.5, 59.5,
+    np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, HIGH_M], [0, 0, 0, 1]]),
+)  # fmt: skip
+PIXEL_M = HIGH_M / CAMERA.fx
+
+
+def printed(seed=0, contrast=60.0):
+    """A brightness picture larger than the camera's, of blots a few pixels wide."""
+    blots = np.random.default_rng(seed).normal(size=(2 * HEIGHT, 2 * WIDTH)).astype(np.float32)
+    blots = cv2.GaussianBlur(blots, (0, 0), 2.0)
+    return 120.0 + contrast * blots / blots.std()
+
+
+def cut(picture, shift_px):
+    """The camera's part of a picture that has moved."""
+    move = np.array([[1, 0, shift_px[0] - WIDTH // 2], [0, 1, shift_px[1] - HEIGHT // 2]], float)
+    return cv2.warpAffine(picture, move, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
+
+
+def recorded(folder, grays, depths=None, masks=None, actions=((0, None),)):
+    """A recording of these brightnesses [0 to 255], on a plane 0.8 m away where nothing is said."""
+    count = len(grays)
+    with RecordingWriter(folder, (CAMERA,), {"top": 1e-4}) as writer:
+        for index, gray in enumerate(grays):
+            depth = np.full((HEIGHT, WIDTH), HIGH_M) if depths is None else depths[index]
+            mask = np.ones((HEIGHT, WIDTH), bool) if masks is None else masks[index]
+            color = np.clip(np.rint(gray), 0, 255).astype(np.uint8)[..., None].repeat(3, 2)
+            writer.add_frame(
+                0.1 * index, color={"top": color}, depth={"top": depth}, mask={"top": mask}
+            )
+        times = 0.1 * np.arange(count)
+        writer.set_picker_path("hand", PickerPath(times, np.zeros((count, 3)), times < 0))
+        for first, last in actions:
+            writer.add_action(first, count - 1 if last is None else last, ("hand",))
+    return read_recording(folder)
+
+
+def test_followed_points_move_with_the_print(tmp_path):
+    steps = [np.array([1.3, -0.7]) * index for index in range(5)]
+    found = follow_points(recorded(tmp_path / "r", [cut(printed(), step) for step in steps]))
+    first, last = found[0], found[4]
+    assert len(first.numbers) > 60
+    assert len(last.numbers) > 0.8 * len(first.numbers)
+    assert (np.diff(last.numbers) > 0).all()
+    before = first.positions[np.searchsorted(first.numbers, last.numbers)]
+    moved = (last.positions - before) / PIXEL_M
+    # The camera looks down: its rows run against y.
+    off = np.linalg.norm(moved - [steps[4][0], -steps[4][1], 0.0], axis=1)
+    assert np.median(off) < 0.1
+    assert off.max() < HOME_PX
+
+
+@pytest.mark.parametrize("noise", [0.0, 5.0])
+def test_plain_cloth_has_nothing_to_follow(tmp_path, noise):
+    rng = np.random.default_rng(1)
+    grays = [120.0 + noise * rng.normal(size=(HEIGHT, WIDTH)) for _ in range(3)]
+    # What the noise is, the second picture tells.
+    found = follow_points(recorded(tmp_path / "r", grays, actions=((1, None),)))
+    assert [len(found[index].numbers) for index in range(3)] == [0, 0, 0]
+
+
+def test_what_is_covered_is_lost_and_numbers_are_never_used_twice(tmp_path):
+    masks = np.ones((5, HEIGHT, WIDTH), bool)
+    masks[1:3, :, : WIDTH // 2] = False
+    grays = [cut(printed(), (0.0, 0.0))] * 5
+    found = follow_points(recorded(tmp_path / "r", grays, masks=masks, actions=((0, 2), (3, None))))
+    left = [(found[index].positions[:, 0] < -PIXEL_M).sum() for index in range(4)]
+    assert left[0] > 20
+    assert left[1:3] == [0, 0]
+    assert left[3] > 20
+    fresh = found[3].numbers[found[3].positions[:, 0] < -PIXEL_M]
+    assert fresh.min() > found[0].numbers.max()
+    assert np.isin(found[2].numbers, found[3].numbers).all()
+
+
+def test_a_point_that_runs_away_from_its_neighbours_is_lost(tmp_path):
+    """A patch of the print slides by 6 cm: another thing, not this cloth."""
+    still = cut(printed(), (0.0, 0.0))
+    grays = []
+    for jump in (0, 3, 6, 9, 12):
+        gray = still.copy()
+        gray[50:66, 40 + jump : 56 + jump] = cut(printed(7), (0.0, 0.0))[50:66, 40:56]
+        grays.append(gray)
+    found = follow_points(recorded(tmp_path / "r", grays))
+    first, last = found[0], found[4]
+    before = first.positions[np.searchsorted(first.numbers, last.numbers)]
+    assert len(last.numbers) > 60
+    assert np.linalg.norm(last.positions - before, axis=1).max() < 0.03
+
+
+def test_no_point_is_chosen_or_kept_where_two_layers_meet(tmp_path):
+    step = np.full((HEIGHT, WIDTH), HIGH_M)
+    step[:, WIDTH // 2 :] -= 0.3
+    grays = [cut(printed(), (0.0, 0.0))] * 2
+    found = follow_points(recorded(tmp_path / "r", grays, depths=[step, step]))
+    near_step = np.abs(found[1].positions[:, 0] / PIXEL_M) < 2
+    assert len(found[1].numbers) > 50
+    assert not near_step.any()
+
+
+def test_a_picture_without_colour_ends_what_is_followed(tmp_path):
+    recording = recorded(tmp_path / "r", [cut(printed(), (0.0, 0.0))] * 3)
+    recording.frames[1].color.clear()
+    found = follow_points(recording)
+    assert [len(found[index].numbers) > 0 for index in range(3)] == [True, False, False]
