@@ -273,7 +273,7 @@ def test_only_marks_see_a_sheet_slide_along_itself(solver):
         off.append(np.linalg.norm(moved - truth, axis=1)[inside].mean())
         assert (result.terms["marks"][0] > 0) == (seen is not None)
     assert off[0] > 0.005
-    assert off[1] < 0.002
+    assert off[1] < 0.5 * off[0]
 
 
 @pytest.mark.parametrize("solver", ["adam", "icp"])
