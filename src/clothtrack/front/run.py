@@ -158,7 +158,7 @@ def track(
             done and in all.
         force: track although the first mesh lies more than 2 cm (rms) from its cloud.
         **parts: replacements for parts of Algorithm 1: observe, pick, calibrate, dynamics, align,
-            line_search, align_last.
+            line_search, align_last, mark.
 
     Raises:
         InvalidRecordingError: the recording cannot be used, or the first mesh lies beside its
