@@ -257,7 +257,7 @@ def test_the_length_term_keeps_the_rest_lengths():
 
 @pytest.mark.parametrize("solver", ["adam", "icp"])
 def test_only_marks_see_a_sheet_slide_along_itself(solver):
-    """A sheet longer than the picture slides by 6 mm; followed points show it, the cloud does not."""
+    """A sheet longer than the picture slides by 6 mm: followed points show it, depth does not."""
     mesh = sheet()
     truth = mesh.vertices + [0.006, 0.0, 0.0]
     inside = np.abs(mesh.vertices[:, 0]) < 0.05

@@ -113,6 +113,7 @@ class _Picture:
     def read(
         cls, recording: Recording, frame: Frame, camera: Camera, segmenter: Segmenter | None
     ) -> "_Picture":
+        """Read a frame's pictures, and find where windows may be compared."""
         color = read_color(frame.color[camera.name])
         depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
         find = segmenter or default_segmenter(recording, frame, camera)
