@@ -3,6 +3,7 @@
 They are bound to the cloth where an action begins, and say from then on where these points are.
 """
 
+import logging
 from collections.abc import Callable
 
 import numpy as np
@@ -13,6 +14,8 @@ from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.tracking.seams import State
+
+logger = logging.getLogger(__name__)
 
 NEAR_M = 0.006
 """A followed point farther from what is seen of the mesh [m] is not bound to it."""
@@ -71,6 +74,7 @@ class PictureMarks:
         gaps = np.linalg.norm(_at(positions, self._faces[face], weights) - points, axis=1)
         for index in np.flatnonzero(gaps < NEAR_M).tolist():
             self._bound[int(numbers[fresh][index])] = int(face[index]), weights[index]
+        logger.info("%d followed points, %d bound to the cloth", len(numbers), len(self._bound))
 
     def __call__(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
