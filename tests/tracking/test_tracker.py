@@ -42,12 +42,17 @@ def slides(monkeypatch) -> list:
     return made
 
 
+def without_color(config: TrackerConfig) -> TrackerConfig:
+    """Nothing is followed in the pictures."""
+    return replace(config, alignment=replace(config.alignment, marks_weight=0.0))
+
+
 def tracked(recording: Recording, config: TrackerConfig):
     return track_recording(recording, RunConfig(tracker=config))
 
 
 def test_a_cloth_that_nobody_holds_is_slid_before_the_final_alignment(recording, config, slides):
-    result = tracked(recording, config)
+    result = tracked(recording, without_color(config))
     (action,) = result.actions
     ((before, after),) = slides
     np.testing.assert_array_equal(before, action.positions_before_final_alignment)
@@ -78,8 +83,19 @@ def test_a_cloth_that_must_not_slide_is_left_where_it_is(recording, config, slid
         config = replace(config, final_alignment=replace(config.final_alignment, slide=False))
     else:
         config = replace(config, use_final_alignment=False)
-    tracked(recording, config)
+    tracked(recording, without_color(config))
     assert not slides
+
+
+def test_points_are_bound_to_a_first_mesh_that_is_slid_but_tracking_begins_where_it_was(
+    recording, config, slides
+):
+    result = tracked(recording, config)
+    (first, _), (last, _) = slides
+    np.testing.assert_array_equal(first, result.positions[0])
+    np.testing.assert_array_equal(last, result.actions[0].positions_before_final_alignment)
+    alone = tracked(recording, without_color(config))
+    assert not np.array_equal(alone.positions[-1], result.positions[-1])
 
 
 @pytest.mark.parametrize("attach_crossed", [False, True])

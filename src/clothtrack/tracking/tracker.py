@@ -134,7 +134,8 @@ def _parts(
     def aligned_first(state: State, seen: Observation) -> State:
         start_s = recording.frames[0].time_s
         held = any(path.closed_at(start_s) for path in recording.picker_paths.values())
-        return align_last(state, config.parameters, seen, held)[0]
+        # Whatever is searched or given: a replay with the chosen theta binds the same points.
+        return align_last(state, TrackerConfig().parameters, seen, held)[0]
 
     def simulated(theta: Theta) -> Dyn:
         dynamics.solver.set_parameters(cloth_parameters(theta))
