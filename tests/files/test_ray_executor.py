@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from contextlib import closing, suppress
@@ -118,11 +119,28 @@ def test_closed_results_end_their_tasks_which_clear_away(tmp_path):
     results = RayExecutor()(touch_and_wait, items, 2)
     assert next(results) == "first"
     results.close()
-    # Ray calls a task ended as soon as it is told to end; clearing away takes it a moment.
-    while list(tmp_path.iterdir()) and time.monotonic() - begin < 0.5 * LONG_S:
-        time.sleep(0.05)
     assert list(tmp_path.iterdir()) == []
     assert time.monotonic() - begin < 0.5 * LONG_S
+
+
+def test_tasks_end_too_where_a_shell_has_started_everything_in_the_background():
+    """Such processes ignore SIGINT, and so do their workers, which Ray ends by it."""
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN);"
+        "from pathlib import Path; from clothtrack.files.ray_executor import RayExecutor;"
+        "from tests.files.test_ray_executor import touch_and_wait as work;"
+        "items = [Path(sys.argv[1]) / name for name in ('second', 'first', 'third')];"
+        "results = RayExecutor()(work, items, 2);"
+        "print(next(results)); results.close()"
+    )
+    here = Path(__file__).parents[2]
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run(
+            [sys.executable, "-c", code, folder],
+            cwd=here, env={**os.environ, "PYTHONPATH": str(here)}, capture_output=True, text=True,
+        )  # fmt: skip
+        assert (done.returncode, done.stdout) == (0, "first\n"), done.stderr
+        assert list(Path(folder).iterdir()) == []
 
 
 def test_what_no_machine_has_is_refused():

@@ -256,6 +256,9 @@ def _made(work: Callable[[Any], Any], item: Any, place: str) -> tuple[bytes, lis
             f"{socket.gethostname()}: {place} is not there ({error.strerror}); all machines of a "
             "Ray cluster must see the folder of the command"
         ) from error
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        # What a shell starts in the background ignores it, and its workers do; Ray interrupts so.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     quiet_warp()
     records, root = _Records(), logging.getLogger()
     root.addHandler(records)
