@@ -137,7 +137,8 @@ def test_tasks_end_too_where_a_shell_has_started_everything_in_the_background():
     with tempfile.TemporaryDirectory() as folder:
         done = subprocess.run(
             [sys.executable, "-c", code, folder],
-            cwd=here, env={**os.environ, "PYTHONPATH": str(here)}, capture_output=True, text=True,
+            cwd=here, env={**os.environ, "PYTHONPATH": str(here)}, check=False,
+            capture_output=True, text=True,
         )  # fmt: skip
         assert (done.returncode, done.stdout) == (0, "first\n"), done.stderr
         assert list(Path(folder).iterdir()) == []
