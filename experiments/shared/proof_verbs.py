@@ -89,7 +89,8 @@ VERBS = (
         "finetune", s / "network" / "model.safetensors", s / "labels", "--output", o,
         *settings(*TRAINING)]),
     Verb("export .npz", lambda s, o: ["export", _tracked(s)[0], "--output", o / "mesh.npz"]),
-    Verb("export folder", lambda s, o: ["export", _tracked(s)[0], "--output", o / "meshes"]),
+    Verb("export folder", lambda s, o: ["export", _tracked(s)[0], "--output", o / "meshes"],
+         keeps=False),
     Verb("export .png", lambda s, o: [
         "export", _tracked(s)[0], "--output", o / "sheet.png", *_at(s)]),
     Verb("view --html", lambda s, o: ["view", _tracked(s)[0], "--html", o / "v.html", *_at(s)]),

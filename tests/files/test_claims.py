@@ -233,3 +233,13 @@ def test_who_writes_into_a_folder_first_removes_what_dead_processes_left_there(t
     with writer:
         pass
     assert {path.name for path in tmp_path.iterdir()} == {"new", names["alive"]}
+
+
+def test_what_a_dead_process_left_while_it_claimed_is_removed(tmp_path):
+    code = "from clothtrack.files.owner import hidden_name; print(hidden_name('now'))"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    (tmp_path / told.stdout.strip()).touch()
+    living = tmp_path / hidden_name("now")
+    living.touch()
+    claims.clear_dead_claims(tmp_path)
+    assert list(tmp_path.iterdir()) == [living]

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from clothtrack.files.atomic_write import storage
+from clothtrack.files.atomic_write import clear_dead, storage
 from clothtrack.files.owner import Owner, hidden_name
 
 LEASE_S = 300.0
@@ -96,11 +96,12 @@ def holder_of(folder: Path, name: str) -> Holder | None:
 
 
 def clear_dead_claims(folder: Path) -> None:
-    """Remove the claims of dead processes of this machine.
+    """Remove the claims of dead processes of this machine, and what they left while they made them.
 
     Raises:
         StorageError: the disk refuses.
     """
+    clear_dead([folder])
     for path in folder.glob("[!.]*"):
         read = _read(path)
         owner = None if read is None else _parsed(read[0])[0]
