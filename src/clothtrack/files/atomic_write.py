@@ -156,7 +156,7 @@ def remove_folder(folder: Path) -> None:
 
     A process that is told to end meanwhile removes it first.
     """
-    with _undisturbed():
+    with undisturbed():
         deadline = time.monotonic() + LATE_WRITERS_S
         shutil.rmtree(folder, ignore_errors=True)
         while folder.exists() and time.monotonic() < deadline:
@@ -229,7 +229,7 @@ def _clear(left: Path, *, claimed: bool) -> None:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def undisturbed() -> Iterator[None]:
     """SIGTERM waits until the block is done: who ends a worker tells it again and again."""
     if threading.current_thread() is not threading.main_thread():
         # Python runs handlers of signals in the main thread alone.

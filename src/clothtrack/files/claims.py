@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from clothtrack.files.atomic_write import clear_dead, storage
+from clothtrack.files.atomic_write import clear_dead, storage, undisturbed
 from clothtrack.files.owner import Owner, hidden_name
 
 LEASE_S = 300.0
@@ -53,18 +53,18 @@ def claimed(folder: Path, name: str) -> Iterator[bool]:
     Raises:
         StorageError: the disk refuses.
     """
-    path = _take(folder, name)
-    if path is None:
-        yield False
-        return
-    ended = threading.Event()
-    renewing = threading.Thread(target=_renew, args=(path, ended), daemon=True)
-    renewing.start()
+    path, ended = None, threading.Event()
     try:
-        yield True
+        # An interrupt between the claim and the `try` that gives it up would leave it behind.
+        with undisturbed():
+            path = _take(folder, name)
+            if path is not None:
+                threading.Thread(target=_renew, args=(path, ended), daemon=True).start()
+        yield path is not None
     finally:
         ended.set()
-        path.unlink(missing_ok=True)
+        if path is not None:
+            path.unlink(missing_ok=True)
 
 
 @contextmanager
