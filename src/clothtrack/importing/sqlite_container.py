@@ -49,8 +49,9 @@ class SqliteContainer:
             self._topics = self._read_topics()
         except (sqlite3.Error, ValueError, OverflowError) as error:
             self.close()
+            cause = " ".join(str(error).split())  # It may quote a table's definition.
             raise InvalidRecordingError(
-                f"{path}: the data base cannot be read ({error}); record or copy it again"
+                f"{path}: the data base cannot be read ({cause}); record or copy it again"
             ) from error
         if "VIRTUAL" in str(tables.get("messages", "VIRTUAL")).upper():
             self.close()
