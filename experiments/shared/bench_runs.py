@@ -7,6 +7,7 @@ depends on, so that experiments share runs and a broken experiment goes on where
 import hashlib
 import json
 import os
+import resource
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
@@ -114,9 +115,8 @@ def _content_digest(recording: Path, truth: Path) -> str:
     # The same actions filmed with another noise differ in nothing but their pictures.
     content = hashlib.sha256(truth.read_bytes())
     for file in sorted(each for each in recording.rglob("*") if each.is_file()):
-        if file.parent.name != "color":
-            content.update(file.name.encode())
-            content.update(file.read_bytes())
+        content.update(file.name.encode())
+        content.update(file.read_bytes())
     return content.hexdigest()[:10]
 
 
@@ -176,6 +176,8 @@ def run_all(
         if not task.file.exists():
             failed[task.file] = rows
         word = rows[0].get("error") or f"{rows[0]['cpu_s']:.0f} CPU s"
+        if "memory_mb" in rows[0]:
+            word = f"{word}, {rows[0]['memory_mb']:.0f} MB, {rows[0]['open_files']} open files"
         if progress is not None:
             progress(f"{task.variant.name}, {task.trajectory.name}: {word}\n")
 
@@ -203,11 +205,23 @@ def make(task: Task) -> list[Row]:
     except ClothTrackError as error:
         return [{"error": str(error)}]
     stamp = provenance_of(tracked, variant)
-    rows = [{**row, "cpu_s": cpu_s, "provenance": stamp} for row in rows]
+    effort = {"cpu_s": cpu_s, **process_state()}
+    rows = [{**row, **effort, "provenance": stamp} for row in rows]
     task.file.parent.mkdir(parents=True, exist_ok=True)
     write_meshes(tracked, task.file.with_suffix(".npz"))
     write_rows(rows, task.file)
     return rows
+
+
+def process_state() -> Row:
+    """Memory and open files of this process: whether they grow over many runs (Linux; else 0)."""
+    status, files = Path("/proc/self/statm"), Path("/proc/self/fd")
+    pages = int(status.read_text("ascii").split()[1]) if status.exists() else 0
+    return {
+        "process": os.getpid(),
+        "memory_mb": round(pages * resource.getpagesize() / 2**20, 1),
+        "open_files": len(list(files.iterdir())) if files.exists() else 0,
+    }
 
 
 def prepared(recording: Recording, truth: Truth, variant: Variant) -> Recording:

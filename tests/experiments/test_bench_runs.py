@@ -14,9 +14,10 @@ from clothtrack.tracking import RunConfig, mode
 @pytest.fixture
 def bench(tmp_path):
     for name in ("towel_0", "towel_1", "tshirt_0", "tshirt_1"):
-        (tmp_path / "recordings" / name / "depth").mkdir(parents=True)
         (tmp_path / "recordings" / name / "recording.json").write_text(name)
-        (tmp_path / "recordings" / name / "depth" / "000000.png").write_text("far")
+        for stream in ("depth", "color"):
+            (tmp_path / "recordings" / name / stream).mkdir(parents=True)
+            (tmp_path / "recordings" / name / stream / "000000.png").write_text("far")
         (tmp_path / "truth").mkdir(exist_ok=True)
         (tmp_path / "truth" / f"{name}.npz").write_text(name)
     (tmp_path / "recordings" / ".tshirt_2.partial").mkdir()
@@ -61,7 +62,7 @@ def test_a_run_is_another_one_when_any_setting_changes_but_its_name():
     assert len({base.digest, *(each.digest for each in others)}) == len(others) + 1
 
 
-@pytest.mark.parametrize("changed", ["depth/000000.png", "recording.json"])
+@pytest.mark.parametrize("changed", ["depth/000000.png", "color/000000.png", "recording.json"])
 def test_a_run_is_another_one_when_the_recording_is_made_anew(bench, changed):
     def digest():
         bench_runs._content_digest.cache_clear()

@@ -104,6 +104,7 @@ def bench(
     output: Positional[Path],
     *,
     split: Literal["all", "dev", "test", "hard"] = "all",
+    printed: Annotated[bool, arg(name="print")] = False,
     verify: bool = False,
     workers: int = 1,
     shard: Shard = "",
@@ -116,6 +117,7 @@ def bench(
     Args:
         output: folder for recordings/, truth/ and their list; finished trajectories are kept.
         split: only this part.
+        printed: the same with a print on the cloth, in a folder of its own.
         verify: record nothing; check what is there against its checksums.
         workers: processes.
         shard: do only one of several parts.
@@ -126,7 +128,8 @@ def bench(
     from clothtrack.world import bench as contents
     from clothtrack.world import bench_generation as generation
 
-    listed = contents.trajectories(contents.SPLITS if split == "all" else (split,))
+    splits = contents.SPLITS if split == "all" else (split,)
+    listed = contents.trajectories(splits, printed=printed)
     if verify:
         for line in (wrong := generation.verify_bench(output, listed)):
             complain(line)

@@ -3,6 +3,7 @@
 Only meant to look plausible and to be told apart by colour; depth does not depend on it.
 """
 
+import zlib
 from dataclasses import dataclass
 
 import cv2
@@ -29,6 +30,14 @@ TIP_COLORS: dict[str, tuple[int, int, int]] = {
 WOOD_COLOR = (200, 166, 124)
 TOOL_COLOR = (118, 121, 126)
 PLANK_M = 0.12
+PRINT_PERIODS_M = 0.016, 0.05
+"""Shortest and longest wave of a print [m]: leaves and flowers, not threads."""
+PRINT_WAVES = 24
+PRINT_CONTRAST = 0.35
+"""How much lighter or darker a print is at most, as a share of the brightness. It has the cloth's
+own hue, so that the same pixels are found to be cloth."""
+GRAIN = 3.0
+"""Noise of the pictures of a printed cloth [grey values, 0 to 255]: one standard deviation."""
 LIGHT = np.array([-0.45, 0.55, 0.70]) / np.linalg.norm([-0.45, 0.55, 0.70])
 """Direction from the table to the lamp."""
 
@@ -44,6 +53,8 @@ class Appearance:
         table_seed: grows the wood.
         tip: name of the colour of the tool's tip, a key of `TIP_COLORS`; grey as the rest of the
             tool when None.
+        print_seed: grows a print on the cloth, whose pictures then have noise as well (`GRAIN`);
+            None leaves the cloth plain and the pictures clean.
     """
 
     cloth: str = "blue"
@@ -51,6 +62,7 @@ class Appearance:
     weave_period_m: float = 0.024
     table_seed: int = 0
     tip: str | None = None
+    print_seed: int | None = None
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Appearance":
@@ -97,7 +109,10 @@ class Painter:
         sunk = np.clip(around - view.height, 0.0, 0.006)
         light[on_cloth] *= 1.0 - 60.0 * sunk[on_cloth]
         color *= light[..., None]
-        return np.clip(cv2.GaussianBlur(color, (3, 3), 0.6) + 0.5, 0.0, 255.0).astype(np.uint8)
+        color = cv2.GaussianBlur(color, (3, 3), 0.6)
+        if self._appearance.print_seed is not None:
+            color += _grain(view, self._appearance.print_seed)
+        return np.clip(color + 0.5, 0.0, 255.0).astype(np.uint8)
 
 
 def _weave(
@@ -106,7 +121,27 @@ def _weave(
     """Unlit colour (0 to 255) of the cloth: a plaid that is fixed to the material."""
     wave = np.cos(2.0 * np.pi * material[:, :2] / appearance.weave_period_m).sum(axis=1)
     plaid = 1.0 + 0.5 * appearance.weave * wave
+    if appearance.print_seed is not None:
+        plaid *= _print(material[:, :2], appearance.print_seed)
     return np.array(CLOTH_COLORS[appearance.cloth]) * plaid[:, None]
+
+
+def _print(places: Float[np.ndarray, "pixels 2"], seed: int) -> Float[np.ndarray, " pixels"]:
+    """Brightness of a print at places of the flat cloth [m]: waves that cross at random."""
+    rng = np.random.default_rng(seed)
+    shortest, longest = PRINT_PERIODS_M
+    periods = shortest * (longest / shortest) ** rng.uniform(size=PRINT_WAVES)
+    angles, phases = rng.uniform(0.0, 2.0 * np.pi, (2, PRINT_WAVES))
+    turns = 2.0 * np.pi / periods * np.stack([np.cos(angles), np.sin(angles)])
+    waves = np.cos(places @ turns + phases).sum(axis=1) / np.sqrt(0.5 * PRINT_WAVES)
+    # Steep, as a printed motif has rims.
+    return 1.0 + PRINT_CONTRAST * np.tanh(2.0 * waves)
+
+
+def _grain(view: View, seed: int) -> Float[np.ndarray, "height width 3"]:
+    """Noise of one picture; drawn from what is seen, so that a camera has no more to remember."""
+    rng = np.random.default_rng([seed, zlib.crc32(view.depth.tobytes())])
+    return GRAIN * rng.standard_normal((*view.depth.shape, 3), dtype=np.float32)
 
 
 def _wood(points: Float[np.ndarray, "pixels 3"], seed: int) -> Float[np.ndarray, "pixels 3"]:

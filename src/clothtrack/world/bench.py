@@ -118,7 +118,8 @@ class BenchTrajectory:
         split: what it may be used for.
         seed: of everything; if the physics diverges, the next ones are tried in turn.
         hardness: what makes it hard.
-        changes: fields of the drawn configuration that are replaced; none in the benchmark.
+        changes: fields of the drawn configuration that are replaced; none in the benchmark but
+            `printed` in its printed variant.
     """
 
     name: str
@@ -138,9 +139,17 @@ class BenchTrajectory:
         return replace(hardened(vary(self.kind, seed), self.hardness), **self.changes)
 
 
-def trajectories(splits: tuple[Split, ...] = SPLITS) -> list[BenchTrajectory]:
-    """The trajectories of some splits, in their order."""
-    return [one for one in _all() if one.split in splits]
+def trajectories(
+    splits: tuple[Split, ...] = SPLITS, *, printed: bool = False
+) -> list[BenchTrajectory]:
+    """The trajectories of some splits, in their order.
+
+    Args:
+        splits: which ones.
+        printed: the variant whose cloth has a print; everything else is the same.
+    """
+    changes = {"printed": True} if printed else {}
+    return [replace(one, changes=changes) for one in _all() if one.split in splits]
 
 
 def _all() -> Iterator[BenchTrajectory]:

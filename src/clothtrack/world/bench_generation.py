@@ -256,10 +256,13 @@ def _refuse_other_settings(
     if entry is None:
         return
     seed = entry["seed"]
-    if seed not in trajectory.seeds or entry["varied"] != _plain(trajectory.config(seed)):
+    # A setting that came later had its default.
+    varied = {**_plain(EpisodeConfig()), **entry["varied"]}
+    if seed not in trajectory.seeds or varied != _plain(trajectory.config(seed)):
         raise InvalidConfigError(
             f"{out / LIST_FILE}: {trajectory.name} was made with other settings than clothtrack "
-            f"{__version__} makes it with; choose another folder, or remove this one"
+            f"{__version__} makes it with (printed, or not?); choose another folder, or remove "
+            "this one"
         )
 
 

@@ -69,6 +69,8 @@ class EpisodeConfig(Checked):
             that it always comes from.
         calibration_error_m: how far [m] the recording says the camera is from where it is, in a
             random direction.
+        printed: the cloth has a print and the colour pictures have noise. Nothing else depends on
+            it: depth and motion are those of the plain cloth.
     """
 
     size_m: tuple[float, float] | None = None
@@ -86,6 +88,7 @@ class EpisodeConfig(Checked):
     tool: Tool | None = None
     reach_across: bool = False
     calibration_error_m: Error = 0.0
+    printed: bool = False
 
 
 SMALL_WORLD = EpisodeConfig(
@@ -144,7 +147,8 @@ def simulate_trajectory(
     laid = partial(laid_down, pose=pose, height_m=fabric.contact_radius_m)
     world = FlexWorld(laid(flat), fabric)
     camera, usual_tool = top_down_camera(config.sensor, of_sensor), Tool.sample(of_sensor)
-    appearance = replace(Appearance.sample(of_sensor), tip=tip_color)
+    print_seed = seed if config.printed else None
+    appearance = replace(Appearance.sample(of_sensor), tip=tip_color, print_seed=print_seed)
     scene = Scene(flat, config.tool or usual_tool, camera)
     sensor = Sensor(scene, config.sensor, appearance, seed=int(of_sensor.integers(1 << 31)))
     wrong = config.template
