@@ -160,8 +160,7 @@ def run_experiment(
             sys.stderr.write(f"{error}\n")
             return 1
         if options.only:
-            runs = [(trajectory, variant) for trajectory, variant in runs if _wanted(
-                variant, options.only)]  # fmt: skip
+            runs = _only(runs, options.only)
         rows = setup.rows(name, runs)
         file = setup.out / f"{name}.jsonl"
         write_rows(rows, file)
@@ -196,8 +195,16 @@ def executor_of(options: argparse.Namespace) -> Executor:
     return RayExecutor(options.ray) if options.ray else finished_in_workers
 
 
-def _wanted(variant: Variant, names: Sequence[str]) -> bool:
-    return any(variant.name.startswith(name) for name in names)
+def _only(runs: Sequence[Run], names: Sequence[str]) -> list[Run]:
+    """Runs of the variants of these names; what names none is the beginning of some."""
+    all_names = {variant.name for _, variant in runs}
+    wanted = {
+        one
+        for one in all_names
+        for name in names
+        if one == name or (name not in all_names and one.startswith(name))
+    }
+    return [(trajectory, variant) for trajectory, variant in runs if variant.name in wanted]
 
 
 def _short(config: TrackerConfig) -> TrackerConfig:

@@ -14,10 +14,10 @@ from clothtrack.tracking import RunConfig, mode
 @pytest.fixture
 def bench(tmp_path):
     for name in ("towel_0", "towel_1", "tshirt_0", "tshirt_1"):
-        (tmp_path / "recordings" / name / "recording.json").write_text(name)
         for stream in ("depth", "color"):
             (tmp_path / "recordings" / name / stream).mkdir(parents=True)
             (tmp_path / "recordings" / name / stream / "000000.png").write_text("far")
+        (tmp_path / "recordings" / name / "recording.json").write_text(name)
         (tmp_path / "truth").mkdir(exist_ok=True)
         (tmp_path / "truth" / f"{name}.npz").write_text(name)
     (tmp_path / "recordings" / ".tshirt_2.partial").mkdir()
