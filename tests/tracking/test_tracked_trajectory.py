@@ -11,6 +11,7 @@ import pytest
 import zarr
 
 from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.files.sealed_zarr import seal
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.tracking import tracked_trajectory
 from clothtrack.tracking.tracked_trajectory import (
@@ -218,6 +219,12 @@ def test_a_result_without_checksums_is_to_be_tracked_again(path: Path) -> None:
 
     attributes_of(path, older)
     assert "version 1" in refused(path)
+
+
+@pytest.mark.parametrize("named", ["config", "provenance"])
+def test_what_is_no_set_of_named_values_is_told(path: Path, named: str) -> None:
+    seal(zarr.open_group(path, mode="r+"), {named: ["adam", 3]})
+    assert f"its {named} is ['adam', 3]" in refused(path)
 
 
 @pytest.mark.parametrize(("first", "last"), [(-1, 4), (0, 5), (3, 2)])

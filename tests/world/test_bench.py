@@ -69,6 +69,27 @@ def test_fifty_trajectories_and_ten_hard_ones() -> None:
     assert len({(one.kind, one.hardness) for one in hard}) == 10
 
 
+def test_the_printed_variant_is_the_same_but_for_its_print() -> None:
+    for plain, printed in zip(trajectories(), trajectories(printed=True), strict=True):
+        assert replace(printed, changes={}) == plain
+        config = printed.config(printed.seed)
+        assert config.printed
+        assert replace(config, printed=False) == plain.config(plain.seed)
+
+
+def test_a_list_from_before_a_setting_existed_is_gone_on_with(copy: Path) -> None:
+    whole = document(copy)
+    for entry in whole["trajectories"]:
+        del entry["varied"]["printed"]
+    (copy / "bench.json").write_text(json.dumps(whole))
+    filmed = []
+    generate_bench(copy, PAIR, progress=lambda *told: filmed.append(told))
+    assert document(copy) == whole  # nothing was filmed again
+    printed = [replace(one, changes={**TINY, "printed": True}) for one in PAIR]
+    with pytest.raises(InvalidConfigError, match="printed"):
+        generate_bench(copy, printed)
+
+
 def test_no_seed_is_used_twice_even_by_a_replacement() -> None:
     for kind in ("towel", "tshirt"):
         seeds = [seed for one in trajectories() if one.kind == kind for seed in one.seeds]

@@ -46,6 +46,20 @@ def test_recording_is_valid_and_complete(out: Path) -> None:
     assert np.allclose(np.diff([frame.time_s for frame in recording.frames]), 0.05)
 
 
+def test_a_print_changes_nothing_but_the_colour_pictures(out: Path, tmp_path: Path) -> None:
+    simulate(tmp_path, "towel", 1, seed=3, config=replace(TINY, printed=True))
+    plain, printed = (each / "recordings" / "towel_0003" for each in (out, tmp_path))
+    files = [each.relative_to(plain) for each in plain.rglob("*") if each.is_file()]
+    assert sorted(files) == sorted(
+        each.relative_to(printed) for each in printed.rglob("*") if each.is_file()
+    )
+    for each in files:
+        same = (plain / each).read_bytes() == (printed / each).read_bytes()
+        assert same == ("color" not in each.parts), each
+    truths = [(each / "truth" / "towel_0003.npz").read_bytes() for each in (out, tmp_path)]
+    assert truths[0] == truths[1]
+
+
 def test_truth_matches_the_frames_and_shows_an_action(out: Path) -> None:
     recording = read_recording(out / "recordings" / "towel_0003")
     truth = np.load(out / "truth" / "towel_0003.npz")

@@ -261,6 +261,11 @@ def _read(group: zarr.Group) -> TrackedTrajectory:
     attributes = sealed_attributes(group)
     if problem := name_problem(attributes["name"]):
         raise InvalidResultError(f"its name is {attributes['name']!r:.80}: {problem}")
+    for named in ("config", "provenance"):
+        if not isinstance(attributes[named], dict):
+            raise InvalidResultError(
+                f"its {named} is {attributes[named]!r:.80}, it must be a set of named values"
+            )
     canonical = take_array(group, "canonical") if "canonical" in attributes["contents"] else None
     mesh = ClothMesh(take_array(group, "rest_positions"), take_array(group, "faces"), canonical)
     frames = take_array(group, "frames")

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.files.bounds import Checked, NotNegative, Positive
+from clothtrack.files.bounds import Checked, Count, NotNegative, Positive
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
@@ -75,8 +75,8 @@ class EpisodeConfig(Checked):
 
     size_m: tuple[float, float] | None = None
     garment: str = ""
-    vertex_count: int = 1000
-    actions: int = 3
+    vertex_count: Count = 1000
+    actions: Count = 3
     settle_speed: Positive = 0.01
     settle_limit_s: NotNegative = 1.0
     picker_bias_m: Error = 0.0007
