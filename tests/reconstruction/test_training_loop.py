@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -91,6 +92,27 @@ def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):
     best = [load_weights(folder / "best.safetensors").tensors for folder in (whole, broken)]
     assert_same_bits(*best)
     assert without_time(whole) == without_time(broken)
+
+
+def test_two_trainings_in_one_folder_do_the_work_once(line, tmp_path):
+    whole, shared = tmp_path / "whole", tmp_path / "shared"
+    line.train_line(whole)
+    said = []
+
+    def try_meanwhile(name, done, total):
+        if done == STEPS // 2:
+            command = [sys.executable, str(SCRIPT), str(shared), "0", "0.1"]
+            said.append(subprocess.run(command, capture_output=True, text=True, check=False))
+
+    config = TrainingConfig(epochs=4, batch_size=4)
+    parts = (line.LineExamples(), line.LineExamples(12, seed=1), config, shared)
+    train(line.LineStage(), *parts, collate=line.line_batch, progress=try_meanwhile)
+    (second,) = said
+    assert second.returncode == 1
+    assert (
+        f"train is at work here already ({platform.node()}, process {os.getpid()}" in second.stderr
+    )
+    assert_same_bits(progress_of(whole)["weights"], progress_of(shared)["weights"])
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from torch.nn.parallel import DistributedDataParallel
 from clothtrack.errors import InvalidConfigError, InvalidResultError, StorageError
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import require_same
+from clothtrack.files.work_folder import WorkFolder
 from clothtrack.reconstruction.training.batches import BatchOrder, Draw, Examples, loader
 from clothtrack.reconstruction.training.checkpoint import (
     load_progress,
@@ -118,17 +119,20 @@ def train(
     Raises:
         InvalidResultError: the folder's progress is damaged or of another stage or preset, or no
             measurement was finite.
-        InvalidConfigError: it is of other settings or data, or the loss is not finite.
+        InvalidConfigError: it is of other settings or data, another process is at work in it, or
+            the loss is not finite.
         StorageError: when the disk refuses.
     """
     together = processes or Processes(device=str(next(stage.parameters()).device))
     order = BatchOrder(len(examples), config, together)
-    run = _Run(stage, config, folder, data or {}, together)
-    run.resume()
-    order.start = run.step
     held = _Measurement(held_out, collate, order.size, together)
     with ExitStack() as open_until_done:
         enter = open_until_done.enter_context
+        if together.writes:
+            enter(WorkFolder(folder, "train").alone())
+        run = _Run(stage, config, folder, data or {}, together)
+        run.resume()
+        order.start = run.step
         log = enter(TrainingLog(folder, last_step=run.step)) if together.writes else None
         terminated = enter(_termination_noted())
         if not run.is_judged:
