@@ -22,10 +22,9 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +41,7 @@ from shared.learning_runs import Tuner, content_digest
 from shared.run_tracker import track
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.files import with_settings
+from clothtrack.files import finished_in_workers, with_settings
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import quiet_warp
 from clothtrack.reconstruction import LearningConfig, load_model, network_mesh
@@ -139,10 +138,10 @@ class Plan:
     def all_pictures(self, cloths: Sequence[Cloth], weights: Path | None) -> list[Row]:
         """The rows of several recordings, in their order."""
         measure = partial(self.pictures, weights=weights)
-        if self.workers == 1:
-            return [row for cloth in cloths for row in measure(cloth)]
-        with ProcessPoolExecutor(self.workers, get_context("spawn"), quiet_warp) as pool:
-            return [row for rows in pool.map(measure, cloths) for row in rows]
+        with closing(finished_in_workers(measure, cloths, self.workers)) as made:
+            rows = [row for some in made for row in some]
+        order = {cloth.name: number for number, cloth in enumerate(cloths)}
+        return sorted(rows, key=lambda row: order[row["sequence"]])
 
     def pictures(self, cloth: Cloth, weights: Path | None) -> list[Row]:
         """One row per picture of a recording, by a network or, without one, by the tracker."""

@@ -19,9 +19,8 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import _path  # noqa: F401
@@ -33,6 +32,7 @@ from shared.figures import say, write_json
 from shared.run_tracker import MODE_NAMES, before_final_alignment, track
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.files import finished_in_workers
 from clothtrack.geometry import quiet_warp
 from clothtrack.tracking import TrackedTrajectory
 
@@ -101,13 +101,13 @@ SCORERS: dict[str, Callable[[Task], dict[str, object]]] = {
 }
 
 
-def attempt(task: Task) -> dict[str, object]:
-    """The figures of a task, or the reason why there are none."""
+def attempt(task: Task) -> tuple[Task, dict[str, object]]:
+    """A task and its figures, or the reason why there are none."""
     name = task.source.name if task.source.is_dir() else robot_clouds.NAME
     try:
-        return SCORERS[name](task)
+        return task, SCORERS[name](task)
     except ClothTrackError as error:
-        return {"error": str(error)}
+        return task, {"error": str(error)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -143,15 +143,9 @@ def judge(name: str, folder: Path, keep: Path, options: argparse.Namespace) -> d
         for recording, source in converted(name, folder, keep / "recordings", smoke=options.smoke)
         for mode in modes
     ]  # fmt: skip
-    if options.workers > 1:
-        with ProcessPoolExecutor(options.workers, get_context("spawn"), quiet_warp) as pool:
-            scores = list(pool.map(attempt, tasks))
-    else:
-        scores = [attempt(task) for task in tasks]
-    rows = [
-        {"sequence": task.name, "mode": task.mode, **score}
-        for task, score in zip(tasks, scores, strict=True)
-    ]
+    with closing(finished_in_workers(attempt, tasks, options.workers)) as made:
+        scores = dict(made)
+    rows = [{"sequence": task.name, "mode": task.mode, **scores[task]} for task in tasks]
     say(table(name, rows, smoke=options.smoke))
     return by_mode(rows, modes) if name == robot_clouds.NAME else head(rows)
 
