@@ -24,7 +24,7 @@ SETTING = re.compile(r"--set ([a-z][\w.]*)=|`(?!dotted\.name)(\w+(?:\.\w+)+)(=[^
 RECORDED = {"cloth", "template"}
 """Groups of settings that share their names with parts of recording.json."""
 VERBS = {verb.__name__.replace("_", "-"): verb for verb in cli.VERBS}
-OTHER_NAMES = {"settings": "set"}
+OTHER_NAMES = {"settings": "set", "printed": "print"}
 OF_ALL_VERBS = {"help", "verbose"}
 
 

@@ -18,7 +18,7 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.reconstruction.training import batches
 from clothtrack.reconstruction.training.batches import BatchOrder, Mixture, loader, split_by_group
 from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
-from clothtrack.reconstruction.training.processes import Processes, require_torch_device
+from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig, training_preset
 from clothtrack.reconstruction.training.training_log import read_scalars
 from clothtrack.reconstruction.training.training_loop import PROGRESS, train
@@ -390,18 +390,3 @@ def test_a_run_killed_before_its_first_save_is_judged_once(line, tmp_path):
     assert (progress_of(tmp_path)["step"], progress_of(tmp_path)["stale"]) == (0, 0)
     run()
     assert [row["step"] for row in read_scalars(tmp_path) if row["split"] == "held_out"] == [0, 10]
-
-
-@pytest.mark.parametrize("device", ["tpu", "cuda:x", "cudafast"])
-def test_a_device_that_cannot_be_is_refused(device):
-    with pytest.raises(InvalidConfigError, match="use cpu, cuda or cuda:0"):
-        require_torch_device(device)
-
-
-def test_a_graphics_card_that_is_not_there_is_refused(monkeypatch):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    require_torch_device("cuda")
-    require_torch_device("cuda:1")
-    with pytest.raises(InvalidConfigError, match="sees 2 GPUs"):
-        require_torch_device("cuda:2")
