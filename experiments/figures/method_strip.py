@@ -3,15 +3,16 @@
     python experiments method_strip --bench OUT --rows OUT/experiments \
         --recording tshirt_0003 --image docs/images/methods.png
 
-The first strip is the truth. Both sides of the cloth have their own hue, so that layers pushed
-through each other show as patches; the view from below, where there is no table, shows what the
-camera could not see.
+Several recordings stand under each other. Rows of several folders, as of two commits, stand beside
+the commit that they were tracked at. The first strip is the truth. Both sides of the cloth have
+their own hue, so that layers pushed through each other show as patches; the view from below, where
+there is no table, shows what the camera could not see.
 """
 
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import _path  # noqa: F401
@@ -54,11 +55,16 @@ class Strip:
     errors: Float[np.ndarray, " vertices"]
 
 
-def strips(rows: Sequence[Row], folder: Path, truth: Truth, action: int) -> list[Strip]:
-    """The truth and, after TTO2, every method that has rows, at the end of an action (from 1)."""
+def strips(rows: Sequence[tuple[str, Path, Row]], truth: Truth, action: int) -> list[Strip]:
+    """The truth and, after TTO2, every named row's mesh, at the end of an action (from 1).
+
+    Args:
+        rows: what each is called, the folder that it is of, and the row.
+        truth: of the recording.
+        action: counted from 1.
+    """
     found: dict[str, Strip] = {}
-    for row in rows:
-        name = str(row["variant"])
+    for name, folder, row in rows:
         if row["action"] != action or row["stage"] != "after" or name in found:
             continue
         with np.load((folder / str(row["run"])).with_suffix(".npz")) as meshes:
@@ -157,37 +163,53 @@ def _draw_mesh(picture: UInt8[np.ndarray, "height width 3"], camera: Camera, str
     cv2.drawContours(picture, outlines, -1, rgb255(INK), 1, cv2.LINE_AA)
 
 
+def rows_of(
+    folders: Sequence[Path], recording: str, methods: Sequence[str] | None
+) -> list[tuple[str, Path, Row]]:
+    """Rows of a recording, with the folder of each and the name that it has in the picture."""
+    return [
+        (_named(row, several=len(folders) > 1), folder, row)
+        for folder in folders
+        for source in SOURCES
+        if (folder / f"{source}.jsonl").exists()
+        for row in read_rows(folder / f"{source}.jsonl")
+        if row["recording"] == recording and "error" not in row
+        if methods is None or row["variant"] in methods
+    ]
+
+
+def _named(row: Row, *, several: bool) -> str:
+    return f"{row['variant']} at {row['provenance']['commit']}" if several else str(row["variant"])
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the strips and say where they are; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bench", type=Path, required=True, help="folder of the benchmark")
-    parser.add_argument("--rows", type=Path, help="folder of the rows (BENCH/experiments)")
-    parser.add_argument("--recording", required=True, help="its name")
+    parser.add_argument("--rows", type=Path, nargs="+", help="folders of rows (BENCH/experiments)")
+    parser.add_argument("--recording", nargs="+", required=True, help="names")
     parser.add_argument("--action", type=int, help="from 1; the last by default")
     parser.add_argument("--methods", nargs="+", help="variants; all by default")
     parser.add_argument("--limit-mm", type=float, default=30.0, help="error at the scale's red end")
     parser.add_argument("--image", type=Path, default=Path("docs/images/methods.png"))
     options = parser.parse_args(arguments)
     quiet_warp()
-    folder = options.rows or options.bench / "experiments"
-    rows = [
-        row
-        for source in SOURCES
-        if (folder / f"{source}.jsonl").exists()
-        for row in read_rows(folder / f"{source}.jsonl")
-        if row["recording"] == options.recording and "error" not in row
-        if options.methods is None or row["variant"] in options.methods
-    ]
-    if not rows:
-        say(f"no rows of {options.recording} in {folder}\n")
-        return 1
-    truth = Truth.load(options.bench / "truth" / f"{options.recording}.npz")
-    action = options.action or max(int(row["action"]) for row in rows)
-    frame = next(int(row["frame"]) for row in rows if row["action"] == action)
-    chosen = strips(rows, folder, truth, action)
-    recording = read_recording(options.bench / "recordings" / options.recording)
-    picture = draw(chosen, recording, frame, limit_mm=options.limit_mm)
-    write_png(options.image, picture)
+    folders = options.rows or [options.bench / "experiments"]
+    pictures = []
+    for name in options.recording:
+        rows = rows_of(folders, name, options.methods)
+        if not rows:
+            say(f"no rows of {name} in {', '.join(map(str, folders))}\n")
+            return 1
+        truth = Truth.load(options.bench / "truth" / f"{name}.npz")
+        action = options.action or max(int(row["action"]) for *_, row in rows)
+        frame = next(int(row["frame"]) for *_, row in rows if row["action"] == action)
+        chosen = strips(rows, truth, action)
+        if len(options.recording) > 1:
+            chosen[0] = replace(chosen[0], words=(f"{name}: the truth", ""))
+        recording = read_recording(options.bench / "recordings" / name)
+        pictures.append(draw(chosen, recording, frame, limit_mm=options.limit_mm))
+    write_png(options.image, np.vstack(pictures))
     say(f"{options.image}: {options.image.stat().st_size / 1e3:.0f} kB\n")
     return 0
 
