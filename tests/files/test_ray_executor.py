@@ -154,6 +154,18 @@ def test_what_no_machine_has_is_refused():
     assert list(RayExecutor(memory_gb=0.1)(abs, [-1], 2)) == [1]
 
 
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "[::1]:99999"])
+def test_an_address_where_nobody_listens_is_refused_at_once(address, tmp_path):
+    # In a process of its own: a Ray that runs here already is used, whatever the address.
+    command = [sys.executable, "-m", "clothtrack.cli", "bench", str(tmp_path / "out")]
+    done = subprocess.run(
+        [*command, "--ray", address], check=False, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 1
+    assert f"Ray at '{address}' does not answer" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
     out = tmp_path_factory.mktemp("world")

@@ -36,6 +36,9 @@ TRIES = 3
 _STORE_BYTES = 100 * 2**20
 """Of memory for objects, which Ray takes at its start; our items and results are small."""
 
+_ANSWER_S = 5.0
+"""Longest wait for somebody to listen at an address [s]."""
+
 _Logged = tuple[str, int, str]
 
 
@@ -163,6 +166,7 @@ def _started(address: str, processes: int) -> Any:
         ) from error
     if ray.is_initialized():
         return ray
+    _require_listener(address)
     options: dict[str, Any] = {}
     if address == HERE:
         # Sockets lie in it, whose names may have 107 characters.
@@ -182,6 +186,20 @@ def _started(address: str, processes: int) -> Any:
                 f"cluster, or {HERE} to start Ray on this machine"
             ) from error
     return ray
+
+
+def _require_listener(address: str) -> None:
+    """Refuse an address where nobody listens; Ray would try for minutes, and log every try."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not (host and port.isdigit()):
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER_S).close()
+    except (OSError, OverflowError) as error:
+        raise InvalidConfigError(
+            f"Ray at {address!r} does not answer ({error}); give the address of a running "
+            f"cluster, or {HERE} to start Ray on this machine"
+        ) from error
 
 
 @contextmanager
