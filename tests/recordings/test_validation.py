@@ -87,6 +87,10 @@ FILES = {
         replace_text("picker.csv", "0.1,0.0,0.3", "0.1,zero,0.3"),
         ["picker.csv", "line 4", "y_m is 'zero'", "write a number"],
     ),
+    "picker beyond all numbers": (
+        replace_text("picker.csv", "0.1,0.0,0.3", "0.1,1e200,0.3"),
+        ["picker.csv", "(0.1, 1e+200, 0.3)", "inf m from the nearest camera", "write metres"],
+    ),
     "picker in millimetres": (
         replace_text("picker.csv", "0.1,0.0,0.3", "100,0,30000"),
         ["picker.csv", "x_m, y_m, z_m of picker 'arm' at", "(100, 0, 30000)", "write metres"],

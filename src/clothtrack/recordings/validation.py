@@ -182,12 +182,13 @@ class _Check:
         paths = None
         with self.violations.of_errors(self._folder, PICKER_FILE):
             paths = read_picker_paths(file)
-        for name, path in (paths or {}).items():
-            distances = [
-                np.linalg.norm(path.positions - camera.position, axis=1) for camera in cameras
-            ]
-            nearest = np.min(distances, axis=0, initial=np.inf)
-            far = np.flatnonzero(np.isfinite(nearest) & (nearest > FARTHEST_MEDIAN_M))
+        for name, path in (paths or {}).items() if cameras else ():
+            with np.errstate(over="ignore"):  # farther than any number is far
+                distances = [
+                    np.linalg.norm(path.positions - camera.position, axis=1) for camera in cameras
+                ]
+            nearest = np.min(distances, axis=0)
+            far = np.flatnonzero(nearest > FARTHEST_MEDIAN_M)
             if len(far):  # not metres, most likely
                 x, y, z = path.positions[far[0]]
                 field = f"x_m, y_m, z_m of picker {name!r} at {path.time_s[far[0]]:g} s"
