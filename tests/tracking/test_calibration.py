@@ -75,6 +75,20 @@ def test_descent_starts_at_the_previous_optimum() -> None:
     assert (first[0] == 3.0).all()
 
 
+def test_descent_ends_as_soon_as_it_is_near_enough() -> None:
+    config, ended = CalibrationConfig(method="descent"), []
+    start_score = bowl(np.array([[START[name] for name in PARAMETERS]]), 1.0)[0]
+    for enough in (1.01 * start_score, 0.99 * start_score, 1.01e-4, 0.99e-4, 0.0):
+        chosen, record = calibrate(bowl, START, replace(config, enough=enough))
+        ended.append((len(record.scores), chosen))
+        if enough > 1e-4:
+            assert record.scores[record.best] <= enough
+    tried, chosen = zip(*ended, strict=True)
+    assert (tried[0], chosen[0]) == (1, START)
+    assert 1 < tried[1] < tried[2] < tried[3] == tried[4]
+    assert chosen[2] == chosen[3] == chosen[4]
+
+
 def test_an_uncertain_grasp_adds_its_offset_to_the_search() -> None:
     config = CalibrationConfig()
     assert config.with_grasp_offset(0.0) is config

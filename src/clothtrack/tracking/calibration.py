@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Checked, Count, Share
+from clothtrack.files.bounds import Checked, Count, NotNegative, Share
 from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
 from clothtrack.tracking.tracked_trajectory import Calibration
 
@@ -63,6 +63,8 @@ class CalibrationConfig(Checked):
         rank: share of the candidates that score better than the one that is taken: 0 takes the
             best; anything else asks how much tracking makes up for a bad calibration.
         sweeps: most passes over the axes in coordinate descent.
+        enough: coordinate descent ends as soon as its best scores no worse than this; judged by
+            tracking, 0.03 leaves most easy actions at one pass. 0: never.
     """
 
     method: Method = "descent"
@@ -70,6 +72,7 @@ class CalibrationConfig(Checked):
     axes: Mapping[str, tuple[float, ...]] = field(default_factory=_default_axes)
     rank: Share = 0.0
     sweeps: Count = 2
+    enough: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         """Refuse axes that are empty and values that cannot be meant.
@@ -218,6 +221,8 @@ def _descent(score: _Counted, config: CalibrationConfig) -> None:
     for _ in range(config.sweeps):
         before = best
         for column, values in enumerate(config.axes.values()):
+            if config.enough > 0.0 and score([best])[0] <= config.enough:
+                return
             line = [(*best[:column], value, *best[column + 1 :]) for value in values]
             best = line[int(np.argmin(score(line)))]
         if best == before:
