@@ -28,13 +28,15 @@ def _default_parameters() -> dict[str, float]:
 
 
 def _calibration() -> CalibrationConfig:
-    # Judged by tracking, a candidate costs a pass: the start is one, each axis adds its others.
+    # Judged by tracking, a candidate costs a pass. One in three actions ends at the first; what
+    # others lack, a second sweep and more values find more often than a first sweep of easy ones.
     axes = {
         "held_layers": (1.0, 2.0),
         "table_friction": (0.3, 1.0, 3.0),
-        "bend_compliance": (1.0, 10.0),
+        "bend_compliance": (0.1, 1.0, 10.0),
+        "particle_friction": (0.3, 1.0),
     }
-    return CalibrationConfig(judge="tracking", axes=axes, sweeps=1)
+    return CalibrationConfig(judge="tracking", axes=axes, sweeps=2, enough=0.03)
 
 
 def _alignment() -> AlignmentConfig:
