@@ -4,8 +4,7 @@ Claim judged: each change earns its place; and the order of the paper's Table 1,
 does not show on the benchmark, depends on how the visible vertices are held. The first half starts
 at the paper's method and keeps every change it has made; the last one, the slide to the outline,
 makes it the default. The second half takes away from the default the parts of the paper's Table 1,
-then its own: the search among candidates, part of it, the untangling, the points followed in
-colour.
+then its own: the search among candidates, the untangling, the points followed in colour.
 
     python experiments default_ablations --bench OUT --split test --workers 2
 """
@@ -72,7 +71,6 @@ def ablations() -> dict[str, TrackerConfig]:
         "TTO2": "use_final_alignment",
     }
     one_pass = replace(default.calibration, method="none")
-    shorter = replace(default.calibration, enough=0.03)
     tangled = replace(default.final_alignment, untangle=False)
     return {
         **{
@@ -80,7 +78,6 @@ def ablations() -> dict[str, TrackerConfig]:
             for part, field in without.items()
         },
         "default without search": replace(default, calibration=one_pass),
-        "default with a shorter search": replace(default, calibration=shorter),
         "default without untangling": replace(default, final_alignment=tangled),
         "default without colour": weighted(default, marks_weight=0.0),
     }

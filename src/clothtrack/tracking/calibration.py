@@ -117,11 +117,11 @@ class CalibrationConfig(Checked):
 
     @property
     def passes(self) -> int:
-        """Most passes over an action that tracking takes: those of a search, or the chosen one."""
+        """Passes over an action to reckon with: the chosen one, or a first sweep of the search."""
         if self.method == "none" or self.judge == "open_loop":
             return 1
         if self.method == "descent":
-            return 1 + self.sweeps * sum(len(values) - 1 for values in self.axes.values())
+            return 1 + sum(len(values) - 1 for values in self.axes.values())
         return self.size
 
 

@@ -28,8 +28,8 @@ def _default_parameters() -> dict[str, float]:
 
 
 def _calibration() -> CalibrationConfig:
-    # Judged by tracking, a candidate costs a pass. One in three actions ends at the first; what
-    # others lack, a second sweep and more values find more often than a first sweep of easy ones.
+    # Judged by tracking, a candidate costs a pass. Nearly half the actions need only one: the time
+    # is better spent on more values and a second sweep for the others.
     axes = {
         "held_layers": (1.0, 2.0),
         "table_friction": (0.3, 1.0, 3.0),

@@ -55,7 +55,7 @@ class Recorder:
             visible: which vertices some camera sees.
             progress: called after every frame.
             watch: is shown the first mesh now, and each that comes.
-            passes: most passes over an action, to tell how much there is to do.
+            passes: passes over an action to reckon with, to tell how much there is to do.
         """
         self._recording, self._mesh, self._visible = recording, mesh, visible
         self._progress, self._most, self._passes = progress, passes, 0

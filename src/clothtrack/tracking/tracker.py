@@ -96,7 +96,7 @@ class Tracker:
 
         Args:
             progress: called after every frame with action, candidate and frame; counts the frames
-                of all passes that may be needed.
+                of all passes that are to be reckoned with.
             watch: is shown every mesh.
         """
         recorder = Recorder(
