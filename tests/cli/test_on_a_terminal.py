@@ -90,7 +90,11 @@ def terminal(command, cwd):
 
 
 def test_a_tracking_run_has_one_line_that_is_rewritten(world):
-    command = f"{VERB} track recordings/towel_0001 --output tracked --set tracker.score_frames=1"
+    searched = " ".join(
+        f"--set tracker.{it}"
+        for it in ("score_frames=1", "calibration.enough=0", "calibration.sweeps=1")
+    )
+    command = f"{VERB} track recordings/towel_0001 --output tracked {searched}"
     with terminal(command, world) as on:
         assert on.ended() == 0
     *states, last = on.shown.replace("\r\n", "\n").split("\r")
@@ -99,7 +103,7 @@ def test_a_tracking_run_has_one_line_that_is_rewritten(world):
     assert not any("\n" in state for state in states)
     told = [
         re.fullmatch(
-            r" *(\d+) %.{15}towel_0001: action 1/1, candidate (\d)/5, frame (\d+)/(\d+)\x1b\[K",
+            r" *(\d+) %.{15}towel_0001: action 1/1, candidate (\d)/7, frame (\d+)/(\d+)\x1b\[K",
             state,
         )
         for state in states
@@ -154,7 +158,7 @@ def test_a_pipe_gets_a_line_every_half_minute_at_most(world):
 def test_ctrl_c_is_one_line_and_130_and_ends_a_loop_of_the_shell(world):
     track = f"{VERB} track recordings/towel_0001 --output broken"
     with terminal(f"for i in 1 2 3; do {track}; echo rc $?; done", world) as on:
-        on.until("candidate 1/5, frame")
+        on.until("candidate 1/7, frame")
         on.press(CTRL_C)
         assert on.ended() in (130, -2)
     _, _, after = on.shown.partition("^C")
@@ -162,7 +166,7 @@ def test_ctrl_c_is_one_line_and_130_and_ends_a_loop_of_the_shell(world):
     assert "clothtrack: interrupted; what was finished is whole" in after
     assert not list((world / "broken").glob("[!.]*"))
     with terminal(f"trap : INT; {track}; echo rc $?", world) as on:
-        on.until("candidate 1/5, frame")
+        on.until("candidate 1/7, frame")
         on.press(CTRL_C)
         on.ended()
     assert "rc 130" in on.shown
