@@ -89,13 +89,17 @@ class Recorder:
         if self._progress is None:
             return
         spans = [one.last_frame - one.first_frame for one in self._recording.actions]
-        number, most = len(self._actions), max(self._most, self._passes)
+        number, most, tried = len(self._actions), self._most, self._passes
         place, span = frame.index - action.first_frame, spans[number]
-        candidate = f", candidate {self._passes}/{most}" if most > 1 else ""
+        # A search that goes on after what was reckoned with waits there: no share steps back, and
+        # none is whole before the last candidate is.
+        within = min((tried - 1) * span + place, most * span - (most > 1))
+        of = f"/{most}" if tried <= most else ""
+        candidate = f", candidate {tried}{of}" if max(tried, most) > 1 else ""
         self._progress(
             f"{self._recording.name}: action {number + 1}/{len(spans)}{candidate}, "
             f"frame {place}/{span}",
-            most * sum(spans[:number]) + (self._passes - 1) * span + place,
+            most * sum(spans[:number]) + within,
             most * sum(spans),
         )
 
