@@ -24,7 +24,7 @@ from clothtrack.alignment.nearest import Matcher
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table
 
-__all__ = ["Alignment", "AlignmentConfig", "CloudAligner"]
+__all__ = ["Alignment", "AlignmentConfig", "CloudAligner", "Marks"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidResultError
-from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def material_points(
 ) -> Float[np.ndarray, "vertices 3"]:
     """World positions [m] of the material points that `material_map` found."""
     face, weights = where
-    return np.einsum("ij,ijk->ik", weights, positions[faces[face]])
+    return interpolate(weights, positions[faces[face]])
 
 
 def _check(arrays: Mapping[str, np.ndarray], path: Path) -> None:

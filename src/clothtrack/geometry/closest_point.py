@@ -99,13 +99,25 @@ def closest_on_triangle(
     return best
 
 
+def interpolate(
+    weights: Float[np.ndarray, "points 3"], corners: Float[np.ndarray, "points 3 values"]
+) -> Float[np.ndarray, "points values"]:
+    """What three corners have, at points between them: positions, normals, coordinates.
+
+    Args:
+        weights: barycentric coordinates of each point in its triangle.
+        corners: what its corners have.
+    """
+    return np.einsum("ij,ijk->ik", weights, corners)
+
+
 def _gaps(
     points: Float[np.ndarray, "pairs 3"],
     corners: Float[np.ndarray, "pairs 3 3"],
     weights: Float[np.ndarray, "pairs 3"],
 ) -> Float[np.ndarray, " pairs"]:
     """Distance of each point from the weighted mean of its triangle's corners."""
-    return np.linalg.norm(np.einsum("ij,ijk->ik", weights, corners) - points, axis=1)
+    return np.linalg.norm(interpolate(weights, corners) - points, axis=1)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

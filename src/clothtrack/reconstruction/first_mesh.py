@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import align
 from clothtrack.reconstruction.canonical_frame import symmetries
@@ -50,8 +50,8 @@ def _carried_over(
     from it as in the canonical pose: at the edge itself such points would fall together.
     """
     face, weights = closest_on_mesh(points, canonical, faces)
-    there = np.einsum("ij,ijk->ik", weights, positions[faces[face]])
-    beside = points - np.einsum("ij,ijk->ik", weights, canonical[faces[face]])
+    there = interpolate(weights, positions[faces[face]])
+    beside = points - interpolate(weights, canonical[faces[face]])
     gap = np.linalg.norm(beside, axis=1)
     for number in np.flatnonzero(gap > 1e-9):
         corner, *others = faces[face[number]]

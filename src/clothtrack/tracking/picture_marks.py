@@ -7,10 +7,10 @@ import logging
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from clothtrack.alignment.aligner import Marks
-from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.tracking.seams import State
@@ -71,7 +71,7 @@ class PictureMarks:
         points = observation.followed.positions[fresh]
         place, weights = closest_on_mesh(points, positions, self._faces[seen])
         face = seen[place]
-        gaps = np.linalg.norm(_at(positions, self._faces[face], weights) - points, axis=1)
+        gaps = np.linalg.norm(interpolate(weights, positions[self._faces[face]]) - points, axis=1)
         for index in np.flatnonzero(gaps < NEAR_M).tolist():
             self._bound[int(numbers[fresh][index])] = int(face[index]), weights[index]
         logger.info("%d followed points, %d bound to the cloth", len(numbers), len(self._bound))
@@ -87,7 +87,7 @@ class PictureMarks:
         found = [bound[number] for number in numbers[known].tolist()]
         corners = self._faces[[face for face, _ in found]]
         weights = np.stack([weights for _, weights in found])
-        miss = observation.followed.positions[known] - _at(positions, corners, weights)
+        miss = observation.followed.positions[known] - interpolate(weights, positions[corners])
         trust = 1.0 / (1.0 + (miss**2).sum(axis=1) / DOUBT_M**2) ** 2
         # A point pulls the corners of its triangle, each by its share, the way that it is off.
         share, count = (trust[:, None] * weights).ravel(), len(positions)
@@ -100,12 +100,3 @@ class PictureMarks:
 def no_marks(state: State, observation: Observation) -> None:  # noqa: ARG001
     """Throw the colour away, as the paper does."""
     return
-
-
-def _at(
-    positions: Float[np.ndarray, "vertices 3"],
-    corners: Int[np.ndarray, "points 3"],
-    weights: Float[np.ndarray, "points 3"],
-) -> Float[np.ndarray, "points 3"]:
-    """Points of triangles [m] by their barycentric coordinates."""
-    return np.einsum("ij,ijk->ik", weights, positions[corners])

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.closest_point import interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.world.tool import Tool
@@ -89,9 +90,9 @@ class Scene:
         points = self.camera.position + self._rays[shown] * depth[shown, None]
         height[shown] = points[:, 2]
         weights = _barycentric(points, vertices[faces])
-        material = _blend(weights, self._canonical[faces])
+        material = interpolate(weights, self._canonical[faces])
         corner_normals = _corner_normals(vertices, self._cloth.faces)
-        normals[shown] = _unit(_blend(weights, corner_normals[cloth.faces.ravel()[shown]]))
+        normals[shown] = _unit(interpolate(weights, corner_normals[cloth.faces.ravel()[shown]]))
         for pixels in (shown, rod_shown):
             facing[pixels] = np.abs(_dot(normals[pixels], self._sight[pixels]))
         shape = (self.camera.height, self.camera.width)
@@ -127,12 +128,6 @@ def _barycentric(
     second, third = (vv * wu - uv * wv) / area, (uu * wv - uv * wu) / area
     weights = np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
     return weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
-
-
-def _blend(
-    weights: Float[np.ndarray, "points 3"], values: Float[np.ndarray, "points 3 3"]
-) -> Float[np.ndarray, "points 3"]:
-    return np.einsum("pk,pkc->pc", weights, values)
 
 
 def _dot(

@@ -16,7 +16,7 @@ from torch import Tensor
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Checked, Count, Positive
 from clothtrack.geometry.camera import Camera, about_vertical
-from clothtrack.geometry.closest_point import closest_on_triangle
+from clothtrack.geometry.closest_point import closest_on_triangle, interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.canonical_frame import canonical_frame, check_canonical, conventional
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of
@@ -209,8 +209,8 @@ def draw_example(
     unit, labelled = canonical_of_points(points, picture, garment, cut_m=config.cut_m)
     face = rng.choice(len(garment.faces), config.surface_queries, p=garment.face_shares)
     within = rng.dirichlet(np.ones(3), config.surface_queries)
-    surface = np.einsum("qc,qcx->qx", within, garment.unit[garment.faces[face]])
-    positions = np.einsum("qc,qcx->qx", within, picture.positions[garment.faces[face]])
+    surface = interpolate(within, garment.unit[garment.faces[face]])
+    positions = interpolate(within, picture.positions[garment.faces[face]])
     asked = rng.integers(len(garment.pool.points), size=config.volume_queries)
     volume = garment.pool.points[asked].copy()
     if mirror:
@@ -254,7 +254,7 @@ def canonical_of_points(
         The coordinates, and where they are known.
     """
     face, weights, near = faces_of_points(points, picture, garment.faces, cut_m=cut_m)
-    unit = np.einsum("pc,pcx->px", weights, garment.unit[garment.faces[face]])
+    unit = interpolate(weights, garment.unit[garment.faces[face]])
     return unit, near
 
 
@@ -285,7 +285,7 @@ def faces_of_points(
     face = np.take_along_axis(picture.faces[rows, columns], nearest[:, None], axis=1)[:, 0]
     corners = faces[face]
     weights = closest_on_triangle(points, picture.positions[corners])
-    on_mesh = np.einsum("pc,pcx->px", weights, picture.positions[corners])
+    on_mesh = interpolate(weights, picture.positions[corners])
     near = np.linalg.norm(on_mesh - points, axis=1) <= cut_m
     return face, weights, near & (face >= 0)
 

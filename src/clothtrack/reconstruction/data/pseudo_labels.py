@@ -20,7 +20,7 @@ from clothtrack.errors import (
 )
 from clothtrack.files.sealed_npz import read_npz, write_npz
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.data.cloud_picture import cloud_picture
@@ -186,7 +186,7 @@ def projected_faces(
     used, corners = np.unique(faces[seen], return_inverse=True)
     corners = corners.reshape(-1, 3)
     face, weights = closest_on_mesh(points, positions[used], corners)
-    nearest = np.einsum("pc,pcx->px", weights, positions[used][corners[face]])
+    nearest = interpolate(weights, positions[used][corners[face]])
     near = np.linalg.norm(nearest - points, axis=1) <= cut_m
     shown[mask & (depth > 0)] = np.where(near, seen[face], -1)
     return shown

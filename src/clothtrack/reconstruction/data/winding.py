@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.files.bounds import Checked, Count, Positive, Share
+from clothtrack.geometry.closest_point import interpolate
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def winding_pool(
     areas = np.linalg.norm(normals, axis=1)
     chosen = rng.choice(len(faces), size=near, p=areas / areas.sum())
     weights = rng.dirichlet(np.ones(3), size=near)
-    surface = np.einsum("pc,pcx->px", weights, corners[chosen])
+    surface = interpolate(weights, corners[chosen])
     spread = surface + config.near_spread * rng.standard_normal(surface.shape)
     points = np.concatenate([np.clip(spread, 0.0, 1.0), rng.random((config.pool - near, 3))])
     points = points[rng.permutation(len(points))]

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.geometry.closest_point import closest_on_mesh
+from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
 
 TOKENS = 256
@@ -103,7 +103,7 @@ class GarmentTokens:
         else:
             places, sides = _of_two_layers(flat, side)
         face, blend = _on_layers(places, sides, flat, faces, of_face)
-        places = np.einsum("tc,tcx->tx", blend, flat[faces[face]])
+        places = interpolate(blend, flat[faces[face]])
         layered = _Layered(flat, faces, side, of_face)
         near, tokens, shares = _shares(layered, places, sides, faces[face])
         labellings, is_labelling = _labellings(places, sides, extent, layers)
@@ -119,7 +119,7 @@ class GarmentTokens:
         )
         return cls(
             size_m=size_m,
-            canonical=np.einsum("tc,tcx->tx", blend, canonical[faces[face]]),
+            canonical=interpolate(blend, canonical[faces[face]]),
             features=features.astype(np.float32),
             face=face,
             blend=blend,
@@ -136,7 +136,7 @@ class GarmentTokens:
         self, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
     ) -> Float[np.ndarray, "tokens 3"]:
         """Where the tokens are [m] when the vertices are there."""
-        return np.einsum("tc,tcx->tx", self.blend, positions[faces[self.face]])
+        return interpolate(self.blend, positions[faces[self.face]])
 
     def scaled(self, factor: float) -> "GarmentTokens":
         """The tokens of the same garment, larger by a factor (`ClothMesh.scaled`)."""
