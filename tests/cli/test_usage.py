@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import inspect
+import io
 import json
 import logging
 import re
@@ -10,7 +11,7 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 from clothtrack.cli.signature import name_of, options_of
-from clothtrack.cli.terminal import complain
+from clothtrack.cli.terminal import complain, say
 from clothtrack.cli.warnings_once import logged
 from clothtrack.files.settings import settings_of
 from clothtrack.version import __version__
@@ -55,6 +56,13 @@ def test_wrong_usage_is_one_line(words, told, capsys):
     assert shown.err.startswith("clothtrack: ")
     assert shown.err.count("\n") == 1
     assert told in shown.err
+
+
+def test_what_a_terminal_cannot_show_is_escaped(monkeypatch):
+    shown = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(shown, encoding="ascii"))
+    say("Zürich \ud800")
+    assert shown.getvalue() == rb"Z\xfcrich \ud800" + b"\n"
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -13,6 +13,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.state_store import (
     StateShard,
     open_states,
+    read_list,
     read_shard,
     shard_path,
     write_shard,
@@ -185,3 +186,13 @@ def test_a_folder_that_holds_no_states_is_told(tmp_path: Path) -> None:
     )
     with pytest.raises(InvalidResultError, match="no shard"):
         open_states(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "shards", ['{"0000.zarr": 3}', '{"0000.zarr": {"states": "8", "cpu_s": 1}}', "[1]", "7"]
+)
+def test_a_list_of_states_with_wrong_shards_is_told(tmp_path: Path, shards: str) -> None:
+    head = '{"format": "clothtrack-states", "version": 1, "kind": "towel", "shards": '
+    (tmp_path / "states.json").write_text(head + shards + "}")
+    with pytest.raises(InvalidResultError, match=r"states\.json: not the list of"):
+        read_list(tmp_path)

@@ -71,6 +71,10 @@ FILES = {
         replace_text("recording.json", "31.5", "NaN"),
         ["recording.json", "NaN stands where a number belongs"],
     ),
+    "half a character": (
+        replace_text("recording.json", '"version"', '"notes": ["\\ud800"], "version"'),
+        ["recording.json", r"half a character (\ud800)", "correct the JSON"],
+    ),
     "too large a number": (
         replace_text("recording.json", "31.5", "1e999"),
         ["recording.json", "1e999 is too large"],

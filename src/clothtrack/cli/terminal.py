@@ -36,7 +36,9 @@ progress = ProgressLine()
 def say(text: str) -> None:
     """Write a result."""
     progress.clear()
-    sys.stdout.write(text + "\n")
+    # What a terminal cannot show is escaped, as standard error does of itself.
+    encoding = sys.stdout.encoding or "utf-8"
+    sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
     # Whoever reads a pipe wants the address of a page before the page is closed.
     sys.stdout.flush()
 

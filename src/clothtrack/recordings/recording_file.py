@@ -3,6 +3,7 @@
 import difflib
 import json
 import math
+import re
 from collections.abc import Iterator
 from functools import cache
 from importlib.resources import files
@@ -33,6 +34,10 @@ _RULES = {
 """What breaking a rule of the schema means and what to do, with the rule's limit."""
 
 
+_HALF_CHARACTER = re.compile("[\ud800-\udfff]")
+"""Half of a pair of UTF-16: JSON can write it, and nothing can print it."""
+
+
 def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]:
     """The content of `recording.json`, or None with what keeps it from being read.
 
@@ -47,6 +52,8 @@ def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]
             parse_int=_number,
             object_pairs_hook=_without_doubles,
         )
+        if half := _HALF_CHARACTER.search(json.dumps(document, ensure_ascii=False)):
+            raise ValueError(f"half a character ({ascii(half[0])[1:-1]}) in a text")
     except FileNotFoundError:
         violations.add("", "", f"the file is missing; {_where_to_look(folder)}")
     except OSError as error:

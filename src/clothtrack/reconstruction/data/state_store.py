@@ -203,7 +203,11 @@ def read_list(folder: Path) -> dict[str, Any] | None:
         found = document["format"], document["version"], document["kind"]
         if found[:2] != (FORMAT, VERSION) or not isinstance(found[2], str):
             raise ValueError(f"it is {found[0]!r}, version {found[1]!r}")
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        for name, shard in document.get("shards", {}).items():
+            known = isinstance(shard["cpu_s"], int | float | type(None))
+            if not (known and isinstance(shard["states"], int)):
+                raise ValueError(f"shard {name} without its states and its time")
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InvalidResultError(
             f"{path}: not the list of {FORMAT} version {VERSION} ({error}); choose another folder "
             "or make it again"
