@@ -109,6 +109,10 @@ def test_unfinished_foreign_and_future_groups_are_refused(
     zarr.open_group(tmp_path / "fold.zarr", mode="r+").attrs["version"] = 99
     with pytest.raises(InvalidResultError, match="version 99"):
         TrackedTrajectory.load(tmp_path / "fold.zarr")
+    zarr.open_group(tmp_path / "fold.zarr", mode="r+").attrs["format"] = {"long": ["x"] * 1000}
+    with pytest.raises(InvalidResultError, match="its format is") as told:
+        TrackedTrajectory.load(tmp_path / "fold.zarr")
+    assert len(str(told.value)) < 500
 
 
 @pytest.mark.parametrize("spread", ["was not kept", "of nothing", "of three vertices"])

@@ -250,13 +250,13 @@ def _read(group: zarr.Group) -> TrackedTrajectory:
     stored = group.attrs.get("format"), group.attrs.get("version")
     if stored[0] != FORMAT:
         raise InvalidResultError(
-            f"its format is {stored[0]!r}, expected {FORMAT!r}: it was not finished or is "
+            f"its format is {stored[0]!r:.80}, expected {FORMAT!r}: it was not finished or is "
             "something else"
         )
     if stored[1] != FORMAT_VERSION:
         raise InvalidResultError(
-            f"it is of version {stored[1]!r}, this clothtrack reads {FORMAT_VERSION}: another one "
-            "wrote it"
+            f"it is of version {stored[1]!r:.80}, this clothtrack reads {FORMAT_VERSION}: another "
+            "one wrote it"
         )
     attributes = sealed_attributes(group)
     if problem := name_problem(attributes["name"]):

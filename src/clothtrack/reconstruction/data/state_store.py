@@ -202,7 +202,7 @@ def read_list(folder: Path) -> dict[str, Any] | None:
         document = json.loads(path.read_text(encoding="utf-8"))
         found = document["format"], document["version"], document["kind"]
         if found[:2] != (FORMAT, VERSION) or not isinstance(found[2], str):
-            raise ValueError(f"it is {found[0]!r}, version {found[1]!r}")
+            raise ValueError(f"it is {found[0]!r:.80}, version {found[1]!r:.80}")
         for name, shard in document.get("shards", {}).items():
             known = isinstance(shard["cpu_s"], int | float | type(None))
             if not (known and isinstance(shard["states"], int)):
@@ -298,8 +298,8 @@ def _check_version(group: zarr.Group) -> None:
     found = group.attrs.get("format"), group.attrs.get("version")
     if found != (FORMAT, VERSION):
         raise InvalidResultError(
-            f"its format is {found[0]!r} version {found[1]!r}, this clothtrack reads {FORMAT!r} "
-            f"version {VERSION}; it was not finished or is something else"
+            f"its format is {found[0]!r:.80} version {found[1]!r:.80}, this clothtrack reads "
+            f"{FORMAT!r} version {VERSION}; it was not finished or is something else"
         )
 
 
