@@ -58,6 +58,13 @@ def test_wrong_usage_is_one_line(words, told, capsys):
     assert told in shown.err
 
 
+def test_a_complaint_about_a_line_break_is_one_line(capsys):
+    assert cli.main(["calibrate-camera", "a\nb\x1b[2J"]) == 1
+    shown = capsys.readouterr()
+    assert shown.err.count("\n") == 1
+    assert r"a\nb\x1b[2J" in shown.err
+
+
 def test_what_a_terminal_cannot_show_is_escaped(monkeypatch):
     shown = io.BytesIO()
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(shown, encoding="ascii"))

@@ -33,3 +33,8 @@ def test_arrays_that_are_no_mesh_are_refused(vertices, faces, told):
 def test_canonical_coordinates_are_metres_too():
     with pytest.raises(InvalidMeshError, match=r"canonical coordinate is 1.0e\+07 m"):
         ClothMesh(VERTICES, FACES, VERTICES * 1e8)
+
+
+def test_canonical_coordinates_of_half_precision_are_read_without_a_warning():
+    mesh = ClothMesh(VERTICES, FACES, VERTICES.astype(np.float16))
+    assert mesh.canonical is not None

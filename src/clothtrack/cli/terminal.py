@@ -25,6 +25,8 @@ _SAME_REQUEST_S = 1.0
 _LONGEST_LINE = 1_000
 """Characters of a complaint."""
 
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]")
+
 _LONG_WORD = re.compile(r"\S{301,}")
 _WORD_END = 80
 """Characters that are shown of each end of a word that is longer than any path one would write."""
@@ -51,6 +53,8 @@ def say_result(text: str, document: object, *, json: bool) -> None:
 def complain(text: str) -> None:
     """Write one clear line of what is wrong; of what is very long the beginning and the end."""
     progress.clear()
+    # A line break in the name of a file, or what moves a cursor, would make more than one line.
+    text = _CONTROL.sub(lambda character: ascii(character[0])[1:-1], text)
     text = _LONG_WORD.sub(lambda word: f"{word[0][:_WORD_END]}...{word[0][-_WORD_END:]}", text)
     if len(text) > _LONGEST_LINE:
         # What stands in a file may be of any length; what to do stands at the end.

@@ -150,12 +150,16 @@ def _check_surface(mesh: ClothMesh) -> None:
             f"edge {edges[worst].tolist()} is {lengths[worst]:.1e} m long (at least 1e-6 m): "
             "duplicate vertices; merge them"
         )
-    if mesh.canonical is not None and len(mesh.canonical) != len(vertices):
+    if mesh.canonical is None:
+        return
+    if len(mesh.canonical) != len(vertices):
         raise InvalidMeshError(
             f"{len(mesh.canonical)} canonical coordinates for {len(vertices)} vertices"
         )
-    if mesh.canonical is not None and bool((np.abs(mesh.canonical) > FARTHEST_M).any()):
+    # The limit itself is too much for half precision.
+    distances = np.abs(mesh.canonical.astype(float))
+    if (distances > FARTHEST_M).any():
         raise InvalidMeshError(
-            f"a canonical coordinate is {np.nanmax(np.abs(mesh.canonical)):.1e} m (at most "
+            f"a canonical coordinate is {np.nanmax(distances):.1e} m (at most "
             f"{FARTHEST_M:g} m); scale the mesh to metres"
         )

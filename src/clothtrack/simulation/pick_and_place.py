@@ -67,7 +67,7 @@ class ActionConfig(Checked):
     lift_m: Lengths = (0.05, 0.1)
     speed: Speed = 0.25
     both_layers: Share = 0.5
-    grasp_radius_m: Length = 0.01
+    grasp_radius_m: Annotated[float, Bounds(above=0, most=10)] = 0.01
     reach_m: Length = 0.2
     release_height_m: Length = 0.004
     free_speed: Speed = 1.25

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 from clothtrack.alignment.aligner import AlignmentConfig
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Checked, Count, NotNegative, PositiveShare
+from clothtrack.files.bounds import Bounds, Checked, Count, PositiveShare
 from clothtrack.simulation.dynamics import DynamicsConfig
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.tracking.calibration import CalibrationConfig
@@ -65,8 +65,8 @@ class FinalAlignmentConfig(Checked):
     solver: Literal["adam", "icp"] = "adam"
     iterations: Count = 400
     slide: bool = True
-    rounds: Count = 2
-    roll_s: NotNegative = 0.1
+    rounds: Annotated[int, Bounds(least=1, most=100)] = 2
+    roll_s: Annotated[float, Bounds(least=0, most=10)] = 0.1
     untangle: bool = True
 
 
