@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidMeshError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
+from clothtrack.recordings.template_file import write_template
 from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking.flat_fit import InitialStateConfig, flat_fit
@@ -104,3 +105,13 @@ def test_says_what_is_missing(
 ) -> None:
     with pytest.raises(InvalidRecordingError, match=message):
         flat_fit(recording(cloth, table), cloud(np.zeros((points, 3))), InitialStateConfig())
+
+
+def test_a_template_in_millimetres_is_told(tmp_path: Path) -> None:
+    flat = garment("towel", vertex_count=100, size_m=(0.3, 0.2))
+    file = tmp_path / "towel.npz"
+    write_template(flat.with_vertices(1000.0 * flat.vertices), file)
+    points = laid_out("towel", (0.3, 0.2), 0.4)
+    config = InitialStateConfig(template=str(file))
+    with pytest.raises(InvalidMeshError, match=r"towel\.npz: .*150 m .* in metres"):
+        flat_fit(recording(ClothDescription("towel")), cloud(points), config)

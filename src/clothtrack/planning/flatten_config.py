@@ -2,11 +2,11 @@
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import content_hash
-from clothtrack.files.bounds import Checked, Count
+from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.files.extras import install_command
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
@@ -47,7 +47,7 @@ class FlattenConfig(Checked):
     materials: Count = 1
     simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
-    actions: Count = 10
+    actions: Annotated[int, Bounds(least=1, most=1000)] = 10
 
 
 def weights_used(config: FlattenConfig, kind: str) -> dict[str, Path]:

@@ -18,7 +18,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidMeshError, InvalidRecordingError
 from clothtrack.files.bounds import Checked
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.refinement import RefinementConfig
@@ -33,6 +33,9 @@ FITTED_KINDS = ("towel", "tshirt")
 RIM_M = 0.001
 """How far inside the cloth's edge the outermost points lie [m]. Where the edge cuts the cubes in
 which points are averaged, their mean is a quarter of a cube inside: 1 mm for the usual 4 mm."""
+
+FARTHEST_M = 10.0
+"""No vertex of a template is farther from its origin [m]: a file in millimetres is told by that."""
 
 STARTS = 12
 """Directions that the fit is started from, equally spaced: one is within 15 degrees."""
@@ -93,6 +96,7 @@ def flat_fit(recording: Recording, observation: Observation, config: InitialStat
 
     Raises:
         InvalidRecordingError: the kind has no outline, or table or cloud are missing.
+        InvalidMeshError: the template is larger than any garment.
     """
     if not config.template and recording.cloth.kind not in FITTED_KINDS:
         raise InvalidRecordingError(
@@ -122,6 +126,12 @@ def _fitted(
     cloth = recording.cloth
     if config.template:
         template = read_template(Path(config.template))
+        reach = float(np.abs(template.vertices[:, :2]).max())
+        if reach > FARTHEST_M:
+            raise InvalidMeshError(
+                f"{config.template}: a vertex lies {reach:.3g} m from the origin (at most "
+                f"{FARTHEST_M:g} m); write the template in metres, around the origin"
+            )
         unit, size_m = outline_of(template), (1.0, 1.0)
     else:
         template, unit, size_m = None, unit_outline(cloth.kind), cloth.size_m

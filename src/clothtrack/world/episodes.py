@@ -11,13 +11,14 @@ import logging
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.files.bounds import Checked, Count, NotNegative, Positive
+from clothtrack.files.bounds import Bounds, Checked, Count, NotNegative, Positive
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
@@ -76,7 +77,7 @@ class EpisodeConfig(Checked):
     size_m: tuple[float, float] | None = None
     garment: str = ""
     vertex_count: Count = 1000
-    actions: Count = 3
+    actions: Annotated[int, Bounds(least=1, most=1000)] = 3
     settle_speed: Positive = 0.01
     settle_limit_s: NotNegative = 1.0
     picker_bias_m: Error = 0.0007

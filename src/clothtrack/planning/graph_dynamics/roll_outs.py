@@ -14,13 +14,14 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float32, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.files.bounds import Checked, Count
+from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import begin_run
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
@@ -72,7 +73,7 @@ class RollOutConfig(Checked):
 
     vertex_count: int = 600
     starts: Count = 5
-    actions: Count = 10
+    actions: Annotated[int, Bounds(least=1, most=1000)] = 10
     frame_s: float = 0.05
     coarse: CoarseConfig = field(default_factory=CoarseConfig)
     motion: MotionConfig = field(
