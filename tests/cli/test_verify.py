@@ -78,7 +78,8 @@ def test_whole_artefacts_are_known_and_damaged_ones_told_in_one_line(artefacts, 
 def test_a_shard_that_is_listed_and_gone_is_missed(artefacts):
     folder = artefacts["states"]
     document = json.loads((folder / "states.json").read_text())
-    document["shards"] = {"0000.zarr": {}, "0001.zarr": {}}
+    made = {"states": 1, "cpu_s": None}
+    document["shards"] = {"0000.zarr": made, "0001.zarr": made}
     (folder / "states.json").write_text(json.dumps(document))
     assert ct.verify(folder).problems == ("shards/0001.zarr is missing",)
 
