@@ -28,17 +28,13 @@ def seen(points, numbers=None):
     return Observation(points, (), {}, None, np.zeros((0, 3)), 0.0, followed)
 
 
-def as_it_is(state, observation):
-    return state
-
-
 @pytest.fixture
 def marks():
     return PictureMarks(SQUARE, lambda positions: np.ones(len(positions), bool))
 
 
-def bind(marks, observation, positions=SQUARE.vertices, aligned=as_it_is):
-    marks.bind(Lying(positions[None]), observation, aligned=aligned)
+def bind(marks, observation, positions=SQUARE.vertices):
+    marks.bind(Lying(positions[None]), observation)
 
 
 def test_a_point_wants_its_material_point_where_it_is_now(marks):

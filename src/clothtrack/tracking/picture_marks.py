@@ -40,28 +40,16 @@ class PictureMarks:
             visible: which vertices some camera sees.
         """
         self._faces, self._visible = mesh.faces, visible
-        self._bound: dict[int, tuple[int, np.ndarray]] | None = None
+        self._bound: dict[int, tuple[int, np.ndarray]] = {}
 
-    def bind(
-        self,
-        state: State,
-        observation: Observation,
-        *,
-        aligned: Callable[[State, Observation], State],
-    ) -> None:
+    def bind(self, state: State, observation: Observation) -> None:
         """Bind the points that are followed here and not bound yet; forget those that are lost.
 
         Args:
             state: the cloth at the first frame of an action.
             observation: what is seen there.
-            aligned: a state of the cloth, aligned to a cloud; the first one is.
         """
-        numbers = observation.followed.numbers
-        if self._bound is None and len(numbers):
-            # What is bound to a first mesh that lies beside its cloud would hold it there. Later
-            # ones have been aligned.
-            state = aligned(state, observation)
-        before = self._bound or {}
+        numbers, before = observation.followed.numbers, self._bound
         self._bound = {number: before[number] for number in numbers.tolist() if number in before}
         fresh = np.array([number not in before for number in numbers.tolist()], dtype=bool)
         positions = state.positions[0].astype(np.float64)
@@ -80,7 +68,7 @@ class PictureMarks:
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
     ) -> Marks | None:
         """Where the followed points want vertices that are here now [m]; None without any."""
-        numbers, bound = observation.followed.numbers, self._bound or {}
+        numbers, bound = observation.followed.numbers, self._bound
         known = np.array([number in bound for number in numbers.tolist()], dtype=bool)
         if not known.any():
             return None

@@ -10,7 +10,6 @@ from clothtrack.files.progress import Progress
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.refinement import SETTLE_IN_S
-from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.solver import ClothSolver
@@ -22,7 +21,7 @@ from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.picking import pick, without_motion
 from clothtrack.tracking.picture_marks import PictureMarks, no_marks
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Dyn, Observe, Parts, State, Watch
+from clothtrack.tracking.seams import Dyn, Observe, Parts, Watch
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.visible_alignment import (
@@ -79,7 +78,7 @@ class Tracker:
             solver.step(SETTLE_IN_S)
             solver.place(start)
             solver.set_velocities(np.zeros_like(start))
-        self._state = solver.save()
+        state = solver.save()
         cameras = tuple(camera.resized(VISIBILITY_WIDTH) for camera in recording.cameras)
         self._visible = VisibilityCheck(
             mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M, device=device
@@ -88,6 +87,14 @@ class Tracker:
             recording, mesh, config, observe, self._visible,
             dynamics=ClothDynamics(solver, config.dynamics), device=device,
         )  # fmt: skip
+        if config.align_first_mesh:
+            first = recording.frames[0]
+            paths = recording.picker_paths.values()
+            held = any(path.closed_at(first.time_s) for path in paths)
+            # Whatever is searched or given, a replay with the chosen theta starts alike.
+            theta = TrackerConfig().parameters
+            state, _ = self.parts.align_last(state, theta, observe(first), held)
+        self._state = state
 
     def track(
         self, progress: Progress | None = None, watch: Watch | None = None
@@ -131,12 +138,6 @@ def _parts(
             device=device,
         )  # fmt: skip
 
-    def aligned_first(state: State, seen: Observation) -> State:
-        start_s = recording.frames[0].time_s
-        held = any(path.closed_at(start_s) for path in recording.picker_paths.values())
-        # Whatever is searched or given: a replay with the chosen theta binds the same points.
-        return align_last(state, TrackerConfig().parameters, seen, held)[0]
-
     def simulated(theta: Theta) -> Dyn:
         dynamics.solver.set_parameters(cloth_parameters(theta))
         return dynamics
@@ -157,5 +158,5 @@ def _parts(
         align=align if config.use_dynamics_initialisation else from_last_mesh(align),
         line_search=PseudoActionSearch(config.line_search, config.attachment_strength),
         align_last=align_last,
-        mark=partial(marks.bind, aligned=aligned_first) if config.uses_color else no_marks,
+        mark=marks.bind if config.uses_color else no_marks,
     )
