@@ -12,6 +12,7 @@ from clothtrack.simulation.dynamics import PickerAction
 from clothtrack.tracking.algorithm import track
 from clothtrack.tracking.calibrator import uncalibrated
 from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.ensemble import chosen_candidate
 from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.picture_marks import no_marks
 from clothtrack.tracking.recorder import Recorder
@@ -76,6 +77,7 @@ def parts(recording):
         dynamics=drifting,
         align=to_the_origin,
         line_search=half,
+        combine=chosen_candidate,
         align_last=no_final_alignment,
         mark=no_marks,
     )

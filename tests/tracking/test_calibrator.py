@@ -7,8 +7,8 @@ import pytest
 
 from clothtrack.tracking import algorithm
 from clothtrack.tracking.calibration import CalibrationConfig
-from clothtrack.tracking.calibrator import ends_apart
 from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.ensemble import ends_apart
 from clothtrack.tracking.pipeline import RunConfig, track_recording
 
 AXES = {"held_layers": (1.0, 2.0), "table_friction": (0.05, 1.0)}

@@ -23,6 +23,7 @@ from clothtrack.simulation.dynamics import HeldMotion, PickerAction
 from clothtrack.simulation.state import Attachment
 from clothtrack.tracking.algorithm import track
 from clothtrack.tracking.calibrator import uncalibrated
+from clothtrack.tracking.ensemble import chosen_candidate
 from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.picking import HeldCloth, find_grasps, without_motion
 from clothtrack.tracking.picture_marks import no_marks
@@ -127,6 +128,7 @@ def follow(
         dynamics=_still,
         align=align,
         line_search=Projection(mesh, config, recording.table),
+        combine=chosen_candidate,
         align_last=no_final_alignment,
         mark=no_marks,
     )

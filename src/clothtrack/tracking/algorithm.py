@@ -42,7 +42,8 @@ def track(
         followed = follow_with(theta)
         theta, last = followed.theta, recording.frames[action.last_frame]
         held = followed.grasps.closed_at(last.time_s)
-        state, losses = parts.align_last(followed.state, theta, parts.observe(last), held)  # TTO2
+        state = parts.combine(followed, theta, calibration)  # not in the paper
+        state, losses = parts.align_last(state, theta, parts.observe(last), held)  # TTO2
         recorder.keep(followed, state, losses, calibration)
 
 

@@ -5,7 +5,7 @@ them (paper, Sec. III-B.1).
 """
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from clothtrack.recordings.recording import PickAndPlace, Recording
 from clothtrack.simulation.state import ClothState
 from clothtrack.tracking.calibration import CalibrationConfig, Score, calibrate
 from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.ensemble import ends_apart, mean_end
 from clothtrack.tracking.open_loop import OpenLoopScore
 from clothtrack.tracking.picking import HeldCloth
 from clothtrack.tracking.seams import FollowedAction, Observe, State
@@ -65,14 +66,15 @@ class Calibrator:
         """
         held = self._pick(action, state, theta)
         config = self._to_search(action, held)
-        ends: dict[int, np.ndarray] = {}
+        passes: dict[int, tuple[FollowedAction, float]] = {}
 
         def tracked(rows: Float[np.ndarray, "candidates parameters"], _: float) -> np.ndarray:
             candidates = [dict(zip(PARAMETERS, row, strict=True)) for row in rows.tolist()]
             followed = [follow_with(each) for each in candidates]
+            gaps = [self._outline_gap(each) for each in followed]
             # Candidates that come to the same pass count once.
-            ends.update({id(each): each.positions[-1] for each in followed})
-            return np.array([self._outline_gap(each) for each in followed])
+            passes.update({id(one): (one, gap) for one, gap in zip(followed, gaps, strict=True)})
+            return np.array(gaps)
 
         by_tracking = config.judge == "tracking"
         score = tracked if by_tracking else self._open_loop_score(state, action, held, config)
@@ -82,7 +84,9 @@ class Calibrator:
             self._recording.name, action.first_frame, action.last_frame,
             {name: chosen[name] for name in calibration.names}, calibration.roll_outs,
         )  # fmt: skip
-        return chosen, replace(calibration, spread_m=ends_apart(ends.values()))
+        ends = [followed.positions[-1] for followed, _ in passes.values()]
+        mean_m = mean_end(ends, [gap for _, gap in passes.values()])
+        return chosen, replace(calibration, spread_m=ends_apart(ends), mean_m=mean_m)
 
     def _to_search(self, action: PickAndPlace, held: HeldCloth) -> CalibrationConfig:
         """What this recording and this action leave to be searched."""
@@ -126,19 +130,6 @@ class Calibrator:
             for place in range(count - 1, -1, -max(1, count // scored))[:scored]
         ]  # fmt: skip
         return float(np.mean(gaps))
-
-
-def ends_apart(
-    ends: Iterable[Float[np.ndarray, "vertices 3"]],
-) -> Float[np.ndarray, " all_or_none"]:
-    """Mean distance of each vertex from its mean over the ends of several passes [m].
-
-    Ends that are not finite are left out; empty when fewer than two are left.
-    """
-    sound = [end.astype(np.float64) for end in ends if np.isfinite(end).all()]
-    if len(sound) < 2:
-        return np.zeros(0)
-    return np.linalg.norm(sound - np.mean(sound, axis=0), axis=2).mean(axis=0)
 
 
 def uncalibrated(

@@ -81,8 +81,10 @@ class TrackerConfig(Checked):
             from the last mesh ("No Dyn Init").
         use_action: give the picker's motion to the dynamics, and calibrate ("No Act Cond").
         use_final_alignment: align once more at the end of an action ("No TTO2").
-        align_first_mesh: align the first mesh to its cloud as the end of an action is (TTO2), before
-            anything moves; its rest lengths stay.
+        align_first_mesh: align the first mesh to its cloud, as the mesh at the end of an action is
+            (TTO2), before anything moves; its rest lengths stay.
+        average_candidates: where a search has tracked several candidates, go on from their mean,
+            weighted by how well they fit, and not from the best one.
         attachment_strength: 1 holds the attached vertices at their targets ("held", the paper's
             pseudo-action); less pulls them there inside the solver loop ("soft"), so that
             contacts, stretch and table win over the observation.
@@ -107,6 +109,7 @@ class TrackerConfig(Checked):
     use_action: bool = True
     use_final_alignment: bool = True
     align_first_mesh: bool = True
+    average_candidates: bool = True
     attachment_strength: PositiveShare = 0.999
     attach_observed_only: bool = True
     attach_crossed: bool = False
@@ -156,6 +159,7 @@ _PAPER = TrackerConfig(
     },
     calibration=CalibrationConfig(),
     align_first_mesh=False,
+    average_candidates=False,
     attachment_strength=1.0,
     attach_observed_only=False,
     attach_crossed=True,

@@ -263,6 +263,21 @@ class Calibrate(Protocol):
 
 
 @runtime_checkable
+class Combine(Protocol):
+    """Makes one end of an action of the candidates that were followed to it."""
+
+    def __call__(self, followed: FollowedAction, theta: Theta, calibration: Calibration) -> State:
+        """The cloth that the final alignment starts from.
+
+        Args:
+            followed: the pass that was chosen.
+            theta: its parameters.
+            calibration: all candidates, and where they end in the mean.
+        """
+        ...
+
+
+@runtime_checkable
 class Mark(Protocol):
     """Colour as a second witness: binds points that are followed in the pictures to the cloth."""
 
@@ -287,6 +302,7 @@ class Parts:
         dynamics: dyn, given theta.
         align: TTO1.
         line_search: the pseudo-action.
+        combine: one end of an action of all candidates.
         align_last: TTO2.
         mark: binds points that are followed in the pictures to the cloth, at every action.
     """
@@ -297,5 +313,6 @@ class Parts:
     dynamics: Dynamics
     align: Aligner
     line_search: LineSearch
+    combine: Combine
     align_last: AlignLast
     mark: Mark

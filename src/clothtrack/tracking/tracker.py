@@ -16,6 +16,7 @@ from clothtrack.simulation.solver import ClothSolver
 from clothtrack.tracking.algorithm import track
 from clothtrack.tracking.calibrator import Calibrator, uncalibrated
 from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.ensemble import MeanOfCandidates, chosen_candidate
 from clothtrack.tracking.final_alignment import FinalAlignment, no_final_alignment
 from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.picking import pick, without_motion
@@ -157,6 +158,7 @@ def _parts(
         dynamics=simulated,
         align=align if config.use_dynamics_initialisation else from_last_mesh(align),
         line_search=PseudoActionSearch(config.line_search, config.attachment_strength),
+        combine=(MeanOfCandidates(dynamics) if config.average_candidates else chosen_candidate),
         align_last=align_last,
         mark=marks.bind if config.uses_color else no_marks,
     )

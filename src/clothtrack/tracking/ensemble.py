@@ -1,0 +1,92 @@
+"""The candidates of a search as an ensemble: where they end apart, and their mean.
+
+Cloth in contact is chaotic. Candidates that fit the pictures alike end in folds that differ by
+chance, and the mean of their ends is nearer to the truth than the one that fits best.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.state import Attachment
+from clothtrack.tracking.seams import FollowedAction, State
+from clothtrack.tracking.theta import Theta, cloth_parameters
+from clothtrack.tracking.tracked_trajectory import Calibration
+
+SCORE_SCALE = 0.1
+"""A candidate whose score is worse than the best by this share of it weighs 1 / e."""
+
+ROLL_S = 0.1
+"""Time in which the dynamics take the cloth to the mean [s]."""
+
+STRENGTH = 1.0 - 1e-5
+"""Strength of the pull to the mean: contacts and stretch still win over it."""
+
+
+def ends_apart(
+    ends: Iterable[Float[np.ndarray, "vertices 3"]],
+) -> Float[np.ndarray, " all_or_none"]:
+    """Mean distance of each vertex from its mean over the ends of several passes [m].
+
+    Ends that are not finite are left out; empty when fewer than two are left.
+    """
+    sound = [end.astype(np.float64) for end in ends if np.isfinite(end).all()]
+    if len(sound) < 2:
+        return np.zeros(0)
+    return np.linalg.norm(sound - np.mean(sound, axis=0), axis=2).mean(axis=0)
+
+
+def mean_end(
+    ends: Sequence[Float[np.ndarray, "vertices 3"]], scores: Sequence[float]
+) -> Float[np.ndarray, "all_or_none 3"]:
+    """Mean of the ends of several passes [m], weighted by how well each fits.
+
+    Args:
+        ends: vertices at the last frame.
+        scores: of each pass, lower is better, above 0; one that is not finite weighs nothing.
+
+    Returns:
+        The mean; empty when fewer than two passes weigh anything.
+    """
+    sound = [number for number, score in enumerate(scores) if np.isfinite(score)]
+    if len(sound) < 2:
+        return np.zeros((0, 3))
+    worse = np.array([scores[number] for number in sound])
+    worse = worse / max(float(worse.min()), 1e-9) - 1.0
+    weights = np.exp(-worse / SCORE_SCALE)
+    stacked = np.stack([ends[number].astype(np.float64) for number in sound])
+    return np.tensordot(weights / weights.sum(), stacked, axes=1)
+
+
+class MeanOfCandidates:
+    """Takes the chosen pass to the mean of all candidates, by the dynamics."""
+
+    def __init__(self, dynamics: ClothDynamics) -> None:
+        """Take what rolls the cloth there, so that layers keep their sides and edges lengths."""
+        self._dynamics = dynamics
+
+    def __call__(self, followed: FollowedAction, theta: Theta, calibration: Calibration) -> State:
+        """The cloth at the end of an action, at rest; as it is where there was no search."""
+        state, wanted = followed.state, calibration.mean_m
+        if not len(wanted):
+            return state
+        solver = self._dynamics.solver
+        solver.set_parameters(cloth_parameters(theta))
+        pull = np.full((1, len(wanted)), STRENGTH, np.float32)
+        targets = wanted[None].astype(np.float32)
+        rolled = self._dynamics.roll_out(state, None, ROLL_S, Attachment(targets, pull))
+        if not np.isfinite(rolled.positions).all():
+            return state
+        solver.set_velocities(np.zeros_like(state.velocities))
+        return solver.save()
+
+
+def chosen_candidate(
+    followed: FollowedAction,
+    theta: Theta,  # noqa: ARG001
+    calibration: Calibration,  # noqa: ARG001
+) -> State:
+    """The end of the pass that was chosen, as in the paper."""
+    return followed.state
