@@ -60,7 +60,7 @@ class MovingGrid:
         while counts.prod() > _MOST_CELLS:
             cell_m *= 1.25
             counts = np.floor(extent / cell_m).astype(np.int64) + 1
-        cells = int(counts.prod())
+        self.count = cells = int(counts.prod())
         self.members = wp.array(members.astype(np.int32), dtype=wp.int32, device=device)
         self.recorded = wp.zeros(points, dtype=wp.vec3, device=device)
         self.cells = kernels.Grid()
@@ -137,8 +137,8 @@ class Matcher:
         self._cloud_grid.build(cloud)
         self._cloud, self.searched = cloud, wp.array(visible, dtype=wp.bool, device=device)
         self._nearest = wp.full(len(points), -1, dtype=wp.int32, device=device)
-        self._others = wp.zeros(len(points), dtype=wp.float32, device=device)
-        self._searched_at = wp.zeros(len(points), dtype=wp.float32, device=device)
+        self._cells = wp.zeros(len(points), dtype=wp.int32, device=device)
+        self._limit = wp.zeros(len(points), dtype=wp.float32, device=device)
         self.pulled_count = wp.zeros(vertices, dtype=wp.int32, device=device)
         self.pulled_sum = wp.zeros(3 * vertices, dtype=wp.int64, device=device)
         self._seekers = wp.array(seekers.astype(np.int32), dtype=wp.int32, device=device)
@@ -148,8 +148,8 @@ class Matcher:
         self.partner = wp.full(vertices, -1, dtype=wp.int32, device=device)
         self.progress = kernels.Progress()
         self.progress.iteration = wp.full(1, -1, dtype=wp.int32, device=device)
-        self.progress.travelled = wp.zeros(1, dtype=wp.float32, device=device)
-        self.progress.step = wp.zeros(1, dtype=wp.float32, device=device)
+        self.progress.travelled = wp.zeros(self.grid.count, dtype=wp.float32, device=device)
+        self.progress.step = wp.zeros(self.grid.count, dtype=wp.float32, device=device)
         self.progress.stale = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.next_stale = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.partners = wp.zeros(1, dtype=wp.int32, device=device)
@@ -172,7 +172,7 @@ class Matcher:
 
     def matching(self, positions: wp.array, sums: wp.array) -> list[Command]:
         """What `launch` does, command by command."""
-        advance = launching(kernels.advance, 1, [self.progress], self._device)
+        advance = launching(kernels.advance, self.grid.count, [self.progress], self._device)
         match_points = launching(
             kernels.match_points,
             -(-len(self._cloud) // self._strip),
@@ -183,8 +183,8 @@ class Matcher:
                 self.progress,
                 self._reach,
                 self._nearest,
-                self._others,
-                self._searched_at,
+                self._cells,
+                self._limit,
                 self.pulled_count,
                 self.pulled_sum,
                 sums,
@@ -217,6 +217,13 @@ class Matcher:
     def nearest_vertices(self) -> np.ndarray:
         """Vertex that each cloud point belongs to."""
         return self._nearest.numpy()
+
+    def limits(self) -> np.ndarray:
+        """Distance of each cloud point's runner-up [m] and the way until then: renewed by a search.
+
+        Whatever changes here was searched.
+        """
+        return self._limit.numpy().copy()
 
     def partners(self) -> np.ndarray:
         """Cloud point that each vertex is pulled to, or -1."""
