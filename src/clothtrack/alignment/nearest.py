@@ -128,10 +128,10 @@ class Matcher:
         members, seekers = np.flatnonzero(visible), np.flatnonzero(trusted)
         seen, points = positions.numpy()[members], cloud.numpy()
         self.grid = MovingGrid(
-            members, seen.min(0), seen.max(0), cell_m=spacing_m, points=vertices, device=device
+            members, *_box(seen), cell_m=spacing_m, points=vertices, device=device
         )
         self._cloud_grid = MovingGrid(
-            np.arange(len(points)), points.min(0), points.max(0),
+            np.arange(len(points)), *_box(points),
             cell_m=spacing_m, points=len(points), device=device,
         )  # fmt: skip
         self._cloud_grid.build(cloud)
@@ -228,3 +228,11 @@ class Matcher:
     def partners(self) -> np.ndarray:
         """Cloud point that each vertex is pulled to, or -1."""
         return self.partner.numpy()
+
+
+def _box(
+    points: Float[np.ndarray, "points 3"],
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+    """Lower and upper corner of the box around points [m]."""
+    # Axis by axis: extremes along rows of three are slow.
+    return np.array([axis.min() for axis in points.T]), np.array([axis.max() for axis in points.T])
