@@ -24,7 +24,7 @@ def test_every_picture_is_segmented_once_also_where_points_are_followed(tmp_path
     recording = read_recording(tmp_path / "r")
     pictures = []
 
-    def segmenter(color, depth_m, camera, table):  # noqa: ARG001
+    def segmenter(color, depth_m, camera, table):
         pictures.append(color)
         return np.pad(np.ones((80, 100), bool), ((20, 20), (30, 30)))
 
