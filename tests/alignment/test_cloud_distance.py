@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from clothtrack.alignment.cloud_distance import within_reach
+from clothtrack.alignment.cloud_distance import beside, within_reach
 
 
 @pytest.mark.parametrize("reach_m", [0.03, 0.05, 0.2])
@@ -19,3 +19,17 @@ def test_nothing_is_within_reach_of_nothing():
     points = np.zeros((4, 3))
     assert not len(within_reach(points, points[:0], 0.1))
     assert not len(within_reach(points[:0], points, 0.1))
+
+
+@pytest.mark.parametrize("spread_m", [0.2, 50.0])
+def test_what_is_beside_vertices_holds_all_points_within_reach(spread_m):
+    rng = np.random.default_rng(1)
+    vertices = rng.uniform(-spread_m, spread_m, (30, 3))
+    points = rng.uniform(-0.3, 0.3, (2000, 3)) + vertices[rng.integers(30, size=2000)]
+    points[:500] += 2.0 * spread_m
+    kept = beside(points, vertices, 0.05)
+    distance = cdist(points, vertices).min(axis=1)
+    places = {tuple(point) for point in kept}
+    assert all(tuple(point) in places for point in points[distance <= 0.05])
+    assert spread_m > 1.0 or len(kept) < len(points) - 500
+    assert not len(beside(points, vertices[:0], 0.05))

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.quality import below, close_pairs, crossing_edges, crossings, edge_strain
+from clothtrack.geometry.quality import (
+    CrossingCheck,
+    below,
+    close_pairs,
+    crossing_edges,
+    crossings,
+    edge_strain,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -84,6 +91,19 @@ def test_what_crosses_is_named_by_its_vertices():
     assert (corners[:, :2].max(axis=0) >= needle[0, :2]).all()
     nothing = crossing_edges(sheet, faces)
     assert [part.shape for part in nothing] == [(0, 2), (0, 3)]
+
+
+def test_a_check_of_moving_vertices_finds_what_a_new_one_finds():
+    rng = np.random.default_rng(5)
+    vertices, faces = grid(8, 0.1)
+    check = CrossingCheck(faces)
+    for spread in (0.0, 0.03, 0.01, 0.0):
+        moved = vertices + rng.normal(scale=spread, size=vertices.shape)
+        for found, anew in zip(check(moved), crossing_edges(moved, faces), strict=True):
+            np.testing.assert_array_equal(found, anew)
+            assert bool(len(found)) == (spread > 0.0)
+    moved[3] = np.nan
+    assert len(check(moved)[0]) == crossings(moved, faces)
 
 
 def test_a_vertex_that_is_nowhere_crosses_nothing():

@@ -90,6 +90,19 @@ def test_triangle_that_reaches_behind_the_camera_is_drawn_where_it_is_in_front()
     np.testing.assert_allclose(seen.depth[sure], depth[sure], rtol=1e-3)
 
 
+@pytest.mark.parametrize("offset", [(0.1, 0.0), (0.45, -0.3), (5.0, 0.0)])
+@pytest.mark.parametrize("height", [0.0, 0.9, 0.9995, 2.0])
+def test_the_window_of_a_mesh_holds_all_that_is_drawn(offset, height):
+    vertices, faces = grid(7, 0.3, height, offset)
+    vertices[:, 2] += 0.05 * vertices[:, 0]
+    rasteriser = Rasteriser(faces, camera())
+    window = rasteriser.window(vertices)
+    drawn = rasteriser.render(vertices).faces
+    np.testing.assert_array_equal(rasteriser.faces_within(vertices, window), drawn[window])
+    drawn[window] = -1
+    assert (drawn == -1).all()
+
+
 def test_a_mesh_behind_the_camera_leaves_the_image_empty():
     vertices, faces = grid(5, 0.3, height=2.0)
     seen = Rasteriser(faces, camera()).render(vertices)

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.known_masks import KnownMasks
+from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.point_following import HOME_PX, follow_points
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
@@ -116,3 +118,18 @@ def test_a_picture_without_colour_ends_what_is_followed(tmp_path):
     recording.frames[1].color.clear()
     found = follow_points(recording)
     assert [len(found[index].numbers) > 0 for index in range(3)] == [True, False, False]
+
+
+def test_a_cloud_of_the_known_mask_is_the_cloud_of_the_picture(tmp_path):
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[20:90, 30:121] = True
+    mask[100:104, 5:9] = True  # a speck, which is not of the cloth
+    recording = recorded(tmp_path / "r", [cut(printed(), (0.0, 0.0))] * 2, masks=[mask] * 2)
+    masks = {0: KnownMasks(), 1: KnownMasks()}
+    assert not masks[0].knows(recording.frames[0].depth)
+    follow_points(recording, masks=masks)
+    for frame in recording.frames:
+        assert masks[frame.index].knows(frame.depth)
+        seen, again = observe(recording, frame), observe(recording, frame, masks[frame.index])
+        np.testing.assert_array_equal(seen.points, again.points)
+        np.testing.assert_array_equal(seen.hidden["top"], again.hidden["top"])

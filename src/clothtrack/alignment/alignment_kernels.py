@@ -25,7 +25,9 @@ from clothtrack.alignment.nearest_kernels import (
     _NOT_NEGATIVE,
     FIXED_POINT_LENGTH,
     FIXED_POINT_SQUARE,
+    Grid,
     Progress,
+    record_step,
 )
 
 COLUMNS = DATA, RIGIDITY, TWO_WAY, LENGTH, TABLE, MARKS, PARTNERS = tuple(range(7))
@@ -153,14 +155,13 @@ def _slope(
 @no_type_check
 @wp.struct
 class Tally:
-    """Squares and longest ways of the vertices that one thread looks after."""
+    """Squares and longest way of the vertices that one thread looks after."""
 
     rigidity: wp.float64
     two_way: wp.float64
     length: wp.float64
     table: wp.float64
     marks: wp.float64
-    step: wp.float32
     stale: wp.float32
 
 
@@ -185,7 +186,6 @@ def _record(tally: Tally, progress: Progress, sums: wp.array2d(dtype=wp.int64)):
     wp.atomic_add(sums, row, 4, wp.int64(tally.table * _SQUARE_UNIT))
     wp.atomic_add(sums, row, 5, wp.int64(tally.marks * _SQUARE_UNIT))
     sums[row, 6] = wp.int64(progress.partners[0])
-    wp.atomic_max(progress.step, 0, tally.step)
     wp.atomic_max(progress.next_stale, 0, tally.stale)
 
 
@@ -217,6 +217,7 @@ def step_adam(
     weights: Weights,
     progress: Progress,
     step_m: wp.float32,
+    grid: Grid,
     searched: wp.array(dtype=wp.bool),
     recorded: wp.array(dtype=wp.vec3),
     initial: wp.array(dtype=wp.vec3),
@@ -253,7 +254,7 @@ def step_adam(
         new_positions[vertex] = position
         # Only vertices that a search can return count: how far others go is of no interest.
         if searched[vertex]:
-            tally.step = wp.max(tally.step, wp.length(position - positions[vertex]))
+            record_step(grid, progress, positions[vertex], position)
             tally.stale = wp.max(tally.stale, wp.length(position - recorded[vertex]))
     _record(tally, progress, sums)
 
@@ -475,6 +476,7 @@ def apply_solution(
     sums: wp.array2d(dtype=wp.int64),
     momentum: wp.float32,
     last_row: wp.int32,
+    grid: Grid,
     searched: wp.array(dtype=wp.bool),
     recorded: wp.array(dtype=wp.vec3),
     initial: wp.array(dtype=wp.vec3),
@@ -494,7 +496,6 @@ def apply_solution(
         ahead = 0.0
     elif row > 0 and _objective(weights, sums, row) > _objective(weights, sums, row - 1):
         ahead = 0.0
-    longest = float(0.0)
     stale = float(0.0)
     strip = wp.tid()
     end = wp.min((strip + 1) * conjugate.strip, positions.shape[0])
@@ -504,9 +505,8 @@ def apply_solution(
         solved[vertex] = solution
         position = initial[vertex] + displacement
         if searched[vertex]:
-            longest = wp.max(longest, wp.length(position - positions[vertex]))
+            record_step(grid, progress, positions[vertex], position)
             stale = wp.max(stale, wp.length(position - recorded[vertex]))
         displacements[vertex] = displacement
         positions[vertex] = position
-    wp.atomic_max(progress.step, 0, longest)
     wp.atomic_max(progress.next_stale, 0, stale)

@@ -89,8 +89,8 @@ def solve_adam(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, n
             kernels.step_adam,
             dim=-(-len(initial) // strip),
             inputs=[
-                *problem.objective, ADAM_STEP_M, matcher.searched, matcher.grid.recorded,
-                initial, *source, sums, *moments, *target, strip,
+                *problem.objective, ADAM_STEP_M, matcher.grid.cells, matcher.searched,
+                matcher.grid.recorded, initial, *source, sums, *moments, *target, strip,
             ],
             device=initial.device,
         )  # fmt: skip
@@ -126,8 +126,8 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
     linearise = [*problem.objective, positions, displacements, sums, conjugate]
     apply = [
         problem.weights, matcher.progress, sums, config.icp_momentum, config.iterations - 1,
-        matcher.searched, matcher.grid.recorded, initial, conjugate, solved, positions,
-        displacements,
+        matcher.grid.cells, matcher.searched, matcher.grid.recorded, initial, conjugate, solved,
+        positions, displacements,
     ]  # fmt: skip
     if on_cpu:
         solve = [launching(kernels.solve_alone, 1, [*system, config.icp_inner], device)]

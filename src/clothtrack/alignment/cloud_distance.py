@@ -6,6 +6,9 @@ from scipy.spatial import cKDTree
 
 from clothtrack.recordings.point_cloud import Observation
 
+MOST_CUBES = 1 << 20
+"""Vertices that are spread over more cubes than this keep every point beside them."""
+
 
 def within_reach(
     points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], reach_m: float
@@ -30,14 +33,49 @@ def _share_a_cube(
     """
     origin = vertices.min(axis=0)
     cells = np.floor((vertices - origin) / side_m).astype(np.int64)
-    shape = cells.max(axis=0) + 1
-    filled = np.zeros(shape, dtype=bool)
+    filled = np.zeros(cells.max(axis=0) + 1, dtype=bool)
     filled[tuple(cells.T)] = True
-    index = np.floor((points - origin) / side_m)
-    inside = ((index >= 0) & (index < shape)).all(axis=1)
-    sharing = np.zeros(len(points), dtype=bool)
-    sharing[inside] = filled[tuple(index[inside].astype(np.int64).T)]
-    return sharing
+    return _in_filled_cubes(points, filled, origin, side_m)
+
+
+def _in_filled_cubes(
+    points: Float[np.ndarray, "points 3"],
+    filled: Bool[np.ndarray, "width depth height"],
+    origin: Float[np.ndarray, " 3"],
+    side_m: float,
+) -> Bool[np.ndarray, " points"]:
+    # Axis by axis: what is done along rows of three is slow.
+    index = [
+        np.floor((axis - start) / side_m) for axis, start in zip(points.T, origin, strict=True)
+    ]
+    inside = np.ones(len(points), dtype=bool)
+    for axis, count in zip(index, filled.shape, strict=True):
+        inside &= (axis >= 0) & (axis < count)
+    near = np.flatnonzero(inside)
+    inside[near] = filled[tuple(axis[near].astype(np.int64) for axis in index)]
+    return inside
+
+
+def beside(
+    points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], reach_m: float
+) -> Float[np.ndarray, "near_points 3"]:
+    """At least the points [m] that have a vertex within reach, and few others: no search is needed.
+
+    Those are in the cube of a grid that holds a vertex, or in one beside it.
+    """
+    if not len(points) or not len(vertices):
+        return points[:0]
+    # A little wider than the reach: rounding must not lose a point.
+    side_m = 1.001 * reach_m
+    origin = vertices.min(axis=0) - side_m
+    cells = np.floor((vertices - origin) / side_m).astype(np.int64)
+    shape = cells.max(axis=0) + 2
+    if not shape.prod(dtype=np.float64) <= MOST_CUBES:
+        return points
+    filled = np.zeros(shape, dtype=bool)
+    for offset in np.ndindex(3, 3, 3):
+        filled[tuple((cells + offset - 1).T)] = True
+    return points[_in_filled_cubes(points, filled, origin, side_m)]
 
 
 def masked_chamfer(

@@ -60,7 +60,7 @@ class MovingGrid:
         while counts.prod() > _MOST_CELLS:
             cell_m *= 1.25
             counts = np.floor(extent / cell_m).astype(np.int64) + 1
-        cells = int(counts.prod())
+        self.count = cells = int(counts.prod())
         self.members = wp.array(members.astype(np.int32), dtype=wp.int32, device=device)
         self.recorded = wp.zeros(points, dtype=wp.vec3, device=device)
         self.cells = kernels.Grid()
@@ -128,17 +128,17 @@ class Matcher:
         members, seekers = np.flatnonzero(visible), np.flatnonzero(trusted)
         seen, points = positions.numpy()[members], cloud.numpy()
         self.grid = MovingGrid(
-            members, seen.min(0), seen.max(0), cell_m=spacing_m, points=vertices, device=device
+            members, *_box(seen), cell_m=spacing_m, points=vertices, device=device
         )
         self._cloud_grid = MovingGrid(
-            np.arange(len(points)), points.min(0), points.max(0),
+            np.arange(len(points)), *_box(points),
             cell_m=spacing_m, points=len(points), device=device,
         )  # fmt: skip
         self._cloud_grid.build(cloud)
         self._cloud, self.searched = cloud, wp.array(visible, dtype=wp.bool, device=device)
         self._nearest = wp.full(len(points), -1, dtype=wp.int32, device=device)
-        self._others = wp.zeros(len(points), dtype=wp.float32, device=device)
-        self._searched_at = wp.zeros(len(points), dtype=wp.float32, device=device)
+        self._cells = wp.zeros(len(points), dtype=wp.int32, device=device)
+        self._limit = wp.zeros(len(points), dtype=wp.float32, device=device)
         self.pulled_count = wp.zeros(vertices, dtype=wp.int32, device=device)
         self.pulled_sum = wp.zeros(3 * vertices, dtype=wp.int64, device=device)
         self._seekers = wp.array(seekers.astype(np.int32), dtype=wp.int32, device=device)
@@ -148,8 +148,8 @@ class Matcher:
         self.partner = wp.full(vertices, -1, dtype=wp.int32, device=device)
         self.progress = kernels.Progress()
         self.progress.iteration = wp.full(1, -1, dtype=wp.int32, device=device)
-        self.progress.travelled = wp.zeros(1, dtype=wp.float32, device=device)
-        self.progress.step = wp.zeros(1, dtype=wp.float32, device=device)
+        self.progress.travelled = wp.zeros(self.grid.count, dtype=wp.float32, device=device)
+        self.progress.step = wp.zeros(self.grid.count, dtype=wp.float32, device=device)
         self.progress.stale = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.next_stale = wp.zeros(1, dtype=wp.float32, device=device)
         self.progress.partners = wp.zeros(1, dtype=wp.int32, device=device)
@@ -172,7 +172,7 @@ class Matcher:
 
     def matching(self, positions: wp.array, sums: wp.array) -> list[Command]:
         """What `launch` does, command by command."""
-        advance = launching(kernels.advance, 1, [self.progress], self._device)
+        advance = launching(kernels.advance, self.grid.count, [self.progress], self._device)
         match_points = launching(
             kernels.match_points,
             -(-len(self._cloud) // self._strip),
@@ -183,8 +183,8 @@ class Matcher:
                 self.progress,
                 self._reach,
                 self._nearest,
-                self._others,
-                self._searched_at,
+                self._cells,
+                self._limit,
                 self.pulled_count,
                 self.pulled_sum,
                 sums,
@@ -218,6 +218,21 @@ class Matcher:
         """Vertex that each cloud point belongs to."""
         return self._nearest.numpy()
 
+    def limits(self) -> np.ndarray:
+        """Distance of each cloud point's runner-up [m] and the way until then: renewed by a search.
+
+        Whatever changes here was searched.
+        """
+        return self._limit.numpy().copy()
+
     def partners(self) -> np.ndarray:
         """Cloud point that each vertex is pulled to, or -1."""
         return self.partner.numpy()
+
+
+def _box(
+    points: Float[np.ndarray, "points 3"],
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+    """Lower and upper corner of the box around points [m]."""
+    # Axis by axis: extremes along rows of three are slow.
+    return np.array([axis.min() for axis in points.T]), np.array([axis.max() for axis in points.T])

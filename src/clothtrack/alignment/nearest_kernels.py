@@ -7,6 +7,11 @@ still the nearest, and one distance replaces a search: the triangle inequality a
 is searched, in a ball around the present neighbour's distance. The grid may hold positions from
 some steps ago: the ball grows by how far any vertex has gone since.
 
+The way is the longest step of the vertices nearby, summed over the iterations, not that of all:
+one vertex that swings between two partners would have every point searched anew. A cell knows the
+longest step that ended in it or beside it. That bounds whatever was farther from a point of the
+cell than some distance of at most the cell's edge: what comes nearer ends its step there.
+
 Ties go to the lower index and sums are integers (fixed point), so that the order of threads does
 not matter: CPU and GPU agree on the neighbours and every run repeats.
 """
@@ -26,6 +31,8 @@ FIXED_POINT_SQUARE = 2.0**44
 _LENGTH = wp.constant(FIXED_POINT_LENGTH)
 _SQUARE = wp.constant(wp.float64(FIXED_POINT_SQUARE))
 _ROUNDING = wp.constant(1.0e-6)
+_SURELY_BESIDE = wp.constant(0.999)
+"""Points that are so many edges of a cell apart along an axis lie in one cell or in neighbours."""
 
 _NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
 """An index under this mask is not negative: a compiler that knows need not ask at every access."""
@@ -48,12 +55,13 @@ class Grid:
 @no_type_check
 @wp.struct
 class Progress:
-    """Scalars that live on the device while the solver runs (arrays of one).
+    """What lives on the device while the solver runs: arrays of one, and one entry per cell.
 
-    `travelled` [m] bounds the way of any vertex since the start: the sum over the iterations of the
-    longest step, `step` being the present one. `stale` [m] is how far any vertex is from where the
-    grid has it, `next_stale` the same after the present step. `decays` holds 0.9 and 0.999 to the
-    power of the number of iterations begun (Adam's start-up correction).
+    `travelled` [m] bounds per cell of the vertices' grid the way of any vertex in it or beside it
+    since the start: the sum over the iterations of the longest step, `step` being the present one.
+    `stale` [m] is how far any vertex is from where the grid has it, `next_stale` the same after the
+    present step. `decays` holds 0.9 and 0.999 to the power of the number of iterations begun
+    (Adam's start-up correction).
     """
 
     iteration: wp.array(dtype=wp.int32)
@@ -187,15 +195,37 @@ def _search_far(
 @no_type_check
 @wp.kernel(enable_backward=False)
 def advance(progress: Progress):
-    """Start the next iteration: add up the way, forget the count of partners."""
+    """Start the next iteration, a thread per cell: add up the way, forget the partners' count."""
+    cell = wp.tid()
+    progress.travelled[cell] = progress.travelled[cell] + progress.step[cell]
+    progress.step[cell] = 0.0
+    if cell > 0:
+        return
     progress.iteration[0] = progress.iteration[0] + 1
-    progress.travelled[0] = progress.travelled[0] + progress.step[0]
-    progress.step[0] = 0.0
     progress.stale[0] = progress.next_stale[0]
     progress.next_stale[0] = 0.0
     progress.partners[0] = 0
     progress.decays[0] = progress.decays[0] * wp.float64(0.9)
     progress.decays[1] = progress.decays[1] * wp.float64(0.999)
+
+
+@no_type_check
+@wp.func
+def record_step(grid: Grid, progress: Progress, before: wp.vec3, after: wp.vec3):
+    """Tell the cell in which a vertex's step [m] ends, and those beside it, how long it was."""
+    way = wp.length(after - before)
+    # Nor is what is not a number a step: it has no cell.
+    if not way > 0.0:
+        return
+    column = _cell(grid, after[0], 0, grid.width)
+    row = _cell(grid, after[1], 1, grid.height)
+    layer = _cell(grid, after[2], 2, grid.depth)
+    for z in range(wp.max(layer - 1, 0), wp.min(layer + 2, grid.depth)):
+        for y in range(wp.max(row - 1, 0), wp.min(row + 2, grid.height)):
+            for x in range(wp.max(column - 1, 0), wp.min(column + 2, grid.width)):
+                cell = (z * grid.height + y) * grid.width + x
+                if way > progress.step[cell]:
+                    wp.atomic_max(progress.step, cell, way)
 
 
 @no_type_check
@@ -208,13 +238,12 @@ def _match_point(
     progress: Progress,
     reach: wp.float32,
     nearest: wp.array(dtype=wp.int32),
-    others: wp.array(dtype=wp.float32),
-    searched_at: wp.array(dtype=wp.float32),
+    cells: wp.array(dtype=wp.int32),
+    limit: wp.array(dtype=wp.float32),
     pulled_count: wp.array(dtype=wp.int32),
     pulled_sum: wp.array(dtype=wp.int64),
 ):
     point = cloud[number]
-    travelled = progress.travelled[0]
     stale = progress.stale[0]
     before = nearest[number]
     offset = wp.vec3()
@@ -223,16 +252,17 @@ def _match_point(
     if before >= 0:
         offset = positions[before] - point
         distance = wp.length(offset)
-        way = travelled - searched_at[number]
-        search = distance + way + _ROUNDING > others[number]
+        search = distance + progress.travelled[cells[number]] + _ROUNDING > limit[number]
+    else:
+        cells[number] = _cell_of(grid, point)
     if search:
         found = Neighbour()
         if before < 0:
             found = _search_far(point, positions, grid, 4.0 * reach, 1.0e6, stale)
         else:
             found = _search(point, positions, grid, distance + reach, stale)
-        others[number] = found.others
-        searched_at[number] = travelled
+        others = wp.min(found.others, _SURELY_BESIDE / grid.cells_per_metre)
+        limit[number] = others + progress.travelled[cells[number]]
         vertex = found.item
         if vertex != before and vertex >= 0:
             x = wp.int64(point[0] * _LENGTH)
@@ -261,8 +291,8 @@ def match_points(
     progress: Progress,
     reach: wp.float32,
     nearest: wp.array(dtype=wp.int32),
-    others: wp.array(dtype=wp.float32),
-    searched_at: wp.array(dtype=wp.float32),
+    cells: wp.array(dtype=wp.int32),
+    limit: wp.array(dtype=wp.float32),
     pulled_count: wp.array(dtype=wp.int32),
     pulled_sum: wp.array(dtype=wp.int64),
     sums: wp.array2d(dtype=wp.int64),
@@ -277,8 +307,8 @@ def match_points(
         progress: scalars of the run.
         reach: how far beyond the neighbour a search looks [m].
         nearest: vertex per point, -1 before the first search.
-        others: distance of the runner-up when it was searched [m].
-        searched_at: what `travelled` was when it was searched [m].
+        cells: the grid's cell in which each point lies.
+        limit: distance of the runner-up when it was searched, and `travelled` there then [m].
         pulled_count: cloud points per vertex.
         pulled_sum: their summed coordinates, three fixed-point numbers per vertex.
         sums: row of this iteration, column 0: summed squared residuals, fixed point.
@@ -295,8 +325,8 @@ def match_points(
             progress,
             reach,
             nearest,
-            others,
-            searched_at,
+            cells,
+            limit,
             pulled_count,
             pulled_sum,
         )

@@ -47,14 +47,13 @@ class _Outline:
 
     def __init__(self, mesh: ClothMesh, observation: Observation, device: str) -> None:
         self._faces, self._observation = mesh.faces, observation
-        self._views = [
-            (
-                Rasteriser(mesh.faces, camera, device=device),
-                _picture(observation.points, camera),
-                observation.hidden.get(camera.name),
-            )
-            for camera in observation.cameras
-        ]
+        self._views = []
+        for camera in observation.cameras:
+            seen = shown = _picture(observation.points, camera)
+            if (hidden := observation.hidden.get(camera.name)) is not None:
+                shown = seen & ~hidden
+            rasteriser = Rasteriser(mesh.faces, camera, device=device)
+            self._views.append((rasteriser, seen, shown, hidden, int(np.count_nonzero(shown))))
 
     def gap(self, vertices: Float[np.ndarray, "vertices 3"]) -> float:
         """What `silhouette_gap` returns for the mesh with these vertices [m]."""
@@ -62,13 +61,16 @@ class _Outline:
         # The cloud may have been cut away there, so that its absence says nothing.
         silent = self._observation.unobservable(vertices)[self._faces].any(axis=1)
         unobservable_face = np.append(silent, False)
-        for rasteriser, seen, hidden in self._views:
-            faces = rasteriser.render(vertices).faces
-            drawn, shown = (faces >= 0) & (seen | ~unobservable_face[faces]), seen
+        for rasteriser, seen, shown, hidden, count in self._views:
+            # Where nothing is drawn, all that is shown is shown alone: there is no need to look.
+            window = rasteriser.window(vertices)
+            faces = rasteriser.faces_within(vertices, window)
+            drawn = (faces >= 0) & (seen[window] | ~unobservable_face[faces])
             if hidden is not None:
-                drawn, shown = drawn & ~hidden, seen & ~hidden
-            both += int((drawn & shown).sum())
-            either += int((drawn | shown).sum())
+                drawn &= ~hidden[window]
+            common = int(np.count_nonzero(drawn & shown[window]))
+            both += common
+            either += count + int(np.count_nonzero(drawn)) - common
         return 1.0 - both / either if either else float("nan")
 
 

@@ -42,37 +42,64 @@ def crossing_edges(
     Returns:
         The vertices of those edges, and of the triangles that they pass through.
     """
-    points = np.ascontiguousarray(vertices, np.float64)
-    known = np.isfinite(points).all(axis=1)
+    known = np.isfinite(vertices).all(axis=1)
     faces = np.ascontiguousarray(faces[known[faces].all(axis=1)], np.int32)
     if not len(faces):
         return np.zeros((0, 2), np.int32), faces
-    points = np.where(known[:, None], points, 0.0)
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    # One number per side: an order of magnitude faster than unique rows.
-    edges = np.stack(np.divmod(np.unique(sides[:, 0] * np.int64(len(points)) + sides[:, 1]),
-                               len(points)), axis=1).astype(np.int32)  # fmt: skip
-    tree = wp.Mesh(
-        wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu"),
-        wp.array(faces.reshape(-1), dtype=wp.int32, device="cpu"),
-    )
-    crossing = wp.zeros(len(edges), dtype=wp.uint8, device="cpu")
-    crossed = wp.zeros(len(faces), dtype=wp.uint8, device="cpu")
-    wp.launch(
-        kernels.find_crossings,
-        dim=len(edges),
-        inputs=[
-            tree.id,
-            wp.array(points, dtype=wp.vec3d, device="cpu"),
-            wp.array(edges, dtype=wp.vec2i, device="cpu"),
-            wp.array(faces, dtype=wp.vec3i, device="cpu"),
-            # Rounding to single precision, many times over.
-            1e-6 * float(np.abs(points).max(initial=0.0)),
-        ],
-        outputs=[crossing, crossed],
-        device="cpu",
-    )
-    return edges[crossing.numpy() > 0], faces[crossed.numpy() > 0]
+    return CrossingCheck(faces)(np.where(known[:, None], vertices, 0.0))
+
+
+class CrossingCheck:
+    """`crossing_edges` of one mesh, as often as wanted; its edges and its tree are made once.
+
+    Args:
+        faces: vertex indices per triangle; at least one.
+    """
+
+    def __init__(self, faces: Int[np.ndarray, "faces 3"]) -> None:
+        self._faces = np.ascontiguousarray(faces, np.int32)
+        sides = np.sort(self._faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        # One number per side: an order of magnitude faster than unique rows.
+        count = int(self._faces.max()) + 1
+        numbers = np.unique(sides[:, 0] * np.int64(count) + sides[:, 1])
+        self._edges = np.stack(np.divmod(numbers, count), axis=1).astype(np.int32)
+        self._tree: wp.Mesh | None = None
+        self._corners = wp.array(self._faces, dtype=wp.vec3i, device="cpu")
+        self._ends = wp.array(self._edges, dtype=wp.vec2i, device="cpu")
+        self._crossing = wp.zeros(len(self._edges), dtype=wp.uint8, device="cpu")
+        self._crossed = wp.zeros(len(self._faces), dtype=wp.uint8, device="cpu")
+
+    def __call__(
+        self, vertices: Float[np.ndarray, "vertices 3"]
+    ) -> tuple[Int[np.ndarray, "crossing 2"], Int[np.ndarray, "crossed 3"]]:
+        """What `crossing_edges` returns for these positions [m]."""
+        if not np.isfinite(vertices).all():
+            return crossing_edges(vertices, self._faces)
+        points = np.ascontiguousarray(vertices, np.float64)
+        single = wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu")
+        if self._tree is None:
+            corners = wp.array(self._faces.reshape(-1), dtype=wp.int32, device="cpu")
+            self._tree = wp.Mesh(single, corners)
+        else:
+            wp.copy(self._tree.points, single)
+            self._tree.refit()
+        self._crossing.zero_()
+        self._crossed.zero_()
+        wp.launch(
+            kernels.find_crossings,
+            dim=len(self._edges),
+            inputs=[
+                self._tree.id,
+                wp.array(points, dtype=wp.vec3d, device="cpu"),
+                self._ends,
+                self._corners,
+                # Rounding to single precision, many times over.
+                1e-6 * float(np.abs(points).max(initial=0.0)),
+            ],
+            outputs=[self._crossing, self._crossed],
+            device="cpu",
+        )
+        return self._edges[self._crossing.numpy() > 0], self._faces[self._crossed.numpy() > 0]
 
 
 def close_pairs(

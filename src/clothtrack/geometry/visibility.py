@@ -66,6 +66,27 @@ class Rasteriser:
         )
         return DepthBuffer(depth.numpy().reshape(shape), faces.numpy().reshape(shape))
 
+    def window(self, vertices: Float[np.ndarray, "vertices 3"]) -> tuple[slice, slice]:
+        """Rows and columns outside which no pixel shows a mesh with these vertices [m]."""
+        pixels, depth = self.camera.project(vertices)
+        # What reaches behind the camera may show anywhere.
+        if not ((depth >= 2.0 * NEAREST_DEPTH_M).all() and np.isfinite(pixels).all()):
+            return slice(0, self.camera.height), slice(0, self.camera.width)
+        # A pixel beyond them, for rounding to single precision.
+        size = (self.camera.width, self.camera.height)
+        left, top = np.clip(np.floor(pixels.min(axis=0)) - 1, 0, size).astype(int).tolist()
+        right, bottom = np.clip(np.ceil(pixels.max(axis=0)) + 2, 0, size).astype(int).tolist()
+        return slice(top, bottom), slice(left, right)
+
+    def faces_within(
+        self, vertices: Float[np.ndarray, "vertices 3"], window: tuple[slice, slice]
+    ) -> Int[np.ndarray, "height width"]:
+        """Index of the nearest face at each pixel of a window, -1 where none is, as `render`."""
+        self.draw(_on_device(vertices, self.device))
+        # The lower half of a pixel is its face; that of an empty one is -1.
+        halves = self.pixels.numpy().view("<i4")
+        return halves.reshape(self.camera.height, self.camera.width, 2)[*window, 0]
+
     def draw(self, vertices: wp.array) -> None:
         """Fill `pixels` for world vertices [m] (a vec3 array on this device); no copy, no wait."""
         self.pixels.fill_(kernels.EMPTY_PIXEL)

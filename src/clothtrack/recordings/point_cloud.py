@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.known_masks import KnownMasks
 from clothtrack.recordings.pictures import bands, read_cloud, read_color, read_depth
 from clothtrack.recordings.recording import Frame, Recording, Table
 from clothtrack.recordings.segmentation import (
@@ -32,8 +34,8 @@ STRAY_SHARE = 0.04
 MOST_CELLS = 1 << 20
 """Cubes around the cloth that are counted one by one; if there were more, they are sorted."""
 
-_COLOR_BLIND = (HeightSegmenter, MaskFolder)
-_MAIN_PARTS_ONLY = (ColorSegmenter, HeightSegmenter)
+_COLOR_BLIND = (HeightSegmenter, MaskFolder, KnownMasks)
+_MAIN_PARTS_ONLY = (ColorSegmenter, HeightSegmenter, KnownMasks)
 _HALF_NEIGHBOURS = [
     (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
 ]
@@ -284,18 +286,7 @@ def strays(
     if not len(points) or share <= 0:
         return np.zeros(len(points), dtype=bool)
     side = max(link_m / np.sqrt(3.0), 1.5 * spacing_m)
-    cells, members = np.unique(_cells(points, side), return_inverse=True)
-    first, second = [], []
-    for x, y, z in _HALF_NEIGHBOURS:
-        wanted = cells + ((x << 42) + (y << 21) + z)
-        place = np.minimum(np.searchsorted(cells, wanted), len(cells) - 1)
-        linked = np.flatnonzero(cells[place] == wanted)
-        first.append(linked)
-        second.append(place[linked])
-    rows, columns = np.concatenate(first), np.concatenate(second)
-    links = coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(len(cells),) * 2)
-    _, cluster = connected_components(links, directed=False)
-    cluster_of_point = cluster[members]
+    cluster_of_point = _clusters(points, side)
     sizes = np.bincount(cluster_of_point)
     least = min(share * len(points), sizes.max())
     return sizes[cluster_of_point] < least
@@ -324,6 +315,31 @@ def cloth_measured(
         spacing_m = float(np.median(depth_m[shown])) / camera.fx
         shown[shown] = ~strays(points, stray_share, spacing_m=spacing_m)
     return shown
+
+
+def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
+    """Number of the cluster of each point: cubes with points in them that touch belong together."""
+    middle = points.mean(axis=0)
+    # Axis by axis: what is done along rows of three is slow.
+    index = [np.floor((axis - at) / side_m) for axis, at in zip(points.T, middle, strict=True)]
+    lowest = [axis.min() for axis in index]
+    shape = [axis.max() - low + 1.0 for axis, low in zip(index, lowest, strict=True)]
+    if np.prod(shape) <= MOST_CELLS:
+        place = tuple((axis - low).astype(np.intp) for axis, low in zip(index, lowest, strict=True))
+        filled = np.zeros([int(count) for count in shape], dtype=bool)
+        filled[place] = True
+        return label(filled, np.ones((3, 3, 3)))[0][place]
+    cells, members = np.unique(_cells(points, side_m), return_inverse=True)
+    first, second = [], []
+    for x, y, z in _HALF_NEIGHBOURS:
+        wanted = cells + ((x << 42) + (y << 21) + z)
+        place = np.minimum(np.searchsorted(cells, wanted), len(cells) - 1)
+        linked = np.flatnonzero(cells[place] == wanted)
+        first.append(linked)
+        second.append(place[linked])
+    rows, columns = np.concatenate(first), np.concatenate(second)
+    links = coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(len(cells),) * 2)
+    return connected_components(links, directed=False)[1][members]
 
 
 def _cell_numbers(

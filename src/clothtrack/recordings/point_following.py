@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from scipy.spatial import cKDTree
 
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.known_masks import KnownMasks
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import LEAST_JUMP_M, FollowedPoints, flying_pixels
 from clothtrack.recordings.recording import Frame, Recording
@@ -56,13 +57,17 @@ slope but a step: a window there shows two layers."""
 
 
 def follow_points(
-    recording: Recording, segmenter: Segmenter | None = None
+    recording: Recording,
+    segmenter: Segmenter | None = None,
+    *,
+    masks: Mapping[int, KnownMasks] | None = None,
 ) -> Mapping[int, FollowedPoints]:
     """The points of the cloth that can be followed, by frame; chosen where actions begin.
 
     Args:
         recording: a recording of clouds has none.
         segmenter: finds the cloth; the recording's masks, colour or height by default.
+        masks: get what it finds, by the index of the frame.
 
     Returns:
         What is followed, by the index of the frame.
@@ -77,7 +82,9 @@ def follow_points(
         follower = _Follower(camera, next_number)
         for frame in recording.frames:
             if camera.name in frame.color and camera.name in frame.depth:
-                picture = _Picture.read(recording, frame, camera, segmenter)
+                picture, mask = _Picture.read(recording, frame, camera, segmenter)
+                if masks is not None:
+                    masks[frame.index].keep(camera, mask)
                 followed = follower.follow(picture, choose=frame.index in starts)
                 found[frame.index].append(followed)
             else:
@@ -112,8 +119,8 @@ class _Picture:
     @classmethod
     def read(
         cls, recording: Recording, frame: Frame, camera: Camera, segmenter: Segmenter | None
-    ) -> "_Picture":
-        """Read a frame's pictures, and find where windows may be compared."""
+    ) -> "tuple[_Picture, Bool[np.ndarray, 'height width']]":
+        """Read a frame's pictures and find where windows may be compared; and the cloth's mask."""
         color = read_color(frame.color[camera.name])
         depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
         find = segmenter or default_segmenter(recording, frame, camera)
@@ -127,7 +134,7 @@ class _Picture:
         smooth /= np.maximum(share, 1e-6)
         step = cv2.dilate(smooth, square) - cv2.erode(smooth, square)
         clear &= (share > LEAST_MEASURED) & (step < LEAST_JUMP_M + STEEP_PX / camera.fx * smooth)
-        return cls(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), smooth, clear)
+        return cls(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), smooth, clear), mask
 
     def noise_since(self, before: "_Picture | None") -> float:
         """Standard deviation [grey values]; most of what two pictures show stands still."""

@@ -25,6 +25,7 @@ from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
+from clothtrack.recordings.known_masks import KnownMasks
 from clothtrack.recordings.point_cloud import FollowedPoints, Observation, observe
 from clothtrack.recordings.point_following import follow_points
 from clothtrack.recordings.recording import Frame, Recording
@@ -104,12 +105,18 @@ def observer(
     @lru_cache(maxsize=min(longest + 2, CLOUDS_KEPT))
     def observed(frame_index: int) -> Observation:
         frame = recording.frames[frame_index]
-        seen = observe(recording, frame, segmenter, spacing_m=spacing_m or None)
-        return replace(seen, followed=followed()[frame_index]) if color else seen
+        points = followed()[frame_index] if color else FollowedPoints()
+        known = masks[frame_index]
+        # Whoever follows points has found the cloth in nearly every picture.
+        find = known if known.knows(frame.depth) else segmenter
+        seen = observe(recording, frame, find, spacing_m=spacing_m or None)
+        return replace(seen, followed=points)
+
+    masks = {frame.index: KnownMasks() for frame in recording.frames}
 
     @cache
     def followed() -> Mapping[int, FollowedPoints]:
-        return follow_points(recording, segmenter)
+        return follow_points(recording, segmenter, masks=masks)
 
     return lambda frame: observed(frame.index)
 

@@ -4,13 +4,13 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner, Marks
-from clothtrack.alignment.cloud_distance import within_reach
+from clothtrack.alignment.cloud_distance import beside, within_reach
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.quality import crossing_edges
+from clothtrack.geometry.quality import CrossingCheck
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
@@ -54,7 +54,8 @@ class VisibleAlignment:
             marks: where followed points of the pictures want vertices.
             device: "cpu" or "cuda:0".
         """
-        self._faces, self._config, self._visible, self._table = mesh.faces, config, visible, table
+        self._config, self._visible, self._table = config, visible, table
+        self._crossings = CrossingCheck(mesh.faces)
         self._marks = marks
         self._aligner = CloudAligner(mesh, alignment, device=device)
 
@@ -93,9 +94,18 @@ class VisibleAlignment:
             attached = observed
             attached[unsure] = _supported(moved, points)
         if not config.attach_crossed:
-            attached = attached & ~_at_crossings(positions, self._faces)
+            attached = attached & ~self._at_crossings(positions)
         losses = float(alignment.losses[0]), float(alignment.losses[-1])
         return Correction(positions, alignment.corrections, attached, losses)
+
+    def _at_crossings(
+        self, positions: Float[np.ndarray, "vertices 3"]
+    ) -> Bool[np.ndarray, " vertices"]:
+        """Vertices of the edges and triangles that pass through each other."""
+        crossed = np.zeros(len(positions), dtype=bool)
+        for part in self._crossings(positions):
+            crossed[part] = True
+        return crossed
 
 
 def no_alignment(predicted: Prediction, observation: Observation) -> None:  # noqa: ARG001
@@ -124,22 +134,13 @@ def from_last_mesh(align: Aligner) -> Aligner:
     return aligned
 
 
-def _at_crossings(
-    positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
-) -> Bool[np.ndarray, " vertices"]:
-    """Vertices of the edges and triangles that pass through each other."""
-    crossed = np.zeros(len(positions), dtype=bool)
-    for part in crossing_edges(positions, faces):
-        crossed[part] = True
-    return crossed
-
-
 def _supported(
     vertices: Float[np.ndarray, "vertices 3"], points: Float[np.ndarray, "points 3"]
 ) -> Bool[np.ndarray, " vertices"]:
     """Vertices with a cloud point beside them."""
     if not len(vertices):
         return np.zeros(0, dtype=bool)
-    tree = cKDTree(points, balanced_tree=False)
+    # Few vertices ask: most points are far from all of them, and need no place in a tree.
+    tree = cKDTree(beside(points, vertices, SUPPORT_M), balanced_tree=False)
     distance = tree.query(vertices, distance_upper_bound=SUPPORT_M)[0]
     return np.isfinite(distance)

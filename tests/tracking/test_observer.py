@@ -1,0 +1,36 @@
+"""The clouds of a recording: what reads a frame twice segments it once."""
+
+import numpy as np
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.point_cloud import observe
+from clothtrack.recordings.recording import PickerPath
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack.tracking.pipeline import observer
+
+CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5, np.diag([1.0, -1.0, -1.0, 1.0]))
+
+
+def test_every_picture_is_segmented_once_also_where_points_are_followed(tmp_path):
+    rng, times = np.random.default_rng(0), 0.1 * np.arange(3)
+    with RecordingWriter(tmp_path / "r", (CAMERA,), {"top": 1e-4}) as writer:
+        for time_s in times:
+            color = rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)
+            writer.add_frame(
+                time_s, color={"top": color}, depth={"top": np.full((120, 160), 0.8)}
+            )  # fmt: skip
+        writer.set_picker_path("hand", PickerPath(times, np.zeros((3, 3)), times < 0))
+        writer.add_action(0, 2, ("hand",))
+    recording = read_recording(tmp_path / "r")
+    pictures = []
+
+    def segmenter(color, depth_m, camera, table):
+        pictures.append(color)
+        return np.pad(np.ones((80, 100), bool), ((20, 20), (30, 30)))
+
+    clouds = observer(recording, 0.004, segmenter, color=True)
+    seen = [clouds(frame) for frame in recording.frames]
+    assert len(pictures) == 3
+    for frame, observation in zip(recording.frames, seen, strict=True):
+        alone = observe(recording, frame, segmenter)
+        np.testing.assert_array_equal(observation.points, alone.points)
