@@ -186,16 +186,20 @@ class TriangleContact:
         wp.copy(self._old_distances, self.distances)
         wp.copy(self._old_counts, self.counts)
         self._sort_faces()
+        environments, vertices = buffers.shape
+        threads = buffers.threads(vertices)
         wp.launch(
             triangles.find_pairs,
-            dim=buffers.shape,
+            dim=(environments, threads),
             inputs=[
+                threads,
                 buffers.clocks,
                 self._cells_per_metre,
                 self._cell_first,
                 self._sorted_faces,
                 self._sorted_balls,
                 self._sorted_discs,
+                self._face_reach,
                 self._reach,
                 config.thickness_m,
                 config.contact_margin_m,
