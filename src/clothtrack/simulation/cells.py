@@ -33,55 +33,76 @@ def nth(number: int):
     return number & _NOT_NEGATIVE
 
 
-_SKIP_APART = """
+@no_type_check
+@wp.struct
+class Walk:
+    """A walk through balls: where it is, where to ask on, and which between the two touch."""
+
+    place: wp.int32
+    asked: wp.int32
+    waiting: wp.uint32
+
+
+_NEXT_TOUCHING = """
     const float* ball = reinterpret_cast<const float*>(balls.data);
-    const float x = point[0], y = point[1], z = point[2];
+    const float x = one[0], y = one[1], z = one[2], radius = one[3];
+    while (walk.waiting == 0 && walk.asked < end) {
+        const int begin = walk.asked;
+        walk.asked = end - begin < 32 ? end : begin + 32;
+        int n = begin;
 #ifdef __clang__  // Four at a time; the loop after it is the same for what is left.
-    typedef float Four __attribute__((ext_vector_type(4)));
-    typedef int FourBits __attribute__((ext_vector_type(4)));
-    typedef Four FourAnywhere __attribute__((aligned(4)));
-    for (; place + 4 <= end; place += 4) {
-        const FourAnywhere* four = reinterpret_cast<const FourAnywhere*>(ball + 4 * (size_t)place);
-        const Four a = four[0], b = four[1], c = four[2], d = four[3];
-        const Four ab = __builtin_shufflevector(a, b, 0, 4, 1, 5);
-        const Four cd = __builtin_shufflevector(c, d, 0, 4, 1, 5);
-        const Four ab_end = __builtin_shufflevector(a, b, 2, 6, 3, 7);
-        const Four cd_end = __builtin_shufflevector(c, d, 2, 6, 3, 7);
-        const Four across_x = __builtin_shufflevector(ab, cd, 0, 1, 4, 5) - x;
-        const Four across_y = __builtin_shufflevector(ab, cd, 2, 3, 6, 7) - y;
-        const Four across_z = __builtin_shufflevector(ab_end, cd_end, 0, 1, 4, 5) - z;
-        const Four radii = __builtin_shufflevector(ab_end, cd_end, 2, 3, 6, 7) + radius;
-        const FourBits touching =
-            across_x * across_x + across_y * across_y + across_z * across_z <= radii * radii;
-        const int which = __builtin_reduce_or(touching & FourBits{1, 2, 4, 8});
-        if (which != 0) {
-            place += __builtin_ctz(which);
-            return;
+        typedef float Four __attribute__((ext_vector_type(4)));
+        typedef int FourBits __attribute__((ext_vector_type(4)));
+        typedef Four FourAnywhere __attribute__((aligned(4)));
+        FourBits bits = {1, 2, 4, 8}, found = 0;
+        for (; n + 4 <= walk.asked; n += 4, bits <<= 4) {
+            const FourAnywhere* four = reinterpret_cast<const FourAnywhere*>(ball + 4 * (size_t)n);
+            const Four a = four[0], b = four[1], c = four[2], d = four[3];
+            const Four ab = __builtin_shufflevector(a, b, 0, 4, 1, 5);
+            const Four cd = __builtin_shufflevector(c, d, 0, 4, 1, 5);
+            const Four ab_end = __builtin_shufflevector(a, b, 2, 6, 3, 7);
+            const Four cd_end = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+            const Four across_x = __builtin_shufflevector(ab, cd, 0, 1, 4, 5) - x;
+            const Four across_y = __builtin_shufflevector(ab, cd, 2, 3, 6, 7) - y;
+            const Four across_z = __builtin_shufflevector(ab_end, cd_end, 0, 1, 4, 5) - z;
+            const Four radii = __builtin_shufflevector(ab_end, cd_end, 2, 3, 6, 7) + radius;
+            const FourBits touching =
+                across_x * across_x + across_y * across_y + across_z * across_z <= radii * radii;
+            found |= touching & bits;
         }
-    }
+        walk.waiting = __builtin_reduce_or(found);
 #endif
-    for (; place < end; ++place) {
-        const float across_x = ball[4 * place] - x, across_y = ball[4 * place + 1] - y;
-        const float across_z = ball[4 * place + 2] - z, radii = ball[4 * place + 3] + radius;
-        if (across_x * across_x + across_y * across_y + across_z * across_z <= radii * radii)
-            return;
+        for (; n < walk.asked; ++n) {
+            const float across_x = ball[4 * n] - x, across_y = ball[4 * n + 1] - y;
+            const float across_z = ball[4 * n + 2] - z, radii = ball[4 * n + 3] + radius;
+            const unsigned touching =
+                across_x * across_x + across_y * across_y + across_z * across_z <= radii * radii;
+            walk.waiting |= touching << (n - begin);
+        }
+        walk.place = begin - 1;
     }
+    if (walk.waiting == 0) {
+        walk.place = end;
+        return;
+    }
+#ifdef __CUDA_ARCH__
+    const int on = __ffs(walk.waiting);
+#else
+    const int on = __builtin_ctz(walk.waiting) + 1;
+#endif
+    walk.place += on;
+    walk.waiting = walk.waiting >> (on - 1) >> 1;
 """
 
 
 @no_type_check
-@wp.func_native(_SKIP_APART)
-def skip_apart(
-    point: wp.vec3,
-    radius: float,
-    balls: wp.array(dtype=wp.vec4),
-    end: int,
-    place: wp.ref[int],
-):
-    """Move `place` on to the first ball (centre, radius [m]) that touches another, or to `end`.
+@wp.func_native(_NEXT_TOUCHING)
+def next_touching(one: wp.vec4, balls: wp.array(dtype=wp.vec4), end: int, walk: wp.ref[Walk]):
+    """Walk on to the next ball (centre, radius [m]) that touches one, or to `end`.
 
-    In C++, because there four balls can be asked at once. How it rounds is the compiler's business:
-    balls in which something must be found are a thousandth too large.
+    A new walk is `asked` where to begin. Balls are asked thirty-two at a time; `waiting` has a bit
+    for each that touches after `place`. In C++, because there four can be asked at once. How it
+    rounds is the compiler's business: balls that must be found are a thousandth too large.
     """
 
 

@@ -10,7 +10,7 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.simulation.cells import block_around, cell_of, nth, row_at, skip_apart
+from clothtrack.simulation.cells import Walk, block_around, cell_of, next_touching, nth, row_at
 from clothtrack.simulation.kernels import Clock
 from clothtrack.simulation.triangle_contact_kernels import segment_distance
 
@@ -27,9 +27,9 @@ _NEARLY_PARALLEL = wp.constant(0.0025)
 @no_type_check
 @wp.struct
 class Crossing:
-    """How two lines pass each other: plain normal, its square, shares along both, signed gap [m].
+    """How two segments pass each other: plain normal, its square, shares along both, gap [m].
 
-    `normal` is zero when they are nearly parallel.
+    The gap has a sign. All are zero when the lines are nearly parallel or pass beyond the ends.
     """
 
     normal: wp.vec3
@@ -42,18 +42,27 @@ class Crossing:
 @no_type_check
 @wp.func
 def pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
-    """How the line from a to b passes the line from c to d."""
+    """How the segment from a to b passes the segment from c to d."""
     crossing = Crossing()
     first = b - a
     second = d - c
     normal = wp.cross(first, second)
     square = wp.dot(normal, normal)
-    if square > _NEARLY_PARALLEL * wp.dot(first, first) * wp.dot(second, second):
-        between = c - a
+    between = c - a
+    along_first = wp.dot(wp.cross(between, second), normal)
+    along_second = wp.dot(wp.cross(between, first), normal)
+    low = wp.min(along_first, along_second)
+    high = wp.max(along_first, along_second)
+    # Most pass each other beyond their ends: they are told before anything is divided.
+    if (
+        low > 0.0
+        and high < square
+        and square > _NEARLY_PARALLEL * wp.dot(first, first) * wp.dot(second, second)
+    ):
         crossing.normal = normal
         crossing.square = square
-        crossing.along_first = wp.dot(wp.cross(between, second), normal) / square
-        crossing.along_second = wp.dot(wp.cross(between, first), normal) / square
+        crossing.along_first = along_first / square
+        crossing.along_second = along_second / square
         crossing.gap = -wp.dot(between, normal) / wp.sqrt(square)
     return crossing
 
@@ -61,10 +70,17 @@ def pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
 @no_type_check
 @wp.func
 def inside(crossing: Crossing):
-    """Whether both lines pass each other between their ends."""
+    """Whether the segments pass each other between their ends."""
     low = wp.min(crossing.along_first, crossing.along_second)
     high = wp.max(crossing.along_first, crossing.along_second)
     return crossing.square > 0.0 and low > 0.0 and high < 1.0
+
+
+@no_type_check
+@wp.func
+def share_an_end(one: wp.vec2i, other: wp.vec2i):
+    """Whether two edges meet."""
+    return (one[0] == other[0] or one[0] == other[1]) or (one[1] == other[0] or one[1] == other[1])
 
 
 @no_type_check
@@ -227,7 +243,6 @@ def find_edges(
         b = here[j]
         middle = 0.5 * (a + b)
         ball = around[edge]
-        centre = wp.vec3(ball[0], ball[1], ball[2])
         bent = places[edge] >= 0
         found = int(0)
         block = block_around(middle, reach, cells_per_metre)
@@ -235,35 +250,35 @@ def find_edges(
             for y in range(block.y0, block.y1 + 1):
                 row = row_at(environment, y, z)
                 end = first[nth(row + block.right + 1)]
-                following = int(first[nth(row + block.left)])
-                skip_apart(centre, ball[3], sorted_balls, end, following)
-                while following < end:
-                    place = nth(following)
-                    following += 1
-                    skip_apart(centre, ball[3], sorted_balls, end, following)
+                walk = Walk()
+                walk.asked = first[nth(row + block.left)]
+                next_touching(ball, sorted_balls, end, walk)
+                while walk.place < end:
+                    place = nth(walk.place)
+                    next_touching(ball, sorted_balls, end, walk)
                     other = nth(sorted_edges[place])
                     if bent and other <= edge:
                         continue
                     far = edges[other]
-                    k = nth(far[0])
-                    l = nth(far[1])
-                    if k == i or k == j or l == i or l == j:
+                    c = nth(far[0])
+                    d = nth(far[1])
+                    if share_an_end(ends, far):
                         continue
-                    crossing = pass_by(a, b, here[k], here[l])
+                    crossing = pass_by(a, b, here[c], here[d])
                     if not inside(crossing):
                         continue
                     s = crossing.along_first
                     t = crossing.along_second
                     parting = (1.0 - s) * moving[i]
                     parting += s * moving[j]
-                    parting -= (1.0 - t) * moving[k]
-                    parting -= t * moving[l]
+                    parting -= (1.0 - t) * moving[c]
+                    parting -= t * moving[d]
                     side = wp.where(crossing.gap >= 0.0, 1.0, -1.0)
                     nearing = -side * wp.dot(parting, crossing.normal) / wp.sqrt(crossing.square)
                     allowed = distance + margin + wp.max(nearing, 0.0) * rebuild_s
                     if wp.abs(crossing.gap) > allowed:
                         continue
-                    keep = wp.min(distance, rest_distance(rest[i], rest[j], rest[k], rest[l]))
+                    keep = wp.min(distance, rest_distance(rest[i], rest[j], rest[c], rest[d]))
                     if found < partners.shape[2]:
                         code = wp.where(side > 0.0, 1, -1) * (other + 1)
                         partners[environment, edge, found] = code

@@ -8,7 +8,7 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.simulation.cells import block_around, cell_of, nth, row_at, skip_apart
+from clothtrack.simulation.cells import Walk, block_around, cell_of, next_touching, nth, row_at
 from clothtrack.simulation.kernels import Clock
 
 wp.set_module_options({"enable_backward": False})
@@ -22,6 +22,7 @@ SLOTS = wp.constant(TRIANGLES_PER_VERTEX)
 @no_type_check
 @wp.kernel
 def count_faces(
+    stride: int,
     cells_per_metre: float,
     tolerance: float,
     faces: wp.array(dtype=wp.vec3i),
@@ -39,33 +40,37 @@ def count_faces(
     triangle's unit normal, inside a disc (normal, squared radius [m^2]): a foot whose weights are
     at least -t is no farther from the centre than 1 + 3 t times the farthest corner.
     """
-    environment, face = wp.tid()
-    corners = faces[face]
-    a = positions[environment, corners[0]]
-    b = positions[environment, corners[1]]
-    c = positions[environment, corners[2]]
-    centre = (a + b + c) / 3.0
-    normal = wp.cross(b - a, c - a)
-    doubled_area = wp.length(normal)
-    farthest = wp.max(
-        wp.length_sq(a - centre), wp.max(wp.length_sq(b - centre), wp.length_sq(c - centre))
-    )
+    environment, thread = wp.tid()
+    here = positions[environment]
     widened = 1.001 * (1.0 + 3.0 * tolerance)
-    radius = widened * widened * farthest
-    if doubled_area < 1.0e-9:
-        radius = face_reach[face]  # no plane to look along
-    cell = cell_of(environment, centre, cells_per_metre)
-    cells[environment, face] = cell
-    ranks[environment, face] = wp.atomic_add(counts, cell, 1)
-    reach = 1.001 * wp.sqrt(face_reach[face])
-    balls[environment, face] = wp.vec4(centre[0], centre[1], centre[2], reach)
-    normal = normal / (doubled_area + 1.0e-15)
-    discs[environment, face] = wp.vec4(normal[0], normal[1], normal[2], radius)
+    for number in range(thread, faces.shape[0], stride):
+        face = nth(number)
+        corners = faces[face]
+        a = here[nth(corners[0])]
+        b = here[nth(corners[1])]
+        c = here[nth(corners[2])]
+        centre = (a + b + c) / 3.0
+        normal = wp.cross(b - a, c - a)
+        doubled_area = wp.length(normal)
+        farthest = wp.max(
+            wp.length_sq(a - centre), wp.max(wp.length_sq(b - centre), wp.length_sq(c - centre))
+        )
+        radius = widened * widened * farthest
+        if doubled_area < 1.0e-9:
+            radius = face_reach[face]  # no plane to look along
+        cell = cell_of(environment, centre, cells_per_metre)
+        cells[environment, face] = cell
+        ranks[environment, face] = wp.atomic_add(counts, cell, 1)
+        reach = 1.001 * wp.sqrt(face_reach[face])
+        balls[environment, face] = wp.vec4(centre[0], centre[1], centre[2], reach)
+        normal = normal / (doubled_area + 1.0e-15)
+        discs[environment, face] = wp.vec4(normal[0], normal[1], normal[2], radius)
 
 
 @no_type_check
 @wp.kernel
 def sort_faces(
+    stride: int,
     first: wp.array(dtype=int),
     cells: wp.array2d(dtype=int),
     ranks: wp.array2d(dtype=int),
@@ -76,11 +81,13 @@ def sort_faces(
     sorted_discs: wp.array(dtype=wp.vec4),
 ):
     """Put the triangles and their balls in the order of their cells."""
-    environment, face = wp.tid()
-    place = first[cells[environment, face]] + ranks[environment, face]
-    sorted_faces[place] = face
-    sorted_balls[place] = balls[environment, face]
-    sorted_discs[place] = discs[environment, face]
+    environment, thread = wp.tid()
+    for number in range(thread, cells.shape[1], stride):
+        face = nth(number)
+        place = nth(first[nth(cells[environment, face])] + ranks[environment, face])
+        sorted_faces[place] = face
+        sorted_balls[place] = balls[environment, face]
+        sorted_discs[place] = discs[environment, face]
 
 
 @no_type_check
@@ -289,31 +296,35 @@ def find_pairs(
     for number in range(thread, here.shape[0], stride):
         vertex = nth(number)
         point = here[vertex]
+        near = wp.vec4(point[0], point[1], point[2], 0.0)
         found = int(0)
         block = block_around(point, reach, cells_per_metre)
         for z in range(block.z0, block.z1 + 1):
             for y in range(block.y0, block.y1 + 1):
                 row = row_at(environment, y, z)
                 end = first[nth(row + block.right + 1)]
-                following = int(first[nth(row + block.left)])
-                skip_apart(point, 0.0, sorted_balls, end, following)
-                while following < end:
-                    place = nth(following)
-                    following += 1
-                    skip_apart(point, 0.0, sorted_balls, end, following)
+                walk = Walk()
+                walk.asked = first[nth(row + block.left)]
+                next_touching(near, sorted_balls, end, walk)
+                while walk.place < end:
+                    place = nth(walk.place)
+                    next_touching(near, sorted_balls, end, walk)
                     face_number = nth(sorted_faces[place])
                     face = faces[face_number]
-                    if face[0] == vertex or face[1] == vertex or face[2] == vertex:
-                        continue
                     ball = sorted_balls[place]
+                    disc = sorted_discs[place]
                     away = point - wp.vec3(ball[0], ball[1], ball[2])
                     square = wp.dot(away, away)
-                    # Not ">": what is not a number must not touch either.
-                    if not square <= face_reach[face_number]:
-                        continue
-                    disc = sorted_discs[place]
                     height = wp.dot(away, wp.vec3(disc[0], disc[1], disc[2]))
-                    if wp.abs(height) > 1.001 * depth or square - height * height > disc[3]:
+                    own = face[0] == vertex or face[1] == vertex or face[2] == vertex
+                    # One question, because what it is answered can hardly be predicted. Not ">":
+                    # what is not a number must not touch either.
+                    if (
+                        own
+                        or not square <= face_reach[face_number]
+                        or wp.abs(height) > 1.001 * depth
+                        or square - height * height > disc[3]
+                    ):
                         continue
                     pair = examine_pair(
                         vertex, face_number, face, thickness, margin, depth, tolerance, rebuild_s,
