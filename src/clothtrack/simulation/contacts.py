@@ -286,7 +286,8 @@ class ScatteredPush:
     def __init__(self, contact: TriangleContact) -> None:
         self._contact = contact
         buffers = contact.buffers
-        self._active = wp.zeros(buffers.shape, dtype=float, device=buffers.positions.device)
+        device = buffers.positions.device
+        self._received = wp.zeros(buffers.shape, dtype=pushes.Received, device=device)
 
     def prepare(self) -> None:
         """Nothing to prepare when new pairs are listed."""
@@ -298,7 +299,7 @@ class ScatteredPush:
             pushes.scatter_impulses,
             dim=buffers.shape[0],
             inputs=self._contact.pair_inputs,
-            outputs=[self._active, buffers.moves, buffers.stops],
+            outputs=[self._received, buffers.moves, buffers.stops],
             device=buffers.positions.device,
         )
 
