@@ -56,7 +56,7 @@ class ClothBuffers:
 
     def threads(self, count: int) -> int:
         """How many threads share `count` things of an environment: on a CPU one, else as many."""
-        return 1 if self.positions.device.is_cpu else count
+        return 1 if wp.get_device(self.positions.device).is_cpu else count
 
 
 def allocate(mesh: ClothMesh, area_density: float, environments: int, device: str) -> ClothBuffers:
