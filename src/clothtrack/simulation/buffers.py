@@ -54,6 +54,10 @@ class ClothBuffers:
         """Environments and vertices."""
         return self.positions.shape
 
+    def threads(self, count: int) -> int:
+        """How many threads share `count` things of an environment: on a CPU one, else as many."""
+        return 1 if wp.get_device(self.positions.device).is_cpu else count
+
 
 def allocate(mesh: ClothMesh, area_density: float, environments: int, device: str) -> ClothBuffers:
     """Reserve the memory of a cloth that rests at the mesh's vertices."""

@@ -186,32 +186,21 @@ class TriangleContact:
         wp.copy(self._old_distances, self.distances)
         wp.copy(self._old_counts, self.counts)
         self._sort_faces()
+        environments, vertices = buffers.shape
+        threads = buffers.threads(vertices)
         wp.launch(
             triangles.find_pairs,
-            dim=buffers.shape,
+            dim=(environments, threads),
             inputs=[
-                buffers.clocks,
-                self._cells_per_metre,
-                self._cell_first,
-                self._sorted_faces,
-                self._sorted_balls,
-                self._sorted_discs,
-                self._reach,
-                config.thickness_m,
-                config.contact_margin_m,
-                config.contact_depth_m,
-                CONTACT_TOLERANCE,
-                buffers.faces,
-                buffers.rest,
-                buffers.positions,
-                buffers.velocities,
-                self._old_sides,
-                self._old_distances,
-                self._old_counts,
+                threads, buffers.clocks, self._cells_per_metre, self._cell_first,
+                self._sorted_faces, self._sorted_balls, self._sorted_discs, self._face_reach,
+                self._reach, config.thickness_m, config.contact_margin_m, config.contact_depth_m,
+                CONTACT_TOLERANCE, buffers.faces, buffers.rest, buffers.positions,
+                buffers.velocities, self._old_sides, self._old_distances, self._old_counts,
             ],
             outputs=[self.sides, self.distances, self.counts, self.overflows],
             device=device,
-        )
+        )  # fmt: skip
         self._push.prepare()
         if self._edges is not None:
             self._edges.find()
@@ -219,41 +208,32 @@ class TriangleContact:
     def _sort_faces(self) -> None:
         """Sort the triangles into cells by where they are now."""
         buffers, device = self.buffers, self._device
-        shape = (buffers.shape[0], len(buffers.faces))
+        threads = buffers.threads(len(buffers.faces))
+        shape = (buffers.shape[0], threads)
         self._cell_counts.zero_()
         wp.launch(
             triangles.count_faces,
             dim=shape,
             inputs=[
-                self._cells_per_metre,
-                CONTACT_TOLERANCE,
-                buffers.faces,
-                self._face_reach,
-                buffers.positions,
+                threads, self._cells_per_metre, CONTACT_TOLERANCE, buffers.faces,
+                self._face_reach, buffers.positions,
             ],
             outputs=[
-                self._cell_counts,
-                self._face_cells,
-                self._face_ranks,
-                self._balls,
-                self._discs,
+                self._cell_counts, self._face_cells, self._face_ranks, self._balls, self._discs,
             ],
             device=device,
-        )
+        )  # fmt: skip
         wp.utils.array_scan(self._cell_counts, self._cell_first, inclusive=False)
         wp.launch(
             triangles.sort_faces,
             dim=shape,
             inputs=[
-                self._cell_first,
-                self._face_cells,
-                self._face_ranks,
-                self._balls,
+                threads, self._cell_first, self._face_cells, self._face_ranks, self._balls,
                 self._discs,
             ],
             outputs=[self._sorted_faces, self._sorted_balls, self._sorted_discs],
             device=device,
-        )
+        )  # fmt: skip
 
     def push(self) -> None:
         """Compute what contact adds to the positions."""
@@ -306,7 +286,8 @@ class ScatteredPush:
     def __init__(self, contact: TriangleContact) -> None:
         self._contact = contact
         buffers = contact.buffers
-        self._active = wp.zeros(buffers.shape, dtype=float, device=buffers.positions.device)
+        device = buffers.positions.device
+        self._received = wp.zeros(buffers.shape, dtype=pushes.Received, device=device)
 
     def prepare(self) -> None:
         """Nothing to prepare when new pairs are listed."""
@@ -318,7 +299,7 @@ class ScatteredPush:
             pushes.scatter_impulses,
             dim=buffers.shape[0],
             inputs=self._contact.pair_inputs,
-            outputs=[self._active, buffers.moves, buffers.stops],
+            outputs=[self._received, buffers.moves, buffers.stops],
             device=buffers.positions.device,
         )
 

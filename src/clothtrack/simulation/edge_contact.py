@@ -48,6 +48,7 @@ class EdgeContact:
         cells = environments * CELLS_PER_ENVIRONMENT
         self._cell_counts = wp.zeros(cells + 1, dtype=int, device=device)
         self._cell_first = wp.zeros(cells + 1, dtype=int, device=device)
+        self._normals = wp.zeros((environments, len(mesh.faces)), dtype=wp.vec3, device=device)
         self._cells = wp.zeros((environments, edges), dtype=int, device=device)
         self._ranks = wp.zeros((environments, edges), dtype=int, device=device)
         self._balls = wp.zeros((environments, edges), dtype=wp.vec4, device=device)
@@ -57,20 +58,32 @@ class EdgeContact:
         self._partners = wp.zeros(slots, dtype=int, device=device)
         self._distances = wp.zeros(slots, dtype=float, device=device)
         self._counts = wp.zeros((environments, edges), dtype=int, device=device)
+        self._listed = wp.zeros((environments, edges), dtype=int, device=device)
         self._totals = wp.zeros(environments, dtype=int, device=device)
         self._sums = wp.zeros((environments, vertices, 7), dtype=wp.int64, device=device)
 
     def find(self) -> None:
         """List the pairs of edges that may touch until the next call."""
-        buffers, device, shape = self._buffers, self._device, self._counts.shape
+        buffers, device = self._buffers, self._device
+        environments, edges = self._counts.shape
+        faces = buffers.threads(len(buffers.faces))
+        threads = buffers.threads(edges)
         self._cell_counts.zero_()
         self._totals.zero_()
         wp.launch(
+            kernels.find_normals,
+            dim=(environments, faces),
+            inputs=[faces, buffers.faces, buffers.positions],
+            outputs=[self._normals],
+            device=device,
+        )
+        wp.launch(
             kernels.count_bent,
-            dim=shape,
+            dim=(environments, threads),
             inputs=[
-                buffers.clocks, 1.0 / self._reach, FLAT_COSINE, self._distance + self._margin,
-                self._edges, self._sides, buffers.faces, buffers.positions, buffers.velocities,
+                threads, buffers.clocks, 1.0 / self._reach, FLAT_COSINE,
+                self._distance + self._margin, self._edges, self._sides, self._normals,
+                buffers.positions, buffers.velocities,
             ],
             outputs=[self._cell_counts, self._cells, self._ranks, self._balls],
             device=device,
@@ -78,21 +91,22 @@ class EdgeContact:
         wp.utils.array_scan(self._cell_counts, self._cell_first, inclusive=False)
         wp.launch(
             kernels.sort_bent,
-            dim=shape,
-            inputs=[self._cell_first, self._cells, self._ranks, self._balls],
+            dim=(environments, threads),
+            inputs=[threads, self._cell_first, self._cells, self._ranks, self._balls],
             outputs=[self._sorted, self._sorted_balls],
             device=device,
         )
         wp.launch(
             kernels.find_edges,
-            dim=shape,
+            dim=(environments, threads),
             inputs=[
-                buffers.clocks, 1.0 / self._reach, self._cell_first, self._cells, self._sorted,
-                self._balls, self._sorted_balls, self._reach, self._distance, self._margin,
-                self._edges, buffers.rest, buffers.positions, buffers.velocities,
+                threads, buffers.clocks, 1.0 / self._reach, self._cell_first, self._cells,
+                self._sorted, self._balls, self._sorted_balls, self._reach, self._distance,
+                self._margin, self._edges, buffers.rest, buffers.positions, buffers.velocities,
             ],
             outputs=[
-                self._partners, self._distances, self._counts, self._totals, self._overflows,
+                self._partners, self._distances, self._counts, self._listed, self._totals,
+                self._overflows,
             ],
             device=device,
         )  # fmt: skip
@@ -100,21 +114,23 @@ class EdgeContact:
     def push(self) -> None:
         """Add what the edges want to what the triangles want."""
         buffers, device = self._buffers, self._device
+        environments, edges = self._counts.shape
+        threads, vertices = buffers.threads(edges), buffers.threads(buffers.shape[1])
         wp.launch(
             kernels.push_edges,
-            dim=self._counts.shape,
+            dim=(environments, threads),
             inputs=[
-                buffers.clocks, self._config.push_out_speed, self._friction, self._edges,
-                self._partners, self._distances, self._counts, buffers.inverse_masses,
-                buffers.positions, buffers.start,
+                threads, buffers.clocks, self._config.push_out_speed, self._friction, self._edges,
+                self._partners, self._distances, self._counts, self._listed, self._totals,
+                buffers.inverse_masses, buffers.positions, buffers.start,
             ],
             outputs=[self._sums],
             device=device,
         )  # fmt: skip
         wp.launch(
             kernels.add_to_moves,
-            dim=buffers.shape,
-            inputs=[self._totals, self._sums],
+            dim=(environments, vertices),
+            inputs=[vertices, self._totals, self._sums],
             outputs=[buffers.moves, buffers.stops],
             device=device,
         )

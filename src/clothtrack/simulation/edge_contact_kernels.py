@@ -10,7 +10,7 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.simulation.cells import block_around, cell_of, row_at
+from clothtrack.simulation.cells import Walk, block_around, cell_of, next_touching, nth, row_at
 from clothtrack.simulation.kernels import Clock
 from clothtrack.simulation.triangle_contact_kernels import segment_distance
 
@@ -27,9 +27,9 @@ _NEARLY_PARALLEL = wp.constant(0.0025)
 @no_type_check
 @wp.struct
 class Crossing:
-    """How two lines pass each other: plain normal, its square, shares along both, signed gap [m].
+    """How two segments pass each other: plain normal, its square, shares along both, gap [m].
 
-    `normal` is zero when they are nearly parallel.
+    The gap has a sign. All are zero when the lines are nearly parallel or pass beyond the ends.
     """
 
     normal: wp.vec3
@@ -42,18 +42,27 @@ class Crossing:
 @no_type_check
 @wp.func
 def pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
-    """How the line from a to b passes the line from c to d."""
+    """How the segment from a to b passes the segment from c to d."""
     crossing = Crossing()
     first = b - a
     second = d - c
     normal = wp.cross(first, second)
     square = wp.dot(normal, normal)
-    if square > _NEARLY_PARALLEL * wp.dot(first, first) * wp.dot(second, second):
-        between = c - a
+    between = c - a
+    along_first = wp.dot(wp.cross(between, second), normal)
+    along_second = wp.dot(wp.cross(between, first), normal)
+    low = wp.min(along_first, along_second)
+    high = wp.max(along_first, along_second)
+    # Most pass each other beyond their ends: they are told before anything is divided.
+    if (
+        low > 0.0
+        and high < square
+        and square > _NEARLY_PARALLEL * wp.dot(first, first) * wp.dot(second, second)
+    ):
         crossing.normal = normal
         crossing.square = square
-        crossing.along_first = wp.dot(wp.cross(between, second), normal) / square
-        crossing.along_second = wp.dot(wp.cross(between, first), normal) / square
+        crossing.along_first = along_first / square
+        crossing.along_second = along_second / square
         crossing.gap = -wp.dot(between, normal) / wp.sqrt(square)
     return crossing
 
@@ -61,10 +70,17 @@ def pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
 @no_type_check
 @wp.func
 def inside(crossing: Crossing):
-    """Whether both lines pass each other between their ends."""
+    """Whether the segments pass each other between their ends."""
     low = wp.min(crossing.along_first, crossing.along_second)
     high = wp.max(crossing.along_first, crossing.along_second)
     return crossing.square > 0.0 and low > 0.0 and high < 1.0
+
+
+@no_type_check
+@wp.func
+def share_an_end(one: wp.vec2i, other: wp.vec2i):
+    """Whether two edges meet."""
+    return (one[0] == other[0] or one[0] == other[1]) or (one[1] == other[0] or one[1] == other[1])
 
 
 @no_type_check
@@ -81,13 +97,22 @@ def rest_distance(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
 
 
 @no_type_check
-@wp.func
-def face_normal(environment: int, face: wp.vec3i, positions: wp.array2d(dtype=wp.vec3)):
-    """Unit normal of a triangle."""
-    a = positions[environment, face[0]]
-    return wp.normalize(
-        wp.cross(positions[environment, face[1]] - a, positions[environment, face[2]] - a)
-    )
+@wp.kernel
+def find_normals(
+    stride: int,
+    faces: wp.array(dtype=wp.vec3i),
+    positions: wp.array2d(dtype=wp.vec3),
+    normals: wp.array2d(dtype=wp.vec3),
+):
+    """Unit normal of every triangle."""
+    environment, thread = wp.tid()
+    here = positions[environment]
+    unit = normals[environment]
+    for number in range(thread, faces.shape[0], stride):
+        face = nth(number)
+        corners = faces[face]
+        a = here[nth(corners[0])]
+        unit[face] = wp.normalize(wp.cross(here[nth(corners[1])] - a, here[nth(corners[2])] - a))
 
 
 @no_type_check
@@ -107,26 +132,16 @@ def ball_around(
 
 
 @no_type_check
-@wp.func
-def balls_touch(one: wp.vec4, other: wp.vec4):
-    """Whether two balls have a point in common."""
-    x = one[0] - other[0]
-    y = one[1] - other[1]
-    z = one[2] - other[2]
-    radii = one[3] + other[3]
-    return x * x + y * y + z * z <= radii * radii
-
-
-@no_type_check
 @wp.kernel
 def count_bent(
+    stride: int,
     clocks: wp.array(dtype=Clock),
     cells_per_metre: float,
     flat: float,
     near: float,
     edges: wp.array(dtype=wp.vec2i),
     sides: wp.array(dtype=wp.vec2i),
-    faces: wp.array(dtype=wp.vec3i),
+    normals: wp.array2d(dtype=wp.vec3),
     positions: wp.array2d(dtype=wp.vec3),
     velocities: wp.array2d(dtype=wp.vec3),
     counts: wp.array(dtype=int),
@@ -135,29 +150,35 @@ def count_bent(
     balls: wp.array2d(dtype=wp.vec4),
 ):
     """The ball of every edge; the cell of every bent or open one, -1 for a flat one."""
-    environment, edge = wp.tid()
-    ends = edges[edge]
-    a = positions[environment, ends[0]]
-    b = positions[environment, ends[1]]
-    balls[environment, edge] = ball_around(
-        a, b, velocities[environment, ends[0]], velocities[environment, ends[1]], near,
-        clocks[0].rebuild_s,
-    )  # fmt: skip
-    side = sides[edge]
-    cells[environment, edge] = -1
-    if side[1] >= 0:
-        one = face_normal(environment, faces[side[0]], positions)
-        other = face_normal(environment, faces[side[1]], positions)
-        if wp.dot(one, other) > flat:
-            return
-    cell = cell_of(environment, 0.5 * (a + b), cells_per_metre)
-    cells[environment, edge] = cell
-    ranks[environment, edge] = wp.atomic_add(counts, cell, 1)
+    environment, thread = wp.tid()
+    here = positions[environment]
+    moving = velocities[environment]
+    unit = normals[environment]
+    around = balls[environment]
+    places = cells[environment]
+    rebuild_s = clocks[0].rebuild_s
+    for number in range(thread, edges.shape[0], stride):
+        edge = nth(number)
+        ends = edges[edge]
+        a = here[nth(ends[0])]
+        b = here[nth(ends[1])]
+        around[edge] = ball_around(
+            a, b, moving[nth(ends[0])], moving[nth(ends[1])], near, rebuild_s
+        )
+        side = sides[edge]
+        places[edge] = -1
+        if side[1] >= 0:
+            if wp.dot(unit[nth(side[0])], unit[side[1]]) > flat:
+                continue
+        cell = cell_of(environment, 0.5 * (a + b), cells_per_metre)
+        places[edge] = cell
+        ranks[environment, edge] = wp.atomic_add(counts, cell, 1)
 
 
 @no_type_check
 @wp.kernel
 def sort_bent(
+    stride: int,
     first: wp.array(dtype=int),
     cells: wp.array2d(dtype=int),
     ranks: wp.array2d(dtype=int),
@@ -166,17 +187,21 @@ def sort_bent(
     sorted_balls: wp.array(dtype=wp.vec4),
 ):
     """Put the bent edges in the order of their cells."""
-    environment, edge = wp.tid()
-    cell = cells[environment, edge]
-    if cell >= 0:
-        place = first[cell] + ranks[environment, edge]
-        sorted_edges[place] = edge
-        sorted_balls[place] = balls[environment, edge]
+    environment, thread = wp.tid()
+    places = cells[environment]
+    for number in range(thread, places.shape[0], stride):
+        edge = nth(number)
+        cell = places[edge]
+        if cell >= 0:
+            place = first[cell] + ranks[environment, edge]
+            sorted_edges[place] = edge
+            sorted_balls[place] = balls[environment, edge]
 
 
 @no_type_check
 @wp.kernel
 def find_edges(
+    stride: int,
     clocks: wp.array(dtype=Clock),
     cells_per_metre: float,
     first: wp.array(dtype=int),
@@ -194,63 +219,76 @@ def find_edges(
     partners: wp.array3d(dtype=int),
     distances: wp.array3d(dtype=float),
     counts: wp.array2d(dtype=int),
+    listed: wp.array2d(dtype=int),
     totals: wp.array(dtype=int),
     overflows: wp.array(dtype=int),
 ):
     """List the bent edges that each edge may touch before the next search, with its side.
 
-    A pair of bent edges is listed by the one with the lower number.
+    A pair of bent edges is listed by the one with the lower number. `listed` are the edges that
+    have a pair, in any order, `totals` is how many.
     """
-    environment, edge = wp.tid()
-    ends = edges[edge]
-    a = positions[environment, ends[0]]
-    b = positions[environment, ends[1]]
-    middle = 0.5 * (a + b)
-    ball = balls[environment, edge]
-    bent = cells[environment, edge] >= 0
-    found = wp.int32(0)
-    block = block_around(middle, reach, cells_per_metre)
-    for z in range(block.z0, block.z1 + 1):
-        for y in range(block.y0, block.y1 + 1):
-            row = row_at(environment, y, z)
-            for place in range(first[row + block.left], first[row + block.right + 1]):
-                if not balls_touch(ball, sorted_balls[place]):
-                    continue
-                other = sorted_edges[place]
-                if bent and other <= edge:
-                    continue
-                far = edges[other]
-                if far[0] == ends[0] or far[0] == ends[1] or far[1] == ends[0] or far[1] == ends[1]:
-                    continue
-                c = positions[environment, far[0]]
-                d = positions[environment, far[1]]
-                crossing = pass_by(a, b, c, d)
-                if not inside(crossing):
-                    continue
-                s = crossing.along_first
-                t = crossing.along_second
-                parting = (1.0 - s) * velocities[environment, ends[0]]
-                parting += s * velocities[environment, ends[1]]
-                parting -= (1.0 - t) * velocities[environment, far[0]]
-                parting -= t * velocities[environment, far[1]]
-                side = wp.where(crossing.gap >= 0.0, 1.0, -1.0)
-                nearing = -side * wp.dot(parting, crossing.normal) / wp.sqrt(crossing.square)
-                allowed = distance + margin + wp.max(nearing, 0.0) * clocks[0].rebuild_s
-                if wp.abs(crossing.gap) > allowed:
-                    continue
-                keep = wp.min(
-                    distance,
-                    rest_distance(rest[ends[0]], rest[ends[1]], rest[far[0]], rest[far[1]]),
-                )
-                if found < partners.shape[2]:
-                    partners[environment, edge, found] = wp.where(side > 0.0, 1, -1) * (other + 1)
-                    distances[environment, edge, found] = keep
-                    found += 1
-                else:
-                    wp.atomic_add(overflows, environment, 1)
-    counts[environment, edge] = found
-    if found > 0:
-        wp.atomic_add(totals, environment, found)
+    environment, thread = wp.tid()
+    here = positions[environment]
+    moving = velocities[environment]
+    around = balls[environment]
+    places = cells[environment]
+    rebuild_s = clocks[0].rebuild_s
+    for number in range(thread, edges.shape[0], stride):
+        edge = nth(number)
+        ends = edges[edge]
+        i = nth(ends[0])
+        j = nth(ends[1])
+        a = here[i]
+        b = here[j]
+        middle = 0.5 * (a + b)
+        ball = around[edge]
+        bent = places[edge] >= 0
+        found = int(0)
+        block = block_around(middle, reach, cells_per_metre)
+        for z in range(block.z0, block.z1 + 1):
+            for y in range(block.y0, block.y1 + 1):
+                row = row_at(environment, y, z)
+                end = first[nth(row + block.right + 1)]
+                walk = Walk()
+                walk.asked = first[nth(row + block.left)]
+                next_touching(ball, sorted_balls, end, walk)
+                while walk.place < end:
+                    place = nth(walk.place)
+                    next_touching(ball, sorted_balls, end, walk)
+                    other = nth(sorted_edges[place])
+                    if bent and other <= edge:
+                        continue
+                    far = edges[other]
+                    c = nth(far[0])
+                    d = nth(far[1])
+                    if share_an_end(ends, far):
+                        continue
+                    crossing = pass_by(a, b, here[c], here[d])
+                    if not inside(crossing):
+                        continue
+                    s = crossing.along_first
+                    t = crossing.along_second
+                    parting = (1.0 - s) * moving[i]
+                    parting += s * moving[j]
+                    parting -= (1.0 - t) * moving[c]
+                    parting -= t * moving[d]
+                    side = wp.where(crossing.gap >= 0.0, 1.0, -1.0)
+                    nearing = -side * wp.dot(parting, crossing.normal) / wp.sqrt(crossing.square)
+                    allowed = distance + margin + wp.max(nearing, 0.0) * rebuild_s
+                    if wp.abs(crossing.gap) > allowed:
+                        continue
+                    keep = wp.min(distance, rest_distance(rest[i], rest[j], rest[c], rest[d]))
+                    if found < partners.shape[2]:
+                        code = wp.where(side > 0.0, 1, -1) * (other + 1)
+                        partners[environment, edge, found] = code
+                        distances[environment, edge, found] = keep
+                        found += 1
+                    else:
+                        wp.atomic_add(overflows, environment, 1)
+        counts[environment, edge] = found
+        if found > 0:
+            listed[environment, wp.atomic_add(totals, environment, 1)] = edge
 
 
 @no_type_check
@@ -275,6 +313,7 @@ def add_share(
 @no_type_check
 @wp.kernel
 def push_edges(
+    stride: int,
     clocks: wp.array(dtype=Clock),
     push_out_speed: float,
     friction: wp.array(dtype=float),
@@ -282,82 +321,87 @@ def push_edges(
     partners: wp.array3d(dtype=int),
     distances: wp.array3d(dtype=float),
     counts: wp.array2d(dtype=int),
+    listed: wp.array2d(dtype=int),
+    totals: wp.array(dtype=int),
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
     start: wp.array2d(dtype=wp.vec3),
     sums: wp.array3d(dtype=wp.int64),
 ):
     """Push listed edges apart that are nearer than their distance or on the wrong side."""
-    environment, edge = wp.tid()
-    count = counts[environment, edge]
-    if count == 0:
-        return
-    ends = edges[edge]
-    a = positions[environment, ends[0]]
-    b = positions[environment, ends[1]]
+    environment, thread = wp.tid()
+    here = positions[environment]
+    before = start[environment]
+    mass = inverse_masses[environment]
     longest = push_out_speed * clocks[0].substep_s
-    for slot in range(count):
-        code = partners[environment, edge, slot]
-        far = edges[wp.abs(code) - 1]
-        crossing = pass_by(a, b, positions[environment, far[0]], positions[environment, far[1]])
-        if not inside(crossing):
-            continue
-        side = wp.where(code > 0, 1.0, -1.0)
-        gap = side * crossing.gap
-        push = distances[environment, edge, slot] - gap
-        if push <= 0.0:
-            continue
-        if gap <= 0.0:
-            push = wp.min(push, longest)
-        s = crossing.along_first
-        t = crossing.along_second
-        weight = (1.0 - s) * (1.0 - s) * inverse_masses[environment, ends[0]]
-        weight += s * s * inverse_masses[environment, ends[1]]
-        weight += (1.0 - t) * (1.0 - t) * inverse_masses[environment, far[0]]
-        weight += t * t * inverse_masses[environment, far[1]]
-        if weight == 0.0:
-            continue
-        outward = crossing.normal * (side / wp.sqrt(crossing.square))
-        slip = (1.0 - s) * (a - start[environment, ends[0]])
-        slip += s * (b - start[environment, ends[1]])
-        slip -= (1.0 - t) * (positions[environment, far[0]] - start[environment, far[0]])
-        slip -= t * (positions[environment, far[1]] - start[environment, far[1]])
-        nearing = -wp.dot(slip, outward)
-        slip += nearing * outward
-        cut = wp.min(1.0, friction[environment] * push / (wp.length(slip) + 1.0e-12))
-        moving = (push * outward - cut * slip) / weight
-        stopping = (wp.clamp(nearing, 0.0, push) * outward - cut * slip) / weight
-        add_share(environment, ends[0], 1.0 - s, moving, stopping, inverse_masses, sums)
-        add_share(environment, ends[1], s, moving, stopping, inverse_masses, sums)
-        add_share(environment, far[0], t - 1.0, moving, stopping, inverse_masses, sums)
-        add_share(environment, far[1], -t, moving, stopping, inverse_masses, sums)
+    for number in range(thread, totals[environment], stride):
+        edge = listed[environment, number]
+        ends = edges[edge]
+        a = here[ends[0]]
+        b = here[ends[1]]
+        for slot in range(counts[environment, edge]):
+            code = partners[environment, edge, slot]
+            far = edges[wp.abs(code) - 1]
+            c = here[far[0]]
+            d = here[far[1]]
+            crossing = pass_by(a, b, c, d)
+            if not inside(crossing):
+                continue
+            side = wp.where(code > 0, 1.0, -1.0)
+            gap = side * crossing.gap
+            push = distances[environment, edge, slot] - gap
+            if push <= 0.0:
+                continue
+            if gap <= 0.0:
+                push = wp.min(push, longest)
+            s = crossing.along_first
+            t = crossing.along_second
+            weight = (1.0 - s) * (1.0 - s) * mass[ends[0]]
+            weight += s * s * mass[ends[1]]
+            weight += (1.0 - t) * (1.0 - t) * mass[far[0]]
+            weight += t * t * mass[far[1]]
+            if weight == 0.0:
+                continue
+            outward = crossing.normal * (side / wp.sqrt(crossing.square))
+            slip = (1.0 - s) * (a - before[ends[0]])
+            slip += s * (b - before[ends[1]])
+            slip -= (1.0 - t) * (c - before[far[0]])
+            slip -= t * (d - before[far[1]])
+            nearing = -wp.dot(slip, outward)
+            slip += nearing * outward
+            cut = wp.min(1.0, friction[environment] * push / (wp.length(slip) + 1.0e-12))
+            moving = (push * outward - cut * slip) / weight
+            stopping = (wp.clamp(nearing, 0.0, push) * outward - cut * slip) / weight
+            add_share(environment, ends[0], 1.0 - s, moving, stopping, inverse_masses, sums)
+            add_share(environment, ends[1], s, moving, stopping, inverse_masses, sums)
+            add_share(environment, far[0], t - 1.0, moving, stopping, inverse_masses, sums)
+            add_share(environment, far[1], -t, moving, stopping, inverse_masses, sums)
 
 
 @no_type_check
 @wp.kernel
 def add_to_moves(
+    stride: int,
     totals: wp.array(dtype=int),
     sums: wp.array3d(dtype=wp.int64),
     moves: wp.array2d(dtype=wp.vec3),
     stops: wp.array2d(dtype=wp.vec3),
 ):
     """Average over the active pairs (Jacobi), add to what the triangles want; clear the sums."""
-    environment, vertex = wp.tid()
+    environment, thread = wp.tid()
     if totals[environment] == 0:
         return
-    active = sums[environment, vertex, 6]
-    if active == wp.int64(0):
-        return
-    share = _METRES / wp.max(_METRES * float(active), 1.0)
-    moves[environment, vertex] += share * wp.vec3(
-        float(sums[environment, vertex, 0]),
-        float(sums[environment, vertex, 1]),
-        float(sums[environment, vertex, 2]),
-    )
-    stops[environment, vertex] += share * wp.vec3(
-        float(sums[environment, vertex, 3]),
-        float(sums[environment, vertex, 4]),
-        float(sums[environment, vertex, 5]),
-    )
-    for column in range(7):
-        sums[environment, vertex, column] = wp.int64(0)
+    for vertex in range(thread, sums.shape[1], stride):
+        wanted = sums[environment, vertex]
+        active = wanted[6]
+        if active == wp.int64(0):
+            continue
+        share = _METRES / wp.max(_METRES * float(active), 1.0)
+        moves[environment, vertex] += share * wp.vec3(
+            float(wanted[0]), float(wanted[1]), float(wanted[2])
+        )
+        stops[environment, vertex] += share * wp.vec3(
+            float(wanted[3]), float(wanted[4]), float(wanted[5])
+        )
+        for column in range(7):
+            wanted[column] = wp.int64(0)

@@ -2,13 +2,16 @@
 
 Extended position-based dynamics with small steps: Macklin, Müller, Chentanez, "XPBD" (MIG 2016,
 doi:10.1145/2994258.2994272), and Macklin et al., "Small Steps in Physics Simulation" (SCA 2019,
-doi:10.1145/3309486.3340247). Arrays are (environments, vertices); a thread is one vertex or one
-constraint of one environment.
+doi:10.1145/3309486.3340247). Arrays are (environments, vertices). A thread is one constraint of one
+environment, or every `stride`-th of its vertices: each has its own on a GPU; on a CPU one thread
+goes through them all, because there a thread costs more than what it does to a vertex.
 """
 
 from typing import no_type_check
 
 import warp as wp
+
+from clothtrack.simulation.cells import nth
 
 wp.set_module_options({"enable_backward": False})
 
@@ -72,47 +75,46 @@ def attach(
 @no_type_check
 @wp.func
 def predict(
-    environment: int,
     vertex: int,
     position: wp.vec3,
     velocity: wp.vec3,
     gravity: wp.vec3,
     clock: Clock,
-    positions: wp.array2d(dtype=wp.vec3),
-    predicted: wp.array2d(dtype=wp.vec3),
-    velocities: wp.array2d(dtype=wp.vec3),
+    positions: wp.array(dtype=wp.vec3),
+    predicted: wp.array(dtype=wp.vec3),
+    velocities: wp.array(dtype=wp.vec3),
 ):
     """Fly freely for one elastic substep, with drag."""
     flying = (velocity + gravity * clock.elastic_s) * clock.decay
     arrival = position + clock.elastic_s * flying
-    velocities[environment, vertex] = flying
-    predicted[environment, vertex] = arrival
-    positions[environment, vertex] = arrival
+    velocities[vertex] = flying
+    predicted[vertex] = arrival
+    positions[vertex] = arrival
 
 
 @no_type_check
 @wp.func
 def follow(
-    environment: int,
     vertex: int,
     position: wp.vec3,
     goal: wp.vec3,
     left: int,
     clock: Clock,
-    positions: wp.array2d(dtype=wp.vec3),
-    predicted: wp.array2d(dtype=wp.vec3),
-    velocities: wp.array2d(dtype=wp.vec3),
+    positions: wp.array(dtype=wp.vec3),
+    predicted: wp.array(dtype=wp.vec3),
+    velocities: wp.array(dtype=wp.vec3),
 ):
     """Move a held vertex by its share of the way that is left."""
     way = (goal - position) / float(left)
-    velocities[environment, vertex] = way / clock.elastic_s
-    predicted[environment, vertex] = position + way
-    positions[environment, vertex] = position + way
+    velocities[vertex] = way / clock.elastic_s
+    predicted[vertex] = position + way
+    positions[vertex] = position + way
 
 
 @no_type_check
 @wp.kernel
 def begin_substep(
+    stride: int,
     clocks: wp.array(dtype=Clock),
     substeps_left: wp.array(dtype=int),
     elastic_substeps: int,
@@ -130,31 +132,36 @@ def begin_substep(
     number of substeps and does not swing. It also carries the vertex's weight, which the
     observation that gave the target has already felt.
     """
-    environment, vertex = wp.tid()
+    environment, thread = wp.tid()
     clock = clocks[0]
-    rate = pull[environment, vertex]
-    position = positions[environment, vertex]
-    if rate == HELD:
-        start[environment, vertex] = position
-        left = substeps_left[0] * elastic_substeps
-        goal = goals[environment, vertex]
-        follow(environment, vertex, position, goal, left, clock, positions, predicted, velocities)
-        return
-    velocity = velocities[environment, vertex]
-    if rate > 0.0:
-        turn = rate * clock.substep_s
-        velocity += (rate * turn) * (goals[environment, vertex] - position)
-        velocity /= (1.0 + turn) * (1.0 + turn)
-    start[environment, vertex] = position
-    weight = wp.where(rate > 0.0, 0.0, 1.0) * gravity
-    predict(
-        environment, vertex, position, velocity, weight, clock, positions, predicted, velocities
-    )
+    left = substeps_left[0] * elastic_substeps
+    rates = pull[environment]
+    wanted = goals[environment]
+    here = positions[environment]
+    moving = velocities[environment]
+    ahead = predicted[environment]
+    before = start[environment]
+    for number in range(thread, rates.shape[0], stride):
+        vertex = nth(number)
+        rate = rates[vertex]
+        position = here[vertex]
+        before[vertex] = position
+        if rate == HELD:
+            follow(vertex, position, wanted[vertex], left, clock, here, ahead, moving)
+            continue
+        velocity = moving[vertex]
+        if rate > 0.0:
+            turn = rate * clock.substep_s
+            velocity += (rate * turn) * (wanted[vertex] - position)
+            velocity /= (1.0 + turn) * (1.0 + turn)
+        weight = wp.where(rate > 0.0, 0.0, 1.0) * gravity
+        predict(vertex, position, velocity, weight, clock, here, ahead, moving)
 
 
 @no_type_check
 @wp.kernel
 def continue_substep(
+    stride: int,
     clocks: wp.array(dtype=Clock),
     substeps_left: wp.array(dtype=int),
     elastic_substeps: int,
@@ -171,21 +178,25 @@ def continue_substep(
     The change is added to the predicted velocity: a difference of positions alone would lose it
     to rounding, which at these short times is biased by a percent.
     """
-    environment, vertex = wp.tid()
+    environment, thread = wp.tid()
     clock = clocks[0]
-    position = positions[environment, vertex]
-    rate = pull[environment, vertex]
-    if rate == HELD:
-        left = substeps_left[0] * elastic_substeps - elastic_substep
-        goal = goals[environment, vertex]
-        follow(environment, vertex, position, goal, left, clock, positions, predicted, velocities)
-        return
-    velocity = velocities[environment, vertex]
-    velocity += (position - predicted[environment, vertex]) / clock.elastic_s
-    weight = wp.where(rate > 0.0, 0.0, 1.0) * gravity
-    predict(
-        environment, vertex, position, velocity, weight, clock, positions, predicted, velocities
-    )
+    left = substeps_left[0] * elastic_substeps - elastic_substep
+    rates = pull[environment]
+    wanted = goals[environment]
+    here = positions[environment]
+    moving = velocities[environment]
+    ahead = predicted[environment]
+    for number in range(thread, rates.shape[0], stride):
+        vertex = nth(number)
+        position = here[vertex]
+        rate = rates[vertex]
+        if rate == HELD:
+            follow(vertex, position, wanted[vertex], left, clock, here, ahead, moving)
+            continue
+        velocity = moving[vertex]
+        velocity += (position - ahead[vertex]) / clock.elastic_s
+        weight = wp.where(rate > 0.0, 0.0, 1.0) * gravity
+        predict(vertex, position, velocity, weight, clock, here, ahead, moving)
 
 
 @no_type_check
@@ -233,6 +244,7 @@ def solve_distances(
 @no_type_check
 @wp.kernel
 def end_substep(
+    stride: int,
     clocks: wp.array(dtype=Clock),
     inverse_masses: wp.array2d(dtype=float),
     start: wp.array2d(dtype=wp.vec3),
@@ -257,49 +269,59 @@ def end_substep(
     Contact and table stop what approaches; undoing an older crossing moves a vertex but gives it
     no speed, so that a layer that was placed inside another is not flung away.
     """
-    environment, vertex = wp.tid()
-    if environment == 0 and vertex == 0:
+    environment, thread = wp.tid()
+    if environment == 0 and thread == 0:
         substeps_left[0] = substeps_left[0] - 1
     clock = clocks[0]
-    solved = positions[environment, vertex]
-    velocity = velocities[environment, vertex]
-    velocity += (solved - predicted[environment, vertex]) / clock.elastic_s
-    if inverse_masses[environment, vertex] == 0.0:
-        airborne[environment, vertex] = 0
-        return
-    position = solved
-    origin = start[environment, vertex]
-    moved = moves[environment, vertex]
-    stopped = stops[environment, vertex]
-    still_airborne = airborne[environment, vertex] + 1
-    if wp.dot(moved, moved) > 0.0:
-        position += moved
-        still_airborne = 0
-    if has_table == 1:
-        depth = resting_height - wp.dot(position - table_point, table_normal)
-        if depth >= 0.0:
+    here = positions[environment]
+    moving = velocities[environment]
+    ahead = predicted[environment]
+    before = start[environment]
+    moved_by = moves[environment]
+    stopped_by = stops[environment]
+    mass = inverse_masses[environment]
+    aloft = airborne[environment]
+    for number in range(thread, here.shape[0], stride):
+        vertex = nth(number)
+        solved = here[vertex]
+        velocity = moving[vertex]
+        velocity += (solved - ahead[vertex]) / clock.elastic_s
+        if mass[vertex] == 0.0:
+            aloft[vertex] = 0
+            continue
+        position = solved
+        origin = before[vertex]
+        moved = moved_by[vertex]
+        stopped = stopped_by[vertex]
+        still_airborne = aloft[vertex] + 1
+        if wp.dot(moved, moved) > 0.0:
+            position += moved
             still_airborne = 0
-            slip = position - origin
-            sinking = -wp.dot(slip, table_normal)
-            slip += sinking * table_normal
-            position += depth * table_normal
-            stopped += wp.clamp(sinking, 0.0, depth) * table_normal
-            slipped = wp.length(slip) + 1.0e-12
-            cut = slip * wp.min(1.0, table_friction[environment] * depth / slipped)
-            position -= cut
-            stopped -= cut
-    velocity += stopped / clock.substep_s
-    speed = wp.length(velocity)
-    if not speed < 1.0e30:
-        speed = wp.inf
-    if speed > highest_speed[environment]:
-        wp.atomic_max(highest_speed, environment, speed)
-    if speed > speed_limit:
-        velocity *= speed_limit / speed
-    if still_airborne <= AIRBORNE_LIMIT:
-        if wp.length(position - origin) < sleep_speed * clock.substep_s:
-            position = origin
-            velocity = wp.vec3(0.0, 0.0, 0.0)
-    positions[environment, vertex] = position
-    velocities[environment, vertex] = velocity
-    airborne[environment, vertex] = wp.min(still_airborne, 1000)
+        if has_table == 1:
+            depth = resting_height - wp.dot(position - table_point, table_normal)
+            if depth >= 0.0:
+                still_airborne = 0
+                slip = position - origin
+                sinking = -wp.dot(slip, table_normal)
+                slip += sinking * table_normal
+                position += depth * table_normal
+                stopped += wp.clamp(sinking, 0.0, depth) * table_normal
+                slipped = wp.length(slip) + 1.0e-12
+                cut = slip * wp.min(1.0, table_friction[environment] * depth / slipped)
+                position -= cut
+                stopped -= cut
+        velocity += stopped / clock.substep_s
+        speed = wp.length(velocity)
+        if not speed < 1.0e30:
+            speed = wp.inf
+        if speed > highest_speed[environment]:
+            wp.atomic_max(highest_speed, environment, speed)
+        if speed > speed_limit:
+            velocity *= speed_limit / speed
+        if still_airborne <= AIRBORNE_LIMIT:
+            if wp.length(position - origin) < sleep_speed * clock.substep_s:
+                position = origin
+                velocity = wp.vec3(0.0, 0.0, 0.0)
+        here[vertex] = position
+        moving[vertex] = velocity
+        aloft[vertex] = wp.min(still_airborne, 1000)

@@ -302,7 +302,10 @@ class ClothSolver:
 
     def _launch_substep(self) -> None:
         buffers, config = self._buffers, self.config
+        environments, vertices = buffers.shape
+        threads = buffers.threads(vertices)
         inputs = [
+            threads,
             buffers.clocks,
             buffers.substeps_left,
             ELASTIC_SUBSTEPS,
@@ -317,7 +320,7 @@ class ClothSolver:
             kernel = kernels.begin_substep if part == 0 else kernels.continue_substep
             wp.launch(
                 kernel,
-                dim=buffers.shape,
+                dim=(environments, threads),
                 inputs=[*inputs, buffers.start if part == 0 else part],
                 device=self.device,
             )
@@ -356,10 +359,13 @@ class ClothSolver:
     def _launch_end(self) -> None:
         buffers, config = self._buffers, self.config
         point, normal, table = self._table()
+        environments, vertices = buffers.shape
+        threads = buffers.threads(vertices)
         wp.launch(
             kernels.end_substep,
-            dim=buffers.shape,
+            dim=(environments, threads),
             inputs=[
+                threads,
                 buffers.clocks,
                 buffers.inverse_masses,
                 buffers.start,

@@ -8,7 +8,7 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.simulation.cells import block_around, cell_of, nth, row_at
+from clothtrack.simulation.cells import Walk, block_around, cell_of, next_touching, nth, row_at
 from clothtrack.simulation.kernels import Clock
 
 wp.set_module_options({"enable_backward": False})
@@ -22,6 +22,7 @@ SLOTS = wp.constant(TRIANGLES_PER_VERTEX)
 @no_type_check
 @wp.kernel
 def count_faces(
+    stride: int,
     cells_per_metre: float,
     tolerance: float,
     faces: wp.array(dtype=wp.vec3i),
@@ -35,36 +36,41 @@ def count_faces(
 ):
     """Where each triangle may be touched, and its cell; count per cell.
 
-    That is inside a ball (centre [m], squared reach [m^2]) and, seen along the triangle's unit
-    normal, inside a disc (normal, squared radius [m^2]): a foot whose weights are at least -t is
-    no farther from the centre than 1 + 3 t times the farthest corner.
+    That is inside a ball (centre, reach [m]; a thousandth more is for rounding) and, seen along the
+    triangle's unit normal, inside a disc (normal, squared radius [m^2]): a foot whose weights are
+    at least -t is no farther from the centre than 1 + 3 t times the farthest corner.
     """
-    environment, face = wp.tid()
-    corners = faces[face]
-    a = positions[environment, corners[0]]
-    b = positions[environment, corners[1]]
-    c = positions[environment, corners[2]]
-    centre = (a + b + c) / 3.0
-    normal = wp.cross(b - a, c - a)
-    doubled_area = wp.length(normal)
-    farthest = wp.max(
-        wp.length_sq(a - centre), wp.max(wp.length_sq(b - centre), wp.length_sq(c - centre))
-    )
+    environment, thread = wp.tid()
+    here = positions[environment]
     widened = 1.001 * (1.0 + 3.0 * tolerance)
-    radius = widened * widened * farthest
-    if doubled_area < 1.0e-9:
-        radius = face_reach[face]  # no plane to look along
-    cell = cell_of(environment, centre, cells_per_metre)
-    cells[environment, face] = cell
-    ranks[environment, face] = wp.atomic_add(counts, cell, 1)
-    balls[environment, face] = wp.vec4(centre[0], centre[1], centre[2], face_reach[face])
-    normal = normal / (doubled_area + 1.0e-15)
-    discs[environment, face] = wp.vec4(normal[0], normal[1], normal[2], radius)
+    for number in range(thread, faces.shape[0], stride):
+        face = nth(number)
+        corners = faces[face]
+        a = here[nth(corners[0])]
+        b = here[nth(corners[1])]
+        c = here[nth(corners[2])]
+        centre = (a + b + c) / 3.0
+        normal = wp.cross(b - a, c - a)
+        doubled_area = wp.length(normal)
+        farthest = wp.max(
+            wp.length_sq(a - centre), wp.max(wp.length_sq(b - centre), wp.length_sq(c - centre))
+        )
+        radius = widened * widened * farthest
+        if doubled_area < 1.0e-9:
+            radius = face_reach[face]  # no plane to look along
+        cell = cell_of(environment, centre, cells_per_metre)
+        cells[environment, face] = cell
+        ranks[environment, face] = wp.atomic_add(counts, cell, 1)
+        reach = 1.001 * wp.sqrt(face_reach[face])
+        balls[environment, face] = wp.vec4(centre[0], centre[1], centre[2], reach)
+        normal = normal / (doubled_area + 1.0e-15)
+        discs[environment, face] = wp.vec4(normal[0], normal[1], normal[2], radius)
 
 
 @no_type_check
 @wp.kernel
 def sort_faces(
+    stride: int,
     first: wp.array(dtype=int),
     cells: wp.array2d(dtype=int),
     ranks: wp.array2d(dtype=int),
@@ -75,11 +81,13 @@ def sort_faces(
     sorted_discs: wp.array(dtype=wp.vec4),
 ):
     """Put the triangles and their balls in the order of their cells."""
-    environment, face = wp.tid()
-    place = first[cells[environment, face]] + ranks[environment, face]
-    sorted_faces[place] = face
-    sorted_balls[place] = balls[environment, face]
-    sorted_discs[place] = discs[environment, face]
+    environment, thread = wp.tid()
+    for number in range(thread, cells.shape[1], stride):
+        face = nth(number)
+        place = nth(first[nth(cells[environment, face])] + ranks[environment, face])
+        sorted_faces[place] = face
+        sorted_balls[place] = balls[environment, face]
+        sorted_discs[place] = discs[environment, face]
 
 
 @no_type_check
@@ -128,25 +136,21 @@ def share_a_vertex(first: wp.vec3i, second: wp.vec3i):
 @no_type_check
 @wp.func
 def vote(
-    environment: int,
-    vertex: int,
     face: wp.vec3i,
     normal: wp.vec3,
     faces: wp.array(dtype=wp.vec3i),
-    positions: wp.array2d(dtype=wp.vec3),
-    sides: wp.array3d(dtype=int),
+    positions: wp.array(dtype=wp.vec3),
+    sides: wp.array(dtype=int),
     count: int,
 ):
     """Side that the vertex remembers for triangles that touch this one and face the same way."""
     votes = wp.int32(0)
     for slot in range(count):
-        code = sides[environment, vertex, slot]
-        other = faces[wp.abs(code) - 1]
+        code = sides[nth(slot)]
+        other = faces[nth(wp.abs(code) - 1)]
         if share_a_vertex(face, other):
-            a = positions[environment, other[0]]
-            facing = wp.cross(
-                positions[environment, other[1]] - a, positions[environment, other[2]] - a
-            )
+            a = positions[nth(other[0])]
+            facing = wp.cross(positions[nth(other[1])] - a, positions[nth(other[2])] - a)
             if wp.dot(facing, normal) > 0.0:
                 votes += wp.where(code > 0, 1, -1)
     return votes
@@ -164,9 +168,9 @@ class Pair:
 @no_type_check
 @wp.func
 def examine_pair(
-    environment: int,
     vertex: int,
     face_number: int,
+    face: wp.vec3i,
     thickness: float,
     margin: float,
     depth: float,
@@ -174,21 +178,21 @@ def examine_pair(
     rebuild_s: float,
     faces: wp.array(dtype=wp.vec3i),
     rest: wp.array(dtype=wp.vec3),
-    positions: wp.array2d(dtype=wp.vec3),
-    velocities: wp.array2d(dtype=wp.vec3),
-    old_sides: wp.array3d(dtype=int),
-    old_distances: wp.array3d(dtype=float),
-    old_counts: wp.array2d(dtype=int),
+    positions: wp.array(dtype=wp.vec3),
+    velocities: wp.array(dtype=wp.vec3),
+    old_sides: wp.array(dtype=int),
+    old_distances: wp.array(dtype=float),
+    remembered: int,
 ):
     """Whether a vertex may touch a triangle before the next search, and from which side."""
     pair = Pair()
-    face = faces[face_number]
-    if face[0] == vertex or face[1] == vertex or face[2] == vertex:
-        return pair
-    point = positions[environment, vertex]
-    a = positions[environment, face[0]]
-    b = positions[environment, face[1]]
-    c = positions[environment, face[2]]
+    i = nth(face[0])
+    j = nth(face[1])
+    k = nth(face[2])
+    point = positions[vertex]
+    a = positions[i]
+    b = positions[j]
+    c = positions[k]
     normal = wp.cross(b - a, c - a)
     doubled_area = wp.length(normal)
     height = wp.dot(point - a, normal) / (doubled_area + 1.0e-15)
@@ -197,31 +201,29 @@ def examine_pair(
     weights = barycentric(point, a, b, c, normal)
     if wp.min(weights) < -tolerance:
         return pair
-    remembered = old_counts[environment, vertex]
     side = wp.int32(0)
     distance = wp.float32(-1.0)
-    for slot in range(remembered):
-        code = old_sides[environment, vertex, slot]
+    for number in range(remembered):
+        slot = nth(number)
+        code = old_sides[slot]
         if wp.abs(code) == face_number + 1:
             side = wp.where(code > 0, 1, -1)
-            distance = old_distances[environment, vertex, slot]
+            distance = old_distances[slot]
     if side == 0 and remembered > 0:
-        votes = vote(environment, vertex, face, normal, faces, positions, old_sides, remembered)
+        votes = vote(face, normal, faces, positions, old_sides, remembered)
         side = wp.where(votes > 0, 1, wp.where(votes < 0, -1, 0))
     if side == 0:
         side = wp.where(height >= 0.0, 1, -1)
-    approach = velocities[environment, vertex]
-    for corner in range(3):
-        approach -= weights[corner] * velocities[environment, face[corner]]
+    approach = velocities[vertex]
+    approach -= weights[0] * velocities[i]
+    approach -= weights[1] * velocities[j]
+    approach -= weights[2] * velocities[k]
     nearing = -float(side) * wp.dot(approach, normal) / (doubled_area + 1.0e-15)
     allowed = thickness + margin + wp.max(nearing, 0.0) * rebuild_s
     if float(side) * height > allowed:
         return pair
     if distance < 0.0:
-        distance = wp.min(
-            thickness,
-            triangle_distance(rest[vertex], rest[face[0]], rest[face[1]], rest[face[2]]),
-        )
+        distance = wp.min(thickness, triangle_distance(rest[vertex], rest[i], rest[j], rest[k]))
     pair.side = side
     pair.distance = distance
     return pair
@@ -231,40 +233,41 @@ def examine_pair(
 @wp.func
 def insert_pair(
     environment: int,
-    vertex: int,
     found: int,
     code: int,
     distance: float,
-    sides: wp.array3d(dtype=int),
-    distances: wp.array3d(dtype=float),
+    sides: wp.array(dtype=int),
+    distances: wp.array(dtype=float),
     overflows: wp.array(dtype=int),
 ):
     """Put a pair where its triangle's number wants it; the number of pairs then."""
     count = int(found)
-    if count == sides.shape[2]:
+    if count == sides.shape[0]:
         wp.atomic_add(overflows, environment, 1)
-        if wp.abs(code) > wp.abs(sides[environment, vertex, count - 1]):
+        if wp.abs(code) > wp.abs(sides[count - 1]):
             return count
         count -= 1
     slot = int(count)
-    while slot > 0 and wp.abs(sides[environment, vertex, slot - 1]) > wp.abs(code):
-        sides[environment, vertex, slot] = sides[environment, vertex, slot - 1]
-        distances[environment, vertex, slot] = distances[environment, vertex, slot - 1]
+    while slot > 0 and wp.abs(sides[slot - 1]) > wp.abs(code):
+        sides[slot] = sides[slot - 1]
+        distances[slot] = distances[slot - 1]
         slot -= 1
-    sides[environment, vertex, slot] = code
-    distances[environment, vertex, slot] = distance
+    sides[slot] = code
+    distances[slot] = distance
     return count + 1
 
 
 @no_type_check
 @wp.kernel
 def find_pairs(
+    stride: int,
     clocks: wp.array(dtype=Clock),
     cells_per_metre: float,
     first: wp.array(dtype=int),
     sorted_faces: wp.array(dtype=int),
     sorted_balls: wp.array(dtype=wp.vec4),
     sorted_discs: wp.array(dtype=wp.vec4),
+    face_reach: wp.array(dtype=float),
     reach: float,
     thickness: float,
     margin: float,
@@ -286,38 +289,51 @@ def find_pairs(
 
     They are listed by their number, so that no sum depends on how they were found.
     """
-    environment, vertex = wp.tid()
-    point = positions[environment, vertex]
+    environment, thread = wp.tid()
+    here = positions[environment]
+    moving = velocities[environment]
     rebuild_s = clocks[0].rebuild_s
-    found = wp.int32(0)
-    block = block_around(point, reach, cells_per_metre)
-    for z in range(block.z0, block.z1 + 1):
-        for y in range(block.y0, block.y1 + 1):
-            row = row_at(environment, y, z)
-            following = first[row + block.left]
-            end = first[row + block.right + 1]
-            while following < end:
-                place = nth(following)
-                following += 1
-                ball = sorted_balls[place]
-                away = point - wp.vec3(ball[0], ball[1], ball[2])
-                square = wp.dot(away, away)
-                # Not ">": what is not a number must not touch either.
-                if not square <= ball[3]:
-                    continue
-                disc = sorted_discs[place]
-                height = wp.dot(away, wp.vec3(disc[0], disc[1], disc[2]))
-                if wp.abs(height) > 1.001 * depth or square - height * height > disc[3]:
-                    continue
-                face = sorted_faces[place]
-                pair = examine_pair(
-                    environment, vertex, face, thickness, margin, depth, tolerance,
-                    rebuild_s, faces, rest, positions, velocities,
-                    old_sides, old_distances, old_counts,
-                )  # fmt: skip
-                if pair.side != 0:
-                    found = insert_pair(
-                        environment, vertex, found, pair.side * (face + 1), pair.distance,
-                        sides, distances, overflows,
+    for number in range(thread, here.shape[0], stride):
+        vertex = nth(number)
+        point = here[vertex]
+        near = wp.vec4(point[0], point[1], point[2], 0.0)
+        found = int(0)
+        block = block_around(point, reach, cells_per_metre)
+        for z in range(block.z0, block.z1 + 1):
+            for y in range(block.y0, block.y1 + 1):
+                row = row_at(environment, y, z)
+                end = first[nth(row + block.right + 1)]
+                walk = Walk()
+                walk.asked = first[nth(row + block.left)]
+                next_touching(near, sorted_balls, end, walk)
+                while walk.place < end:
+                    place = nth(walk.place)
+                    next_touching(near, sorted_balls, end, walk)
+                    face_number = nth(sorted_faces[place])
+                    face = faces[face_number]
+                    ball = sorted_balls[place]
+                    disc = sorted_discs[place]
+                    away = point - wp.vec3(ball[0], ball[1], ball[2])
+                    square = wp.dot(away, away)
+                    height = wp.dot(away, wp.vec3(disc[0], disc[1], disc[2]))
+                    own = face[0] == vertex or face[1] == vertex or face[2] == vertex
+                    # One question, because what it is answered can hardly be predicted. Not ">":
+                    # what is not a number must not touch either.
+                    if (
+                        own
+                        or not square <= face_reach[face_number]
+                        or wp.abs(height) > 1.001 * depth
+                        or square - height * height > disc[3]
+                    ):
+                        continue
+                    pair = examine_pair(
+                        vertex, face_number, face, thickness, margin, depth, tolerance, rebuild_s,
+                        faces, rest, here, moving, old_sides[environment, vertex],
+                        old_distances[environment, vertex], old_counts[environment, vertex],
                     )  # fmt: skip
-    counts[environment, vertex] = found
+                    if pair.side != 0:
+                        found = insert_pair(
+                            environment, found, pair.side * (face_number + 1), pair.distance,
+                            sides[environment, vertex], distances[environment, vertex], overflows,
+                        )  # fmt: skip
+        counts[environment, vertex] = found

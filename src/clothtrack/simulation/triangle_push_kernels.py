@@ -59,6 +59,10 @@ def sort_reactions(
         reactions[environment, vertex, place] = code
 
 
+Received = wp.types.vector(length=8, dtype=wp.float32)
+"""What a vertex has got on a CPU, in one register: moving, stopping, sum of shares, nothing."""
+
+
 @no_type_check
 @wp.struct
 class Impulse:
@@ -131,22 +135,6 @@ def pair_impulse(
 
 
 @no_type_check
-@wp.func
-def add_to(
-    vertex: int,
-    share: float,
-    impulse: Impulse,
-    active: wp.array(dtype=float),
-    moves: wp.array(dtype=wp.vec3),
-    stops: wp.array(dtype=wp.vec3),
-):
-    """Add a share of an impulse to what one vertex gets."""
-    active[vertex] = active[vertex] + wp.abs(share)
-    moves[vertex] = moves[vertex] + share * impulse.moving
-    stops[vertex] = stops[vertex] + share * impulse.stopping
-
-
-@no_type_check
 @wp.kernel
 def scatter_impulses(
     clocks: wp.array(dtype=Clock),
@@ -160,7 +148,7 @@ def scatter_impulses(
     inverse_masses: wp.array2d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
     start: wp.array2d(dtype=wp.vec3),
-    active: wp.array2d(dtype=float),
+    received: wp.array2d(dtype=Received),
     moves: wp.array2d(dtype=wp.vec3),
     stops: wp.array2d(dtype=wp.vec3),
 ):
@@ -172,21 +160,16 @@ def scatter_impulses(
     mass = inverse_masses[environment]
     here = positions[environment]
     before = start[environment]
-    pushed = active[environment]
+    got = received[environment]
     moved = moves[environment]
     stopped = stops[environment]
     longest = push_out_speed * clocks[0].substep_s
     rubbing = friction[environment]
-    for vertex in range(count.shape[0]):
-        pushed[vertex] = 0.0
-        moved[vertex] = wp.vec3(0.0, 0.0, 0.0)
-        stopped[vertex] = wp.vec3(0.0, 0.0, 0.0)
-    number = int(0)
-    while number < count.shape[0]:
+    for number in range(count.shape[0]):
+        got[nth(number)] = Received()
+    for number in range(count.shape[0]):
         vertex = nth(number)
-        slots = count[vertex]
-        listed = int(0)
-        while listed < slots:
+        for listed in range(count[vertex]):
             slot = nth(listed)
             signed = code[vertex, slot]
             face = faces[nth(wp.abs(signed) - 1)]
@@ -195,18 +178,24 @@ def scatter_impulses(
                 mass, here, before,
             )  # fmt: skip
             if impulse.pushes == 1:
-                foot = impulse.foot
-                add_to(vertex, 1.0, impulse, pushed, moved, stopped)
-                add_to(nth(face[0]), -foot[0], impulse, pushed, moved, stopped)
-                add_to(nth(face[1]), -foot[1], impulse, pushed, moved, stopped)
-                add_to(nth(face[2]), -foot[2], impulse, pushed, moved, stopped)
-            listed += 1
-        number += 1
-    for vertex in range(count.shape[0]):
-        if pushed[vertex] > 0.0:
-            share = mass[vertex] / wp.max(pushed[vertex], 1.0)
-            moved[vertex] = share * moved[vertex]
-            stopped[vertex] = share * stopped[vertex]
+                moving = impulse.moving
+                stopping = impulse.stopping
+                whole = Received(
+                    moving[0], moving[1], moving[2],
+                    stopping[0], stopping[1], stopping[2], 1.0, 0.0,
+                )  # fmt: skip
+                got[vertex] = got[vertex] + whole
+                for corner in range(3):
+                    share = -impulse.foot[corner]
+                    whole[6] = wp.where(share < 0.0, -1.0, 1.0)
+                    place = nth(face[corner])
+                    got[place] = got[place] + share * whole
+    for number in range(count.shape[0]):
+        vertex = nth(number)
+        sums = got[vertex]
+        share = wp.where(sums[6] > 0.0, mass[vertex] / wp.max(sums[6], 1.0), 1.0)
+        moved[vertex] = share * wp.vec3(sums[0], sums[1], sums[2])
+        stopped[vertex] = share * wp.vec3(sums[3], sums[4], sums[5])
 
 
 @no_type_check
