@@ -59,7 +59,7 @@ class Calibration:
     roll_outs: float
     judge: str = "open_loop"
     spread_m: Float[np.ndarray, " vertices"] = field(default_factory=lambda: np.zeros(0))
-    mean_m: Float[np.ndarray, "vertices 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    mean_m: Float[np.ndarray, "all_or_none 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def none(cls) -> "Calibration":
