@@ -8,7 +8,6 @@ import pytest
 from clothtrack.tracking import algorithm
 from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.ensemble import ends_apart
 from clothtrack.tracking.pipeline import RunConfig, track_recording
 
 AXES = {"held_layers": (1.0, 2.0), "table_friction": (0.05, 1.0)}
@@ -17,7 +16,7 @@ AXES = {"held_layers": (1.0, 2.0), "table_friction": (0.05, 1.0)}
 @pytest.fixture(scope="module")
 def config() -> TrackerConfig:
     search = CalibrationConfig(method="grid", judge="tracking", axes=AXES)
-    base = TrackerConfig()
+    base = TrackerConfig(average_candidates=False)
     return replace(base, calibration=search, solver=replace(base.solver, substep_s=3.3e-3))
 
 
@@ -44,13 +43,6 @@ def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recordin
     again = track_recording(recording, RunConfig(tracker=alone))
     np.testing.assert_array_equal(tracked.positions, again.positions)
     np.testing.assert_array_equal(tracked.steps.loss_after, again.steps.loss_after)
-
-
-def test_vertices_at_which_passes_end_apart_are_told():
-    one, other, gone = (np.full((5, 3), each, np.float32) for each in (0.0, 0.0, np.nan))
-    other[2] = 0.0, 0.006, 0.0
-    np.testing.assert_allclose(ends_apart([one, other]), [0, 0, 0.003, 0, 0], atol=1e-9)
-    assert ends_apart([one, gone]).shape == ends_apart([]).shape == (0,)
 
 
 def test_where_one_layer_lies_no_second_one_is_tried(recording, config, monkeypatch):

@@ -29,6 +29,7 @@ from clothtrack.world.filming import simulate
 SHORT = (
     "tracker.calibration.method=none", "tracker.final_alignment.iterations=20",
     "tracker.solver.substep_s=3.3e-3", "initial_state.vertex_count=200",
+    "tracker.align_first_mesh=false",
 )  # fmt: skip
 FEW = InitialStateConfig(vertex_count=200)
 NEVER_FLAT = replace(FEW, doubtful_m=0.0)

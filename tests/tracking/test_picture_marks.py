@@ -83,20 +83,3 @@ def test_a_point_that_is_far_off_counts_little(marks):
         marks(SQUARE.vertices, seen([places[0], [0.08 + off, 0.03, 0.0]])) for off in (0.001, 0.1)
     )
     assert far.weight.sum() < 0.52 * near.weight.sum()
-
-
-def test_only_the_first_mesh_is_aligned_before_anything_is_bound(marks):
-    asked = []
-
-    def aligned(state, observation):
-        asked.append(len(observation.followed.numbers))
-        return Lying(state.positions + [0.004, 0.0, 0.0])
-
-    bind(marks, seen([[0.05, 0.02, 0.0]], numbers=[1]), aligned=aligned)
-    bind(marks, seen([[0.05, 0.02, 0.0], [0.08, 0.02, 0.0]], numbers=[1, 2]), aligned=aligned)
-    assert asked == [1]
-    first = marks(SQUARE.vertices, seen([[0.05, 0.02, 0.0]], numbers=[1]))
-    pulled = first.weight > 0
-    np.testing.assert_allclose(
-        (first.wanted - SQUARE.vertices)[pulled], [[0.004, 0, 0]] * 3, atol=1e-12
-    )

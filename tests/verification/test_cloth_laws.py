@@ -298,6 +298,15 @@ def test_a_resting_cloth_sleeps_and_a_cloth_in_the_air_does_not():
     assert (aloft.positions[0, :, 2] < 0.49).all()
 
 
+def test_a_resting_cloth_that_is_pulled_by_a_fraction_of_a_millimetre_moves():
+    mesh = sheet(0.05, 0.0015)
+    solver = ClothSolver(mesh, SolverConfig(table=FLOOR))
+    solver.step(0.2)
+    goal = solver.positions + np.float32([0.0003, 0.0, 0.0])
+    solver.step(0.05, Attachment(goal, np.full((1, mesh.vertex_count), 0.999)))
+    assert np.abs(solver.positions - goal).max() < 0.00003
+
+
 def _lift(mesh, height=0.03):
     start = mesh.vertices[mesh.vertex_count // 2]
     return np.stack([start, start + height * UP])[:, None, :]

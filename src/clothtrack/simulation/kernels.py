@@ -247,6 +247,7 @@ def end_substep(
     stride: int,
     clocks: wp.array(dtype=Clock),
     inverse_masses: wp.array2d(dtype=float),
+    pull: wp.array2d(dtype=float),
     start: wp.array2d(dtype=wp.vec3),
     predicted: wp.array2d(dtype=wp.vec3),
     moves: wp.array2d(dtype=wp.vec3),
@@ -267,7 +268,8 @@ def end_substep(
     """Apply contact and table, take the velocities, let supported slow vertices sleep.
 
     Contact and table stop what approaches; undoing an older crossing moves a vertex but gives it
-    no speed, so that a layer that was placed inside another is not flung away.
+    no speed, so that a layer that was placed inside another is not flung away. What is pulled does
+    not sleep: it would never come to a goal that is less than a millimetre away.
     """
     environment, thread = wp.tid()
     if environment == 0 and thread == 0:
@@ -280,6 +282,7 @@ def end_substep(
     moved_by = moves[environment]
     stopped_by = stops[environment]
     mass = inverse_masses[environment]
+    pulled = pull[environment]
     aloft = airborne[environment]
     for number in range(thread, here.shape[0], stride):
         vertex = nth(number)
@@ -318,7 +321,7 @@ def end_substep(
             wp.atomic_max(highest_speed, environment, speed)
         if speed > speed_limit:
             velocity *= speed_limit / speed
-        if still_airborne <= AIRBORNE_LIMIT:
+        if still_airborne <= AIRBORNE_LIMIT and pulled[vertex] == 0.0:
             if wp.length(position - origin) < sleep_speed * clock.substep_s:
                 position = origin
                 velocity = wp.vec3(0.0, 0.0, 0.0)

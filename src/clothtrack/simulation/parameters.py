@@ -59,7 +59,7 @@ class SolverConfig(Checked):
         gravity: acceleration of the whole scene [m/s^2]; add a draught or a tilted camera here.
         damping: rate at which a free vertex loses speed to the air [1/s].
         sleep_speed: a vertex that touched something lately and is slower [m/s] stays where it is
-            (FleX's sleep threshold, only for vertices that are supported).
+            (FleX's sleep threshold, only for vertices that are supported and not pulled).
         speed_limit: highest speed a vertex keeps after a substep [m/s].
         table: the plane under the cloth, or None.
         rebuild_s: time between two searches for contact candidates [s].

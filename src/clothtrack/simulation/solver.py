@@ -368,6 +368,7 @@ class ClothSolver:
                 threads,
                 buffers.clocks,
                 buffers.inverse_masses,
+                buffers.pull,
                 buffers.start,
                 buffers.predicted,
                 buffers.moves,

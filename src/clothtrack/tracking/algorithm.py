@@ -42,7 +42,7 @@ def track(
         followed = follow_with(theta)
         theta, last = followed.theta, recording.frames[action.last_frame]
         held = followed.grasps.closed_at(last.time_s)
-        state = parts.combine(followed, theta, calibration)  # not in the paper
+        state = parts.combine(followed.state, theta, calibration)  # not in the paper
         state, losses = parts.align_last(state, theta, parts.observe(last), held)  # TTO2
         recorder.keep(followed, state, losses, calibration)
 

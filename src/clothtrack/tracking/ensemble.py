@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.state import Attachment
-from clothtrack.tracking.seams import FollowedAction, State
+from clothtrack.tracking.seams import State
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import Calibration
 
@@ -67,9 +67,9 @@ class MeanOfCandidates:
         """Take what rolls the cloth there, so that layers keep their sides and edges lengths."""
         self._dynamics = dynamics
 
-    def __call__(self, followed: FollowedAction, theta: Theta, calibration: Calibration) -> State:
+    def __call__(self, state: State, theta: Theta, calibration: Calibration) -> State:
         """The cloth at the end of an action, at rest; as it is where there was no search."""
-        state, wanted = followed.state, calibration.mean_m
+        wanted = calibration.mean_m
         if not len(wanted):
             return state
         solver = self._dynamics.solver
@@ -84,9 +84,9 @@ class MeanOfCandidates:
 
 
 def chosen_candidate(
-    followed: FollowedAction,
+    state: State,
     theta: Theta,  # noqa: ARG001
     calibration: Calibration,  # noqa: ARG001
 ) -> State:
-    """The end of the pass that was chosen, as in the paper."""
-    return followed.state
+    """The end of the pass that was chosen as it is, as in the paper."""
+    return state

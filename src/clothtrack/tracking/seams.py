@@ -266,11 +266,11 @@ class Calibrate(Protocol):
 class Combine(Protocol):
     """Makes one end of an action of the candidates that were followed to it."""
 
-    def __call__(self, followed: FollowedAction, theta: Theta, calibration: Calibration) -> State:
+    def __call__(self, state: State, theta: Theta, calibration: Calibration) -> State:
         """The cloth that the final alignment starts from.
 
         Args:
-            followed: the pass that was chosen.
+            state: where the pass that was chosen ends.
             theta: its parameters.
             calibration: all candidates, and where they end in the mean.
         """
