@@ -105,6 +105,19 @@ def test_a_print_on_the_cloth_is_kept():
     assert mask[50:56, 60:66].all()
 
 
+@pytest.mark.parametrize(
+    ("column", "side", "stays"), [(80, 14, True), (180, 14, False), (80, 5, False)]
+)
+def test_a_corner_that_a_tool_cuts_off_stays_and_a_spot_elsewhere_does_not(column, side, stays):
+    mask = np.zeros((120, 200), dtype=bool)
+    mask[10:110, 10:70] = True
+    part = slice(40, 40 + side), slice(column, column + side)
+    mask[part] = True
+    kept = main_components(mask)
+    assert kept[10:110, 10:70].all()
+    assert kept[part].all() == kept[part].any() == stays
+
+
 def test_only_the_largest_part_and_its_equals_stay():
     mask = np.zeros((50, 50), dtype=bool)
     mask[0:20, 0:20] = True

@@ -37,6 +37,12 @@ A unit is about a visible difference; L counts half.
 """
 BOX_ROUNDS = 2
 """How often the colours of a box are learned again from the mask that they give."""
+SMALLEST_PART = 0.02
+"""A part of the mask smaller than this share of the largest one is no cloth that a tool cut off."""
+
+WIDEST_TOOL = 0.1
+"""How far such a part may be from the rest: the width of a tool, as a share of the picture's."""
+
 _OPENING = np.ones((3, 3), np.uint8)
 _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
 
@@ -353,9 +359,11 @@ def height_picture(
 def main_components(
     mask: Bool[np.ndarray, "height width"], share: float = 0.25
 ) -> Bool[np.ndarray, "height width"]:
-    """The largest connected part of a mask, and every part of at least `share` of its area.
+    """The largest connected part of a mask, those nearly as large, and what a tool cut off them.
 
-    A tool across the cloth cuts its picture into parts of similar size: they all stay.
+    A tool across the cloth cuts its picture into parts. Those of at least `share` of the largest
+    one's area all stay, and smaller ones beside them, as a sleeve or a corner is. Farther away,
+    small parts of the cloth's colour are something else.
     """
     kept = np.zeros_like(mask)
     window = bounds_of(mask)
@@ -364,7 +372,14 @@ def main_components(
     )
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
-    kept[window] = ((areas > 0) & (areas >= share * areas.max()))[labels]
+    large = (areas > 0) & (areas >= share * areas.max())
+    small = (areas >= SMALLEST_PART * areas.max()) & ~large
+    if small.any():
+        away = cv2.distanceTransform((~large[labels]).view(np.uint8), cv2.DIST_L2, 3)
+        widest = WIDEST_TOOL * mask.shape[1]
+        for part in np.flatnonzero(small):
+            large[part] = (away[labels == part] < widest).any()
+    kept[window] = large[labels]
     return kept
 
 
