@@ -116,6 +116,7 @@ def judged(entry: Entry, networks: Networks, keep: Path | None) -> Row:
             entry.kind,
             size_m=picture.size_m,
             refinement=RefinementConfig(),
+            untangle=True,
             device=networks.device,
         )
         mesh = made.mesh

@@ -173,6 +173,7 @@ def reconstructed(
         size_m=size_m or shown.size_m,
         template=flat,
         refinement=refinement,
+        untangle=refined,
         device=device,
     )
     if network.mesh is None:
