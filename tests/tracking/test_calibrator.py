@@ -10,7 +10,7 @@ from clothtrack.tracking.calibration import CalibrationConfig
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.pipeline import RunConfig, track_recording
 
-AXES = {"held_layers": (1.0, 2.0), "table_friction": (0.05, 1.0)}
+AXES = {"held_layers": (1.0, 2.0), "bend_compliance": (0.1, 10.0)}
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recordin
     tracked = track_recording(recording, RunConfig(tracker=config))
     (action,) = tracked.actions
     found = action.calibration
-    assert len(found.scores) == len(AXES["held_layers"]) * len(AXES["table_friction"])
+    assert len(found.scores) == len(AXES["held_layers"]) * len(AXES["bend_compliance"])
     assert found.scores[found.best] == found.scores.min()
     assert 0.0 < found.scores.min() < 0.2
     taken = dict(zip(found.names, found.candidates[found.best].tolist(), strict=True))
@@ -55,4 +55,4 @@ def test_where_one_layer_lies_no_second_one_is_tried(recording, config, monkeypa
 
     monkeypatch.setattr(algorithm, "follow", counted)
     track_recording(recording, RunConfig(tracker=config))
-    assert len(followed) == len(AXES["table_friction"])
+    assert len(followed) == len(AXES["bend_compliance"])

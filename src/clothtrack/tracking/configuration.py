@@ -16,10 +16,12 @@ from clothtrack.tracking.theta import PARAMETERS, check_parameter
 
 def _default_parameters() -> dict[str, float]:
     return {
-        "stretch_compliance": 0.0,
+        # That of a knitted cloth, 60 N/m. One that cannot stretch cannot shear either: it wrinkles
+        # across where the true one lies flat.
+        "stretch_compliance": 0.02,
         "bend_compliance": 1.0,
-        "table_friction": 1.0,
-        "particle_friction": 1.0,
+        "table_friction": 0.5,
+        "particle_friction": 0.5,
         "held_layers": 1.0,
         "grasp_offset_x_m": 0.0,
         "grasp_offset_y_m": 0.0,
@@ -32,9 +34,9 @@ def _calibration() -> CalibrationConfig:
     # is better spent on more values and a second sweep for the others.
     axes = {
         "held_layers": (1.0, 2.0),
-        "table_friction": (0.3, 1.0, 3.0),
-        "bend_compliance": (0.1, 1.0, 10.0),
-        "particle_friction": (0.3, 1.0),
+        "table_friction": (0.2, 0.5, 1.5),
+        "bend_compliance": (1.0, 10.0),
+        "particle_friction": (0.2, 0.5),
     }
     return CalibrationConfig(judge="tracking", axes=axes, sweeps=2, enough=0.03)
 
@@ -101,7 +103,7 @@ class TrackerConfig(Checked):
         final_alignment: how TTO2 differs.
         line_search: when a pseudo-action is too much.
         dynamics: how a frame is cut into simulator steps.
-        solver: the cloth simulator.
+        solver: the cloth simulator. Nothing sleeps in the default: slow cloth has a way to go, too.
     """
 
     use_pseudo_action: bool = True
@@ -120,7 +122,7 @@ class TrackerConfig(Checked):
     final_alignment: FinalAlignmentConfig = field(default_factory=FinalAlignmentConfig)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
     dynamics: DynamicsConfig = field(default_factory=lambda: DynamicsConfig(velocity_kept=0.0))
-    solver: SolverConfig = field(default_factory=SolverConfig)
+    solver: SolverConfig = field(default_factory=lambda: SolverConfig(sleep_speed=0.0))
 
     def __post_init__(self) -> None:
         """Refuse contradictions.
@@ -153,8 +155,7 @@ class TrackerConfig(Checked):
 _PAPER = TrackerConfig(
     parameters={
         **_default_parameters(),
-        "table_friction": 0.5,
-        "particle_friction": 0.5,
+        "stretch_compliance": 0.0,
         "held_layers": 0.0,
     },
     calibration=CalibrationConfig(),
@@ -169,6 +170,7 @@ _PAPER = TrackerConfig(
     final_alignment=FinalAlignmentConfig(
         iterations=200, slide=False, rounds=1, roll_s=0.0, untangle=False
     ),
+    solver=SolverConfig(),
 )
 
 MODES: Mapping[str, TrackerConfig] = {
