@@ -105,6 +105,16 @@ def test_the_first_mesh_is_aligned_to_its_cloud_before_anything_moves(recording,
     np.testing.assert_allclose(left.positions[0], mesh.vertices + shift, atol=1e-6)
 
 
+def test_a_first_mesh_of_which_the_cloud_shows_little_stays_where_it_is(recording, config, slides):
+    mesh = recording.cloth.template
+    eyes = partial(observe, recording)
+    cut = lambda frame: replace(eyes(frame), lowest_height_m=0.05)  # noqa: E731
+    tracker = Tracker(recording, mesh, config, cut)
+    np.testing.assert_allclose(tracker._state.positions[0], mesh.vertices, atol=1e-6)
+    assert not slides
+    assert len(Tracker(recording, mesh, config, eyes)._state.positions) == len(slides) == 1
+
+
 @pytest.mark.parametrize("attach_crossed", [False, True])
 def test_vertices_at_crossings_are_left_free_unless_the_paper_is_followed(
     recording, config, attach_crossed

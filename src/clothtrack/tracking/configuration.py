@@ -84,7 +84,7 @@ class TrackerConfig(Checked):
         use_action: give the picker's motion to the dynamics, and calibrate ("No Act Cond").
         use_final_alignment: align once more at the end of an action ("No TTO2").
         align_first_mesh: align the first mesh to its cloud, as the mesh at the end of an action is
-            (TTO2), before anything moves; its rest lengths stay.
+            (TTO2), before anything moves, where the cloud shows most of it; its rest lengths stay.
         average_candidates: where a search has tracked several candidates, go on from their mean,
             weighted by how well they fit, and not from the best one.
         attachment_strength: 1 holds the attached vertices at their targets ("held", the paper's

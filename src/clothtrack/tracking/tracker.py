@@ -10,6 +10,7 @@ from clothtrack.files.progress import Progress
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.refinement import SETTLE_IN_S
+from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.solver import ClothSolver
@@ -22,7 +23,7 @@ from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.picking import pick, without_motion
 from clothtrack.tracking.picture_marks import PictureMarks, no_marks
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Dyn, Observe, Parts, Watch
+from clothtrack.tracking.seams import Dyn, Observe, Parts, State, Watch
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.visible_alignment import (
@@ -39,6 +40,10 @@ mesh's edges."""
 VISIBILITY_TOLERANCE_M = 0.003
 """How far behind the z-buffer's surface a vertex still counts as visible [m]: less than
 the distance of two layers."""
+
+
+LEAST_TOLD = 0.5
+"""Share of the visible vertices of a first mesh that the cloud must be able to contradict."""
 
 
 class Tracker:
@@ -89,13 +94,21 @@ class Tracker:
             dynamics=ClothDynamics(solver, config.dynamics), device=device,
         )  # fmt: skip
         if config.align_first_mesh:
-            first = recording.frames[0]
-            paths = recording.picker_paths.values()
-            held = any(path.closed_at(first.time_s) for path in paths)
-            # Whatever is searched or given, a replay with the chosen theta starts alike.
-            theta = TrackerConfig().parameters
-            state, _ = self.parts.align_last(state, theta, observe(first), held)
+            state = self._aligned_first(state, observe(recording.frames[0]))
         self._state = state
+
+    def _aligned_first(self, state: State, observation: Observation) -> State:
+        """The cloth at the first frame aligned to its cloud, where this shows most of it."""
+        positions, start_s = state.positions[0], self._recording.frames[0].time_s
+        visible = self._visible(positions)
+        told = visible & ~observation.unobservable(positions.astype(np.float64))
+        # Of a cloth below a cut a cloud shows a hand's breadth: the rest would slide after it.
+        if told.sum() < LEAST_TOLD * visible.sum():
+            return state
+        held = any(path.closed_at(start_s) for path in self._recording.picker_paths.values())
+        # Whatever is searched or given, a replay with the chosen theta starts alike.
+        theta = TrackerConfig().parameters
+        return self.parts.align_last(state, theta, observation, held)[0]
 
     def track(
         self, progress: Progress | None = None, watch: Watch | None = None
