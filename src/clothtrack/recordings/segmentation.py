@@ -41,7 +41,7 @@ SMALLEST_PART = 0.02
 """A part of the mask smaller than this share of the largest one is no cloth that a tool cut off."""
 
 WIDEST_TOOL = 0.1
-"""How far such a part may be from the rest: the width of a tool, as a share of the picture's."""
+"""How far such a part may be from the rest: a tool's width, as a share of the picture's."""
 
 _OPENING = np.ones((3, 3), np.uint8)
 _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
@@ -361,24 +361,21 @@ def main_components(
 ) -> Bool[np.ndarray, "height width"]:
     """The largest connected part of a mask, those nearly as large, and what a tool cut off them.
 
-    A tool across the cloth cuts its picture into parts. Those of at least `share` of the largest
-    one's area all stay, and smaller ones beside them, as a sleeve or a corner is. Farther away,
-    small parts of the cloth's colour are something else.
+    Parts of at least `share` of the largest one's area stay, and smaller ones beside them: a sleeve
+    beyond the tool. Farther away a small part of its colour is something else.
     """
     kept = np.zeros_like(mask)
     window = bounds_of(mask)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(
         mask[window].view(np.uint8), connectivity=8, ltype=cv2.CV_32S
     )
-    areas = stats[:, cv2.CC_STAT_AREA].copy()
-    areas[0] = 0
+    areas = np.append(0, stats[1:, cv2.CC_STAT_AREA])
     large = (areas > 0) & (areas >= share * areas.max())
     small = (areas >= SMALLEST_PART * areas.max()) & ~large
     if small.any():
         away = cv2.distanceTransform((~large[labels]).view(np.uint8), cv2.DIST_L2, 3)
-        widest = WIDEST_TOOL * mask.shape[1]
         for part in np.flatnonzero(small):
-            large[part] = (away[labels == part] < widest).any()
+            large[part] = away[labels == part].min() < WIDEST_TOOL * mask.shape[1]
     kept[window] = large[labels]
     return kept
 
