@@ -48,7 +48,7 @@ def test_the_cloth_is_rolled_to_the_mean_however_near_it_is(recording, shift_m):
     wanted = before.positions[0] + np.float32([shift_m, 0.0, 0.0])
     calibration = replace(Calibration.none(), mean_m=wanted.astype(np.float64))
     theta = TrackerConfig().parameters
-    moved = MeanOfCandidates(ClothDynamics(solver))(before, theta, calibration)
+    moved = MeanOfCandidates(ClothDynamics(solver), "towel")(before, theta, calibration)
     off = np.linalg.norm(moved.positions[0] - wanted, axis=1)
     assert off.max() < 0.1 * shift_m
     assert not moved.velocities.any()
@@ -57,7 +57,7 @@ def test_the_cloth_is_rolled_to_the_mean_however_near_it_is(recording, shift_m):
 def test_where_nothing_was_searched_the_pass_is_left_as_it_is(recording):
     solver = ClothSolver(recording.cloth.template, SolverConfig())
     state = solver.save()
-    move = MeanOfCandidates(ClothDynamics(solver))
+    move = MeanOfCandidates(ClothDynamics(solver), "towel")
     assert move(state, TrackerConfig().parameters, Calibration.none()) is state
 
 

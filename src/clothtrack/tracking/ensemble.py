@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.state import Attachment
+from clothtrack.tracking.final_alignment import FINAL_STRENGTH, rolled_to
 from clothtrack.tracking.seams import State
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import Calibration
@@ -20,9 +21,6 @@ SCORE_SCALE = 0.1
 
 ROLL_S = 0.1
 """Time in which the dynamics take the cloth to the mean [s]."""
-
-STRENGTH = 1.0 - 1e-5
-"""Strength of the pull to the mean: contacts and stretch still win over it."""
 
 
 def ends_apart(
@@ -63,24 +61,19 @@ def mean_end(
 class MeanOfCandidates:
     """Takes the chosen pass to the mean of all candidates, by the dynamics."""
 
-    def __init__(self, dynamics: ClothDynamics) -> None:
-        """Take what rolls the cloth there, so that layers keep their sides and edges lengths."""
-        self._dynamics = dynamics
+    def __init__(self, dynamics: ClothDynamics, name: str) -> None:
+        """Take what rolls the cloth there, and the recording's name for messages."""
+        self._dynamics, self._name = dynamics, name
 
     def __call__(self, state: State, theta: Theta, calibration: Calibration) -> State:
         """The cloth at the end of an action, at rest; as it is where there was no search."""
         wanted = calibration.mean_m
         if not len(wanted):
             return state
-        solver = self._dynamics.solver
-        solver.set_parameters(cloth_parameters(theta))
-        pull = np.full((1, len(wanted)), STRENGTH, np.float32)
-        targets = wanted[None].astype(np.float32)
-        rolled = self._dynamics.roll_out(state, None, ROLL_S, Attachment(targets, pull))
-        if not np.isfinite(rolled.positions).all():
-            return state
-        solver.set_velocities(np.zeros_like(state.velocities))
-        return solver.save()
+        self._dynamics.solver.set_parameters(cloth_parameters(theta))
+        strength = np.full((1, len(wanted)), FINAL_STRENGTH, np.float32)
+        pull = Attachment(wanted[None].astype(np.float32), strength)
+        return rolled_to(self._dynamics, state, pull, ROLL_S, self._name)
 
 
 def chosen_candidate(

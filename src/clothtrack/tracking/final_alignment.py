@@ -98,18 +98,13 @@ class FinalAlignment:
 
     def _corrected(self, state: ClothState, correction: Correction) -> ClothState:
         """The state after a correction: rolled there, or displaced at once; at rest."""
-        solver, config = self._dynamics.solver, self._config
+        config = self._config
         targets = state.positions + correction.displacement[None]
         if config.roll_s == 0.0:
             return self._at_rest(state, targets)
         strength = np.where(correction.attached, FINAL_STRENGTH, 0.0).astype(np.float32)
-        pseudo_action = Attachment(targets.astype(np.float32), strength[None])
-        rolled = self._dynamics.roll_out(state, None, config.roll_s, pseudo_action)
-        if not np.isfinite(rolled.positions).all():
-            logger.warning("%s: the final alignment diverges, dropped", self._name)
-            solver.restore(state)
-        solver.set_velocities(np.zeros_like(state.velocities))
-        return solver.save()
+        pull = Attachment(targets.astype(np.float32), strength[None])
+        return rolled_to(self._dynamics, state, pull, config.roll_s, self._name)
 
     def _taken_apart(self, state: ClothState) -> ClothState:
         """The state without passages through itself, as far as they can be undone; at rest.
@@ -138,6 +133,27 @@ class FinalAlignment:
         solver.place(vertices)
         solver.set_velocities(np.zeros_like(state.velocities))
         return solver.save()
+
+
+def rolled_to(
+    dynamics: ClothDynamics, state: ClothState, pull: Attachment, roll_s: float, name: str
+) -> ClothState:
+    """The cloth pulled somewhere by the dynamics, so that layers keep their sides; left at rest.
+
+    Args:
+        dynamics: with the cloth's parameters.
+        state: where it starts; and where it stays if the roll-out diverges.
+        pull: what is wanted where.
+        roll_s: how long it may take [s].
+        name: of the recording, for messages.
+    """
+    solver = dynamics.solver
+    rolled = dynamics.roll_out(state, None, roll_s, pull)
+    if not np.isfinite(rolled.positions).all():
+        logger.warning("%s: the end of an action diverges, its correction is dropped", name)
+        solver.restore(state)
+    solver.set_velocities(np.zeros_like(state.velocities))
+    return solver.save()
 
 
 def no_final_alignment(

@@ -140,6 +140,7 @@ def _parts(
 ) -> Parts:
     """The paper's method, ours, or an ablation: each is a choice of functions."""
     marks = PictureMarks(mesh, visible)
+    average = MeanOfCandidates(dynamics, recording.name)
     aligned = partial(
         VisibleAlignment, mesh, config, visible=visible, table=recording.table, marks=marks,
         device=device,
@@ -171,7 +172,7 @@ def _parts(
         dynamics=simulated,
         align=align if config.use_dynamics_initialisation else from_last_mesh(align),
         line_search=PseudoActionSearch(config.line_search, config.attachment_strength),
-        combine=(MeanOfCandidates(dynamics) if config.average_candidates else chosen_candidate),
+        combine=average if config.average_candidates else chosen_candidate,
         align_last=align_last,
         mark=marks.bind if config.uses_color else no_marks,
     )
