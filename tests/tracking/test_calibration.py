@@ -10,7 +10,7 @@ from clothtrack.tracking.calibration import CalibrationConfig, calibrate, ranked
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.theta import PARAMETERS
 
-START = TrackerConfig().parameters
+START = {**TrackerConfig().parameters, "table_friction": 1.0, "particle_friction": 1.0}
 BEST = {"bend_compliance": 1e-2, "table_friction": 3.0, "particle_friction": 0.3}
 COLUMNS = [PARAMETERS.index(name) for name in BEST]
 
