@@ -128,6 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say(f"{about([row for row in rows if 'error' not in row])}\n\n")
     say(f"{table(['target', 'at most', 'measured', ''], lines)}\n\n")
     word = "reproduced" if papers == ours else "not reproduced"
+    word = word if papers else "not measured, there are no rows of the paper's modes"
     say(f"Order of Table 1 by Chamfer: {word}.\npaper: {' < '.join(papers)}\n")
     say(f"ours:  {' < '.join(ours)}\n")
     return 0
