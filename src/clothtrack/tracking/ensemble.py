@@ -70,7 +70,7 @@ class MeanOfCandidates:
         wanted = calibration.mean_m
         if not len(wanted):
             return state
-        self._dynamics.solver.set_parameters(cloth_parameters(theta))
+        self._dynamics.solver.set_parameters(cloth_parameters(theta, self._dynamics.solver.mesh))
         strength = np.full((1, len(wanted)), FINAL_STRENGTH, np.float32)
         pull = Attachment(wanted[None].astype(np.float32), strength)
         return rolled_to(self._dynamics, state, pull, ROLL_S, self._name)

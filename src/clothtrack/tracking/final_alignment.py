@@ -72,7 +72,7 @@ class FinalAlignment:
         Returns:
             The state, and the objective [m^2] before and after; NaN where there was no cloud.
         """
-        self._dynamics.solver.set_parameters(cloth_parameters(theta))
+        self._dynamics.solver.set_parameters(cloth_parameters(theta, self._dynamics.solver.mesh))
         if self._config.slide and not held:
             state = self._slid(state, observation)
         state = self._taken_apart(state)

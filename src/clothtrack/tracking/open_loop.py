@@ -73,7 +73,7 @@ class OpenLoopScore:
         dynamics = self._dynamics_of(count)
         rows = candidates[np.minimum(np.arange(dynamics.solver.environments), count - 1)]
         values = [dict(zip(PARAMETERS, row.tolist(), strict=True)) for row in rows]
-        dynamics.solver.set_parameters([cloth_parameters(each) for each in values])
+        dynamics.solver.set_parameters([cloth_parameters(each, self._mesh) for each in values])
         offsets = np.stack([grasp_offset(each) for each in values])
         steps = max(1, (last_frame - action.first_frame) // self._score_frames)
         scored = range(last_frame, action.first_frame, -steps)[: self._score_frames]

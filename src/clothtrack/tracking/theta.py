@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.parameters import ClothParameters
 
 OF_THE_CLOTH = ("stretch_compliance", "bend_compliance", "table_friction", "particle_friction")
@@ -19,9 +20,21 @@ Theta = Mapping[str, float]
 """A value for each of PARAMETERS."""
 
 
-def cloth_parameters(theta: Theta) -> ClothParameters:
-    """The solver's share of theta."""
-    return ClothParameters(**{name: float(theta[name]) for name in OF_THE_CLOTH})
+BEND_SPACING_M = 0.008
+"""Spacing of the vertices [m] at which theta's bend compliance is that of the solver's pairs."""
+
+
+def cloth_parameters(theta: Theta, mesh: ClothMesh) -> ClothParameters:
+    """The solver's share of theta, for a cloth with the spacing of this mesh.
+
+    Two triangles of edge L that are bent to a curvature k move their far corners together by a
+    length in proportion to L^3 k^2. The energy of a spring of compliance c between them, per area,
+    is so in proportion to L^4 k^4 / c: the same cloth with a coarser mesh needs a compliance that
+    grows with the fourth power of its spacing.
+    """
+    values = {name: float(theta[name]) for name in OF_THE_CLOTH}
+    values["bend_compliance"] *= (float(mesh.edge_lengths.mean()) / BEND_SPACING_M) ** 4
+    return ClothParameters(**values)
 
 
 def grasp_offset(theta: Theta) -> Float[np.ndarray, " 3"]:

@@ -154,7 +154,7 @@ def _parts(
         )  # fmt: skip
 
     def simulated(theta: Theta) -> Dyn:
-        dynamics.solver.set_parameters(cloth_parameters(theta))
+        dynamics.solver.set_parameters(cloth_parameters(theta, mesh))
         return dynamics
 
     align, seen = aligned(alignment=config.alignment), observe
