@@ -89,6 +89,18 @@ def test_descent_ends_as_soon_as_it_is_near_enough() -> None:
     assert chosen[2] == chosen[3] == chosen[4]
 
 
+@pytest.mark.parametrize(("share", "friction"), [(0.95, 1.0), (0.85, 3.0)])
+def test_descent_leaves_a_candidate_only_for_a_clearly_better_one(share, friction) -> None:
+    def score(candidates: np.ndarray, _: float) -> np.ndarray:
+        return np.where(candidates[:, PARAMETERS.index("table_friction")] == 3.0, share, 1.0)
+
+    config = CalibrationConfig(axes={"table_friction": (1.0, 3.0)}, clearly=0.1)
+    chosen, record = calibrate(score, START, config)
+    assert chosen["table_friction"] == friction
+    assert record.candidates[record.best] == [friction]
+    assert len(record.scores) == 2
+
+
 def test_an_uncertain_grasp_adds_its_offset_to_the_search() -> None:
     config = CalibrationConfig()
     assert config.with_grasp_offset(0.0) is config

@@ -27,6 +27,9 @@ Score = Callable[
 ]
 """Chamfer [m^2] of candidates, columns as PARAMETERS, rolled through a share of the action."""
 
+Candidate = tuple[float, ...]
+"""A value for each searched parameter, in the order of the axes."""
+
 OFFSET_STEPS = 5
 """Heights of the grasp to try, spread over the uncertainty that the recording states; without one
 the offset is not searched."""
@@ -65,6 +68,8 @@ class CalibrationConfig(Checked):
         sweeps: most passes over the axes in coordinate descent.
         enough: coordinate descent ends as soon as its best scores no worse than this; judged by
             tracking, 0.03 leaves most easy actions at one pass. 0: never.
+        clearly: coordinate descent leaves a candidate only for one whose score is lower by this
+            share of it. What differs less is chance, and would be carried on to the next action.
     """
 
     method: Method = "descent"
@@ -73,6 +78,7 @@ class CalibrationConfig(Checked):
     rank: Share = 0.0
     sweeps: Count = 2
     enough: NotNegative = 0.0
+    clearly: Share = 0.0
 
     def __post_init__(self) -> None:
         """Refuse axes that are empty and values that cannot be meant.
@@ -142,11 +148,15 @@ def calibrate(
         return dict(start), Calibration.none()
     names = tuple(config.axes)
     counted = _Counted(score, start, names)
+    reached = None
     if names:
-        {"grid": _grid, "halving": _halving, "descent": _descent}[config.method](counted, config)
+        search = {"grid": _grid, "halving": _halving, "descent": _descent}[config.method]
+        reached = search(counted, config)
     candidates = np.array(list(counted.scores), float).reshape(len(counted.scores), len(names))
     scores = np.array(list(counted.scores.values()), float)
     best = ranked(scores, config.rank) if len(scores) else -1
+    if reached is not None and config.rank == 0.0:
+        best = list(counted.scores).index(reached)
     chosen = dict(start)
     if best >= 0:
         chosen |= dict(zip(names, candidates[best].tolist(), strict=True))
@@ -216,14 +226,24 @@ def _halving(score: _Counted, config: CalibrationConfig) -> None:
         candidates = [candidates[i] for i in np.argsort(scores, kind="stable")[:keep]]
 
 
-def _descent(score: _Counted, config: CalibrationConfig) -> None:
+def _descent(score: _Counted, config: CalibrationConfig) -> Candidate:
+    """The candidate that no other on its axes is clearly better than."""
     best = score.start_on(config.axes)
     for _ in range(config.sweeps):
         before = best
         for column, values in enumerate(config.axes.values()):
             if config.enough > 0.0 and score([best])[0] <= config.enough:
-                return
+                return best
             line = [(*best[:column], value, *best[column + 1 :]) for value in values]
-            best = line[int(np.argmin(score(line)))]
+            best = _clearly_best(line, score(line), best, config.clearly)
         if best == before:
             break
+    return best
+
+
+def _clearly_best(
+    line: list[Candidate], scores: Float[np.ndarray, " line"], now: Candidate, clearly: float
+) -> Candidate:
+    lowest = int(np.argmin(scores))
+    better = scores[lowest] <= (1.0 - clearly) * scores[line.index(now)]
+    return line[lowest] if better else now
