@@ -2,10 +2,10 @@
 
 Claims judged: whatever the moment of a `kill -9`, nothing finished is lost and the same command
 ends with the same bits; whatever is damaged is refused in one line; a process that tracks many
-recordings does not grow; no permitted physics leaves the finite numbers, gains energy or crosses
-the table; a full or read-only disk costs nothing that was there.
+recordings does not grow; no permitted physics leaves the finite numbers or crosses the table, and
+near the default (`near`) none gains energy; a full or read-only disk costs nothing that was there.
 
-    python experiments reliability --out OUT [--only kills fuzz soak physics disk]
+    python experiments reliability --out OUT [--only kills fuzz soak physics near disk]
     python experiments reliability --out OUT --case fuzz:1234     one case again, alone
 
 Cases that are done are kept in OUT/KIND.jsonl: a second call goes on where the first stopped. A
@@ -20,14 +20,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import _path  # noqa: F401
-from shared import full_disk, fuzz, kills, random_physics, soak
+from shared import full_disk, fuzz, kills, near_physics, random_physics, soak
 from shared.figures import say, write_json
 from shared.proof_stage import prepared
 from shared.trial import preload
 
-PROOFS = {"kills": kills, "fuzz": fuzz, "soak": soak, "physics": random_physics, "disk": full_disk}
-COUNTS = {"kills": 200, "fuzz": 10_000, "soak": 50, "physics": 1000, "disk": 2 * full_disk.COUNT}
-SMOKE = {"kills": 1, "fuzz": 9, "soak": 2, "physics": 8, "disk": 2}
+PROOFS = {"kills": kills, "fuzz": fuzz, "soak": soak, "physics": random_physics,
+          "near": near_physics, "disk": full_disk}  # fmt: skip
+COUNTS = {"kills": 200, "fuzz": 10_000, "soak": 50, "physics": 1000, "near": 1000,
+          "disk": 2 * full_disk.COUNT}  # fmt: skip
+SMOKE = {"kills": 1, "fuzz": 9, "soak": 2, "physics": 8, "near": 8, "disk": 2}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

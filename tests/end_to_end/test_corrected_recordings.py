@@ -107,3 +107,22 @@ def test_a_result_that_is_older_than_its_recording_is_told(
     (line,) = caplog.messages
     assert "tracked/towel.zarr is older than its recording recordings/towel" in line
     assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("verb", "more"),
+    [
+        ("evaluate", []),
+        ("evaluate", ["--output", "measures.json"]),
+        ("label", ["--output", "labels"]),
+    ],
+)
+def test_a_refusal_of_a_damaged_picture_is_one_line(tracked, monkeypatch, capsys, verb, more):
+    monkeypatch.chdir(tracked)
+    last = max((tracked / "recordings" / "towel" / "depth").glob("*.png"))
+    content = bytearray(last.read_bytes())
+    content[len(content) // 2] ^= 1
+    last.write_bytes(content)
+    assert cli.main([verb, "tracked/towel.zarr", "--recordings", "recordings", *more]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{last.name}: the file is damaged" in line

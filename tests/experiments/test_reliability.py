@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shared import damage, fuzz, kills, random_physics, soak
+from shared import damage, fuzz, kills, near_physics, random_physics, soak
 from shared.trial import Trial
 
 ROOT = Path(__file__).parents[2]
@@ -82,6 +82,13 @@ def test_drawn_physics_stay_finite_bounded_and_above_the_table(number):
     drawn = random_physics.drawn(np.random.default_rng([7, number]))
     row = random_physics.rolled_out(*drawn)
     assert not random_physics.violates(row), row
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_physics_near_the_default_gain_no_energy(number):
+    drawn = near_physics.drawn(np.random.default_rng([7, number]))
+    row = random_physics.rolled_out(*drawn)
+    assert not near_physics.violates(row), row
 
 
 def test_what_must_hold_of_physics_can_fail():

@@ -17,10 +17,10 @@ from clothtrack.files.shared_work import Executor, Share, attempts, results_of
 from clothtrack.files.work_folder import WorkFolder
 from clothtrack.files.worker_pool import finished_in_workers
 from clothtrack.front.learning import label
-from clothtrack.front.run import Run, evaluate, load
+from clothtrack.front.run import Run, evaluate, recording_of
 from clothtrack.recordings.identity import recording_digest
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder
+from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder, warn_of_age
 from clothtrack.version import __version__
 
 
@@ -151,12 +151,21 @@ class _Source:
         return hashlib.sha256("\n".join([*parts, recording_digest(recording)]).encode()).hexdigest()
 
     def run(self, path: Path) -> Run:
-        """A run with its recording; a warning tells when that has changed since."""
-        return load(path, self.recordings)
+        """A run with its recording, whether or not that has changed since."""
+        tracked = load_tracked(path)
+        return Run.of(tracked, read_recording(recording_folder(tracked, self.recordings)), path)
+
+    def tell(self, path: Path, run: Run) -> None:
+        """Warn when the recording has changed since; afterwards, as a refusal is one line."""
+        folder = recording_folder(run, self.recordings)
+        warn_of_age(run, recording_of(run), artefact=path, folder=folder)
 
     def evaluation(self, path: Path) -> tuple[Path, Evaluation]:
         """Measure a run."""
-        return path, evaluate(self.run(path), **self.options)
+        run = self.run(path)
+        found = evaluate(run, **self.options)
+        self.tell(path, run)
+        return path, found
 
 
 @dataclass(frozen=True)
@@ -182,14 +191,16 @@ class _Labelling:
             return None
         if note.read_text("ascii") != f"{self.source.digest(path)} {content_hash(file)}":
             return None
-        self.source.run(path)
+        self.source.tell(path, self.source.run(path))
         return file
 
     def do(self, path: Path) -> Path:
         """Label it."""
         digest, (note, file) = self.source.digest(path), self.paths(path)
-        label(self.source.run(path), file, **self.source.options)
+        run = self.source.run(path)
+        label(run, file, **self.source.options)
         write_file(note, f"{digest} {content_hash(file)}".encode())
+        self.source.tell(path, run)
         return file
 
 
@@ -220,13 +231,15 @@ class _Measuring:
             found = from_plain(document["evaluation"])
         except (ValueError, KeyError, TypeError, RecursionError):
             return None
-        self.source.run(path)
+        self.source.tell(path, self.source.run(path))
         return found
 
     def do(self, path: Path) -> Evaluation:
         """Measure it."""
         digest, (file,) = self.source.digest(path), self.paths(path)
-        found = evaluate(self.source.run(path), **self.source.options)
+        run = self.source.run(path)
+        found = evaluate(run, **self.source.options)
         document = {"digest": digest, "evaluation": as_plain(found)}
         write_file(file, json.dumps(document, allow_nan=False).encode())
+        self.source.tell(path, run)
         return found

@@ -27,8 +27,7 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.artefacts import inside, load_tracked
-from clothtrack.tracking.artefacts import recording_of as recording_named
+from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder, warn_of_age
 from clothtrack.tracking.configuration import mode as tracker_mode
 from clothtrack.tracking.pipeline import Progress, RunConfig, track_recording
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -77,10 +76,15 @@ class Run(TrackedTrajectory):
     path: Path | None = field(default=None, init=False)
 
     @classmethod
-    def of(cls, tracked: TrackedTrajectory, recording: Recording | None) -> "Run":
-        """The same trajectory together with its recording."""
+    def of(
+        cls, tracked: TrackedTrajectory, recording: Recording | None, path: Path | None = None
+    ) -> "Run":
+        """The same trajectory together with its recording, and where it lies on disk."""
         values = {field.name: getattr(tracked, field.name) for field in fields(TrackedTrajectory)}
-        return cls(**values, recording=recording)
+        run = cls(**values, recording=recording)
+        if path is not None:
+            run._lies_at(path)
+        return run
 
     @classmethod
     def load(cls, path: Path | str, recording: Recording | Path | str | None = None) -> "Run":
@@ -210,10 +214,10 @@ def load(path: Path | str, recording: Recording | Path | str | None = None) -> R
     elif isinstance(recording, Recording):
         source = recording
     else:
-        source = recording_named(tracked, Path(recording), path)
-    run = Run.of(tracked, source)
-    run._lies_at(path)
-    return run
+        folder = recording_folder(tracked, Path(recording))
+        source = read_recording(folder)
+        warn_of_age(tracked, source, artefact=path, folder=folder)
+    return Run.of(tracked, source, path)
 
 
 def evaluate(

@@ -66,7 +66,9 @@ class ClothSolver:
 
     Limitations: edges keep clear of creased and open edges only, and forget between searches on
     which side they were; contact averages its impulses, which conserves momentum exactly only
-    where the touching vertices have equal shares in their pairs.
+    where the touching vertices have equal shares in their pairs. What contact and table push out,
+    or friction holds back, stretches the threads at no cost, and they make speed of it: a cloth can
+    gain energy, up to `speed_limit`. Near the default that is rare (docs/reliability.md).
 
     Attributes:
         mesh: the cloth; its vertices are the rest shape.

@@ -26,24 +26,19 @@ def load_tracked(path: Path) -> "TrackedTrajectory":
     return TrackedTrajectory.load(path)
 
 
-def recording_of(tracked: "TrackedTrajectory", path: Path, artefact: Path) -> "Recording":
-    """The recording that was tracked: the folder itself, or the one of its name inside.
-
-    A warning tells when it is not what was tracked: corrected since, or another one of its name.
+def warn_of_age(
+    tracked: "TrackedTrajectory", recording: "Recording", *, artefact: Path, folder: Path
+) -> None:
+    """Warn when a recording is not what was tracked: corrected since, or another one of its name.
 
     Args:
         tracked: the tracked trajectory.
-        path: the recording, or the folder in which it lies by name.
-        artefact: where the tracked trajectory lies.
-
-    Raises:
-        InvalidRecordingError: it is not there or not readable.
+        recording: what is taken for its recording.
+        artefact: where the tracked trajectory lies, for people.
+        folder: where the recording lies, for people.
     """
     from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
-    from clothtrack.recordings.store import read_recording
 
-    folder = recording_folder(tracked, path)
-    recording = read_recording(folder)
     if tracked.provenance.get(DIGEST_FIELD, digest := recording_digest(recording)) != digest:
         logger.warning(
             "%s is older than its recording %s (which was changed since, or is another one); "
@@ -51,7 +46,6 @@ def recording_of(tracked: "TrackedTrajectory", path: Path, artefact: Path) -> "R
             artefact,
             folder,
         )
-    return recording
 
 
 def recording_folder(tracked: "TrackedTrajectory", path: Path) -> Path:
