@@ -104,7 +104,8 @@ class TrackerConfig(Checked):
             against a pull.
         score_frames: frames of an action at which calibration compares clouds, evenly spaced and
             ending with the last; 1 in the paper.
-        parameters: cloth parameters and grasp offset before any calibration.
+        parameters: cloth parameters and grasp offset before any calibration; the bend compliance is
+            that of a mesh with a spacing of 8 mm (`tracking.theta.cloth_parameters`).
         calibration: what is searched per action.
         alignment: test-time optimisation at every frame (TTO1); its objective is TTO2's, too.
         final_alignment: how TTO2 differs.
