@@ -48,9 +48,8 @@ def _alignment() -> AlignmentConfig:
 
 
 def _solver() -> SolverConfig:
-    # Every frame corrects what a substep twice as long does worse. Searches for contact are half of
-    # the rest; what is listed allows for the speed until the next one.
-    return SolverConfig(sleep_speed=0.0, substep_s=2.2e-3, rebuild_s=0.02)
+    # Every frame corrects what a substep twice as long does worse.
+    return SolverConfig(sleep_speed=0.0, substep_s=2.2e-3)
 
 
 @dataclass(frozen=True)
