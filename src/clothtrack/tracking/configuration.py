@@ -47,11 +47,6 @@ def _alignment() -> AlignmentConfig:
     return AlignmentConfig(solver="icp", iterations=12)
 
 
-def _solver() -> SolverConfig:
-    # Every frame corrects what a substep twice as long does worse.
-    return SolverConfig(sleep_speed=0.0, substep_s=2.2e-3)
-
-
 @dataclass(frozen=True)
 class FinalAlignmentConfig(Checked):
     """How TTO2 minimises the objective at the end of an action, and carries out what comes of it.
@@ -129,7 +124,7 @@ class TrackerConfig(Checked):
     final_alignment: FinalAlignmentConfig = field(default_factory=FinalAlignmentConfig)
     line_search: LineSearchConfig = field(default_factory=LineSearchConfig)
     dynamics: DynamicsConfig = field(default_factory=lambda: DynamicsConfig(velocity_kept=0.0))
-    solver: SolverConfig = field(default_factory=_solver)
+    solver: SolverConfig = field(default_factory=lambda: SolverConfig(sleep_speed=0.0))
 
     def __post_init__(self) -> None:
         """Refuse contradictions.
