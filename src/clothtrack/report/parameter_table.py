@@ -7,7 +7,7 @@ from clothtrack.tracking.configuration import TrackerConfig
 
 MEANINGS: Mapping[str, tuple[str, str]] = {
     "stretch_compliance": ("m/N", "How far an edge gives to a pull; 0: it does not stretch."),
-    "bend_compliance": ("m/N", "How far the cloth gives to bending, with vertices 8 mm apart; larger is limper."),
+    "bend_compliance": ("m/N", "How far it gives to bending (at 8 mm spacing); larger: limper."),
     "table_friction": ("", "Coulomb coefficient of cloth on table; larger slides less."),
     "particle_friction": ("", "Coulomb coefficient of cloth on cloth; larger slides less."),
     "held_layers": ("layers", "How many layers the picker took; 0: whatever was nearest."),
