@@ -90,7 +90,10 @@ def terminal(command, cwd):
 
 
 def test_a_tracking_run_has_one_line_that_is_rewritten(world):
-    searched = "--set tracker.score_frames=1 --set tracker.calibration.enough=0"
+    searched = " ".join(
+        f"--set tracker.{each}=0" for each in ("calibration.enough", "calibration.clearly")
+    )
+    searched += " --set tracker.score_frames=1"
     command = f"{VERB} track recordings/towel_0001 --output tracked {searched}"
     with terminal(command, world) as on:
         assert on.ended() == 0

@@ -27,7 +27,8 @@ def attributes(title):
 @pytest.fixture(scope="module")
 def calibrated(recording):
     """A run with a final alignment and candidates, so that no array is empty."""
-    return ct.track(recording, settings=("tracker.alignment.iterations=1",))
+    settings = "tracker.alignment.iterations=1", "tracker.calibration.enough=0"
+    return ct.track(recording, settings=settings)
 
 
 @pytest.fixture(scope="module")
