@@ -33,7 +33,7 @@ def _calibration() -> CalibrationConfig:
     # Judged by tracking, a candidate costs a pass. Nearly half the actions need only one: the time
     # is better spent on more values and a second sweep for the others.
     axes = {
-        # One, or all: no pile of a garment has eight.
+        # One, or all: a few pick-and-places make no pile of more than eight.
         "held_layers": (1.0, 8.0),
         "table_friction": (0.2, 0.5, 1.5),
         "bend_compliance": (1.0, 4.0),
@@ -43,7 +43,7 @@ def _calibration() -> CalibrationConfig:
 
 
 def _alignment() -> AlignmentConfig:
-    # As near to the cloud as 400 steps of Adam in a sixth of the time.
+    # As near to the truth as 400 steps of Adam in less than a quarter of the time.
     return AlignmentConfig(solver="icp", iterations=12)
 
 
