@@ -4,7 +4,8 @@ A depth camera does not see cloth slide along itself; a print, a weave or a seam
 windows are followed from each picture to the next (B. Lucas and T. Kanade, "An iterative image
 registration technique with an application to stereo vision", IJCAI 1981) and back again, and kept
 where they come home (Z. Kalal, K. Mikolajczyk, J. Matas, "Forward-backward error: automatic
-detection of tracking failures", doi:10.1109/ICPR.2010.675). Plain cloth has nothing to follow.
+detection of tracking failures", doi:10.1109/ICPR.2010.675). Plain cloth has nothing to follow. What
+is lost under a tool or in a fold is recognised later, where there is a print (`recognition`).
 """
 
 from collections.abc import Mapping
@@ -12,13 +13,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from scipy.spatial import cKDTree
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.known_masks import KnownMasks
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import LEAST_JUMP_M, FollowedPoints, flying_pixels
+from clothtrack.recordings.recognition import KeyPoints, Recogniser
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
 
@@ -48,6 +50,9 @@ hardly stretches."""
 SMOOTH_PX = 5
 """Depth is averaged over a square of this side [pixels]: one pixel is noisy, or not measured."""
 
+LOOK_AGAIN = 5
+"""Points that were lost are looked for in every so many frames, and where actions begin and end."""
+
 LEAST_MEASURED = 0.4
 """Share of that square that must have been measured."""
 
@@ -76,6 +81,7 @@ def follow_points(
         InvalidRecordingError: a picture cannot be read.
     """
     starts = {action.first_frame for action in recording.actions}
+    ends = {action.last_frame for action in recording.actions}
     found: dict[int, list[FollowedPoints]] = {frame.index: [] for frame in recording.frames}
     next_number = 0
     for camera in recording.cameras:
@@ -85,7 +91,8 @@ def follow_points(
                 picture, mask = _Picture.read(recording, frame, camera, segmenter)
                 if masks is not None:
                     masks[frame.index].keep(camera, mask)
-                followed = follower.follow(picture, choose=frame.index in starts)
+                look = frame.index in starts | ends or frame.index % LOOK_AGAIN == 0
+                followed = follower.follow(picture, choose=frame.index in starts, look=look)
                 found[frame.index].append(followed)
             else:
                 follower.lose_all()
@@ -168,6 +175,7 @@ class _Follower:
 
     def __init__(self, camera: Camera, first_number: int) -> None:
         self._camera, self.next_number = camera, first_number
+        self._recogniser = Recogniser(STRETCH)
         self.lose_all()
 
     def lose_all(self) -> None:
@@ -176,16 +184,25 @@ class _Follower:
         self._numbers, self._pixels = np.zeros(0, np.int64), np.zeros((0, 2), np.float32)
         self._beside, self._apart_m = np.zeros((0, 0), np.int64), np.zeros((0, 0))
 
-    def follow(self, picture: _Picture, *, choose: bool) -> FollowedPoints:
-        """The points in the next picture; new ones, too, where there are none, if wanted."""
+    def follow(self, picture: _Picture, *, choose: bool, look: bool) -> FollowedPoints:
+        """The points in the next picture.
+
+        Args:
+            picture: the next one.
+            choose: add new ones where there are none.
+            look: recognise those that were lost.
+        """
         if self._before is not None and len(self._pixels):
             there, found = _carried(self._before.gray, picture.gray, self._pixels)
             home, also = _carried(picture.gray, self._before.gray, there)
             came_home = np.linalg.norm(home - self._pixels, axis=1) < HOME_PX
             self._keep(found & also & came_home & picture.shows(there), there)
             self._keep(self._near_each_other(picture), self._pixels)
+        unknown = None
+        if (choose or look) and self._recogniser.sees_print:
+            unknown = self._recognise(picture)
         if choose:
-            self._choose(picture)
+            self._choose(picture, unknown)
         self._before = picture
         positions = picture.in_world(self._pixels, self._camera)
         return FollowedPoints(self._numbers.copy(), positions)
@@ -196,13 +213,25 @@ class _Follower:
         self._numbers, self._pixels = self._numbers[kept], pixels[kept]
         self._beside, self._apart_m = self._beside[kept], self._apart_m[kept]
 
-    def _choose(self, picture: _Picture) -> None:
+    def _recognise(self, picture: _Picture) -> KeyPoints:
+        """Add points that were lost; returns the key points of the picture that are not known."""
+        seen = KeyPoints.of(picture.gray, picture.clear)
+        numbers = self._recogniser.recognised(seen, picture.in_world(seen.pixels, self._camera))
+        lost = (numbers >= 0) & ~np.isin(numbers, self._numbers)
+        self._add(numbers[lost], seen.pixels[lost])
+        return seen[numbers < 0]
+
+    def _choose(self, picture: _Picture, unknown: KeyPoints | None) -> None:
         """Add points; from now on each has to stay near those that are beside it here."""
-        fresh = _chosen(picture, picture.noise_since(self._before), self._pixels)
-        numbers = np.arange(self.next_number, self.next_number + len(fresh))
-        self.next_number += len(fresh)
-        self._numbers = np.append(self._numbers, numbers)
-        self._pixels = np.concatenate([self._pixels, fresh])
+        noise = picture.noise_since(self._before)
+        if unknown is not None:
+            numbers = self._new_numbers(len(unknown))
+            positions = picture.in_world(unknown.pixels, self._camera)
+            self._recogniser.remember(numbers, unknown, positions)
+            if self._recogniser.sees_print:
+                self._add(numbers, unknown.pixels)
+        fresh = _chosen(picture, noise, self._pixels)
+        self._add(self._new_numbers(len(fresh)), fresh)
         positions = picture.in_world(self._pixels, self._camera)
         near = min(NEIGHBOURS, max(len(positions) - 1, 0))
         apart, beside = np.zeros((len(positions), 1)), np.zeros((len(positions), 1), np.int64)
@@ -210,6 +239,22 @@ class _Follower:
             apart, beside = cKDTree(positions).query(positions, k=near + 1)
         # By number, because others will be lost.
         self._beside, self._apart_m = self._numbers[beside[:, 1:]], apart[:, 1:]
+
+    def _new_numbers(self, count: int) -> Int[np.ndarray, " points"]:
+        self.next_number += count
+        return np.arange(self.next_number - count, self.next_number)
+
+    def _add(
+        self, numbers: Int[np.ndarray, " points"], pixels: Float32[np.ndarray, "points 2"]
+    ) -> None:
+        """Add points that have nobody beside them yet, in the order of their numbers."""
+        alone = np.broadcast_to(numbers[:, None], (len(numbers), self._beside.shape[1]))
+        together = np.append(self._numbers, numbers)
+        order = np.argsort(together)
+        self._numbers = together[order]
+        self._pixels = np.concatenate([self._pixels, pixels])[order]
+        self._beside = np.concatenate([self._beside, alone])[order]
+        self._apart_m = np.concatenate([self._apart_m, np.zeros(alone.shape)])[order]
 
     def _near_each_other(self, picture: _Picture) -> Bool[np.ndarray, " points"]:
         """Whether each point is still near most of those that were beside it and are not lost."""

@@ -43,15 +43,14 @@ class PictureMarks:
         self._bound: dict[int, tuple[int, np.ndarray]] = {}
 
     def bind(self, state: State, observation: Observation) -> None:
-        """Bind the points that are followed here and not bound yet; forget those that are lost.
+        """Bind the points that are followed here and not bound yet; lost ones may come back.
 
         Args:
             state: the cloth at the first frame of an action.
             observation: what is seen there.
         """
-        numbers, before = observation.followed.numbers, self._bound
-        self._bound = {number: before[number] for number in numbers.tolist() if number in before}
-        fresh = np.array([number not in before for number in numbers.tolist()], dtype=bool)
+        numbers = observation.followed.numbers
+        fresh = np.array([number not in self._bound for number in numbers.tolist()], dtype=bool)
         positions = state.positions[0].astype(np.float64)
         seen = np.flatnonzero(self._visible(positions)[self._faces].all(axis=1))
         if not (fresh.any() and len(seen)):

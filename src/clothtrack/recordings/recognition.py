@@ -1,0 +1,148 @@
+"""Points of a print that are recognised after they were lost: under a tool, in a fold, too fast.
+
+What lies around a point is described so that turning, moving and lighting the cloth hardly change
+it (D. Lowe, "Distinctive image features from scale-invariant keypoints",
+doi:10.1023/B:VISI.0000029664.99615.94; OpenCV's SIFT), and looked for in later pictures. A weave
+looks alike everywhere, and is not recognised.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt8
+from scipy.spatial import cKDTree
+
+CONTRAST = 0.02
+"""OpenCV's contrast threshold of a key point: half its default, for prints in poor light."""
+
+DISTINCT = 0.8
+"""A description must be so much nearer to the one that it is taken for than to any other (Lowe)."""
+
+NEIGHBOURS = 8
+"""A point is not recognised that is too far from most of so many that were beside it."""
+
+LEAST_RECOGNISED = 30
+"""Cloth with fewer key points in the first picture has no print, and fewer that are recognised
+together may be alike by chance: folds look like a print, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeyPoints:
+    """Points of one picture that can be told from others by what lies around them.
+
+    Attributes:
+        pixels: where they are [pixels].
+        descriptions: one row each.
+    """
+
+    pixels: Float32[np.ndarray, "points 2"]
+    descriptions: Float32[np.ndarray, "points 128"]
+
+    @classmethod
+    def of(
+        cls, gray: UInt8[np.ndarray, "height width"], where: Bool[np.ndarray, "height width"]
+    ) -> "KeyPoints":
+        """The key points of a picture's brightness, in the marked part of it."""
+        sift = cv2.SIFT_create(contrastThreshold=CONTRAST)
+        found, descriptions = sift.detectAndCompute(gray, where.view(np.uint8))
+        if descriptions is None:
+            return cls(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
+        pixels = np.array([point.pt for point in found], np.float32)
+        # One that has two directions is found twice.
+        single = np.sort(np.unique(pixels, axis=0, return_index=True)[1])
+        return cls(pixels[single], descriptions[single])
+
+    def __getitem__(self, part: Bool[np.ndarray, " points"]) -> "KeyPoints":
+        """Those of a part."""
+        return KeyPoints(self.pixels[part], self.descriptions[part])
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.pixels)
+
+
+@dataclass(frozen=True, eq=False)
+class _Remembered:
+    """What was seen of the cloth in one picture."""
+
+    numbers: Int[np.ndarray, " points"]
+    descriptions: Float32[np.ndarray, "points 128"]
+    positions: Float[np.ndarray, "points 3"]
+
+
+class Recogniser:
+    """Remembers key points by number, and finds them again."""
+
+    def __init__(self, stretch: tuple[float, float]) -> None:
+        """Begin with nothing remembered.
+
+        Args:
+            stretch: two points may be so many times as far apart as they were, and so much [m].
+        """
+        self._stretch = stretch
+        self._views: list[_Remembered] = []
+
+    @property
+    def sees_print(self) -> bool:
+        """Whether the first picture that was remembered, if any, had enough to recognise."""
+        return not self._views or len(self._views[0].numbers) >= LEAST_RECOGNISED
+
+    def remember(
+        self,
+        numbers: Int[np.ndarray, " points"],
+        seen: KeyPoints,
+        positions: Float[np.ndarray, "points 3"],
+    ) -> None:
+        """Remember key points of a picture under these numbers, where they are in the world [m]."""
+        self._views.append(_Remembered(numbers, seen.descriptions, positions))
+
+    def recognised(
+        self, seen: KeyPoints, positions: Float[np.ndarray, "points 3"]
+    ) -> Int[np.ndarray, " points"]:
+        """The number of each key point that is seen at these positions [m]; -1: never seen before.
+
+        The oldest memory is asked first: its number has the most to say.
+        """
+        numbers = np.full(len(seen), -1)
+        for view in self._views:
+            place, remembered = _matches(seen.descriptions, view.descriptions)
+            near = _stay_together(positions[place], view.positions[remembered], self._stretch)
+            place, remembered = place[near], remembered[near]
+            if len(place) >= LEAST_RECOGNISED:
+                fresh = numbers[place] < 0
+                numbers[place[fresh]] = view.numbers[remembered[fresh]]
+        return numbers
+
+
+def _matches(
+    seen: Float32[np.ndarray, "seen 128"], remembered: Float32[np.ndarray, "remembered 128"]
+) -> tuple[Int[np.ndarray, " matches"], Int[np.ndarray, " matches"]]:
+    """Pairs of descriptions that are each other's nearest, and distinctly so."""
+    nothing = np.zeros(0, np.int64)
+    if len(seen) < 2 or len(remembered) < 2:
+        return nothing, nothing
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    back = {match.queryIdx: match.trainIdx for match in matcher.match(remembered, seen)}
+    pairs = [
+        (best.queryIdx, best.trainIdx)
+        for best, second in matcher.knnMatch(seen, remembered, k=2)
+        if best.distance < DISTINCT * second.distance and back[best.trainIdx] == best.queryIdx
+    ]
+    return tuple(np.array(pairs, np.int64).reshape(-1, 2).T)  # type: ignore[return-value]
+
+
+def _stay_together(
+    now: Float[np.ndarray, "points 3"],
+    before: Float[np.ndarray, "points 3"],
+    stretch: tuple[float, float],
+) -> Bool[np.ndarray, " points"]:
+    """Whether each point is still near most of those that were beside it."""
+    near = min(NEIGHBOURS, len(now) - 1)
+    if near < 1:
+        return np.zeros(len(now), dtype=bool)
+    apart, beside = cKDTree(before).query(before, k=near + 1)
+    distance = np.linalg.norm(now[beside] - now[:, None], axis=2)
+    ratio, slack = stretch
+    too_far = (distance > ratio * apart + slack)[:, 1:]
+    return too_far.mean(axis=1) <= 0.5
