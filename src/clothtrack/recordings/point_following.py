@@ -230,13 +230,17 @@ class _Follower:
             self._recogniser.remember(numbers, unknown, positions)
             if self._recogniser.sees_print:
                 self._add(numbers, unknown.pixels)
-        fresh = _chosen(picture, noise, self._pixels)
+        spread = ~self._recogniser.knows(self._numbers)
+        fresh = _chosen(picture, noise, self._pixels[spread])
         self._add(self._new_numbers(len(fresh)), fresh)
         positions = picture.in_world(self._pixels, self._camera)
-        near = min(NEIGHBOURS, max(len(positions) - 1, 0))
+        # Key points lie close together: what is around a part of the print the others show.
+        spread = np.flatnonzero(~self._recogniser.knows(self._numbers))
+        near = min(NEIGHBOURS, max(len(spread) - 1, 0))
         apart, beside = np.zeros((len(positions), 1)), np.zeros((len(positions), 1), np.int64)
         if near:
-            apart, beside = cKDTree(positions).query(positions, k=near + 1)
+            apart, place = cKDTree(positions[spread]).query(positions, k=near + 1)
+            beside = spread[place]
         # By number, because others will be lost.
         self._beside, self._apart_m = self._numbers[beside[:, 1:]], apart[:, 1:]
 

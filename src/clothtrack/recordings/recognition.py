@@ -20,7 +20,11 @@ DISTINCT = 0.8
 """A description must be so much nearer to the one that it is taken for than to any other (Lowe)."""
 
 NEIGHBOURS = 8
-"""A point is not recognised that is too far from most of so many that were beside it."""
+"""So many points that were beside one say whether it is recognised rightly."""
+
+TOO_FAR = 0.25
+"""No more than this share of them may be too far away: where a part of the print is elsewhere, half
+of them are nearer than they were."""
 
 LEAST_RECOGNISED = 30
 """Cloth with fewer key points in the first picture has no print, and fewer that are recognised
@@ -88,6 +92,10 @@ class Recogniser:
         """Whether the first picture that was remembered, if any, had enough to recognise."""
         return not self._views or len(self._views[0].numbers) >= LEAST_RECOGNISED
 
+    def knows(self, numbers: Int[np.ndarray, " points"]) -> Bool[np.ndarray, " points"]:
+        """Whether each number is one that is remembered."""
+        return np.isin(numbers, np.concatenate([np.zeros(0), *(v.numbers for v in self._views)]))
+
     def remember(
         self,
         numbers: Int[np.ndarray, " points"],
@@ -137,7 +145,7 @@ def _stay_together(
     before: Float[np.ndarray, "points 3"],
     stretch: tuple[float, float],
 ) -> Bool[np.ndarray, " points"]:
-    """Whether each point is still near most of those that were beside it."""
+    """Whether each point is still near those that were beside it, but for a few."""
     near = min(NEIGHBOURS, len(now) - 1)
     if near < 1:
         return np.zeros(len(now), dtype=bool)
@@ -145,4 +153,4 @@ def _stay_together(
     distance = np.linalg.norm(now[beside] - now[:, None], axis=2)
     ratio, slack = stretch
     too_far = (distance > ratio * apart + slack)[:, 1:]
-    return too_far.mean(axis=1) <= 0.5
+    return too_far.mean(axis=1) <= TOO_FAR
