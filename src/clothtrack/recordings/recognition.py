@@ -16,6 +16,10 @@ from scipy.spatial import cKDTree
 CONTRAST = 0.02
 """OpenCV's contrast threshold of a key point: half its default, for prints in poor light."""
 
+UNLIKE_OTHERS = 150.0
+"""Least distance of a description to the nearest other one in its picture. Those of a print lie 250
+and more apart, those of a weave less than 100; a description's length is 512."""
+
 DISTINCT = 0.8
 """A description must be so much nearer to the one that it is taken for than to any other (Lowe)."""
 
@@ -47,7 +51,7 @@ class KeyPoints:
     def of(
         cls, gray: UInt8[np.ndarray, "height width"], where: Bool[np.ndarray, "height width"]
     ) -> "KeyPoints":
-        """The key points of a picture's brightness, in the marked part of it."""
+        """The key points of a picture's brightness, in its marked part, that look like no other."""
         sift = cv2.SIFT_create(contrastThreshold=CONTRAST)
         found, descriptions = sift.detectAndCompute(gray, where.view(np.uint8))
         if descriptions is None:
@@ -55,7 +59,8 @@ class KeyPoints:
         pixels = np.array([point.pt for point in found], np.float32)
         # One that has two directions is found twice.
         single = np.sort(np.unique(pixels, axis=0, return_index=True)[1])
-        return cls(pixels[single], descriptions[single])
+        points = cls(pixels[single], descriptions[single])
+        return points[_unlike_others(points.descriptions)]
 
     def __getitem__(self, part: Bool[np.ndarray, " points"]) -> "KeyPoints":
         """Those of a part."""
@@ -121,6 +126,17 @@ class Recogniser:
                 fresh = numbers[place] < 0
                 numbers[place[fresh]] = view.numbers[remembered[fresh]]
         return numbers
+
+
+def _unlike_others(
+    descriptions: Float32[np.ndarray, "points 128"],
+) -> Bool[np.ndarray, " points"]:
+    """Which of a picture's descriptions are far from all others."""
+    if len(descriptions) < 2:
+        return np.ones(len(descriptions), dtype=bool)
+    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(descriptions, descriptions, k=2)
+    # The nearest is the description itself, or its twin.
+    return np.array([second.distance > UNLIKE_OTHERS for _, second in pairs])
 
 
 def _matches(
