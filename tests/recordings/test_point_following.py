@@ -125,7 +125,7 @@ def test_a_print_that_was_covered_is_recognised_where_it_has_turned_to(tmp_path)
 def test_a_weave_is_followed_and_not_recognised(tmp_path):
     """What looks alike everywhere comes back under new numbers only."""
     across, down = np.meshgrid(np.arange(2 * WIDTH), np.arange(2 * HEIGHT))
-    weave = 120.0 + 20.0 * (np.cos(across * 2.0 * np.pi / 9.0) + np.cos(down * 2.0 * np.pi / 9.0))
+    weave = 120.0 + 20.0 * (np.cos(across * 2.0 * np.pi / 11) + np.cos(down * 2.0 * np.pi / 11))
     masks = np.ones((4, HEIGHT, WIDTH), bool)
     masks[1] = False
     masks[1, :9, :9] = True
