@@ -22,7 +22,7 @@ def flat(points):
 
 
 def remembering(seen):
-    recogniser = Recogniser((1.1, 0.004))
+    recogniser = Recogniser()
     recogniser.remember(np.arange(len(seen)), seen, flat(seen))
     return recogniser
 

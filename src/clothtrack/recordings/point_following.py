@@ -20,7 +20,7 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.known_masks import KnownMasks
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import LEAST_JUMP_M, FollowedPoints, flying_pixels
-from clothtrack.recordings.recognition import KeyPoints, Recogniser
+from clothtrack.recordings.recognition import NEIGHBOURS, KeyPoints, Recogniser, too_far_apart
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
 
@@ -39,13 +39,6 @@ LEAST_NOISE = 1.0
 
 HOME_PX = 0.5
 """A point that ends farther from home than this [pixels] when it is followed back is lost."""
-
-NEIGHBOURS = 8
-"""A point is lost, too, that is too far from most of the so many that were beside it."""
-
-STRETCH = 1.1, 0.004
-"""Too far is more than so many times the distance at which they were chosen, and so much [m]: cloth
-hardly stretches."""
 
 SMOOTH_PX = 5
 """Depth is averaged over a square of this side [pixels]: one pixel is noisy, or not measured."""
@@ -175,7 +168,7 @@ class _Follower:
 
     def __init__(self, camera: Camera, first_number: int) -> None:
         self._camera, self.next_number = camera, first_number
-        self._recogniser = Recogniser(STRETCH)
+        self._recogniser = Recogniser()
         self.lose_all()
 
     def lose_all(self) -> None:
@@ -268,8 +261,7 @@ class _Follower:
         place = np.minimum(np.searchsorted(self._numbers, self._beside), len(self._numbers) - 1)
         followed = self._numbers[place] == self._beside
         apart = np.linalg.norm(positions[place] - positions[:, None], axis=2)
-        ratio, slack = STRETCH
-        too_far = followed & (apart > ratio * self._apart_m + slack)
+        too_far = followed & too_far_apart(apart, self._apart_m)
         return too_far.sum(axis=1) <= 0.5 * followed.sum(axis=1)
 
 

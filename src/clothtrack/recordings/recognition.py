@@ -17,14 +17,18 @@ CONTRAST = 0.02
 """OpenCV's contrast threshold of a key point: half its default, for prints in poor light."""
 
 UNLIKE_OTHERS = 150.0
-"""Least distance of a description to the nearest other one in its picture. Those of a print lie 250
-and more apart, those of a weave less than 100; a description's length is 512."""
+"""Least distance of a description to the nearest other one in its picture. Nine in ten of a print
+lie 230 and more apart, nine in ten of a weave less than 100; a description's length is 512."""
 
 DISTINCT = 0.8
 """A description must be so much nearer to the one that it is taken for than to any other (Lowe)."""
 
 NEIGHBOURS = 8
-"""So many points that were beside one say whether it is recognised rightly."""
+"""So many points that were beside one say whether it is where it is taken to be."""
+
+STRETCH = 1.1, 0.004
+"""Too far apart is more than so many times the distance before, and so much [m]: cloth hardly
+stretches."""
 
 TOO_FAR = 0.25
 """No more than this share of them may be too far away: where a part of the print is elsewhere, half
@@ -83,13 +87,8 @@ class _Remembered:
 class Recogniser:
     """Remembers key points by number, and finds them again."""
 
-    def __init__(self, stretch: tuple[float, float]) -> None:
-        """Begin with nothing remembered.
-
-        Args:
-            stretch: two points may be so many times as far apart as they were, and so much [m].
-        """
-        self._stretch = stretch
+    def __init__(self) -> None:
+        """Begin with nothing remembered."""
         self._views: list[_Remembered] = []
 
     @property
@@ -120,12 +119,20 @@ class Recogniser:
         numbers = np.full(len(seen), -1)
         for view in self._views:
             place, remembered = _matches(seen.descriptions, view.descriptions)
-            near = _stay_together(positions[place], view.positions[remembered], self._stretch)
+            near = _stay_together(positions[place], view.positions[remembered])
             place, remembered = place[near], remembered[near]
             if len(place) >= LEAST_RECOGNISED:
                 fresh = numbers[place] < 0
                 numbers[place[fresh]] = view.numbers[remembered[fresh]]
         return numbers
+
+
+def too_far_apart(
+    now: Float[np.ndarray, "points neighbours"], before: Float[np.ndarray, "points neighbours"]
+) -> Bool[np.ndarray, "points neighbours"]:
+    """Whether two points are farther apart [m] than cloth can have stretched."""
+    ratio, slack = STRETCH
+    return now > ratio * before + slack
 
 
 def _unlike_others(
@@ -159,7 +166,6 @@ def _matches(
 def _stay_together(
     now: Float[np.ndarray, "points 3"],
     before: Float[np.ndarray, "points 3"],
-    stretch: tuple[float, float],
 ) -> Bool[np.ndarray, " points"]:
     """Whether each point is still near those that were beside it, but for a few."""
     near = min(NEIGHBOURS, len(now) - 1)
@@ -167,6 +173,4 @@ def _stay_together(
         return np.zeros(len(now), dtype=bool)
     apart, beside = cKDTree(before).query(before, k=near + 1)
     distance = np.linalg.norm(now[beside] - now[:, None], axis=2)
-    ratio, slack = stretch
-    too_far = (distance > ratio * apart + slack)[:, 1:]
-    return too_far.mean(axis=1) <= TOO_FAR
+    return too_far_apart(distance, apart)[:, 1:].mean(axis=1) <= TOO_FAR
