@@ -7,7 +7,7 @@ import pytest
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.known_masks import KnownMasks
 from clothtrack.recordings.point_cloud import observe
-from clothtrack.recordings.point_following import HOME_PX, follow_points
+from clothtrack.recordings.point_following import follow_points
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
 
@@ -62,7 +62,8 @@ def test_followed_points_move_with_the_print(tmp_path):
     # The camera looks down: its rows run against y.
     off = np.linalg.norm(moved - [steps[4][0], -steps[4][1], 0.0], axis=1)
     assert np.median(off) < 0.1
-    assert off.max() < HOME_PX
+    assert (off < 0.25).mean() > 0.95
+    assert off.max() < 1.0
 
 
 @pytest.mark.parametrize("noise", [0.0, 5.0])
@@ -83,10 +84,9 @@ def test_what_is_covered_is_lost_and_numbers_are_never_used_twice(tmp_path):
     assert left[0].sum() > 20
     assert [found[1].positions[left[1]].size, found[2].positions[left[2]].size] == [0, 0]
     assert left[3].sum() > 20
-    # An old number comes back where it was, and no other takes it.
+    # Old numbers come back where they were, and no other takes them.
     old = found[3].numbers <= found[0].numbers.max()
-    assert old[left[3]].any()
-    assert not old[left[3]].all()
+    assert old[left[3]].mean() > 0.9
     before = found[0].positions[np.searchsorted(found[0].numbers, found[3].numbers[old])]
     assert np.linalg.norm(found[3].positions[old] - before, axis=1).max() < PIXEL_M
     assert len(np.unique(found[3].numbers)) == len(found[3].numbers)
@@ -122,18 +122,57 @@ def test_a_print_that_was_covered_is_recognised_where_it_has_turned_to(tmp_path)
     assert (off < 2.0).mean() > 0.9
 
 
+def weave(shift_px=(0.0, 0.0)):
+    """A brightness picture that repeats every 11 pixels, moved by so many."""
+    across, down = np.meshgrid(np.arange(WIDTH) - shift_px[0], np.arange(HEIGHT) - shift_px[1])
+    return 120.0 + 20.0 * (np.cos(across * 2.0 * np.pi / 11) + np.cos(down * 2.0 * np.pi / 11))
+
+
 def test_a_weave_is_followed_and_not_recognised(tmp_path):
     """What looks alike everywhere comes back under new numbers only."""
-    across, down = np.meshgrid(np.arange(2 * WIDTH), np.arange(2 * HEIGHT))
-    weave = 120.0 + 20.0 * (np.cos(across * 2.0 * np.pi / 11) + np.cos(down * 2.0 * np.pi / 11))
     masks = np.ones((4, HEIGHT, WIDTH), bool)
     masks[1] = False
     masks[1, :9, :9] = True
-    grays = [cut(weave, (0.0, 0.0))] * 4
+    grays = [weave()] * 4
     found = follow_points(recorded(tmp_path / "r", grays, masks=masks, actions=((0, 1), (2, None))))
     assert len(found[0].numbers) > 50
     assert len(found[2].numbers) > 50
     assert found[2].numbers.min() > found[0].numbers.max()
+
+
+def test_a_weave_that_a_tool_covered_comes_back_under_its_numbers(tmp_path):
+    """It cannot be recognised; where it went, those beside it tell."""
+    masks = np.ones((7, HEIGHT, WIDTH), bool)
+    masks[2:5, :, 40:70] = False
+    shifts = [np.array([1.5, 0.5]) * index for index in range(7)]
+    found = follow_points(recorded(tmp_path / "r", [weave(s) for s in shifts], masks=masks))
+    before = found[1].numbers
+    gone, back = ~np.isin(before, found[3].numbers), np.isin(before, found[6].numbers)
+    assert gone.sum() > 10
+    # Where the tool's rim was beside them when they were last seen, they look different.
+    assert (gone & back).sum() > 0.6 * gone.sum()
+    first, last = found[0].positions, found[6].positions
+    first = first[np.searchsorted(found[0].numbers, found[6].numbers)]
+    moved = (last - first)[:, :2] / PIXEL_M
+    assert np.abs(moved - (shifts[6][0], -shifts[6][1])).max() < 0.5
+
+
+def test_cloth_that_speeds_up_and_turns_dark_is_followed(tmp_path):
+    """Up to 8 pixels a picture: the weave beside it would be nearer."""
+    shifts = np.cumsum([[0.0, 0.0], *([step, 0.0] for step in range(1, 9))], axis=0)
+    dark = np.linspace(1.0, 0.4, len(shifts))
+    shadow = np.linspace(1.0, 0.7, WIDTH)
+    grays = [
+        weave(shift) * light * shadow**index
+        for index, (shift, light) in enumerate(zip(shifts, dark, strict=True))
+    ]
+    found = follow_points(recorded(tmp_path / "r", grays))
+    first, last = found[0], found[8]
+    # 36 of the 160 columns have left the picture.
+    assert len(last.numbers) > 0.6 * len(first.numbers)
+    before = first.positions[np.searchsorted(first.numbers, last.numbers)]
+    moved = (last.positions - before)[:, 0] / PIXEL_M
+    assert np.abs(moved - 36.0).max() < 1.0
 
 
 def test_a_point_that_runs_away_from_its_neighbours_is_lost(tmp_path):
@@ -162,12 +201,15 @@ def test_no_point_is_chosen_or_kept_where_two_layers_meet(tmp_path):
     assert not near_step.any()
 
 
-def test_a_picture_without_colour_ends_what_is_followed_until_it_is_recognised(tmp_path):
-    recording = recorded(tmp_path / "r", [cut(printed(), (0.0, 0.0))] * 4)
-    recording.frames[1].color.clear()
+def test_a_picture_without_colour_is_passed_over(tmp_path):
+    recording = recorded(tmp_path / "r", [weave((2.0 * index, 0.0)) for index in range(4)])
+    recording.frames[2].color.clear()
     found = follow_points(recording)
-    # It is looked for again where the action ends.
-    assert [len(found[index].numbers) > 0 for index in range(4)] == [True, False, False, True]
+    assert len(found[2].numbers) == 0
+    last, first = found[3], found[0]
+    assert len(last.numbers) > 0.8 * len(first.numbers)
+    before = first.positions[np.searchsorted(first.numbers, last.numbers)]
+    np.testing.assert_allclose((last.positions - before)[:, 0] / PIXEL_M, 6.0, atol=0.5)
 
 
 def test_a_cloud_of_the_known_mask_is_the_cloud_of_the_picture(tmp_path):

@@ -1,44 +1,57 @@
 """Points of the cloth, followed from picture to picture by what they look like.
 
 A depth camera does not see cloth slide along itself; a print, a weave or a seam shows it. Small
-windows are followed from each picture to the next (B. Lucas and T. Kanade, "An iterative image
-registration technique with an application to stereo vision", IJCAI 1981) and back again, and kept
-where they come home (Z. Kalal, K. Mikolajczyk, J. Matas, "Forward-backward error: automatic
-detection of tracking failures", doi:10.1109/ICPR.2010.675). Plain cloth has nothing to follow. What
-is lost under a tool or in a fold is recognised later, where there is a print (`recognition`).
+windows are followed from each picture to the next (`optical_flow`). What is lost under a tool, in
+a fold or in a fast move is looked for again as it was last seen. Plain cloth has nothing to follow.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
-from scipy.spatial import cKDTree
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.known_masks import KnownMasks
+from clothtrack.recordings.numbered_points import NumberedPoints
+from clothtrack.recordings.optical_flow import (
+    WINDOW_PX,
+    carried,
+    even_picture,
+    matched,
+    moved_with,
+)
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import LEAST_JUMP_M, FollowedPoints, flying_pixels
-from clothtrack.recordings.recognition import NEIGHBOURS, KeyPoints, Recogniser, too_far_apart
+from clothtrack.recordings.recognition import KeyPoints, Recogniser
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
-
-WINDOW_PX = 15
-"""Side of the window that is compared [pixels]."""
 
 SPACING_PX = 10
 """At most one point is chosen per cell of this side [pixels]."""
 
-LARGEST_ERROR_PX = 0.1
+LARGEST_ERROR_PX = 0.2
 """A window must tell where it is to so much [pixels]: one standard deviation, from its contrast and
 the noise of the picture (the Cramer-Rao bound of its shift)."""
 
-LEAST_NOISE = 1.0
-"""Noise of a picture [grey values, 0 to 255] that is reckoned with in any case."""
+SLOPES_OF_NOISE = WINDOW_PX**2 * 0.23
+"""Squared slopes of a window that shows noise of one grey value and nothing else: 0.23 a pixel by
+Scharr's weights."""
 
-HOME_PX = 0.5
-"""A point that ends farther from home than this [pixels] when it is followed back is lost."""
+LEAST_NOISE = 0.5
+"""Noise of a picture [grey values, 0 to 255] that is reckoned with in any case; rounding is 0.3."""
+
+LOOK_AGAIN = 5
+"""Points that were lost are looked for in every so many frames, and where actions begin and end."""
+
+KEPT_PICTURES = 80
+"""Points that were lost so many pictures ago are not looked for any more: each of those pictures
+has to be kept for them."""
+
+BESIDE_PX = 3.0
+"""How far from where those beside it went [pixels] a lost point may be: less than half of a weave's
+repeat."""
 
 SMOOTH_PX = 5
 """Depth is averaged over a square of this side [pixels]: one pixel is noisy, or not measured."""
@@ -80,15 +93,14 @@ def follow_points(
     for camera in recording.cameras:
         follower = _Follower(camera, next_number)
         for frame in recording.frames:
-            if camera.name in frame.color and camera.name in frame.depth:
-                picture, mask = _Picture.read(recording, frame, camera, segmenter)
-                if masks is not None:
-                    masks[frame.index].keep(camera, mask)
-                look = frame.index in starts | ends or frame.index % LOOK_AGAIN == 0
-                followed = follower.follow(picture, choose=frame.index in starts, look=look)
-                found[frame.index].append(followed)
-            else:
-                follower.lose_all()
+            if not (camera.name in frame.color and camera.name in frame.depth):
+                continue
+            picture, mask = _Picture.read(recording, frame, camera, segmenter)
+            if masks is not None:
+                masks[frame.index].keep(camera, mask)
+            look = frame.index in starts | ends or frame.index % LOOK_AGAIN == 0
+            followed = follower.follow(picture, choose=frame.index in starts, look=look)
+            found[frame.index].append(followed)
         next_number = follower.next_number
     return {index: _together(parts) for index, parts in found.items()}
 
@@ -108,11 +120,13 @@ class _Picture:
 
     Attributes:
         gray: brightness.
+        even: the same of the cloth, whatever light falls on it.
         depth: smoothed depth [m].
         clear: where a window shows one layer of cloth and nothing else.
     """
 
     gray: UInt8[np.ndarray, "height width"]
+    even: UInt8[np.ndarray, "height width"]
     depth: Float32[np.ndarray, "height width"]
     clear: Bool[np.ndarray, "height width"]
 
@@ -134,7 +148,8 @@ class _Picture:
         smooth /= np.maximum(share, 1e-6)
         step = cv2.dilate(smooth, square) - cv2.erode(smooth, square)
         clear &= (share > LEAST_MEASURED) & (step < LEAST_JUMP_M + STEEP_PX / camera.fx * smooth)
-        return cls(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), smooth, clear), mask
+        gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+        return cls(gray, even_picture(gray, mask), smooth, clear), mask
 
     def noise_since(self, before: "_Picture | None") -> float:
         """Standard deviation [grey values]; most of what two pictures show stands still."""
@@ -163,118 +178,123 @@ class _Picture:
         return local @ camera.world_from_camera[:3, :3].T + camera.position
 
 
+@dataclass(frozen=True, eq=False)
+class _Lost:
+    """Points that were lost from one picture to the next.
+
+    Attributes:
+        even: the last picture that showed them.
+        points: they, there.
+        others: all that were followed in it.
+    """
+
+    even: UInt8[np.ndarray, "height width"]
+    points: NumberedPoints
+    others: NumberedPoints
+
+    def found_in(self, picture: _Picture, followed: NumberedPoints) -> NumberedPoints:
+        """Those that a later picture shows near where the others have gone."""
+        _, then, now = np.intersect1d(
+            self.others.numbers, followed.numbers, assume_unique=True, return_indices=True
+        )
+        moves = followed.pixels[now] - self.others.pixels[then]
+        guess, near = moved_with(self.points.pixels, self.others.pixels[then], moves)
+        points, guess = self.points[near], guess[near]
+        there, found = matched(self.even, picture.even, points.pixels, guess)
+        found &= np.linalg.norm(there - points.pixels - guess, axis=1) < BESIDE_PX
+        found &= picture.shows(there)
+        return replace(points, pixels=there, steps=np.zeros_like(there))[found]
+
+    def without(self, followed: NumberedPoints) -> "_Lost":
+        """Those that are lost still."""
+        return replace(self, points=self.points[~self.points.are_in(followed)])
+
+
 class _Follower:
     """Follows the points that one camera sees."""
 
     def __init__(self, camera: Camera, first_number: int) -> None:
         self._camera, self.next_number = camera, first_number
         self._recogniser = Recogniser()
-        self.lose_all()
-
-    def lose_all(self) -> None:
-        """Begin anew: a picture is missing."""
         self._before: _Picture | None = None
-        self._numbers, self._pixels = np.zeros(0, np.int64), np.zeros((0, 2), np.float32)
-        self._beside, self._apart_m = np.zeros((0, 0), np.int64), np.zeros((0, 0))
+        self._points = NumberedPoints.none()
+        self._lost: list[_Lost] = []
 
     def follow(self, picture: _Picture, *, choose: bool, look: bool) -> FollowedPoints:
         """The points in the next picture.
 
         Args:
-            picture: the next one.
+            picture: the next one; some may be missing in between.
             choose: add new ones where there are none.
-            look: recognise those that were lost.
+            look: look for those that were lost.
         """
-        if self._before is not None and len(self._pixels):
-            there, found = _carried(self._before.gray, picture.gray, self._pixels)
-            home, also = _carried(picture.gray, self._before.gray, there)
-            came_home = np.linalg.norm(home - self._pixels, axis=1) < HOME_PX
-            self._keep(found & also & came_home & picture.shows(there), there)
-            self._keep(self._near_each_other(picture), self._pixels)
+        if self._before is not None:
+            self._carry(self._before, picture)
         unknown = None
-        if (choose or look) and self._recogniser.sees_print:
+        if choose or look:
             unknown = self._recognise(picture)
+            self._look_again(picture)
         if choose:
             self._choose(picture, unknown)
         self._before = picture
-        positions = picture.in_world(self._pixels, self._camera)
-        return FollowedPoints(self._numbers.copy(), positions)
+        return FollowedPoints(self._points.numbers.copy(), self._positions(self._points, picture))
 
-    def _keep(
-        self, kept: Bool[np.ndarray, " points"], pixels: Float32[np.ndarray, "points 2"]
-    ) -> None:
-        self._numbers, self._pixels = self._numbers[kept], pixels[kept]
-        self._beside, self._apart_m = self._beside[kept], self._apart_m[kept]
+    def _positions(
+        self, points: NumberedPoints, picture: _Picture
+    ) -> Float[np.ndarray, "points 3"]:
+        return picture.in_world(points.pixels, self._camera)
 
-    def _recognise(self, picture: _Picture) -> KeyPoints:
-        """Add points that were lost; returns the key points of the picture that are not known."""
+    def _carry(self, before: _Picture, picture: _Picture) -> None:
+        """Follow all points from the picture before."""
+        old = self._points
+        there, found = carried(before.even, picture.even, old.pixels, old.steps)
+        moved = old.at(there)[found & picture.shows(there)]
+        self._points = moved[moved.near_each_other(self._positions(moved, picture))]
+        lost = _Lost(before.even, old, old).without(self._points)
+        self._lost = [*self._lost, *([lost] if len(lost.points) else [])][-KEPT_PICTURES:]
+
+    def _recognise(self, picture: _Picture) -> KeyPoints | None:
+        """Add points of a print that were lost; returns its key points that are not known."""
+        if not self._recogniser.sees_print:
+            return None
         seen = KeyPoints.of(picture.gray, picture.clear)
         numbers = self._recogniser.recognised(seen, picture.in_world(seen.pixels, self._camera))
-        lost = (numbers >= 0) & ~np.isin(numbers, self._numbers)
-        self._add(numbers[lost], seen.pixels[lost])
-        return seen[numbers < 0]
+        known = numbers >= 0
+        back = NumberedPoints.fresh(numbers[known], seen.pixels[known])
+        self._points = self._points.together_with(back[~back.are_in(self._points)])
+        return seen[~known]
+
+    def _look_again(self, picture: _Picture) -> None:
+        """Add points that were lost and are seen again, beside those that they were beside."""
+        back = NumberedPoints.none()
+        for lost in self._lost:
+            found = lost.without(self._points).found_in(picture, self._points)
+            back = back.together_with(found)
+        points = self._points.together_with(back)
+        near = points.near_each_other(self._positions(points, picture))
+        self._points = points[near | ~points.are_in(back)]
+        left = [lost.without(self._points) for lost in self._lost]
+        self._lost = [lost for lost in left if len(lost.points)]
 
     def _choose(self, picture: _Picture, unknown: KeyPoints | None) -> None:
         """Add points; from now on each has to stay near those that are beside it here."""
-        noise = picture.noise_since(self._before)
+        points, knows = self._points, self._recogniser.knows
         if unknown is not None:
             numbers = self._new_numbers(len(unknown))
             positions = picture.in_world(unknown.pixels, self._camera)
             self._recogniser.remember(numbers, unknown, positions)
             if self._recogniser.sees_print:
-                self._add(numbers, unknown.pixels)
-        spread = ~self._recogniser.knows(self._numbers)
-        fresh = _chosen(picture, noise, self._pixels[spread])
-        self._add(self._new_numbers(len(fresh)), fresh)
-        positions = picture.in_world(self._pixels, self._camera)
+                points = points.together_with(NumberedPoints.fresh(numbers, unknown.pixels))
+        noise = picture.noise_since(self._before)
+        fresh = _chosen(picture, noise, points.pixels[~knows(points.numbers)])
+        points = points.together_with(NumberedPoints.fresh(self._new_numbers(len(fresh)), fresh))
         # Key points lie close together: what is around a part of the print the others show.
-        spread = np.flatnonzero(~self._recogniser.knows(self._numbers))
-        near = min(NEIGHBOURS, max(len(spread) - 1, 0))
-        apart, beside = np.zeros((len(positions), 1)), np.zeros((len(positions), 1), np.int64)
-        if near:
-            apart, place = cKDTree(positions[spread]).query(positions, k=near + 1)
-            beside = spread[place]
-        # By number, because others will be lost.
-        self._beside, self._apart_m = self._numbers[beside[:, 1:]], apart[:, 1:]
+        spread = ~knows(points.numbers)
+        self._points = points.with_neighbours(self._positions(points, picture), spread)
 
     def _new_numbers(self, count: int) -> Int[np.ndarray, " points"]:
         self.next_number += count
         return np.arange(self.next_number - count, self.next_number)
-
-    def _add(
-        self, numbers: Int[np.ndarray, " points"], pixels: Float32[np.ndarray, "points 2"]
-    ) -> None:
-        """Add points that have nobody beside them yet, in the order of their numbers."""
-        alone = np.broadcast_to(numbers[:, None], (len(numbers), self._beside.shape[1]))
-        together = np.append(self._numbers, numbers)
-        order = np.argsort(together)
-        self._numbers = together[order]
-        self._pixels = np.concatenate([self._pixels, pixels])[order]
-        self._beside = np.concatenate([self._beside, alone])[order]
-        self._apart_m = np.concatenate([self._apart_m, np.zeros(alone.shape)])[order]
-
-    def _near_each_other(self, picture: _Picture) -> Bool[np.ndarray, " points"]:
-        """Whether each point is still near most of those that were beside it and are not lost."""
-        if not len(self._numbers):
-            return np.zeros(0, dtype=bool)
-        positions = picture.in_world(self._pixels, self._camera)
-        place = np.minimum(np.searchsorted(self._numbers, self._beside), len(self._numbers) - 1)
-        followed = self._numbers[place] == self._beside
-        apart = np.linalg.norm(positions[place] - positions[:, None], axis=2)
-        too_far = followed & too_far_apart(apart, self._apart_m)
-        return too_far.sum(axis=1) <= 0.5 * followed.sum(axis=1)
-
-
-def _carried(
-    before: UInt8[np.ndarray, "height width"],
-    after: UInt8[np.ndarray, "height width"],
-    pixels: Float32[np.ndarray, "points 2"],
-) -> tuple[Float32[np.ndarray, "points 2"], Bool[np.ndarray, " points"]]:
-    """Where windows of one picture are in another, and whether they were found."""
-    there, found, _ = cv2.calcOpticalFlowPyrLK(
-        before, after, pixels[:, None], None, winSize=(WINDOW_PX, WINDOW_PX), maxLevel=3
-    )
-    return there[:, 0], found[:, 0] == 1
 
 
 def _chosen(
@@ -282,7 +302,8 @@ def _chosen(
 ) -> Float32[np.ndarray, "fresh 2"]:
     """The best pixel of each cell in which there is none yet, where a window tells its place."""
     weakest = _weakest_contrast(picture.gray)
-    tells = picture.clear & (weakest > (noise / LARGEST_ERROR_PX) ** 2)
+    # Noise has slopes itself, and they tell nothing.
+    tells = picture.clear & (weakest > (LARGEST_ERROR_PX**-2 + SLOPES_OF_NOISE) * noise**2)
     row, column = np.nonzero(tells)
     if not len(row):
         return np.zeros((0, 2), np.float32)

@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from scipy.spatial import cKDTree
 
+from clothtrack.recordings.numbered_points import NEIGHBOURS, too_far_apart
+
 CONTRAST = 0.02
 """OpenCV's contrast threshold of a key point: half its default, for prints in poor light."""
 
@@ -22,13 +24,6 @@ lie 230 and more apart, nine in ten of a weave less than 100; a description's le
 
 DISTINCT = 0.8
 """A description must be so much nearer to the one that it is taken for than to any other (Lowe)."""
-
-NEIGHBOURS = 8
-"""So many points that were beside one say whether it is where it is taken to be."""
-
-STRETCH = 1.1, 0.004
-"""Too far apart is more than so many times the distance before, and so much [m]: cloth hardly
-stretches."""
 
 TOO_FAR = 0.25
 """No more than this share of them may be too far away: where a part of the print is elsewhere, half
@@ -125,14 +120,6 @@ class Recogniser:
                 fresh = numbers[place] < 0
                 numbers[place[fresh]] = view.numbers[remembered[fresh]]
         return numbers
-
-
-def too_far_apart(
-    now: Float[np.ndarray, "points neighbours"], before: Float[np.ndarray, "points neighbours"]
-) -> Bool[np.ndarray, "points neighbours"]:
-    """Whether two points are farther apart [m] than cloth can have stretched."""
-    ratio, slack = STRETCH
-    return now > ratio * before + slack
 
 
 def _unlike_others(
