@@ -42,6 +42,6 @@ class AlignmentConfig(Checked):
     rigidity_weight: NotNegative = 10.0
     two_way_weight: NotNegative = 1.0
     length_weight: NotNegative = 300.0
-    marks_weight: NotNegative = 30.0
+    marks_weight: NotNegative = 300.0
     icp_inner: Count = 12
     icp_momentum: float = 0.8

@@ -93,11 +93,12 @@ class Calibrator:
         config = self._config.calibration.with_grasp_offset(
             self._recording.cloth.grasp_uncertainty_m
         )
-        too_short = action.last_frame - action.first_frame < self._config.score_frames
         still = not any(grasp.moves for grasp in held.grasps)
+        frames = action.last_frame - action.first_frame
+        too_short = config.judge == "open_loop" and frames < self._config.score_frames
         if still or too_short:
             # A roll-out in which nothing is moved says nothing about the cloth, and fewer clouds
-            # than are to be compared do not tell one parameter from another.
+            # than are to be compared do not tell one open-loop roll-out from another.
             return replace(config, method="none")
         return config
 
