@@ -56,3 +56,14 @@ def test_where_one_layer_lies_no_second_one_is_tried(recording, config, monkeypa
     monkeypatch.setattr(algorithm, "follow", counted)
     track_recording(recording, RunConfig(tracker=config))
     assert len(followed) == len(AXES["bend_compliance"])
+
+
+def test_an_action_of_few_frames_is_judged_by_its_outline_alone(recording, config):
+    """An open-loop roll-out needs as many clouds as are compared; the outline needs one."""
+    axes = {"bend_compliance": (0.1, 10.0)}
+    frames = len(recording.frames)
+    for judge, judged in (("tracking", 2), ("open_loop", 0)):
+        search = replace(config.calibration, judge=judge, axes=axes)
+        few = replace(config, calibration=search, score_frames=frames + 1)
+        (action,) = track_recording(recording, RunConfig(tracker=few)).actions
+        assert len(action.calibration.scores) == judged
