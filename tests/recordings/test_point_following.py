@@ -175,6 +175,24 @@ def test_cloth_that_speeds_up_and_turns_dark_is_followed(tmp_path):
     assert np.abs(moved - 36.0).max() < 1.0
 
 
+def test_a_faint_weave_is_followed_in_a_noisy_picture(tmp_path):
+    """Nearly as much noise as contrast."""
+    rng = np.random.default_rng(3)
+    shifts = [np.array([2.0, 1.0]) * max(0, index - 1) for index in range(5)]
+    grays = [
+        120.0 + 0.25 * (weave(shift) - 120.0) + 4.0 * rng.normal(size=(HEIGHT, WIDTH))
+        for shift in shifts
+    ]
+    # What the noise is, the second picture tells.
+    found = follow_points(recorded(tmp_path / "r", grays, actions=((1, None),)))
+    first, last = found[1], found[4]
+    assert len(first.numbers) > 40
+    assert len(last.numbers) > 0.6 * len(first.numbers)
+    before = first.positions[np.searchsorted(first.numbers, last.numbers)]
+    moved = (last.positions - before)[:, :2] / PIXEL_M
+    assert np.abs(moved - (6.0, -3.0)).max() < 1.0
+
+
 def test_a_point_that_runs_away_from_its_neighbours_is_lost(tmp_path):
     """A patch of the print slides by 6 cm: another thing, not this cloth."""
     still = cut(printed(), (0.0, 0.0))

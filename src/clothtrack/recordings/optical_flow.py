@@ -18,6 +18,10 @@ WINDOW_PX = 15
 HOME_PX = 0.25
 """A point that ends farther from home than this [pixels] when it is followed back is not found."""
 
+SMOOTH_PX = 1.5
+"""Standard deviation by which a picture is smoothed first [pixels]: noise of single pixels would make
+windows of the same cloth different."""
+
 EVEN_SCALE = 40.0
 """Grey values of one standard deviation in an even picture."""
 
@@ -57,7 +61,7 @@ def even_picture(
     window = (WINDOW_PX, WINDOW_PX)
     of_cloth = cloth[part].astype(np.float32)
     share = np.maximum(cv2.blur(of_cloth, window), 1e-3)
-    bright = gray[part].astype(np.float32)
+    bright = cv2.GaussianBlur(gray[part].astype(np.float32), (0, 0), SMOOTH_PX)
     difference = (bright - cv2.blur(bright * of_cloth, window) / share) * of_cloth
     square = cv2.blur(difference * difference, window) / share
     deviation = np.sqrt(np.maximum(square, 0.0)) + LEAST_DEVIATION

@@ -46,8 +46,8 @@ LOOK_AGAIN = 5
 """Points that were lost are looked for in every so many frames, and where actions begin and end."""
 
 KEPT_PICTURES = 80
-"""Points that were lost so many pictures ago are not looked for any more: each of those pictures
-has to be kept for them."""
+"""So many pictures are kept for the points that they were the last to show; older ones are
+forgotten with theirs."""
 
 BESIDE_PX = 3.0
 """How far from where those beside it went [pixels] a lost point may be: less than half of a weave's
@@ -55,9 +55,6 @@ repeat."""
 
 SMOOTH_PX = 5
 """Depth is averaged over a square of this side [pixels]: one pixel is noisy, or not measured."""
-
-LOOK_AGAIN = 5
-"""Points that were lost are looked for in every so many frames, and where actions begin and end."""
 
 LEAST_MEASURED = 0.4
 """Share of that square that must have been measured."""
