@@ -19,7 +19,7 @@ HOME_PX = 0.25
 """A point that ends farther from home than this [pixels] when it is followed back is not found."""
 
 SMOOTH_PX = 1.5
-"""Standard deviation by which a picture is smoothed first [pixels]: noise of single pixels would make
+"""Standard deviation by which a picture is smoothed first [pixels]: noise of single pixels makes
 windows of the same cloth different."""
 
 EVEN_SCALE = 40.0
