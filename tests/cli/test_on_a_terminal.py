@@ -104,7 +104,7 @@ def test_a_tracking_run_has_one_line_that_is_rewritten(world):
     told = [
         re.fullmatch(
             r" *(\d+) %.{15}towel_0001: action 1/1, "
-            r"candidate (\d+)(?:/6)?, frame (\d+)/(\d+)\x1b\[K",
+            r"candidate (\d+)(?:/7)?, frame (\d+)/(\d+)\x1b\[K",
             state,
         )
         for state in states
@@ -114,7 +114,7 @@ def test_a_tracking_run_has_one_line_that_is_rewritten(world):
     # The share grows, through one candidate after the other, each from its first frame; a second
     # sweep has more of them than were reckoned with, and no share steps back for it.
     assert steps == sorted(steps)
-    assert max(candidate for _, candidate, _, _ in steps) > 6
+    assert max(candidate for _, candidate, _, _ in steps) > 7
     assert {candidate for _, candidate, _, _ in steps} >= {1, 2, 3}
 
 
@@ -161,7 +161,7 @@ def test_a_pipe_gets_a_line_every_half_minute_at_most(world):
 def test_ctrl_c_is_one_line_and_130_and_ends_a_loop_of_the_shell(world):
     track = f"{VERB} track recordings/towel_0001 --output broken"
     with terminal(f"for i in 1 2 3; do {track}; echo rc $?; done", world) as on:
-        on.until("candidate 1/6, frame")
+        on.until("candidate 1/7, frame")
         on.press(CTRL_C)
         assert on.ended() in (130, -2)
     _, _, after = on.shown.partition("^C")
@@ -169,7 +169,7 @@ def test_ctrl_c_is_one_line_and_130_and_ends_a_loop_of_the_shell(world):
     assert "clothtrack: interrupted; what was finished is whole" in after
     assert not list((world / "broken").glob("[!.]*"))
     with terminal(f"trap : INT; {track}; echo rc $?", world) as on:
-        on.until("candidate 1/6, frame")
+        on.until("candidate 1/7, frame")
         on.press(CTRL_C)
         on.ended()
     assert "rc 130" in on.shown
