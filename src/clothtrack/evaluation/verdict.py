@@ -26,8 +26,8 @@ errors lie between 1.4 and 12.3 mm: what is expected beyond is only known to be 
 
 TORN = 0.1
 """Change of length that 95 % of the edges stay under in a label that is trusted. A mesh that is
-torn to its cloud has the right outline, and the expected error hardly minds. Nine of ten labels of
-the benchmark stay below 0.018 (docs/label_quality.md)."""
+torn to its cloud has the right outline, and no label that the model was fitted on was torn. Nine of
+ten labels of the benchmark stay below 0.018 (docs/label_quality.md)."""
 
 
 @dataclass(frozen=True)
