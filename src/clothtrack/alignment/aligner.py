@@ -206,6 +206,7 @@ class CloudAligner:
         weights.data = config.chamfer_weight / problem.point_count
         weights.rigidity = config.rigidity_weight / self._edges
         weights.length = config.length_weight / self._edges
+        weights.tied = weights.rigidity + config.icp_damping * weights.length
         weights.two_way = config.two_way_weight
         weights.marks = 0.0
         weights.lowest = -1e6

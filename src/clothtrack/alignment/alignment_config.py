@@ -24,7 +24,7 @@ class AlignmentConfig(Checked):
         solver: "adam" follows the paper; "icp" (fixed matches, Gauss-Newton, conjugate gradients)
             is several times faster and ends a few percent higher.
         iterations: steps of Adam (the paper: 200), or how often icp renews its
-            matches; 20 do.
+            matches; 5 do, where the prediction is near.
         chamfer_weight: cloud point to nearest visible vertex (the paper: 1).
         rigidity_weight: difference of the displacements along edges (the paper: 10).
         two_way_weight: trusted visible vertex to nearest cloud point, within `TWO_WAY_RANGE_M`; 0
@@ -33,7 +33,11 @@ class AlignmentConfig(Checked):
             as so many cloud points; 0 is the paper, which throws the colour away.
         length_weight: stretch of edges against the first mesh; 0 is the paper.
         icp_inner: conjugate gradient steps in each of its iterations.
-        icp_momentum: part of its last step that is added to the next.
+        icp_momentum: part of its last step that is added to the next. Far from the minimum a large
+            one is faster; near it, it swings.
+        icp_damping: how much it resists the turn of an edge in one step, over how much an edge
+            resists stretch. Without it a step that turns edges stretches them, and the next one
+            takes it back. It changes the way, not the minimum.
     """
 
     solver: Literal["adam", "icp"] = "adam"
@@ -45,3 +49,4 @@ class AlignmentConfig(Checked):
     marks_weight: NotNegative = 300.0
     icp_inner: Count = 12
     icp_momentum: float = 0.8
+    icp_damping: NotNegative = 0.2

@@ -40,10 +40,15 @@ _SQUARE_UNIT = wp.constant(wp.float64(FIXED_POINT_SQUARE))
 @no_type_check
 @wp.struct
 class Weights:
-    """Weights of the terms, divided by the counts of their means, and the table's plane."""
+    """Weights of the terms, divided by the counts of their means, and the table's plane.
+
+    `tied` holds the steps of two neighbours together: the rigidity, and the damping that turns of
+    an edge need.
+    """
 
     data: wp.float32
     rigidity: wp.float32
+    tied: wp.float32
     length: wp.float32
     two_way: wp.float32
     marks: wp.float32
@@ -302,7 +307,8 @@ def linearise(
     """Set up the linear system of one outer step: fixed matches, stretch along edges only.
 
     The unknown is the change of the displacement; the right-hand side is half of the negative
-    gradient, the matrix is the Gauss-Newton approximation of half of the Hessian.
+    gradient, the matrix is the Gauss-Newton approximation of half of the Hessian, damped (Levenberg
+    and Marquardt): an edge that turns far would come out longer than the linear system thinks.
     """
     strip = wp.tid()
     tally = Tally()
@@ -324,7 +330,7 @@ def linearise(
             diagonal += weights.table * wp.cw_mul(normal, normal)
         first = topology.first[vertex]
         last = topology.first[vertex + 1]
-        diagonal += wp.vec3(weights.rigidity * float(last - first))
+        diagonal += wp.vec3(weights.tied * float(last - first))
         if weights.length > 0.0:
             for place in range(first, last):
                 edge = positions[vertex] - positions[topology.neighbour[place]]
@@ -374,14 +380,14 @@ def multiply_strip(strip: wp.int32, topology: Topology, weights: Weights, conjug
                 difference = here - conjugate.direction[neighbour]
                 unit = conjugate.unit[spot]
                 along = weights.length * wp.dot(unit, difference)
-                product += weights.rigidity * difference + along * unit
+                product += weights.tied * difference + along * unit
         else:
             around = wp.vec3()
             while place < last:
                 neighbour = topology.neighbour[place & _NOT_NEGATIVE] & _NOT_NEGATIVE
                 place += 1
                 around += conjugate.direction[neighbour]
-            product += weights.rigidity * (float(last - first) * here - around)
+            product += weights.tied * (float(last - first) * here - around)
         conjugate.product[vertex] = product
         dots += wp.float64(wp.dot(here, product))
     conjugate.curvature_dots[strip] = dots
