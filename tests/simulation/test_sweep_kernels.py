@@ -13,7 +13,7 @@ def test_all_colours_at_once_are_the_colours_one_after_the_other(buckling):
     softness = [ClothParameters(1e-5, 1.0), ClothParameters(0.0, 100.0)]
     config = SolverConfig(buckling=buckling)
     solver = ClothSolver(MESH, config, parameters=softness, environments=2)
-    solver._set_clock(0.001, 1)
+    solver._set_clock(0.001, 1, solver.config.rebuild_s)
     noise = np.random.default_rng(1).normal(scale=0.002, size=(2, *MESH.vertices.shape))
     # Folded as well: pairs under the bend limit resist without compliance.
     shape = MESH.vertices * (0.4, 1.0, 1.0) + noise

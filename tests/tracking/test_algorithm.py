@@ -16,7 +16,7 @@ from clothtrack.tracking.ensemble import chosen_candidate
 from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.picture_marks import no_marks
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Corrected, Correction, Parts
+from clothtrack.tracking.seams import Corrected, Correction, Parts, exact
 from clothtrack.tracking.tracked_trajectory import Calibration
 from clothtrack.tracking.tracker import Tracker
 from clothtrack.tracking.visible_alignment import no_alignment
@@ -75,6 +75,7 @@ def parts(recording):
         pick=lambda action, state, theta: Nothing(),
         calibrate=uncalibrated,
         dynamics=drifting,
+        predict=exact,
         align=to_the_origin,
         line_search=half,
         combine=chosen_candidate,

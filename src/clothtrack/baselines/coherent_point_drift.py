@@ -28,7 +28,7 @@ from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.picking import HeldCloth, find_grasps, without_motion
 from clothtrack.tracking.picture_marks import no_marks
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Corrected, Correction, Dyn, Parts
+from clothtrack.tracking.seams import Corrected, Correction, Dyn, Parts, exact
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -126,6 +126,7 @@ def follow(
         pick=take_hold if config.use_tool else without_motion(take_hold),
         calibrate=uncalibrated,
         dynamics=_still,
+        predict=exact,
         align=align,
         line_search=Projection(mesh, config, recording.table),
         combine=chosen_candidate,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
+from clothtrack.files.bounds import Checked, Count
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState, pull_rate, pull_strength
 
@@ -83,17 +84,20 @@ class RollOut:
 
 
 @dataclass(frozen=True)
-class DynamicsConfig:
-    """What a roll-out keeps of the motion.
+class DynamicsConfig(Checked):
+    """How exact a prediction is, and what a roll-out keeps of the motion.
 
     Attributes:
         velocity_kept: after a pseudo-action every vertex gets this share of its mean velocity over
             the roll-out, (x_new - x_old) / duration; the velocity of the last substep would hold
             the energy of the pull. Less than 1 also keeps the noise of the observation from
             becoming momentum.
+        prediction_coarseness: substeps of a prediction, which only an alignment starts from, are so
+            many times as long as those of the roll-out that stands.
     """
 
     velocity_kept: float = 1.0
+    prediction_coarseness: Count = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +118,8 @@ class ClothDynamics:
         motion: HeldMotion | None,
         duration_s: float,
         pseudo: Attachment | None = None,
+        *,
+        coarseness: int = 1,
     ) -> RollOut:
         """Move the cloth for a while.
 
@@ -125,6 +131,7 @@ class ClothDynamics:
             pseudo: where the observation wants vertices at the end. Targets of held vertices
                 (strength 1) are approached in a straight line, softer ones pull from the start.
                 A picker's vertices obey the picker.
+            coarseness: substeps are so many times as long as configured.
 
         Returns:
             The end of the motion.
@@ -137,7 +144,8 @@ class ClothDynamics:
         highest = np.zeros(solver.environments)
         for index in range(1, steps + 1):
             attachment = _attachment(before, motion, pseudo, index, steps)
-            highest = np.maximum(highest, solver.step(duration_s / steps, attachment))
+            speed = solver.step(duration_s / steps, attachment, coarseness=coarseness)
+            highest = np.maximum(highest, speed)
         positions = solver.positions
         if pseudo is not None:
             solver.set_velocities(self.config.velocity_kept / duration_s * (positions - before))
@@ -148,6 +156,12 @@ class ClothDynamics:
     ) -> RollOut:
         """dyn(x, a) and dyn(x, a, a~) of Algorithm 1."""
         return self.roll_out(state, action.motion, action.duration_s, pseudo_action)
+
+    def predict(self, state: ClothState, action: PickerAction) -> RollOut:
+        """dyn(x, a), as coarse as configured: to align, not to go on from."""
+        return self.roll_out(
+            state, action.motion, action.duration_s, coarseness=self.config.prediction_coarseness
+        )
 
     def _steps(
         self,

@@ -203,21 +203,25 @@ class ClothSolver:
     # Motion
 
     def step(
-        self, duration_s: float, attachment: Attachment | None = None
+        self, duration_s: float, attachment: Attachment | None = None, *, coarseness: int = 1
     ) -> Float[np.ndarray, " environments"]:
         """Advance all environments.
 
         Args:
             duration_s: how long [s]; any length, cut into equal substeps.
             attachment: what is pulled where; None leaves everything free.
+            coarseness: substeps, and the time between two searches for contact, are so many times
+                as long as configured.
 
         Returns:
             The highest speed [m/s] that a free vertex had after any substep, before the speed
             limit: the sign of an explosion. Infinite when the cloth left the finite numbers.
         """
         search, substep = self._graphs or self._capture()
-        substeps = max(1, math.ceil(duration_s / self.config.substep_s - 1e-6))
-        between_searches = self._set_clock(duration_s / substeps, substeps)
+        longest_s = coarseness * self.config.substep_s
+        substeps = max(1, math.ceil(duration_s / longest_s - 1e-6))
+        rebuild_s = coarseness * self.config.rebuild_s
+        between_searches = self._set_clock(duration_s / substeps, substeps, rebuild_s)
         self._set_attachment(attachment, duration_s)
         self._buffers.highest_speed.zero_()
         for index in range(substeps):
@@ -239,8 +243,8 @@ class ClothSolver:
                 break
         return used
 
-    def _set_clock(self, substep_s: float, substeps: int) -> int:
-        between_searches = max(1, round(self.config.rebuild_s / substep_s))
+    def _set_clock(self, substep_s: float, substeps: int, rebuild_s: float) -> int:
+        between_searches = max(1, round(rebuild_s / substep_s))
         clock = kernels.Clock()
         clock.substep_s = substep_s
         clock.elastic_s = substep_s / ELASTIC_SUBSTEPS
@@ -291,7 +295,7 @@ class ClothSolver:
     def _capture(self) -> tuple[wp.Graph | None, wp.Graph | None]:
         # The first launches compile and reserve memory, which a capture on CUDA must not do.
         state = self.save()
-        self._set_clock(self.config.substep_s, 1)
+        self._set_clock(self.config.substep_s, 1, self.config.rebuild_s)
         self._contact.find()
         self._launch_substep()
         self.restore(state)

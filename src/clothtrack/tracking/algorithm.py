@@ -69,13 +69,14 @@ def follow(
         recorder: notes what happens at every frame.
     """
     notes, parts = recorder.begin(action, parts)
-    dyn, observe, align, line_search = (
-        parts.dynamics(theta), parts.observe, parts.align, parts.line_search,
+    dyn = parts.dynamics(theta)
+    predict, observe, align, line_search = (
+        parts.predict, parts.observe, parts.align, parts.line_search,
     )  # fmt: skip
     frames = recording.frames[action.first_frame : action.last_frame + 1]
     for before, frame in pairwise(frames):
         picker_action = grasps.action(before.time_s, frame.time_s)
-        predicted = dyn(state, picker_action)  # x'_{t+1} = dyn(x_t, a_t)
+        predicted = predict(dyn, state, picker_action)  # x'_{t+1} = dyn(x_t, a_t)
         correction = align(predicted, observe(frame))  # TTO1, Sec. III-B.2
         corrected = line_search(dyn, state, picker_action, predicted, correction)  # Sec. III-B.3
         notes.step(frame, correction, corrected)

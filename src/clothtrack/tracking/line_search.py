@@ -4,6 +4,9 @@ A correction that pushes layers into each other makes the simulated cloth diverg
 the dynamics with the whole correction, then with ever smaller parts of it, and takes the first
 roll-out that stays stable. When none does, the pseudo-action is dropped for this frame: that is a
 recorded result, not an error.
+
+A prediction may have been coarser than the dynamics. Then it is no cloth to go on from, and where
+it would stand the dynamics are rolled without a pseudo-action.
 """
 
 from dataclasses import dataclass
@@ -50,14 +53,18 @@ class LineSearchConfig(Checked):
 class PseudoActionSearch:
     """Rolls the dynamics with the correction as pseudo-action, with ever smaller parts of it."""
 
-    def __init__(self, config: LineSearchConfig, strength: float) -> None:
+    def __init__(
+        self, config: LineSearchConfig, strength: float, *, prediction_stands: bool = True
+    ) -> None:
         """Take the settings.
 
         Args:
             config: decay, number of trials and what counts as divergence.
             strength: 1 holds attached vertices at their targets, less pulls them there.
+            prediction_stands: predictions are as good as the dynamics.
         """
         self._config, self._strength = config, strength
+        self._prediction_stands = prediction_stands
 
     def __call__(
         self,
@@ -67,17 +74,17 @@ class PseudoActionSearch:
         predicted: Prediction,
         correction: Correction | None,
     ) -> Corrected:
-        """The first stable roll-out; the prediction when there is none, or no correction.
+        """The first stable roll-out; that of the dynamics alone without one, or a correction.
 
         Args:
             dyn: the dynamics.
             state: the cloth before the frame.
             action: what the pickers do during it.
-            predicted: the roll-out without a pseudo-action.
+            predicted: the prediction that the correction starts from.
             correction: what the cloud wants.
         """
         if correction is None:
-            return Corrected(predicted)
+            return Corrected(self._alone(dyn, state, action, predicted))
         config, scale = self._config, 1.0
         threshold = config.threshold(action.speed, float(predicted.highest_speed.max()))
         for trial in range(1, config.trials + 1):
@@ -85,7 +92,14 @@ class PseudoActionSearch:
             if is_stable(rolled, threshold):
                 return Corrected(rolled, scale, trial)
             scale *= config.decay
-        return Corrected(predicted, 0.0, config.trials, gave_up=True)
+        alone = self._alone(dyn, state, action, predicted)
+        return Corrected(alone, 0.0, config.trials, gave_up=True)
+
+    def _alone(
+        self, dyn: Dyn, state: State, action: PickerAction, predicted: Prediction
+    ) -> Prediction:
+        """What the dynamics do without a pseudo-action."""
+        return predicted if self._prediction_stands else dyn(state, action)
 
     def _pseudo_action(self, correction: Correction, scale: float) -> Attachment:
         """a~_t: the attached vertices are wanted where this part of the correction takes them."""

@@ -171,10 +171,10 @@ class Pass:
         self._running = False
 
     def timed(self, parts: Parts) -> Parts:
-        """The same parts, with clocks around dynamics, alignment and line search."""
+        """The same parts, with clocks around prediction, alignment and line search."""
         return replace(
             parts,
-            dynamics=lambda theta: self._clocked("predict_s", parts.dynamics(theta)),
+            predict=self._clocked("predict_s", parts.predict),
             align=self._clocked("align_s", parts.align),
             line_search=self._clocked("correct_s", parts.line_search),
         )

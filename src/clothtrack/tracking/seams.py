@@ -103,6 +103,26 @@ class Dynamics(Protocol):
 
 
 @runtime_checkable
+class Predict(Protocol):
+    """x'_{t+1} = dyn(x_t, a_t): where an alignment starts from."""
+
+    def __call__(self, dyn: Dyn, state: State, action: PickerAction) -> Prediction:
+        """The cloth after a frame, before its cloud is looked at.
+
+        Args:
+            dyn: the dynamics.
+            state: the cloth before the frame.
+            action: what the pickers do during it.
+        """
+        ...
+
+
+def exact(dyn: Dyn, state: State, action: PickerAction) -> Prediction:
+    """The dynamics as they are: the paper's prediction."""
+    return dyn(state, action)
+
+
+@runtime_checkable
 class Aligner(Protocol):
     """Test-time optimisation 1: mesh to cloud."""
 
@@ -160,8 +180,8 @@ class LineSearch(Protocol):
             dyn: the dynamics.
             state: the cloth before the frame.
             action: what the pickers do during it.
-            predicted: the roll-out without a pseudo-action.
-            correction: what the cloud wants; None leaves the prediction.
+            predicted: the roll-out without a pseudo-action, which the correction starts from.
+            correction: what the cloud wants; None leaves the dynamics alone.
         """
         ...
 
@@ -300,6 +320,7 @@ class Parts:
         pick: what the pickers hold.
         calibrate: theta of an action.
         dynamics: dyn, given theta.
+        predict: what is aligned.
         align: TTO1.
         line_search: the pseudo-action.
         combine: one end of an action of all candidates.
@@ -311,6 +332,7 @@ class Parts:
     pick: Pick
     calibrate: Calibrate
     dynamics: Dynamics
+    predict: Predict
     align: Aligner
     line_search: LineSearch
     combine: Combine

@@ -12,7 +12,7 @@ from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.refinement import SETTLE_IN_S
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
-from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.dynamics import ClothDynamics, PickerAction
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.tracking.algorithm import track
 from clothtrack.tracking.calibrator import Calibrator, uncalibrated
@@ -23,7 +23,7 @@ from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.picking import pick, without_motion
 from clothtrack.tracking.picture_marks import PictureMarks, no_marks
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Dyn, Observe, Parts, State, Watch
+from clothtrack.tracking.seams import Dyn, Observe, Parts, Prediction, State, Watch, exact
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.visible_alignment import (
@@ -157,6 +157,11 @@ def _parts(
         dynamics.solver.set_parameters(cloth_parameters(theta, mesh))
         return dynamics
 
+    def coarse(dyn: Dyn, state: State, action: PickerAction) -> Prediction:  # noqa: ARG001
+        return dynamics.predict(state, action)
+
+    # Without a pseudo-action predictions are all there is.
+    is_coarse = config.use_pseudo_action and config.dynamics.prediction_coarseness > 1
     align, seen = aligned(alignment=config.alignment), observe
     if not config.use_pseudo_action:
         ends = {action.last_frame for action in recording.actions}
@@ -170,8 +175,11 @@ def _parts(
             else uncalibrated
         ),
         dynamics=simulated,
+        predict=coarse if is_coarse else exact,
         align=align if config.use_dynamics_initialisation else from_last_mesh(align),
-        line_search=PseudoActionSearch(config.line_search, config.attachment_strength),
+        line_search=PseudoActionSearch(
+            config.line_search, config.attachment_strength, prediction_stands=not is_coarse
+        ),
         combine=average if config.average_candidates else chosen_candidate,
         align_last=align_last,
         mark=marks.bind if config.uses_color else no_marks,
