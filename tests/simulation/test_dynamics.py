@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion
+from clothtrack.simulation.dynamics import (
+    ClothDynamics,
+    DynamicsConfig,
+    HeldMotion,
+    PickerAction,
+)
 from clothtrack.simulation.garments import towel
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.solver import ClothSolver
@@ -79,3 +84,17 @@ def test_a_spring_is_cut_into_equal_springs():
     part = pull_strength(whole, 0.05)
     np.testing.assert_allclose(pull_rate(part, 0.05), whole, rtol=2e-3)
     assert (part < np.array([0.3, 0.9])).all()
+
+
+def test_a_coarse_prediction_is_the_roll_out_with_longer_substeps():
+    coarse = SolverConfig(substep_s=3.0e-3, rebuild_s=0.03)
+    fine = SolverConfig(substep_s=1.0e-3, rebuild_s=0.01)
+    way = MESH.vertices[0] + np.linspace(0.0, 0.02, 3)[:, None, None] * UP
+    action = PickerAction(HeldMotion(CORNER, way), 0.05)
+    wanted = ClothDynamics(ClothSolver(MESH, coarse))
+    exact = wanted(wanted.solver.save(), action)
+    dynamics = ClothDynamics(ClothSolver(MESH, fine), DynamicsConfig(prediction_coarseness=3))
+    start = dynamics.solver.save()
+    np.testing.assert_array_equal(dynamics.predict(start, action).positions, exact.positions)
+    rolled = dynamics(start, action).positions
+    assert 1e-6 < np.abs(rolled - exact.positions).max() < 2e-3

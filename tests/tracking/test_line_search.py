@@ -56,6 +56,20 @@ def test_without_a_correction_the_prediction_stands() -> None:
     assert (result.trials, result.gave_up) == (0, False)
 
 
+@pytest.mark.parametrize("correction", [None, CORRECTION])
+def test_where_a_coarse_prediction_would_stand_the_dynamics_are_rolled_alone(correction) -> None:
+    config = LineSearchConfig(explosion_speed=2.0)
+    search = PseudoActionSearch(config, strength=0.5, prediction_stands=False)
+    alone = roll_out(0.2)
+
+    def dyn(state, action, pseudo_action=None):
+        return alone if pseudo_action is None else roll_out(9.0)
+
+    result = search(dyn, None, STILL, roll_out(0.1), correction)
+    assert result.prediction is alone
+    assert result.gave_up == (correction is not None)
+
+
 def test_non_finite_is_never_stable() -> None:
     assert not is_stable(roll_out(np.nan), 2.0)
     assert not is_stable(roll_out(0.0, np.nan), 2.0)
