@@ -51,13 +51,15 @@ class TimedEyes:
 
 
 def configured(solver: str) -> TrackerConfig:
-    """The default mode without calibration, aligned with one solver."""
-    config = mode("default")
-    iterations = {"adam": 400, "icp": 20}[solver]
+    """The default mode without calibration; with Adam in place of icp, 400 steps of it."""
+    config = replace(mode("default"), calibration=CalibrationConfig(method="none"))
+    if solver == config.alignment.solver:
+        return config
+    adam = {"solver": solver, "iterations": 400}
     return replace(
         config,
-        calibration=CalibrationConfig(method="none"),
-        alignment=replace(config.alignment, solver=solver, iterations=iterations),
+        alignment=replace(config.alignment, **adam),
+        final_alignment=replace(config.final_alignment, **adam),
     )
 
 

@@ -7,6 +7,7 @@ the edges give them their lengths back (XPBD, as in the solver).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -85,34 +86,68 @@ def untangled(
     Returns:
         The positions, and how many crossings there were and are.
     """
-    given = np.asarray(positions)
-    ready = np.ones(len(given)) if mobility is None else np.asarray(mobility, np.float64)
-    return _Untangler(mesh, given, ready, table, device).run(rounds)
+    return Untangler(mesh, device=device)(positions, mobility=mobility, table=table, rounds=rounds)
 
 
-class _Untangler:
+class Untangler:
+    """`untangled` of one cloth, as often as wanted; what only a crossing needs waits for one.
+
+    Args:
+        mesh: the cloth; where its vertices are tells the lengths of its edges.
+        device: "cpu" or "cuda:0".
+    """
+
+    def __init__(self, mesh: ClothMesh, *, device: str = "cpu") -> None:
+        self._mesh, self._device = mesh, device
+        self.edge_m = float(np.median(mesh.edge_lengths))
+        self.search = SelfIntersection(mesh, device=device)
+
+    def __call__(
+        self,
+        positions: Float[np.ndarray, "vertices 3"],
+        *,
+        mobility: Float[np.ndarray, " vertices"] | None = None,
+        table: Table | None = None,
+        rounds: int = 80,
+    ) -> Untangling:
+        """What `untangled` returns."""
+        given = np.asarray(positions)
+        ready = np.ones(len(given)) if mobility is None else np.asarray(mobility, np.float64)
+        return _Attempt(self, given, ready, table).run(rounds)
+
+    @cached_property
+    def moves(self) -> ContourMoves:
+        """How vertices move so that contours become shorter."""
+        return ContourMoves(self.search)
+
+    @cached_property
+    def keep_lengths(self) -> "_Lengths":
+        """Passes over the edges."""
+        return _Lengths(self._mesh, self._device)
+
+    @cached_property
+    def joined(self) -> sparse.csr_array:
+        """Which vertices an edge joins."""
+        i, j = self._mesh.edges.T
+        ends = np.concatenate([i, j]), np.concatenate([j, i])
+        ones = np.ones(2 * len(i), np.int8)
+        return sparse.coo_array((ones, ends), (self._mesh.vertex_count,) * 2).tocsr()
+
+
+class _Attempt:
     """One untangling: what was found best, and how it goes on."""
 
     def __init__(
         self,
-        mesh: ClothMesh,
+        cloth: Untangler,
         given: Float[np.ndarray, "vertices 3"],
         mobility: Float[np.ndarray, " vertices"],
         table: Table | None,
-        device: str,
     ) -> None:
-        self._precision, self._mobility = given.dtype, mobility
-        self._search = SelfIntersection(mesh, device=device)
-        self._moves = ContourMoves(self._search)
-        self._keep_lengths = _Lengths(mesh, device)
-        self._edge_m = float(np.median(mesh.edge_lengths))
-        self._table = table
+        self._cloth, self._search, self._edge_m = cloth, cloth.search, cloth.edge_m
+        self._precision, self._mobility, self._table = given.dtype, mobility, table
         self._best = given.astype(np.float64)
-        self._free = np.zeros(mesh.vertex_count, dtype=bool)
-        i, j = mesh.edges.T
-        ends = np.concatenate([i, j]), np.concatenate([j, i])
-        ones = np.ones(2 * len(i), np.int8)
-        self._joined = sparse.coo_array((ones, ends), (mesh.vertex_count,) * 2).tocsr()
+        self._free = np.zeros(len(given), dtype=bool)
         if table is not None:
             self._lowest = np.minimum(_heights(self._best, table), RESTING_HEIGHT_M)
 
@@ -146,11 +181,11 @@ class _Untangler:
         pieces: bool,
         sweeps: int = SWEEPS,
     ) -> Float[np.ndarray, "vertices 3"]:
-        move = step_m * self._moves(found, positions, pieces=pieces)
+        move = step_m * self._cloth.moves(found, positions, pieces=pieces)
         move *= self._mobility[:, None]
         near = (move != 0.0).any(axis=1)
         for _ in range(REACH):
-            near |= self._joined @ near > 0
+            near |= self._cloth.joined @ near > 0
         self._free |= near & (self._mobility > 0.0)
         # A zero added to a negative zero would change its bits.
         return self._kept(np.where(self._free[:, None], positions + move, positions), sweeps)
@@ -161,7 +196,7 @@ class _Untangler:
         """The positions with edges straightened, and nothing farther in the table than it was."""
         kept = positions
         if sweeps:
-            kept = self._keep_lengths(kept, self._free * self._mobility, sweeps)
+            kept = self._cloth.keep_lengths(kept, self._free * self._mobility, sweeps)
         if self._table is not None:
             inside = np.maximum(self._lowest - _heights(kept, self._table), 0.0)
             kept = kept + inside[:, None] * self._table.normal

@@ -12,7 +12,7 @@ from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.state import Attachment, ClothState
-from clothtrack.simulation.untangling import untangled
+from clothtrack.simulation.untangling import Untangler
 from clothtrack.tracking.configuration import TrackerConfig
 from clothtrack.tracking.seams import Correction, State
 from clothtrack.tracking.theta import Theta, cloth_parameters
@@ -56,7 +56,7 @@ class FinalAlignment:
         """
         self._name, self._table, self._mesh = recording.name, recording.table, mesh
         self._config, self._align, self._dynamics = config.final_alignment, align, dynamics
-        self._device = device
+        self._untangle, self._device = Untangler(mesh, device=device), device
 
     def __call__(
         self, state: ClothState, theta: Theta, observation: Observation, held: bool
@@ -115,9 +115,7 @@ class FinalAlignment:
         if not self._config.untangle or not np.isfinite(positions).all():
             return state
         mobility = np.where(self._align.sees(positions), SEEN_MOBILITY, 1.0)
-        apart = untangled(
-            self._mesh, positions, mobility=mobility, table=self._table, device=self._device
-        )
+        apart = self._untangle(positions, mobility=mobility, table=self._table)
         moved = (apart.positions != positions).any(axis=1)
         if not moved.any():
             return state
