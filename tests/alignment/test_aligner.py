@@ -236,6 +236,22 @@ def test_damped_steps_of_icp_do_not_take_each_other_back():
     assert highest_rise(0.0) > 1.3
 
 
+def test_icp_ends_where_it_gets_no_farther():
+    mesh, positions, cloud, visible = scene()
+    config = replace(OURS, solver="icp", iterations=60)
+    whole = CloudAligner(mesh, config).align(positions, cloud, visible)
+    ended = CloudAligner(mesh, replace(config, icp_tolerance=0.02)).align(positions, cloud, visible)
+    assert (whole.iterations, whole.reason) == (60, "iterations")
+    assert ended.reason == "tolerance"
+    assert 3 <= ended.iterations < 30
+    assert ended.losses.shape == (ended.iterations + 1,)
+    np.testing.assert_array_equal(ended.losses[:-1], whole.losses[: ended.iterations])
+    gained = ended.losses[2:-1] / ended.losses[:-3]
+    assert gained[-1] > 0.98
+    assert (gained[:-1] <= 0.98).all()
+    assert ended.losses[-1] < 1.1 * whole.losses[-1]
+
+
 def test_a_shifted_cloth_seen_completely_is_put_back():
     """One point per vertex, a shift below half the spacing: the answer is the shift."""
     mesh = sheet()

@@ -50,8 +50,8 @@ class Alignment:
         terms: the same per weighted term: "chamfer", "rigidity", "two_way", "length", "table",
             "marks".
         iterations: iterations done.
-        reason: why it ended: "iterations", or "no points", "no visible vertex" or "not finite",
-            in which cases the corrections are zero.
+        reason: why it ended: "iterations", all of them; "tolerance", before; or "no points", "no
+            visible vertex" or "not finite", in which cases the corrections are zero.
     """
 
     corrections: Float[np.ndarray, "vertices 3"]
@@ -117,19 +117,19 @@ class CloudAligner:
         if not (np.isfinite(positions).all() and np.isfinite(observation_points).all()):
             return self._nothing("not finite")
         problem = self._problem(positions, observation_points, visible, trusted)
-        problem.weights = self._weights(problem, table, rest_height_m)
+        self._weigh(problem, table, rest_height_m)
         self._mark(problem, marks)
         solve = solve_adam if self._config.solver == "adam" else solve_icp
         corrections, sums = solve(problem, self._config)
         if not np.isfinite(corrections).all():
             return self._nothing("not finite")
-        terms = self._terms(problem, sums)
+        terms = problem.terms(sums)
         return Alignment(
             corrections=corrections,
             losses=np.sum(list(terms.values()), axis=0),
             terms=terms,
             iterations=len(sums) - 1,
-            reason="iterations",
+            reason="iterations" if len(sums) > self._config.iterations else "tolerance",
         )
 
     def gradient(
@@ -149,14 +149,14 @@ class CloudAligner:
         The arguments are those of `align`; the matches are the ones at the displaced vertices.
         """
         problem = self._problem(positions, observation_points, visible, trusted)
-        problem.weights = self._weights(problem, table, rest_height_m)
+        self._weigh(problem, table, rest_height_m)
         self._mark(problem, marks)
         displaced = self._array(displacements.astype(np.float32), wp.vec3)
         moved = self._array(problem.initial.numpy() + displaced.numpy(), wp.vec3)
         problem.matcher.rebuild(moved)
         sums = problem.sums(1)
         gradient = problem.measure(moved, displaced, sums)
-        terms = self._terms(problem, sums.numpy())
+        terms = problem.terms(sums.numpy())
         return float(sum(term[0] for term in terms.values())), gradient.numpy()
 
     def _array(self, values: np.ndarray, dtype: type) -> wp.array:
@@ -198,33 +198,30 @@ class CloudAligner:
         wanted = np.where(marks.weight[:, None] > 0.0, marks.wanted - problem.centre, 0.0)
         problem.matches.wanted = self._array(wanted.astype(np.float32), wp.vec3)
         problem.matches.wanted_weight = self._array(marks.weight.astype(np.float32), wp.float32)
-        problem.weights.marks = self._config.marks_weight / problem.point_count
+        problem.scales["marks"] = self._config.marks_weight / problem.point_count
+        problem.weights.marks = problem.scales["marks"]
 
-    def _weights(self, problem: Problem, table: Table | None, rest_height_m: float) -> object:
+    def _weigh(self, problem: Problem, table: Table | None, rest_height_m: float) -> None:
+        """Say how much each term counts."""
         config = self._config
+        problem.scales = {
+            "chamfer": config.chamfer_weight / problem.point_count,
+            "rigidity": config.rigidity_weight / self._edges,
+            "two_way": config.two_way_weight,
+            "length": config.length_weight / self._edges,
+            "table": TABLE_WEIGHT / self._vertices,
+            "marks": 0.0,
+        }
         weights = kernels.Weights()
-        weights.data = config.chamfer_weight / problem.point_count
-        weights.rigidity = config.rigidity_weight / self._edges
-        weights.length = config.length_weight / self._edges
+        weights.data = problem.scales["chamfer"]
+        weights.rigidity = problem.scales["rigidity"]
+        weights.length = problem.scales["length"]
         weights.tied = weights.rigidity + config.icp_damping * weights.length
         weights.two_way = config.two_way_weight
         weights.marks = 0.0
         weights.lowest = -1e6
         if table is not None:
-            weights.table = TABLE_WEIGHT / self._vertices
+            weights.table = problem.scales["table"]
             weights.table_normal = wp.vec3(*np.asarray(table.normal, float).tolist())
             weights.lowest = rest_height_m + float((table.point - problem.centre) @ table.normal)
-        return weights
-
-    def _terms(self, problem: Problem, sums: np.ndarray) -> dict[str, np.ndarray]:
-        config, points = self._config, problem.point_count
-        partners = np.maximum(sums[:, kernels.PARTNERS], 1)
-        squares = sums[:, : kernels.PARTNERS] / kernels.FIXED_POINT_SQUARE
-        return {
-            "chamfer": config.chamfer_weight / points * squares[:, kernels.DATA],
-            "rigidity": config.rigidity_weight / self._edges * squares[:, kernels.RIGIDITY],
-            "two_way": config.two_way_weight / partners * squares[:, kernels.TWO_WAY],
-            "length": config.length_weight / self._edges * squares[:, kernels.LENGTH],
-            "table": TABLE_WEIGHT / self._vertices * squares[:, kernels.TABLE],
-            "marks": float(problem.weights.marks) * squares[:, kernels.MARKS],
-        }
+        problem.weights = weights

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from clothtrack.files.bounds import Checked, Count, NotNegative
+from clothtrack.files.bounds import Checked, Count, NotNegative, Share
 
 ADAM_STEP_M = 1e-3
 """Step of Adam [m]: about as far as a vertex moves in one iteration, at most."""
@@ -24,7 +24,7 @@ class AlignmentConfig(Checked):
         solver: "adam" follows the paper; "icp" (fixed matches, Gauss-Newton, conjugate gradients)
             is several times faster and ends a few percent higher.
         iterations: steps of Adam (the paper: 200), or how often icp renews its
-            matches; 5 do, where the prediction is near.
+            matches at most.
         chamfer_weight: cloud point to nearest visible vertex (the paper: 1).
         rigidity_weight: difference of the displacements along edges (the paper: 10).
         two_way_weight: trusted visible vertex to nearest cloud point, within `TWO_WAY_RANGE_M`; 0
@@ -33,11 +33,12 @@ class AlignmentConfig(Checked):
             as so many cloud points; 0 is the paper, which throws the colour away.
         length_weight: stretch of edges against the first mesh; 0 is the paper.
         icp_inner: conjugate gradient steps in each of its iterations.
-        icp_momentum: part of its last step that is added to the next. Far from the minimum a large
-            one is faster; near it, it swings.
+        icp_momentum: part of its last step that is added to the next.
         icp_damping: how much it resists the turn of an edge in one step, over how much an edge
             resists stretch. Without it a step that turns edges stretches them, and the next one
             takes it back. It changes the way, not the minimum.
+        icp_tolerance: it ends when two iterations together lower the objective by a smaller share;
+            0 does all iterations.
     """
 
     solver: Literal["adam", "icp"] = "adam"
@@ -50,3 +51,4 @@ class AlignmentConfig(Checked):
     icp_inner: Count = 12
     icp_momentum: float = 0.8
     icp_damping: NotNegative = 0.2
+    icp_tolerance: Share = 0.0

@@ -1,7 +1,7 @@
 """Minimisers of the objective of test-time optimisation: Adam, and alternating least squares."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -26,6 +26,7 @@ class Problem:
     topology: object
     point_count: int
     weights: object = None
+    scales: dict[str, float] = field(default_factory=dict)
 
     def vectors(self) -> wp.array:
         """A vector per vertex, zero."""
@@ -34,6 +35,19 @@ class Problem:
     def sums(self, rows: int) -> wp.array:
         """Room for the sums of so many evaluations."""
         return wp.zeros((rows, len(kernels.COLUMNS)), dtype=wp.int64, device=self.initial.device)
+
+    def terms(self, sums: np.ndarray) -> dict[str, np.ndarray]:
+        """The weighted terms of the objective [m^2], of evaluations with these sums."""
+        scales, partners = self.scales, np.maximum(sums[:, kernels.PARTNERS], 1)
+        squares = sums[:, : kernels.PARTNERS] / kernels.FIXED_POINT_SQUARE
+        return {
+            "chamfer": scales["chamfer"] * squares[:, kernels.DATA],
+            "rigidity": scales["rigidity"] * squares[:, kernels.RIGIDITY],
+            "two_way": scales["two_way"] / partners * squares[:, kernels.TWO_WAY],
+            "length": scales["length"] * squares[:, kernels.LENGTH],
+            "table": scales["table"] * squares[:, kernels.TABLE],
+            "marks": scales["marks"] * squares[:, kernels.MARKS],
+        }
 
     @property
     def objective(self) -> list[object]:
@@ -149,10 +163,20 @@ def solve_icp(problem: Problem, config: AlignmentConfig) -> tuple[np.ndarray, np
     repeat = (
         partial(_do_all, made_ready(step)) if on_cpu else _captured(partial(_do_all, step), device)
     )
-    for _ in range(config.iterations):
+    done = 0
+    while done < config.iterations and not _stands_still(problem, sums, done, config):
         repeat()
+        done += 1
     problem.measure(positions, displacements, sums)
-    return displacements.numpy(), sums.numpy()
+    return displacements.numpy(), sums.numpy()[: done + 1]
+
+
+def _stands_still(problem: Problem, sums: wp.array, done: int, config: AlignmentConfig) -> bool:
+    """Whether the last two iterations that are measured brought less than they should."""
+    if config.icp_tolerance == 0.0 or done < 3:
+        return False
+    losses = np.sum(list(problem.terms(sums.numpy()[done - 3 : done]).values()), axis=0)
+    return bool(losses[2] > (1.0 - config.icp_tolerance) * losses[0])
 
 
 def _conjugate(problem: Problem) -> tuple[object, int]:

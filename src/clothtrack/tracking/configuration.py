@@ -44,8 +44,8 @@ def _calibration() -> CalibrationConfig:
 
 
 def _alignment() -> AlignmentConfig:
-    # As low as 400 steps of Adam, for a fifteenth of their time.
-    return AlignmentConfig(solver="icp", iterations=5, icp_momentum=0.4)
+    # A prediction may be millimetres or a hand's breadth away: as many iterations as it takes.
+    return AlignmentConfig(solver="icp", iterations=30, icp_tolerance=0.02)
 
 
 def _dynamics() -> DynamicsConfig:
@@ -72,7 +72,7 @@ class FinalAlignmentConfig(Checked):
     """
 
     solver: Literal["adam", "icp"] = "icp"
-    iterations: Count = 40
+    iterations: Count = 30
     slide: bool = True
     rounds: Annotated[int, Bounds(least=1, most=100)] = 2
     roll_s: Annotated[float, Bounds(least=0, most=10)] = 0.1
