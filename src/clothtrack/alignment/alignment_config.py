@@ -22,9 +22,8 @@ class AlignmentConfig(Checked):
 
     Attributes:
         solver: "adam" follows the paper; "icp" (fixed matches, Gauss-Newton, conjugate gradients)
-            is several times faster and ends a few percent higher.
-        iterations: steps of Adam (the paper: 200), or how often icp renews its
-            matches at most.
+            is ten times faster and ends as low.
+        iterations: steps of Adam (the paper: 200), or how often icp renews its matches at most.
         chamfer_weight: cloud point to nearest visible vertex (the paper: 1).
         rigidity_weight: difference of the displacements along edges (the paper: 10).
         two_way_weight: trusted visible vertex to nearest cloud point, within `TWO_WAY_RANGE_M`; 0
@@ -35,8 +34,8 @@ class AlignmentConfig(Checked):
         icp_inner: conjugate gradient steps in each of its iterations.
         icp_momentum: part of its last step that is added to the next.
         icp_damping: how much it resists the turn of an edge in one step, over how much an edge
-            resists stretch. Without it a step that turns edges stretches them, and the next one
-            takes it back. It changes the way, not the minimum.
+            resists stretch. Without it turns cost nothing: vertices run after their nearest points,
+            find others there, and run back. It changes the way, not the minimum.
         icp_tolerance: it ends when two iterations together lower the objective by a smaller share;
             0 does all iterations.
     """

@@ -42,8 +42,7 @@ _SQUARE_UNIT = wp.constant(wp.float64(FIXED_POINT_SQUARE))
 class Weights:
     """Weights of the terms, divided by the counts of their means, and the table's plane.
 
-    `tied` holds the steps of two neighbours together: the rigidity, and the damping that turns of
-    an edge need.
+    `tied` holds the steps of two neighbours together: the rigidity, and the damping.
     """
 
     data: wp.float32
@@ -307,8 +306,9 @@ def linearise(
     """Set up the linear system of one outer step: fixed matches, stretch along edges only.
 
     The unknown is the change of the displacement; the right-hand side is half of the negative
-    gradient, the matrix is the Gauss-Newton approximation of half of the Hessian, damped (Levenberg
-    and Marquardt): an edge that turns far would come out longer than the linear system thinks.
+    gradient, the matrix is the Gauss-Newton approximation of half of the Hessian, damped where
+    edges turn (D. Marquardt, doi:10.1137/0111030): it hardly resists that, and vertices would run
+    past the matches that it was made for.
     """
     strip = wp.tid()
     tally = Tally()
