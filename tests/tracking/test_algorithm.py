@@ -192,3 +192,25 @@ def test_an_ablation_is_a_part_that_is_exchanged(recording):
     ablation = tracker(replace(config, use_pseudo_action=False))
     np.testing.assert_array_equal(mine.track().positions, ablation.track().positions)
     assert not np.array_equal(mine.track().positions, tracker(config).track().positions)
+
+
+def test_dynamics_that_are_handed_in_make_their_own_predictions(recording):
+    config = TrackerConfig()
+    config = replace(config, calibration=replace(config.calibration, method="none"))
+    tracker = Tracker(recording, recording.cloth.template, config, partial(observe, recording))
+    ours, predicted = tracker.parts.dynamics, []
+
+    def dynamics(theta):
+        dyn = ours(theta)
+
+        def mine(state, action, pseudo_action=None):
+            if pseudo_action is None:
+                predicted.append(action)
+            return dyn(state, action, pseudo_action)
+
+        return mine
+
+    tracker.parts = replace(tracker.parts, dynamics=dynamics)
+    tracker.track()
+    (action,) = recording.actions
+    assert len(predicted) >= action.last_frame - action.first_frame

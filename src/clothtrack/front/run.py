@@ -161,8 +161,8 @@ def track(
         progress: called after every frame with its place in the work, and how much of the work is
             done and in all.
         force: track although the first mesh lies more than 2 cm (rms) from its cloud.
-        **parts: replacements for parts of Algorithm 1: observe, pick, calibrate, dynamics, align,
-            line_search, align_last, mark.
+        **parts: replacements for parts of Algorithm 1: observe, pick, calibrate, dynamics,
+            predict, align, line_search, combine, align_last, mark.
 
     Raises:
         InvalidRecordingError: the recording cannot be used, or the first mesh lies beside its

@@ -122,6 +122,11 @@ def exact(dyn: Dyn, state: State, action: PickerAction) -> Prediction:
     return dyn(state, action)
 
 
+def coarse(dyn: Dyn, state: State, action: PickerAction) -> Prediction:
+    """The dynamics as coarse as they can be: `dyn.predict(state, action)`, where they have it."""
+    return getattr(dyn, "predict", dyn)(state, action)
+
+
 @runtime_checkable
 class Aligner(Protocol):
     """Test-time optimisation 1: mesh to cloud."""

@@ -12,7 +12,7 @@ from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.refinement import SETTLE_IN_S
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
-from clothtrack.simulation.dynamics import ClothDynamics, PickerAction
+from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.tracking.algorithm import track
 from clothtrack.tracking.calibrator import Calibrator, uncalibrated
@@ -23,7 +23,7 @@ from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.picking import pick, without_motion
 from clothtrack.tracking.picture_marks import PictureMarks, no_marks
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Dyn, Observe, Parts, Prediction, State, Watch, exact
+from clothtrack.tracking.seams import Dyn, Observe, Parts, State, Watch, coarse, exact
 from clothtrack.tracking.theta import Theta, cloth_parameters
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.visible_alignment import (
@@ -156,9 +156,6 @@ def _parts(
     def simulated(theta: Theta) -> Dyn:
         dynamics.solver.set_parameters(cloth_parameters(theta, mesh))
         return dynamics
-
-    def coarse(dyn: Dyn, state: State, action: PickerAction) -> Prediction:  # noqa: ARG001
-        return dynamics.predict(state, action)
 
     # Without a pseudo-action predictions are all there is.
     is_coarse = config.use_pseudo_action and config.dynamics.prediction_coarseness > 1
