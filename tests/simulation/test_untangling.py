@@ -7,6 +7,7 @@ from clothtrack.geometry import ClothMesh, crossings
 from clothtrack.geometry.intersections import SelfIntersection
 from clothtrack.recordings import Table
 from clothtrack.simulation import tshirt, untangled
+from clothtrack.simulation.untangling import Untangler
 
 SIDE, COUNT = 0.3, 16
 
@@ -162,6 +163,14 @@ def test_it_is_deterministic():
     given = pushed("an edge at 60 degrees")
     first, again = (untangled(TWO, given) for _ in range(2))
     assert first.positions.tobytes() == again.positions.tobytes()
+
+
+def test_what_came_before_on_the_same_cloth_does_not_matter():
+    given = pushed("an edge at 60 degrees")
+    untangle = Untangler(TWO)
+    assert untangle(TWO.vertices).rounds == 0
+    assert untangle(pushed("a corner")).rounds > 0
+    assert untangle(given).positions.tobytes() == untangled(TWO, given).positions.tobytes()
 
 
 def test_nothing_is_pushed_into_the_table():

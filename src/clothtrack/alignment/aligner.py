@@ -217,8 +217,8 @@ class CloudAligner:
         weights.rigidity = problem.scales["rigidity"]
         weights.length = problem.scales["length"]
         weights.tied = weights.rigidity + config.icp_damping * weights.length
-        weights.two_way = config.two_way_weight
-        weights.marks = 0.0
+        weights.two_way = problem.scales["two_way"]
+        weights.marks = problem.scales["marks"]
         weights.lowest = -1e6
         if table is not None:
             weights.table = problem.scales["table"]

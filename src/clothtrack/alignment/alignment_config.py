@@ -22,7 +22,7 @@ class AlignmentConfig(Checked):
 
     Attributes:
         solver: "adam" follows the paper; "icp" (fixed matches, Gauss-Newton, conjugate gradients)
-            is ten times faster and ends as low.
+            is five to ten times faster and ends as low.
         iterations: steps of Adam (the paper: 200), or how often icp renews its matches at most.
         chamfer_weight: cloud point to nearest visible vertex (the paper: 1).
         rigidity_weight: difference of the displacements along edges (the paper: 10).
