@@ -22,10 +22,10 @@ from clothtrack.simulation.contacts import (
     Contact,
     NoContact,
     ParticleContact,
-    TriangleContact,
 )
 from clothtrack.simulation.parameters import ELASTIC_SUBSTEPS, ClothParameters, SolverConfig
 from clothtrack.simulation.state import Attachment, ClothState, ContactMemory, pull_rate
+from clothtrack.simulation.triangle_contact import TriangleContact
 
 logger = logging.getLogger(__name__)
 

@@ -1,0 +1,262 @@
+"""Contact between vertices and triangles, which remember on which side of each other they are."""
+
+import numpy as np
+import warp as wp
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation import triangle_contact_kernels as triangles
+from clothtrack.simulation import triangle_push_kernels as pushes
+from clothtrack.simulation.buffers import ClothBuffers
+from clothtrack.simulation.cells import CELLS_PER_ENVIRONMENT
+from clothtrack.simulation.edge_contact import EdgeContact
+from clothtrack.simulation.parameters import CONTACT_TOLERANCE, SolverConfig
+from clothtrack.simulation.triangle_contact_kernels import TRIANGLES_PER_VERTEX
+
+REACTIONS_PER_VERTEX = 48
+CELL_PER_REACH = 1.0
+"""Size of a cell of triangles over the radius of a query."""
+
+
+class TriangleContact:
+    """Vertices against triangles; each pair remembers its side."""
+
+    def __init__(
+        self,
+        mesh: ClothMesh,
+        buffers: ClothBuffers,
+        config: SolverConfig,
+        particle_friction: wp.array,
+    ) -> None:
+        self.buffers = buffers
+        self._config = config
+        self._friction = particle_friction
+        self._device = device = buffers.positions.device
+        environments, vertices = buffers.shape
+        faces = len(mesh.faces)
+        reach = _face_reach(mesh, config)
+        self._reach = float(reach.max())
+        self._face_reach = wp.array(np.square(reach).astype(np.float32), dtype=float, device=device)
+        self._cells_per_metre = 1.0 / (CELL_PER_REACH * self._reach)
+        cells = environments * CELLS_PER_ENVIRONMENT
+        # One more than there are cells: the scan's last entry is the end of the last cell.
+        self._cell_counts = wp.zeros(cells + 1, dtype=int, device=device)
+        self._cell_first = wp.zeros(cells + 1, dtype=int, device=device)
+        self._face_cells = wp.zeros((environments, faces), dtype=int, device=device)
+        self._face_ranks = wp.zeros((environments, faces), dtype=int, device=device)
+        self._balls = wp.zeros((environments, faces), dtype=wp.vec4, device=device)
+        self._discs = wp.zeros((environments, faces), dtype=wp.vec4, device=device)
+        self._sorted_faces = wp.zeros(environments * faces, dtype=int, device=device)
+        self._sorted_balls = wp.zeros(environments * faces, dtype=wp.vec4, device=device)
+        self._sorted_discs = wp.zeros(environments * faces, dtype=wp.vec4, device=device)
+        slots = (environments, vertices, TRIANGLES_PER_VERTEX)
+        self.sides = wp.zeros(slots, dtype=int, device=device)
+        self.distances = wp.zeros(slots, dtype=float, device=device)
+        self.counts = wp.zeros((environments, vertices), dtype=int, device=device)
+        self._old_sides = wp.zeros_like(self.sides)
+        self._old_distances = wp.zeros_like(self.distances)
+        self._old_counts = wp.zeros_like(self.counts)
+        self.overflows = wp.zeros(environments, dtype=int, device=device)
+        self._push = (ScatteredPush if wp.get_device(device).is_cpu else GatheredPush)(self)
+        self._edges = (
+            EdgeContact(mesh, buffers, config, particle_friction, self.overflows)
+            if config.edge_contact
+            else None
+        )
+
+    def find(self) -> None:
+        """List vertex-triangle pairs with their sides, and prepare to push them apart."""
+        buffers, config, device = self.buffers, self._config, self._device
+        wp.copy(self._old_sides, self.sides)
+        wp.copy(self._old_distances, self.distances)
+        wp.copy(self._old_counts, self.counts)
+        self._sort_faces()
+        environments, vertices = buffers.shape
+        threads = buffers.threads(vertices)
+        wp.launch(
+            triangles.find_pairs,
+            dim=(environments, threads),
+            inputs=[
+                threads, buffers.clocks, self._cells_per_metre, self._cell_first,
+                self._sorted_faces, self._sorted_balls, self._sorted_discs, self._face_reach,
+                self._reach, config.thickness_m, config.contact_margin_m, config.contact_depth_m,
+                CONTACT_TOLERANCE, buffers.faces, buffers.rest, buffers.positions,
+                buffers.velocities, self._old_sides, self._old_distances, self._old_counts,
+            ],
+            outputs=[self.sides, self.distances, self.counts, self.overflows],
+            device=device,
+        )  # fmt: skip
+        self._push.prepare()
+        if self._edges is not None:
+            self._edges.find()
+
+    def _sort_faces(self) -> None:
+        """Sort the triangles into cells by where they are now."""
+        buffers, device = self.buffers, self._device
+        threads = buffers.threads(len(buffers.faces))
+        shape = (buffers.shape[0], threads)
+        self._cell_counts.zero_()
+        wp.launch(
+            triangles.count_faces,
+            dim=shape,
+            inputs=[
+                threads, self._cells_per_metre, CONTACT_TOLERANCE, buffers.faces,
+                self._face_reach, buffers.positions,
+            ],
+            outputs=[
+                self._cell_counts, self._face_cells, self._face_ranks, self._balls, self._discs,
+            ],
+            device=device,
+        )  # fmt: skip
+        wp.utils.array_scan(self._cell_counts, self._cell_first, inclusive=False)
+        wp.launch(
+            triangles.sort_faces,
+            dim=shape,
+            inputs=[
+                threads, self._cell_first, self._face_cells, self._face_ranks, self._balls,
+                self._discs,
+            ],
+            outputs=[self._sorted_faces, self._sorted_balls, self._sorted_discs],
+            device=device,
+        )  # fmt: skip
+
+    def push(self) -> None:
+        """Compute what contact adds to the positions."""
+        self._push.launch()
+        if self._edges is not None:
+            self._edges.push()
+
+    @property
+    def pair_inputs(self) -> list[object]:
+        """What every kernel that computes impulses takes first."""
+        buffers, config = self.buffers, self._config
+        return [
+            buffers.clocks,
+            CONTACT_TOLERANCE,
+            config.push_out_speed,
+            self._friction,
+            buffers.faces,
+            self.sides,
+            self.distances,
+            self.counts,
+            buffers.inverse_masses,
+            buffers.positions,
+            buffers.start,
+        ]
+
+    def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The lists; slots beyond the count are cleared, so that equal states have equal bits."""
+        counts = self.counts.numpy().copy()
+        filled = np.arange(TRIANGLES_PER_VERTEX) < counts[..., None]
+        sides = np.where(filled, self.sides.numpy(), 0).astype(np.int32)
+        distances = np.where(filled, self.distances.numpy(), 0).astype(np.float32)
+        return sides, distances, counts
+
+    def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:
+        """Take the lists back; a state without memory (other contact) starts afresh."""
+        if sides.shape[2] != TRIANGLES_PER_VERTEX:
+            self.counts.zero_()
+            return
+        self.sides.assign(sides)
+        self.distances.assign(distances)
+        self.counts.assign(counts)
+
+
+class ScatteredPush:
+    """Goes through an environment's pairs one by one and adds each impulse where it belongs.
+
+    For a CPU, where threads run one after another.
+    """
+
+    def __init__(self, contact: TriangleContact) -> None:
+        self._contact = contact
+        buffers = contact.buffers
+        device = buffers.positions.device
+        self._received = wp.zeros(buffers.shape, dtype=pushes.Received, device=device)
+
+    def prepare(self) -> None:
+        """Nothing to prepare when new pairs are listed."""
+
+    def launch(self) -> None:
+        """Compute what contact adds to the positions."""
+        buffers = self._contact.buffers
+        wp.launch(
+            pushes.scatter_impulses,
+            dim=buffers.shape[0],
+            inputs=self._contact.pair_inputs,
+            outputs=[self._received, buffers.moves, buffers.stops],
+            device=buffers.positions.device,
+        )
+
+
+class GatheredPush:
+    """Stores the impulse of each pair, then lets each vertex gather what concerns it.
+
+    For a GPU; every corner of a triangle knows its pairs.
+    """
+
+    def __init__(self, contact: TriangleContact) -> None:
+        self._contact = contact
+        buffers = contact.buffers
+        self._device = device = buffers.positions.device
+        slots = (*buffers.shape, TRIANGLES_PER_VERTEX)
+        self._impulses = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._stopping = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._weights = wp.zeros(slots, dtype=wp.vec3, device=device)
+        self._reactions = wp.zeros((*buffers.shape, REACTIONS_PER_VERTEX), dtype=int, device=device)
+        self._reaction_counts = wp.zeros(buffers.shape, dtype=int, device=device)
+
+    def prepare(self) -> None:
+        """Tell every corner which of the listed pairs push it."""
+        contact, buffers = self._contact, self._contact.buffers
+        self._reaction_counts.zero_()
+        wp.launch(
+            pushes.list_reactions,
+            dim=buffers.shape,
+            inputs=[buffers.faces, contact.sides, contact.counts],
+            outputs=[self._reactions, self._reaction_counts, contact.overflows],
+            device=self._device,
+        )
+        wp.launch(
+            pushes.sort_reactions,
+            dim=buffers.shape,
+            inputs=[self._reactions, self._reaction_counts],
+            device=self._device,
+        )
+
+    def launch(self) -> None:
+        """Compute the impulse of each pair, then what each vertex makes of its own."""
+        contact, buffers = self._contact, self._contact.buffers
+        wp.launch(
+            pushes.find_impulses,
+            dim=buffers.shape,
+            inputs=contact.pair_inputs,
+            outputs=[self._impulses, self._stopping, self._weights],
+            device=self._device,
+        )
+        wp.launch(
+            pushes.gather_impulses,
+            dim=buffers.shape,
+            inputs=[
+                contact.counts,
+                self._reactions,
+                self._reaction_counts,
+                self._impulses,
+                self._stopping,
+                self._weights,
+                buffers.inverse_masses,
+            ],
+            outputs=[buffers.moves, buffers.stops],
+            device=self._device,
+        )
+
+
+def _face_reach(mesh: ClothMesh, config: SolverConfig) -> np.ndarray:
+    """Radius around each triangle's centre within which a vertex may touch it [m].
+
+    A barycentric tolerance t widens a triangle by 1 + 3 t about its centre; 5 % more is for
+    stretch.
+    """
+    corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]
+    radius = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+    flat = 1.05 * (1.0 + 3.0 * CONTACT_TOLERANCE) * radius
+    return np.hypot(flat, config.contact_depth_m)
