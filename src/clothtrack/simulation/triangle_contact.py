@@ -4,6 +4,7 @@ import numpy as np
 import warp as wp
 
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation import scatter_kernels as scatter
 from clothtrack.simulation import triangle_contact_kernels as triangles
 from clothtrack.simulation import triangle_push_kernels as pushes
 from clothtrack.simulation.buffers import ClothBuffers
@@ -126,22 +127,10 @@ class TriangleContact:
             self._edges.push()
 
     @property
-    def pair_inputs(self) -> list[object]:
+    def impulse_inputs(self) -> list[object]:
         """What every kernel that computes impulses takes first."""
-        buffers, config = self.buffers, self._config
-        return [
-            buffers.clocks,
-            CONTACT_TOLERANCE,
-            config.push_out_speed,
-            self._friction,
-            buffers.faces,
-            self.sides,
-            self.distances,
-            self.counts,
-            buffers.inverse_masses,
-            buffers.positions,
-            buffers.start,
-        ]
+        config = self._config
+        return [self.buffers.clocks, CONTACT_TOLERANCE, config.push_out_speed, self._friction]
 
     def memory(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The lists; slots beyond the count are cleared, so that equal states have equal bits."""
@@ -162,30 +151,45 @@ class TriangleContact:
 
 
 class ScatteredPush:
-    """Goes through an environment's pairs one by one and adds each impulse where it belongs.
+    """Goes through an environment's pairs and adds each impulse where it belongs.
 
     For a CPU, where threads run one after another.
     """
 
     def __init__(self, contact: TriangleContact) -> None:
         self._contact = contact
-        buffers = contact.buffers
-        device = buffers.positions.device
-        self._received = wp.zeros(buffers.shape, dtype=pushes.Received, device=device)
+        shape = contact.buffers.shape
+        self._device = device = contact.buffers.positions.device
+        pairs = (shape[0], shape[1] * TRIANGLES_PER_VERTEX)
+        self._corners = wp.zeros(pairs, dtype=wp.vec4i, device=device)
+        self._keeps = wp.zeros(pairs, dtype=wp.vec2, device=device)
+        self._totals = wp.zeros(shape[0], dtype=int, device=device)
+        self._received = wp.zeros(shape, dtype=scatter.Received, device=device)
 
     def prepare(self) -> None:
-        """Nothing to prepare when new pairs are listed."""
+        """List the pairs one behind the other."""
+        contact, buffers = self._contact, self._contact.buffers
+        wp.launch(
+            scatter.list_in_a_row,
+            dim=buffers.shape[0],
+            inputs=[buffers.faces, contact.sides, contact.distances, contact.counts],
+            outputs=[self._corners, self._keeps, self._totals],
+            device=self._device,
+        )
 
     def launch(self) -> None:
         """Compute what contact adds to the positions."""
-        buffers = self._contact.buffers
+        contact, buffers = self._contact, self._contact.buffers
         wp.launch(
-            pushes.scatter_impulses,
+            scatter.scatter_impulses,
             dim=buffers.shape[0],
-            inputs=self._contact.pair_inputs,
+            inputs=[
+                *contact.impulse_inputs, self._corners, self._keeps, self._totals,
+                buffers.inverse_masses, buffers.positions, buffers.start,
+            ],
             outputs=[self._received, buffers.moves, buffers.stops],
-            device=buffers.positions.device,
-        )
+            device=self._device,
+        )  # fmt: skip
 
 
 class GatheredPush:
@@ -229,10 +233,13 @@ class GatheredPush:
         wp.launch(
             pushes.find_impulses,
             dim=buffers.shape,
-            inputs=contact.pair_inputs,
+            inputs=[
+                *contact.impulse_inputs, buffers.faces, contact.sides, contact.distances,
+                contact.counts, buffers.inverse_masses, buffers.positions, buffers.start,
+            ],
             outputs=[self._impulses, self._stopping, self._weights],
             device=self._device,
-        )
+        )  # fmt: skip
         wp.launch(
             pushes.gather_impulses,
             dim=buffers.shape,

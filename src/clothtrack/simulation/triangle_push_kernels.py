@@ -2,7 +2,7 @@
 
 Each pair gives equal and opposite impulses to the vertex and to the triangle's corners. On a GPU
 every pair's impulse is stored first and every vertex then gathers what concerns it, in a fixed
-order. On a CPU, where threads run one after another, one thread goes through the pairs of an
+order. On a CPU, where threads run one after another, `scatter_kernels` goes through the pairs of an
 environment and adds each impulse where it belongs. Both are the same sums in another order; neither
 depends on the order of threads.
 """
@@ -59,22 +59,17 @@ def sort_reactions(
         reactions[environment, vertex, place] = code
 
 
-Received = wp.types.vector(length=8, dtype=wp.float32)
-"""What a vertex has got on a CPU, in one register: moving, stopping, sum of shares, nothing."""
-
-
 @no_type_check
 @wp.struct
 class Impulse:
     """What a pair does to its vertex: impulse, the part that ends an approach [kg m], foot.
 
-    The corners get the opposite, in the shares of the foot. `pushes` is 0 when nothing happens.
+    The corners get the opposite, in the shares of the foot. All is zero when nothing happens.
     """
 
     moving: wp.vec3
     stopping: wp.vec3
     foot: wp.vec3
-    pushes: wp.int32
 
 
 @no_type_check
@@ -129,73 +124,7 @@ def pair_impulse(
     impulse.moving = (push * outward - cut * slip) / weight
     impulse.stopping = (wp.clamp(nearing, 0.0, push) * outward - cut * slip) / weight
     impulse.foot = foot
-    if wp.dot(impulse.moving, impulse.moving) > 0.0:
-        impulse.pushes = 1
     return impulse
-
-
-@no_type_check
-@wp.kernel
-def scatter_impulses(
-    clocks: wp.array(dtype=Clock),
-    tolerance: float,
-    push_out_speed: float,
-    friction: wp.array(dtype=float),
-    faces: wp.array(dtype=wp.vec3i),
-    sides: wp.array3d(dtype=int),
-    distances: wp.array3d(dtype=float),
-    counts: wp.array2d(dtype=int),
-    inverse_masses: wp.array2d(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
-    start: wp.array2d(dtype=wp.vec3),
-    received: wp.array2d(dtype=Received),
-    moves: wp.array2d(dtype=wp.vec3),
-    stops: wp.array2d(dtype=wp.vec3),
-):
-    """What `find_impulses` and `gather_impulses` do, by one thread per environment."""
-    environment = wp.tid()
-    count = counts[environment]
-    code = sides[environment]
-    apart = distances[environment]
-    mass = inverse_masses[environment]
-    here = positions[environment]
-    before = start[environment]
-    got = received[environment]
-    moved = moves[environment]
-    stopped = stops[environment]
-    longest = push_out_speed * clocks[0].substep_s
-    rubbing = friction[environment]
-    for number in range(count.shape[0]):
-        got[nth(number)] = Received()
-    for number in range(count.shape[0]):
-        vertex = nth(number)
-        for listed in range(count[vertex]):
-            slot = nth(listed)
-            signed = code[vertex, slot]
-            face = faces[nth(wp.abs(signed) - 1)]
-            impulse = pair_impulse(
-                vertex, signed, apart[vertex, slot], longest, tolerance, rubbing, face,
-                mass, here, before,
-            )  # fmt: skip
-            if impulse.pushes == 1:
-                moving = impulse.moving
-                stopping = impulse.stopping
-                whole = Received(
-                    moving[0], moving[1], moving[2],
-                    stopping[0], stopping[1], stopping[2], 1.0, 0.0,
-                )  # fmt: skip
-                got[vertex] = got[vertex] + whole
-                for corner in range(3):
-                    share = -impulse.foot[corner]
-                    whole[6] = wp.where(share < 0.0, -1.0, 1.0)
-                    place = nth(face[corner])
-                    got[place] = got[place] + share * whole
-    for number in range(count.shape[0]):
-        vertex = nth(number)
-        sums = got[vertex]
-        share = wp.where(sums[6] > 0.0, mass[vertex] / wp.max(sums[6], 1.0), 1.0)
-        moved[vertex] = share * wp.vec3(sums[0], sums[1], sums[2])
-        stopped[vertex] = share * wp.vec3(sums[3], sums[4], sums[5])
 
 
 @no_type_check
