@@ -10,16 +10,12 @@ becomes shorter.
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from clothtrack.geometry import crossing_kernels as kernels
+from clothtrack.geometry.crossing_search import CrossingSearch
 from clothtrack.geometry.mesh import ClothMesh
-
-SLOTS = 12
-"""Triangles that are listed for an edge; it seldom passes through more than two."""
 
 STEEPEST = 0.2
 """Sine of the angle between edge and triangle below which it is taken for this: a contour that an
@@ -76,17 +72,11 @@ class SelfIntersection:
     """
 
     def __init__(self, mesh: ClothMesh, *, device: str = "cpu") -> None:
-        self.mesh = mesh
-        self.device = device
+        self.mesh, self.device = mesh, device
+        self.edges = np.ascontiguousarray(mesh.edges, np.int32)
+        self.edge_faces = _faces_of_edges(mesh)
         faces = np.ascontiguousarray(mesh.faces, np.int32)
-        edges = np.ascontiguousarray(mesh.edges, np.int32)
-        self.edges, self.edge_faces = edges, _faces_of_edges(mesh)
-        self._faces = wp.array(faces, dtype=wp.vec3i, device=device)
-        self._edges = wp.array(edges, dtype=wp.vec2i, device=device)
-        self._tree: wp.Mesh | None = None
-        self._corners = wp.array(faces.reshape(-1), dtype=wp.int32, device=device)
-        self._crossed = wp.zeros((len(edges), SLOTS), dtype=int, device=device)
-        self._counts = wp.zeros(len(edges), dtype=int, device=device)
+        self._search = CrossingSearch(self.edges, faces, device=device)
 
     def pairs(
         self, vertices: Float[np.ndarray, "vertices 3"]
@@ -96,34 +86,7 @@ class SelfIntersection:
         Args:
             vertices: positions [m].
         """
-        exact = np.ascontiguousarray(vertices, np.float64)
-        points = wp.array(exact.astype(np.float32), dtype=wp.vec3, device=self.device)
-        if self._tree is None:
-            self._tree = wp.Mesh(points, self._corners)
-        else:
-            wp.copy(self._tree.points, points)
-            self._tree.refit()
-        wp.launch(
-            kernels.list_crossings,
-            dim=len(self._edges),
-            inputs=[
-                self._tree.id,
-                wp.array(exact, dtype=wp.vec3d, device=self.device),
-                self._edges,
-                self._faces,
-                # Rounding to single precision, many times over.
-                1e-6 * float(np.abs(exact).max(initial=0.0)),
-            ],
-            outputs=[self._crossed, self._counts],
-            device=self.device,
-        )
-        counts = np.minimum(self._counts.numpy(), SLOTS)
-        edge = np.flatnonzero(counts)
-        listed = np.arange(SLOTS) < counts[edge, None]
-        face = self._crossed.numpy()[edge][listed]
-        edge = np.repeat(edge, counts[edge])
-        order = np.lexsort((face, edge))
-        return edge[order], face[order]
+        return self._search.pairs(vertices)
 
     def contours(self, vertices: Float[np.ndarray, "vertices 3"]) -> Contours:
         """All crossings, joined into contours.

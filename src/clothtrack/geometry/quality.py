@@ -1,12 +1,11 @@
 """How plausible a mesh is as a cloth, without knowing the truth: strain, crossings, crowding."""
 
 import numpy as np
-import warp as wp
 from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from clothtrack.geometry import crossing_kernels as kernels
+from clothtrack.geometry.crossing_search import CrossingSearch
 from clothtrack.geometry.mesh import ClothMesh
 
 
@@ -50,7 +49,7 @@ def crossing_edges(
 
 
 class CrossingCheck:
-    """`crossing_edges` of one mesh, as often as wanted; its edges and its tree are made once.
+    """`crossing_edges` of one mesh, as often as wanted; its edges and its search are made once.
 
     Args:
         faces: vertex indices per triangle; at least one.
@@ -63,11 +62,7 @@ class CrossingCheck:
         count = int(self._faces.max()) + 1
         numbers = np.unique(sides[:, 0] * np.int64(count) + sides[:, 1])
         self._edges = np.stack(np.divmod(numbers, count), axis=1).astype(np.int32)
-        self._tree: wp.Mesh | None = None
-        self._corners = wp.array(self._faces, dtype=wp.vec3i, device="cpu")
-        self._ends = wp.array(self._edges, dtype=wp.vec2i, device="cpu")
-        self._crossing = wp.zeros(len(self._edges), dtype=wp.uint8, device="cpu")
-        self._crossed = wp.zeros(len(self._faces), dtype=wp.uint8, device="cpu")
+        self._search = CrossingSearch(self._edges, self._faces)
 
     def __call__(
         self, vertices: Float[np.ndarray, "vertices 3"]
@@ -75,31 +70,8 @@ class CrossingCheck:
         """What `crossing_edges` returns for these positions [m]."""
         if not np.isfinite(vertices).all():
             return crossing_edges(vertices, self._faces)
-        points = np.ascontiguousarray(vertices, np.float64)
-        single = wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu")
-        if self._tree is None:
-            corners = wp.array(self._faces.reshape(-1), dtype=wp.int32, device="cpu")
-            self._tree = wp.Mesh(single, corners)
-        else:
-            wp.copy(self._tree.points, single)
-            self._tree.refit()
-        self._crossing.zero_()
-        self._crossed.zero_()
-        wp.launch(
-            kernels.find_crossings,
-            dim=len(self._edges),
-            inputs=[
-                self._tree.id,
-                wp.array(points, dtype=wp.vec3d, device="cpu"),
-                self._ends,
-                self._corners,
-                # Rounding to single precision, many times over.
-                1e-6 * float(np.abs(points).max(initial=0.0)),
-            ],
-            outputs=[self._crossing, self._crossed],
-            device="cpu",
-        )
-        return self._edges[self._crossing.numpy() > 0], self._faces[self._crossed.numpy() > 0]
+        edges, faces = self._search.pairs(vertices)
+        return self._edges[np.unique(edges)], self._faces[np.unique(faces)]
 
 
 def close_pairs(

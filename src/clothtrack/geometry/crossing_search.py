@@ -1,0 +1,123 @@
+"""Finds which edges of one mesh pass through which of its triangles, wherever its vertices are."""
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float, Int
+
+from clothtrack.geometry import crossing_kernels as kernels
+from clothtrack.geometry.crossing_kernels import EIGHT
+
+
+class CrossingSearch:
+    """Crossings of one mesh with itself, as often as wanted.
+
+    Args:
+        edges: vertex indices per edge.
+        faces: vertex indices per triangle; at least one.
+        device: where crossings are searched, "cpu" or "cuda:0".
+    """
+
+    def __init__(
+        self,
+        edges: Int[np.ndarray, "edges 2"],
+        faces: Int[np.ndarray, "faces 3"],
+        *,
+        device: str = "cpu",
+    ) -> None:
+        self.edges, self.faces, self._device = edges, faces, device
+        self._first_edges = EIGHT * _blocks(len(faces), EIGHT**2)
+        self._eights = self._first_edges + _blocks(len(edges), EIGHT)
+        self._numbers = np.zeros(EIGHT * self._eights, np.int64)
+        self._corners: wp.array | None = None
+        self._boxes = self._no_boxes(self._eights)
+        self._around = self._no_boxes(_blocks(self._eights, EIGHT))
+        self._found = wp.empty(len(edges), dtype=wp.vec2i, device=device)
+        self._count = wp.zeros(1, dtype=int, device=device)
+
+    def pairs(
+        self, vertices: Float[np.ndarray, "vertices 3"]
+    ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
+        """Edges and the triangles without a common vertex that they pass through.
+
+        They are in the order of their numbers, those of the edges first.
+
+        Args:
+            vertices: positions [m]; finite.
+        """
+        exact = np.ascontiguousarray(vertices, np.float64)
+        if self._corners is None:
+            self._corners = self._ordered(exact)
+        # Rounding to single precision, many times over.
+        slack = 1e-6 * float(np.abs(exact).max(initial=0.0))
+        wp.launch(
+            kernels.find_boxes,
+            dim=self._eights,
+            inputs=[
+                wp.array(exact.astype(np.float32), dtype=wp.vec3, device=self._device),
+                self._corners,
+                self._first_edges,
+                slack,
+            ],
+            outputs=[self._boxes, self._around],
+            device=self._device,
+        )
+        points = wp.array(exact, dtype=wp.vec3d, device=self._device)
+        count = self._list(points)
+        if count > len(self._found):
+            self._found = wp.empty(count, dtype=wp.vec2i, device=self._device)
+            self._list(points)
+        edge, face = self._numbers[self._found.numpy()[:count]].T
+        edge, face = np.divmod(np.sort(edge * len(self.faces) + face), len(self.faces))
+        return edge, face
+
+    def _list(self, points: wp.array) -> int:
+        """Launch the search; how many crossings there are, which may be more than are listed."""
+        self._count.zero_()
+        wp.launch(
+            kernels.list_crossings,
+            dim=_blocks(self._eights - self._first_edges, EIGHT),
+            inputs=[points, self._corners, self._boxes, self._around, self._first_edges],
+            outputs=[self._found, self._count],
+            device=self._device,
+        )
+        return int(self._count.numpy()[0])
+
+    def _ordered(self, vertices: Float[np.ndarray, "vertices 3"]) -> wp.array:
+        """The vertices of triangles and edges, those together that are near each other now.
+
+        They stay near each other, because they are of one cloth. An edge repeats its second vertex.
+        """
+        corners = np.full((EIGHT * self._eights, 3), -1, np.int32)
+        for start, given in (
+            (0, self.faces),
+            (EIGHT * self._first_edges, self.edges[:, [0, 1, 1]]),
+        ):
+            order = _along_curve(vertices[given].mean(axis=1))
+            there = slice(start, start + len(given))
+            corners[there] = given[order]
+            self._numbers[there] = order
+        by_eight = corners.reshape(self._eights, EIGHT, 3).swapaxes(1, 2)
+        return wp.array(np.ascontiguousarray(by_eight), dtype=int, device=self._device)
+
+    def _no_boxes(self, eights: int) -> wp.array:
+        """Boxes that nothing touches, because their lower corner is above the upper one."""
+        corner = np.repeat(np.float32([np.inf, -np.inf]), 3)[:, None]
+        boxes = np.broadcast_to(corner, (eights, 6, EIGHT))
+        return wp.array(np.ascontiguousarray(boxes), dtype=float, device=self._device)
+
+
+def _blocks(count: int, size: int) -> int:
+    """Blocks of a size that hold so many."""
+    return -(-count // size)
+
+
+def _along_curve(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, " points"]:
+    """The order of points along a curve through space that turns in small cubes first (Morton's).
+
+    Ten bits of each coordinate are spread, two zeros between them, and the three interleaved.
+    """
+    above = points - points.min(axis=0)
+    code = (above * (1023.0 / max(float(above.max()), 1e-30))).astype(np.int64)
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        code = (code | code << shift) & mask
+    return np.argsort(code @ (1, 2, 4), kind="stable")
