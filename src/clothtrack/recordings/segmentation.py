@@ -366,17 +366,19 @@ def main_components(
     """
     kept = np.zeros_like(mask)
     window = bounds_of(mask)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+    # OpenCV's own statistics of the parts cost four times as much as the parts.
+    count, labels = cv2.connectedComponents(
         mask[window].view(np.uint8), connectivity=8, ltype=cv2.CV_32S
     )
-    areas = np.append(0, stats[1:, cv2.CC_STAT_AREA])
+    areas = np.bincount(labels.ravel(), minlength=count)
+    areas[0] = 0
     large = (areas > 0) & (areas >= share * areas.max())
     small = (areas >= SMALLEST_PART * areas.max()) & ~large
     if small.any():
         away = cv2.distanceTransform((~large[labels]).view(np.uint8), cv2.DIST_L2, 3)
         for part in np.flatnonzero(small):
             large[part] = away[labels == part].min() < WIDEST_TOOL * mask.shape[1]
-    kept[window] = large[labels]
+    kept[window] = large.take(labels)
     return kept
 
 
