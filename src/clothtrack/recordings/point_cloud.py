@@ -1,6 +1,6 @@
 """What the cameras saw of the cloth in one frame: points, and where they were blind."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import cv2
@@ -180,7 +180,8 @@ def flying_pixels(
     """
     flying = np.zeros(depth_m.size, dtype=bool)
     depth = depth_m.ravel()
-    for middle, stride in _jumping_twice(depth_m):
+    for stride in (depth_m.shape[1], 1):
+        middle = _stepping_twice(depth_m, stride)
         back, here, front = depth[middle - stride], depth[middle], depth[middle + stride]
         limit = (6.0 / focal_px) * here + LEAST_JUMP_M
         climbs = (here - back > limit) & (front - here > limit) & (back > 0)
@@ -189,22 +190,27 @@ def flying_pixels(
     return flying.reshape(depth_m.shape)
 
 
-def _jumping_twice(
-    depth_m: Float[np.ndarray, "height width"],
-) -> Iterator[tuple[Int[np.ndarray, " pixels"], int]]:
-    """The few pixels (their number in the picture) that differ from both of two neighbours.
+def _stepping_twice(
+    depth_m: Float[np.ndarray, "height width"], stride: int
+) -> Int[np.ndarray, " pixels"]:
+    """The few pixels (their number in the picture) where depth steps up twice, or down twice.
 
-    And the way to these: the width of the picture, or 1.
+    The stride is the way to both neighbours: the width of the picture, or 1.
     """
     height, width = depth_m.shape
+    depth = depth_m.ravel()
+    found = []
     for rows in bands(height):
-        tall = depth_m[max(rows.start - 1, 0) : rows.stop + 1]
-        jumps = cv2.absdiff(tall[1:], tall[:-1]) > LEAST_JUMP_M
-        yield np.flatnonzero(jumps[1:] & jumps[:-1]) + max(rows.start, 1) * width, width
-        if width > 2:
-            jumps = cv2.absdiff(depth_m[rows, 1:], depth_m[rows, :-1]) > LEAST_JUMP_M
-            row, column = np.divmod(np.flatnonzero(jumps[:, 1:] & jumps[:, :-1]), width - 2)
-            yield (rows.start + row) * width + column + 1, 1
+        first = max(rows.start * width - stride, 0)
+        part = depth[first : rows.stop * width + stride]
+        steps = part[stride:] - part[:-stride]
+        up, down = steps > LEAST_JUMP_M, steps < -LEAST_JUMP_M
+        twice = (up[stride:] & up[:-stride]) | (down[stride:] & down[:-stride])
+        found.append(np.flatnonzero(twice) + first + stride)
+    middle = np.concatenate(found)
+    # The last pixel of a row and the first one of the next are no neighbours.
+    column = middle % width
+    return middle[(stride == width) | ((column > 0) & (column < width - 1))]
 
 
 def hidden_pixels(
