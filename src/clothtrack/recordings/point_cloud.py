@@ -1,6 +1,6 @@
 """What the cameras saw of the cloth in one frame: points, and where they were blind."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import cv2
@@ -247,9 +247,7 @@ def thin(
         return points
     members = _cell_numbers(points, spacing_m)
     counts = np.bincount(members)
-    filled = np.flatnonzero(counts)
-    sums = np.stack([np.bincount(members, axis)[filled] for axis in points.T], axis=1)
-    return sums / counts[filled, None]
+    return np.stack([np.bincount(members, axis) / counts for axis in points.T], axis=1)
 
 
 def without_strays(
@@ -267,7 +265,7 @@ def without_strays(
         link_m: distance [m] over which points belong together.
         spacing_m: distance [m] of neighbouring points.
     """
-    return points[~strays(points, share, link_m=link_m, spacing_m=spacing_m)]
+    return points.compress(~strays(points, share, link_m=link_m, spacing_m=spacing_m), axis=0)
 
 
 def strays(
@@ -324,16 +322,12 @@ def cloth_measured(
 
 def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
     """Number of the cluster of each point: cubes with points in them that touch belong together."""
-    middle = points.mean(axis=0)
-    # Axis by axis: what is done along rows of three is slow.
-    index = [np.floor((axis - at) / side_m) for axis, at in zip(points.T, middle, strict=True)]
-    lowest = [axis.min() for axis in index]
-    shape = [axis.max() - low + 1.0 for axis, low in zip(index, lowest, strict=True)]
+    place, shape = _places(points, points.mean(axis=0), side_m)
     if np.prod(shape) <= MOST_CELLS:
-        place = tuple((axis - low).astype(np.intp) for axis, low in zip(index, lowest, strict=True))
+        place = place.astype(np.intp)
         filled = np.zeros([int(count) for count in shape], dtype=bool)
-        filled[place] = True
-        return label(filled, np.ones((3, 3, 3)))[0][place]
+        filled.ravel()[place] = True
+        return label(filled, np.ones((3, 3, 3)))[0].ravel()[place]
     cells, members = np.unique(_cells(points, side_m), return_inverse=True)
     first, second = [], []
     for x, y, z in _HALF_NEIGHBOURS:
@@ -350,19 +344,33 @@ def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.nd
 def _cell_numbers(
     points: Float[np.ndarray, "points 3"], side_m: float
 ) -> Int[np.ndarray, " points"]:
-    """Number of each point's cube, in the order of `_cells`; small, but some may be missing."""
-    number = np.zeros(len(points))
-    cells = 1.0
-    # Axis by axis: sums and extremes along rows of three are slow.
-    for axis in points.T:
-        index = np.floor((axis - axis.mean()) / side_m)
-        lowest = index.min()
-        count = index.max() - lowest + 1.0
-        cells *= count
-        number = number * count + (index - lowest)
-    if not cells <= MOST_CELLS:
+    """Number of each point's cube, in the order of `_cells`; none is missing."""
+    place, shape = _places(points, [axis.mean() for axis in points.T], side_m)
+    if not np.prod(shape) <= MOST_CELLS:
         return np.unique(_cells(points, side_m), return_inverse=True)[1]
-    return number.astype(np.int64)
+    place = place.astype(np.intp)
+    # Nearly all of a box around a cloth is empty: sums over all its cubes would be slow.
+    filled = np.zeros(place.max() + 1, dtype=bool)
+    filled[place] = True
+    cells = np.flatnonzero(filled)
+    filled_before = np.empty(len(filled), dtype=np.intp)
+    filled_before[cells] = np.arange(len(cells))
+    return filled_before.take(place)
+
+
+def _places(
+    points: Float[np.ndarray, "points 3"], middle: Iterable[float], side_m: float
+) -> tuple[Float[np.ndarray, " points"], list[float]]:
+    """Place of each point's cube in the box of cubes around all, and the box's cubes per axis."""
+    place = np.zeros(len(points))
+    shape = []
+    # Axis by axis: what is done along rows of three is slow.
+    for axis, at in zip(points.T, middle, strict=True):
+        index = np.floor((axis - at) / side_m)
+        lowest = index.min()
+        shape.append(index.max() - lowest + 1.0)
+        place = place * shape[-1] + (index - lowest)
+    return place, shape
 
 
 def _cells(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
