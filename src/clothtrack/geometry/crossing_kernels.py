@@ -1,123 +1,29 @@
 """Which edges pass through which triangles of one mesh, found through boxes that are asked at once.
 
-Boxes lie eight by eight: `boxes[eight, k, place]` are the lower (k = 0, 1, 2) and the upper corner
-(k = 3, 4, 5) of one of eight [m]. Around each eight there is another box, and these lie eight by
-eight as well. Triangles come first, edges after them from a whole eight of eights on.
+Around each eight of boxes there is another box, and these lie eight by eight as well. Triangles
+come first, edges after them from a whole eight of eights on.
 """
 
 from typing import no_type_check
 
 import warp as wp
 
+from clothtrack.geometry.boxes import (
+    EIGHT,
+    Box,
+    around_eight,
+    box_at,
+    find_touching,
+    join,
+    keep_strangers,
+    no_box,
+    put_box,
+    take_lowest,
+)
+
 wp.set_module_options({"enable_backward": False})
 
-EIGHT = 8
-"""Boxes that are asked at once."""
-
 _EIGHT = wp.constant(EIGHT)
-
-
-@no_type_check
-@wp.struct
-class Box:
-    """Two opposite corners [m], in single precision."""
-
-    low: wp.vec3
-    high: wp.vec3
-
-
-_FIND_TOUCHING = """
-    const float* side = boxes.data + 48 * (size_t)eight;
-#ifdef __clang__  // All eight in one go.
-    typedef float Eight __attribute__((ext_vector_type(8)));
-    typedef bool EightBits __attribute__((ext_vector_type(8)));
-    typedef Eight EightAnywhere __attribute__((aligned(4)));
-    const EightAnywhere* sides = reinterpret_cast<const EightAnywhere*>(side);
-    const auto touch =
-        (sides[0] <= box.high[0]) & (sides[1] <= box.high[1]) & (sides[2] <= box.high[2])
-        & (sides[3] >= box.low[0]) & (sides[4] >= box.low[1]) & (sides[5] >= box.low[2]);
-    bits = __builtin_bit_cast(unsigned char, __builtin_convertvector(touch, EightBits));
-#else
-    bits = 0;
-    for (int place = 0; place < 8; ++place) {
-        bool touch = true;
-        for (int axis = 0; axis < 3; ++axis)
-            touch = touch && side[8 * axis + place] <= box.high[axis]
-                && side[8 * axis + 24 + place] >= box.low[axis];
-        bits |= (unsigned)touch << place;
-    }
-#endif
-"""
-
-
-@no_type_check
-@wp.func_native(_FIND_TOUCHING)
-def find_touching(box: Box, boxes: wp.array3d(dtype=float), eight: int, bits: wp.ref[wp.uint32]):
-    """Set a bit for each box of an eight that touches another."""
-
-
-_KEEP_STRANGERS = """
-    const int* corner = corners.data + 24 * (size_t)eight;
-#ifdef __clang__  // All eight in one go.
-    typedef int Eight __attribute__((ext_vector_type(8)));
-    typedef bool EightBits __attribute__((ext_vector_type(8)));
-    typedef Eight EightAnywhere __attribute__((aligned(4)));
-    const EightAnywhere* vertex = reinterpret_cast<const EightAnywhere*>(corner);
-    const auto strange = (vertex[0] != one) & (vertex[1] != one) & (vertex[2] != one)
-        & (vertex[0] != other) & (vertex[1] != other) & (vertex[2] != other);
-    bits &= __builtin_bit_cast(unsigned char, __builtin_convertvector(strange, EightBits));
-#else
-    for (int place = 0; place < 8; ++place) {
-        bool strange = true;
-        for (int k = place; k < 24; k += 8)
-            strange = strange && corner[k] != one && corner[k] != other;
-        bits &= ~((unsigned)!strange << place);
-    }
-#endif
-"""
-
-
-@no_type_check
-@wp.func_native(_KEEP_STRANGERS)
-def keep_strangers(
-    one: int, other: int, corners: wp.array3d(dtype=int), eight: int, bits: wp.ref[wp.uint32]
-):
-    """Keep the bits of triangles of an eight that have neither of two vertices."""
-
-
-_TAKE_LOWEST = """
-#ifdef __CUDA_ARCH__
-    place = __ffs(bits) - 1;
-#else
-    place = __builtin_ctz(bits);
-#endif
-    bits &= bits - 1;
-"""
-
-
-@no_type_check
-@wp.func_native(_TAKE_LOWEST)
-def take_lowest(bits: wp.ref[wp.uint32], place: wp.ref[wp.int32]):
-    """Clear the lowest bit that is set, of which there must be one; its place."""
-
-
-@no_type_check
-@wp.func
-def box_at(boxes: wp.array3d(dtype=float), eight: int, place: int):
-    """One box of an eight."""
-    box = Box()
-    box.low = wp.vec3(boxes[eight, 0, place], boxes[eight, 1, place], boxes[eight, 2, place])
-    box.high = wp.vec3(boxes[eight, 3, place], boxes[eight, 4, place], boxes[eight, 5, place])
-    return box
-
-
-@no_type_check
-@wp.func
-def put_box(box: Box, boxes: wp.array3d(dtype=float), eight: int, place: int):
-    """Write one box of an eight."""
-    for axis in range(3):
-        boxes[eight, axis, place] = box.low[axis]
-        boxes[eight, 3 + axis, place] = box.high[axis]
 
 
 @no_type_check
@@ -139,9 +45,7 @@ def find_boxes(
     margin = wp.vec3(0.0, 0.0, 0.0)
     if eight >= first_edges:
         margin = wp.vec3(slack, slack, slack)
-    whole = Box()
-    whole.low = wp.vec3(wp.inf, wp.inf, wp.inf)
-    whole.high = -whole.low
+    whole = no_box()
     for place in range(_EIGHT):
         if corners[eight, 0, place] >= 0:
             a = points[corners[eight, 0, place]]
@@ -151,8 +55,7 @@ def find_boxes(
             box.low = wp.min(wp.min(a, b), c) - margin
             box.high = wp.max(wp.max(a, b), c) + margin
             put_box(box, boxes, eight, place)
-            whole.low = wp.min(whole.low, box.low)
-            whole.high = wp.max(whole.high, box.high)
+            whole = join(whole, box)
     put_box(whole, around, eight // _EIGHT, eight % _EIGHT)
 
 
@@ -225,11 +128,7 @@ def list_crossings(
     One thread for each eight of eights of edges.
     """
     edge_block = first_edges // _EIGHT + wp.tid()
-    whole = box_at(around, edge_block, 0)
-    for n in range(1, _EIGHT):
-        box = box_at(around, edge_block, n)
-        whole.low = wp.min(whole.low, box.low)
-        whole.high = wp.max(whole.high, box.high)
+    whole = around_eight(around, edge_block)
     place = wp.int32(0)
     edge_place = wp.int32(0)
     near_faces = wp.uint32(0)

@@ -5,7 +5,7 @@ import warp as wp
 from jaxtyping import Float, Int
 
 from clothtrack.geometry import crossing_kernels as kernels
-from clothtrack.geometry.crossing_kernels import EIGHT
+from clothtrack.geometry.boxes import EIGHT, along_curve, blocks, no_boxes
 
 
 class CrossingSearch:
@@ -25,12 +25,13 @@ class CrossingSearch:
         device: str = "cpu",
     ) -> None:
         self.edges, self.faces, self._device = edges, faces, device
-        self._first_edges = EIGHT * _blocks(len(faces), EIGHT**2)
-        self._eights = self._first_edges + _blocks(len(edges), EIGHT)
+        self._first_edges = EIGHT * blocks(len(faces), EIGHT**2)
+        self._eights = self._first_edges + blocks(len(edges), EIGHT)
         self._numbers = np.zeros(EIGHT * self._eights, np.int64)
         self._corners: wp.array | None = None
-        self._boxes = self._no_boxes(self._eights)
-        self._around = self._no_boxes(_blocks(self._eights, EIGHT))
+        self._boxes = wp.array(no_boxes(self._eights), dtype=float, device=device)
+        around = no_boxes(blocks(self._eights, EIGHT))
+        self._around = wp.array(around, dtype=float, device=device)
         self._found = wp.empty(len(edges), dtype=wp.vec2i, device=device)
         self._count = wp.zeros(1, dtype=int, device=device)
 
@@ -75,7 +76,7 @@ class CrossingSearch:
         self._count.zero_()
         wp.launch(
             kernels.list_crossings,
-            dim=_blocks(self._eights - self._first_edges, EIGHT),
+            dim=blocks(self._eights - self._first_edges, EIGHT),
             inputs=[points, self._corners, self._boxes, self._around, self._first_edges],
             outputs=[self._found, self._count],
             device=self._device,
@@ -92,32 +93,9 @@ class CrossingSearch:
             (0, self.faces),
             (EIGHT * self._first_edges, self.edges[:, [0, 1, 1]]),
         ):
-            order = _along_curve(vertices[given].mean(axis=1))
+            order = along_curve(vertices[given].mean(axis=1))
             there = slice(start, start + len(given))
             corners[there] = given[order]
             self._numbers[there] = order
         by_eight = corners.reshape(self._eights, EIGHT, 3).swapaxes(1, 2)
         return wp.array(np.ascontiguousarray(by_eight), dtype=int, device=self._device)
-
-    def _no_boxes(self, eights: int) -> wp.array:
-        """Boxes that nothing touches, because their lower corner is above the upper one."""
-        corner = np.repeat(np.float32([np.inf, -np.inf]), 3)[:, None]
-        boxes = np.broadcast_to(corner, (eights, 6, EIGHT))
-        return wp.array(np.ascontiguousarray(boxes), dtype=float, device=self._device)
-
-
-def _blocks(count: int, size: int) -> int:
-    """Blocks of a size that hold so many."""
-    return -(-count // size)
-
-
-def _along_curve(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, " points"]:
-    """The order of points along a curve through space that turns in small cubes first (Morton's).
-
-    Ten bits of each coordinate are spread, two zeros between them, and the three interleaved.
-    """
-    above = points - points.min(axis=0)
-    code = (above * (1023.0 / max(float(above.max()), 1e-30))).astype(np.int64)
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        code = (code | code << shift) & mask
-    return np.argsort(code @ (1, 2, 4), kind="stable")
