@@ -36,6 +36,37 @@ def test_scattered_and_gathered_impulses_are_the_same_sums():
     assert contact.overflows.numpy().max() == 0
 
 
+def test_every_vertex_at_a_triangle_is_listed_with_it():
+    solver = crumpled_solver()
+    contact = solver._contact
+    contact.find()
+    for positions, listed, count in zip(
+        solver.positions.astype(np.float64), contact.sides.numpy(), contact.counts.numpy(),
+        strict=True,
+    ):  # fmt: skip
+        a, b, c = positions[SHIRT.faces].swapaxes(0, 1)
+        normal = np.cross(b - a, c - a)
+        square = (normal**2).sum(axis=1)
+        height, second, third = (
+            np.einsum("vfk,fk->vf", positions[:, None] - a, along / size[:, None])
+            for along, size in (
+                (normal, np.sqrt(square)),
+                (np.cross(c - a, normal), square),
+                (np.cross(normal, b - a), square),
+            )
+        )
+        weights = np.min([1.0 - second - third, second, third], axis=0)
+        strange = (SHIRT.faces != np.arange(len(positions))[:, None, None]).all(axis=2)
+        within = solver.config.thickness_m + solver.config.contact_margin_m - 1e-6
+        touching = strange & (weights > -0.149) & (np.abs(height) < within)
+        assert touching.sum() > 200
+        found = np.zeros(touching.shape, bool)
+        filled = np.arange(listed.shape[1]) < count[:, None]
+        found[np.nonzero(filled)[0], np.abs(listed[filled]) - 1] = True
+        assert not (touching & ~found).any()
+        assert (weights[found] > -0.151).all()
+
+
 @pytest.mark.parametrize("index", [0, 1])
 def test_a_batch_in_contact_has_the_bits_of_single_runs(index):
     batch = crumpled_solver()

@@ -3,19 +3,18 @@
 import numpy as np
 import warp as wp
 
+from clothtrack.geometry.boxes import EIGHT, no_boxes
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation import scatter_kernels as scatter
 from clothtrack.simulation import triangle_contact_kernels as triangles
 from clothtrack.simulation import triangle_push_kernels as pushes
 from clothtrack.simulation.buffers import ClothBuffers
-from clothtrack.simulation.cells import CELLS_PER_ENVIRONMENT
 from clothtrack.simulation.edge_contact import EdgeContact
+from clothtrack.simulation.eights import Eights, in_eights
 from clothtrack.simulation.parameters import CONTACT_TOLERANCE, SolverConfig
 from clothtrack.simulation.triangle_contact_kernels import TRIANGLES_PER_VERTEX
 
 REACTIONS_PER_VERTEX = 48
-CELL_PER_REACH = 1.0
-"""Size of a cell of triangles over the radius of a query."""
 
 
 class TriangleContact:
@@ -33,22 +32,15 @@ class TriangleContact:
         self._friction = particle_friction
         self._device = device = buffers.positions.device
         environments, vertices = buffers.shape
-        faces = len(mesh.faces)
         reach = _face_reach(mesh, config)
-        self._reach = float(reach.max())
         self._face_reach = wp.array(np.square(reach).astype(np.float32), dtype=float, device=device)
-        self._cells_per_metre = 1.0 / (CELL_PER_REACH * self._reach)
-        cells = environments * CELLS_PER_ENVIRONMENT
-        # One more than there are cells: the scan's last entry is the end of the last cell.
-        self._cell_counts = wp.zeros(cells + 1, dtype=int, device=device)
-        self._cell_first = wp.zeros(cells + 1, dtype=int, device=device)
-        self._face_cells = wp.zeros((environments, faces), dtype=int, device=device)
-        self._face_ranks = wp.zeros((environments, faces), dtype=int, device=device)
-        self._balls = wp.zeros((environments, faces), dtype=wp.vec4, device=device)
-        self._discs = wp.zeros((environments, faces), dtype=wp.vec4, device=device)
-        self._sorted_faces = wp.zeros(environments * faces, dtype=int, device=device)
-        self._sorted_balls = wp.zeros(environments * faces, dtype=wp.vec4, device=device)
-        self._sorted_discs = wp.zeros(environments * faces, dtype=wp.vec4, device=device)
+        self._eights = Eights(mesh, mesh.faces, buffers)
+        # Nothing faces planes that are not numbers, as those are that fill the last eight.
+        planes = np.full((environments, len(self._eights.numbers), 12, EIGHT), np.nan, np.float32)
+        self._planes = wp.array(planes, dtype=float, device=device)
+        self._groups = wp.array(in_eights(mesh.vertices), dtype=int, device=device)
+        points = no_boxes(environments, len(self._groups))
+        self._points = wp.array(points, dtype=float, device=device)
         slots = (environments, vertices, TRIANGLES_PER_VERTEX)
         self.sides = wp.zeros(slots, dtype=int, device=device)
         self.distances = wp.zeros(slots, dtype=float, device=device)
@@ -70,16 +62,15 @@ class TriangleContact:
         wp.copy(self._old_sides, self.sides)
         wp.copy(self._old_distances, self.distances)
         wp.copy(self._old_counts, self.counts)
-        self._sort_faces()
-        environments, vertices = buffers.shape
-        threads = buffers.threads(vertices)
+        self._fit()
+        eights, threads = self._eights, buffers.threads(len(self._groups))
         wp.launch(
             triangles.find_pairs,
-            dim=(environments, threads),
+            dim=(buffers.shape[0], threads),
             inputs=[
-                threads, buffers.clocks, self._cells_per_metre, self._cell_first,
-                self._sorted_faces, self._sorted_balls, self._sorted_discs, self._face_reach,
-                self._reach, config.thickness_m, config.contact_margin_m, config.contact_depth_m,
+                threads, buffers.clocks, self._groups, eights.numbers, eights.corners,
+                self._planes, eights.around, eights.top, self._points, self._face_reach,
+                config.thickness_m, config.contact_margin_m, config.contact_depth_m,
                 CONTACT_TOLERANCE, buffers.faces, buffers.rest, buffers.positions,
                 buffers.velocities, self._old_sides, self._old_distances, self._old_counts,
             ],
@@ -90,35 +81,20 @@ class TriangleContact:
         if self._edges is not None:
             self._edges.find()
 
-    def _sort_faces(self) -> None:
-        """Sort the triangles into cells by where they are now."""
-        buffers, device = self.buffers, self._device
-        threads = buffers.threads(len(buffers.faces))
-        shape = (buffers.shape[0], threads)
-        self._cell_counts.zero_()
+    def _fit(self) -> None:
+        """Fit planes and boxes to where the triangles are now."""
+        buffers, eights = self.buffers, self._eights
         wp.launch(
-            triangles.count_faces,
-            dim=shape,
+            triangles.fit_triangles,
+            dim=(buffers.shape[0], eights.threads),
             inputs=[
-                threads, self._cells_per_metre, CONTACT_TOLERANCE, buffers.faces,
-                self._face_reach, buffers.positions,
+                eights.threads, self._config.contact_depth_m, CONTACT_TOLERANCE, eights.numbers,
+                eights.corners, self._face_reach, buffers.positions,
             ],
-            outputs=[
-                self._cell_counts, self._face_cells, self._face_ranks, self._balls, self._discs,
-            ],
-            device=device,
+            outputs=[self._planes, eights.around],
+            device=self._device,
         )  # fmt: skip
-        wp.utils.array_scan(self._cell_counts, self._cell_first, inclusive=False)
-        wp.launch(
-            triangles.sort_faces,
-            dim=shape,
-            inputs=[
-                threads, self._cell_first, self._face_cells, self._face_ranks, self._balls,
-                self._discs,
-            ],
-            outputs=[self._sorted_faces, self._sorted_balls, self._sorted_discs],
-            device=device,
-        )  # fmt: skip
+        eights.fit_top()
 
     def push(self) -> None:
         """Compute what contact adds to the positions."""

@@ -8,7 +8,18 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.simulation.cells import Walk, block_around, cell_of, next_touching, nth, row_at
+from clothtrack.geometry.boxes import (
+    EIGHT,
+    Box,
+    box_at,
+    find_touching,
+    join,
+    keep_strangers,
+    no_box,
+    put_box,
+    take_lowest,
+)
+from clothtrack.simulation.cells import nth
 from clothtrack.simulation.kernels import Clock
 
 wp.set_module_options({"enable_backward": False})
@@ -18,76 +29,130 @@ TRIANGLES_PER_VERTEX = 16
 
 SLOTS = wp.constant(TRIANGLES_PER_VERTEX)
 
+_EIGHT = wp.constant(EIGHT)
+_THIRD = wp.constant(1.0 / 3.0)
+# By how much what is asked eight at once is more than what is listed, for rounding.
+_SLACK = wp.constant(0.002)
+
 
 @no_type_check
 @wp.kernel
-def count_faces(
+def fit_triangles(
     stride: int,
-    cells_per_metre: float,
+    depth: float,
     tolerance: float,
-    faces: wp.array(dtype=wp.vec3i),
+    numbers: wp.array2d(dtype=int),
+    corners: wp.array3d(dtype=int),
     face_reach: wp.array(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
-    counts: wp.array(dtype=int),
-    cells: wp.array2d(dtype=int),
-    ranks: wp.array2d(dtype=int),
-    balls: wp.array2d(dtype=wp.vec4),
-    discs: wp.array2d(dtype=wp.vec4),
+    planes: wp.array4d(dtype=float),
+    around: wp.array4d(dtype=float),
 ):
-    """Where each triangle may be touched, and its cell; count per cell.
+    """Where triangles may be touched: planes of each, and a box around each eight [m].
 
-    That is inside a ball (centre, reach [m]; a thousandth more is for rounding) and, seen along the
-    triangle's unit normal, inside a disc (normal, squared radius [m^2]): a foot whose weights are
-    at least -t is no farther from the centre than 1 + 3 t times the farthest corner.
+    `planes[eight, k, place]` of one of eight are its first corner (k = 0, 1, 2) [m], its unit
+    normal (3, 4, 5) and the gradients of its second (6, 7, 8) and third weight (9, 10, 11) [1/m].
+    A foot whose weights are at least -t lies in the triangle widened by 1 + 3 t about its centre.
+    The weights of a triangle that is hardly one are rounding, and one stretched to many times its
+    size may be touched only near its centre: there planes of zeros refuse nothing, and the box is
+    that of the reach. Some thousandths more, and a millionth of where it is, are for rounding.
     """
     environment, thread = wp.tid()
     here = positions[environment]
-    widened = 1.001 * (1.0 + 3.0 * tolerance)
-    for number in range(thread, faces.shape[0], stride):
-        face = nth(number)
-        corners = faces[face]
-        a = here[nth(corners[0])]
-        b = here[nth(corners[1])]
-        c = here[nth(corners[2])]
-        centre = (a + b + c) / 3.0
-        normal = wp.cross(b - a, c - a)
-        doubled_area = wp.length(normal)
-        farthest = wp.max(
-            wp.length_sq(a - centre), wp.max(wp.length_sq(b - centre), wp.length_sq(c - centre))
-        )
-        radius = widened * widened * farthest
-        if doubled_area < 1.0e-9:
-            radius = face_reach[face]  # no plane to look along
-        cell = cell_of(environment, centre, cells_per_metre)
-        cells[environment, face] = cell
-        ranks[environment, face] = wp.atomic_add(counts, cell, 1)
-        reach = 1.001 * wp.sqrt(face_reach[face])
-        balls[environment, face] = wp.vec4(centre[0], centre[1], centre[2], reach)
-        normal = normal / (doubled_area + 1.0e-15)
-        discs[environment, face] = wp.vec4(normal[0], normal[1], normal[2], radius)
+    deep = depth * (1.0 + _SLACK)
+    widening = 3.0 * (tolerance + _SLACK)
+    for number in range(thread, numbers.shape[0], stride):
+        eight = nth(number)
+        vertices = corners[eight]
+        plane = planes[environment, eight]
+        whole = no_box()
+        for place in range(_EIGHT):
+            if vertices[0, place] < 0:
+                break
+            a = here[nth(vertices[0, place])]
+            b = here[nth(vertices[1, place])]
+            c = here[nth(vertices[2, place])]
+            first = b - a
+            second = c - a
+            normal = wp.cross(first, second)
+            doubled_area = wp.length(normal)
+            longest = wp.max(wp.length_sq(first), wp.length_sq(second))
+            centre = (a + b + c) * _THIRD
+            unit = wp.vec3(0.0, 0.0, 0.0)
+            to_second = unit
+            to_third = unit
+            box = Box()
+            box.low = centre
+            box.high = centre
+            beyond = 1.0e-6 * wp.abs(centre)
+            square_reach = face_reach[nth(numbers[eight, place])]
+            small = longest < 10.0 * square_reach
+            if small and doubled_area > 1.0e-3 * (longest + depth * depth):
+                inverse = 1.0 / doubled_area
+                unit = normal * inverse
+                to_second = wp.cross(second * inverse, unit)
+                to_third = wp.cross(unit, first * inverse)
+                box.low += (1.0 + widening) * (wp.min(wp.min(a, b), c) - centre)
+                box.high += (1.0 + widening) * (wp.max(wp.max(a, b), c) - centre)
+                beyond += deep * wp.abs(unit)
+            else:
+                reach = (1.0 + _SLACK) * wp.sqrt(square_reach)
+                beyond += wp.vec3(reach, reach, reach)
+            box.low -= beyond
+            box.high += beyond
+            whole = join(whole, box)
+            for axis in range(3):
+                plane[axis, place] = a[axis]
+                plane[3 + axis, place] = unit[axis]
+                plane[6 + axis, place] = to_second[axis]
+                plane[9 + axis, place] = to_third[axis]
+        put_box(whole, around[environment], eight // _EIGHT, eight % _EIGHT)
+
+
+_FIND_FACING = """
+    const float* plane = planes.data + 96 * (size_t)eight;
+    const float x = point[0], y = point[1], z = point[2];
+#ifdef __clang__  // All eight in one go.
+    typedef float Eight __attribute__((ext_vector_type(8)));
+    typedef bool EightBits __attribute__((ext_vector_type(8)));
+    typedef Eight EightAnywhere __attribute__((aligned(4)));
+    const EightAnywhere* planes_of = reinterpret_cast<const EightAnywhere*>(plane);
+    const Eight from_x = x - planes_of[0], from_y = y - planes_of[1], from_z = z - planes_of[2];
+    const Eight height = from_x * planes_of[3] + from_y * planes_of[4] + from_z * planes_of[5];
+    const Eight second = from_x * planes_of[6] + from_y * planes_of[7] + from_z * planes_of[8];
+    const Eight third = from_x * planes_of[9] + from_y * planes_of[10] + from_z * planes_of[11];
+    const auto facing = (height <= depth) & (height >= -depth) & (second >= lowest)
+        & (third >= lowest) & (second + third <= 1.0f - lowest);
+    bits = __builtin_bit_cast(unsigned char, __builtin_convertvector(facing, EightBits));
+#else
+    bits = 0;
+    for (int place = 0; place < 8; ++place, ++plane) {
+        const float from_x = x - plane[0], from_y = y - plane[8], from_z = z - plane[16];
+        const float height = from_x * plane[24] + from_y * plane[32] + from_z * plane[40];
+        const float second = from_x * plane[48] + from_y * plane[56] + from_z * plane[64];
+        const float third = from_x * plane[72] + from_y * plane[80] + from_z * plane[88];
+        const bool facing = height <= depth && height >= -depth && second >= lowest
+            && third >= lowest && second + third <= 1.0f - lowest;
+        bits |= (unsigned)facing << place;
+    }
+#endif
+"""
 
 
 @no_type_check
-@wp.kernel
-def sort_faces(
-    stride: int,
-    first: wp.array(dtype=int),
-    cells: wp.array2d(dtype=int),
-    ranks: wp.array2d(dtype=int),
-    balls: wp.array2d(dtype=wp.vec4),
-    discs: wp.array2d(dtype=wp.vec4),
-    sorted_faces: wp.array(dtype=int),
-    sorted_balls: wp.array(dtype=wp.vec4),
-    sorted_discs: wp.array(dtype=wp.vec4),
+@wp.func_native(_FIND_FACING)
+def find_facing(
+    point: wp.vec3,
+    depth: float,
+    lowest: float,
+    planes: wp.array3d(dtype=float),
+    eight: int,
+    bits: wp.ref[wp.uint32],
 ):
-    """Put the triangles and their balls in the order of their cells."""
-    environment, thread = wp.tid()
-    for number in range(thread, cells.shape[1], stride):
-        face = nth(number)
-        place = nth(first[nth(cells[environment, face])] + ranks[environment, face])
-        sorted_faces[place] = face
-        sorted_balls[place] = balls[environment, face]
-        sorted_discs[place] = discs[environment, face]
+    """Set a bit for each triangle of an eight that a point is near.
+
+    That is no farther from its plane than `depth` [m], with no weight under `lowest`.
+    """
 
 
 @no_type_check
@@ -258,17 +323,54 @@ def insert_pair(
 
 
 @no_type_check
+@wp.func
+def in_reach(
+    point: wp.vec3,
+    a: wp.vec3,
+    b: wp.vec3,
+    c: wp.vec3,
+    square_reach: float,
+    depth: float,
+    tolerance: float,
+):
+    """Whether a point is where a triangle that is hardly stretched may be touched.
+
+    That is in a ball around its centre (squared reach [m^2]) and, seen along the normal, in a disc.
+    """
+    centre = (a + b + c) / 3.0
+    normal = wp.cross(b - a, c - a)
+    doubled_area = wp.length(normal)
+    farthest = wp.max(
+        wp.length_sq(a - centre), wp.max(wp.length_sq(b - centre), wp.length_sq(c - centre))
+    )
+    widened = 1.001 * (1.0 + 3.0 * tolerance)
+    radius = widened * widened * farthest
+    if doubled_area < 1.0e-9:
+        radius = square_reach  # no plane to look along
+    away = point - centre
+    square = wp.dot(away, away)
+    height = wp.dot(away, normal / (doubled_area + 1.0e-15))
+    # Not ">" for the ball: what is not a number must not touch either.
+    return (
+        square <= square_reach
+        and not wp.abs(height) > 1.001 * depth
+        and not square - height * height > radius
+    )
+
+
+@no_type_check
 @wp.kernel
 def find_pairs(
     stride: int,
     clocks: wp.array(dtype=Clock),
-    cells_per_metre: float,
-    first: wp.array(dtype=int),
-    sorted_faces: wp.array(dtype=int),
-    sorted_balls: wp.array(dtype=wp.vec4),
-    sorted_discs: wp.array(dtype=wp.vec4),
+    groups: wp.array2d(dtype=int),
+    numbers: wp.array2d(dtype=int),
+    corners: wp.array3d(dtype=int),
+    planes: wp.array4d(dtype=float),
+    around: wp.array4d(dtype=float),
+    top: wp.array4d(dtype=float),
+    points: wp.array4d(dtype=float),
     face_reach: wp.array(dtype=float),
-    reach: float,
     thickness: float,
     margin: float,
     depth: float,
@@ -287,53 +389,68 @@ def find_pairs(
 ):
     """List the triangles that each vertex may touch before the next search, with its side.
 
-    They are listed by their number, so that no sum depends on how they were found.
+    They are listed by their number, so that no sum depends on how they were found. `groups` are
+    the vertices eight by eight, `points` boxes without extent where they are.
     """
     environment, thread = wp.tid()
     here = positions[environment]
-    moving = velocities[environment]
-    rebuild_s = clocks[0].rebuild_s
-    for number in range(thread, here.shape[0], stride):
-        vertex = nth(number)
-        point = here[vertex]
-        near = wp.vec4(point[0], point[1], point[2], 0.0)
-        found = int(0)
-        block = block_around(point, reach, cells_per_metre)
-        for z in range(block.z0, block.z1 + 1):
-            for y in range(block.y0, block.y1 + 1):
-                row = row_at(environment, y, z)
-                end = first[nth(row + block.right + 1)]
-                walk = Walk()
-                walk.asked = first[nth(row + block.left)]
-                next_touching(near, sorted_balls, end, walk)
-                while walk.place < end:
-                    place = nth(walk.place)
-                    next_touching(near, sorted_balls, end, walk)
-                    face_number = nth(sorted_faces[place])
-                    face = faces[face_number]
-                    ball = sorted_balls[place]
-                    disc = sorted_discs[place]
-                    away = point - wp.vec3(ball[0], ball[1], ball[2])
-                    square = wp.dot(away, away)
-                    height = wp.dot(away, wp.vec3(disc[0], disc[1], disc[2]))
-                    own = face[0] == vertex or face[1] == vertex or face[2] == vertex
-                    # One question, because what it is answered can hardly be predicted. Not ">":
-                    # what is not a number must not touch either.
-                    if (
-                        own
-                        or not square <= face_reach[face_number]
-                        or wp.abs(height) > 1.001 * depth
-                        or square - height * height > disc[3]
-                    ):
-                        continue
-                    pair = examine_pair(
-                        vertex, face_number, face, thickness, margin, depth, tolerance, rebuild_s,
-                        faces, rest, here, moving, old_sides[environment, vertex],
-                        old_distances[environment, vertex], old_counts[environment, vertex],
-                    )  # fmt: skip
-                    if pair.side != 0:
-                        found = insert_pair(
-                            environment, found, pair.side * (face_number + 1), pair.distance,
-                            sides[environment, vertex], distances[environment, vertex], overflows,
+    mine = points[environment]
+    place = wp.int32(0)
+    near = wp.uint32(0)
+    near_top = wp.uint32(0)
+    near_around = wp.uint32(0)
+    near_points = wp.uint32(0)
+    for number in range(thread, groups.shape[0], stride):
+        group = nth(number)
+        whole = no_box()
+        for n in range(_EIGHT):
+            vertex = groups[group, n]
+            if vertex >= 0:
+                counts[environment, vertex] = 0
+                box = Box()
+                box.low = here[vertex]
+                box.high = box.low
+                put_box(box, mine, group, n)
+                whole = join(whole, box)
+        for block in range(top.shape[1]):
+            find_touching(whole, top[environment], block, near_top)
+            while near_top != wp.uint32(0):
+                take_lowest(near_top, place)
+                eights = nth(_EIGHT * block + place)
+                find_touching(whole, around[environment], eights, near_around)
+                while near_around != wp.uint32(0):
+                    take_lowest(near_around, place)
+                    eight = nth(_EIGHT * eights + place)
+                    box = box_at(around[environment], eights, place)
+                    find_touching(box, mine, group, near_points)
+                    while near_points != wp.uint32(0):
+                        take_lowest(near_points, place)
+                        vertex = nth(groups[group, place])
+                        point = here[vertex]
+                        find_facing(
+                            point, depth * (1.0 + _SLACK), -(tolerance + _SLACK),
+                            planes[environment], eight, near,
                         )  # fmt: skip
-        counts[environment, vertex] = found
+                        keep_strangers(vertex, vertex, corners, eight, near)
+                        while near != wp.uint32(0):
+                            take_lowest(near, place)
+                            face_number = nth(numbers[eight, place])
+                            face = faces[face_number]
+                            if not in_reach(
+                                point, here[nth(face[0])], here[nth(face[1])], here[nth(face[2])],
+                                face_reach[face_number], depth, tolerance,
+                            ):  # fmt: skip
+                                continue
+                            pair = examine_pair(
+                                vertex, face_number, face, thickness, margin, depth, tolerance,
+                                clocks[0].rebuild_s, faces, rest, here, velocities[environment],
+                                old_sides[environment, vertex], old_distances[environment, vertex],
+                                old_counts[environment, vertex],
+                            )  # fmt: skip
+                            if pair.side != 0:
+                                counts[environment, vertex] = insert_pair(
+                                    environment, counts[environment, vertex],
+                                    pair.side * (face_number + 1), pair.distance,
+                                    sides[environment, vertex], distances[environment, vertex],
+                                    overflows,
+                                )  # fmt: skip
