@@ -3,10 +3,11 @@
 import numpy as np
 import warp as wp
 
+from clothtrack.geometry.boxes import no_boxes
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation import edge_contact_kernels as kernels
 from clothtrack.simulation.buffers import ClothBuffers
-from clothtrack.simulation.cells import CELLS_PER_ENVIRONMENT
+from clothtrack.simulation.eights import Eights
 from clothtrack.simulation.parameters import SolverConfig
 
 DISTANCE_SHARE = 0.5
@@ -43,17 +44,14 @@ class EdgeContact:
         longest = 1.05 * float(mesh.edge_lengths.max())
         self._distance = DISTANCE_SHARE * config.thickness_m
         self._margin = MARGIN_SHARE * config.thickness_m
-        # Two edges that pass between their ends have middles less than one length apart.
+        # Two edges that pass between their ends have middles less than one length apart. What is
+        # farther in space than the next cell of this size is not listed, however fast it nears.
         self._reach = longest + config.thickness_m
-        cells = environments * CELLS_PER_ENVIRONMENT
-        self._cell_counts = wp.zeros(cells + 1, dtype=int, device=device)
-        self._cell_first = wp.zeros(cells + 1, dtype=int, device=device)
         self._normals = wp.zeros((environments, len(mesh.faces)), dtype=wp.vec3, device=device)
-        self._cells = wp.zeros((environments, edges), dtype=int, device=device)
-        self._ranks = wp.zeros((environments, edges), dtype=int, device=device)
-        self._balls = wp.zeros((environments, edges), dtype=wp.vec4, device=device)
-        self._sorted = wp.zeros(environments * edges, dtype=int, device=device)
-        self._sorted_balls = wp.zeros(environments * edges, dtype=wp.vec4, device=device)
+        self._eights = Eights(mesh, mesh.edges[:, [0, 1, 1]], buffers)
+        eights = len(self._eights.numbers)
+        self._boxes = wp.array(no_boxes(environments, eights), dtype=float, device=device)
+        self._bent = wp.zeros((environments, eights), dtype=wp.uint32, device=device)
         slots = (environments, edges, kernels.EDGES_PER_EDGE)
         self._partners = wp.zeros(slots, dtype=int, device=device)
         self._distances = wp.zeros(slots, dtype=float, device=device)
@@ -65,10 +63,8 @@ class EdgeContact:
     def find(self) -> None:
         """List the pairs of edges that may touch until the next call."""
         buffers, device = self._buffers, self._device
-        environments, edges = self._counts.shape
+        environments, eights = buffers.shape[0], self._eights
         faces = buffers.threads(len(buffers.faces))
-        threads = buffers.threads(edges)
-        self._cell_counts.zero_()
         self._totals.zero_()
         wp.launch(
             kernels.find_normals,
@@ -78,31 +74,25 @@ class EdgeContact:
             device=device,
         )
         wp.launch(
-            kernels.count_bent,
-            dim=(environments, threads),
+            kernels.fit_edges,
+            dim=(environments, eights.threads),
             inputs=[
-                threads, buffers.clocks, 1.0 / self._reach, FLAT_COSINE,
-                self._distance + self._margin, self._edges, self._sides, self._normals,
-                buffers.positions, buffers.velocities,
+                eights.threads, buffers.clocks, FLAT_COSINE, self._distance + self._margin,
+                eights.numbers, eights.corners, self._sides, self._normals, buffers.positions,
+                buffers.velocities,
             ],
-            outputs=[self._cell_counts, self._cells, self._ranks, self._balls],
+            outputs=[self._boxes, self._bent, eights.around],
             device=device,
         )  # fmt: skip
-        wp.utils.array_scan(self._cell_counts, self._cell_first, inclusive=False)
-        wp.launch(
-            kernels.sort_bent,
-            dim=(environments, threads),
-            inputs=[threads, self._cell_first, self._cells, self._ranks, self._balls],
-            outputs=[self._sorted, self._sorted_balls],
-            device=device,
-        )
+        eights.fit_top()
         wp.launch(
             kernels.find_edges,
-            dim=(environments, threads),
+            dim=(environments, eights.threads),
             inputs=[
-                threads, buffers.clocks, 1.0 / self._reach, self._cell_first, self._cells,
-                self._sorted, self._balls, self._sorted_balls, self._reach, self._distance,
-                self._margin, self._edges, buffers.rest, buffers.positions, buffers.velocities,
+                eights.threads, buffers.clocks, eights.numbers, eights.corners, self._boxes,
+                self._bent, eights.around, eights.top, self._reach, 1.0 / self._reach,
+                self._distance, self._margin, self._edges, buffers.rest, buffers.positions,
+                buffers.velocities,
             ],
             outputs=[
                 self._partners, self._distances, self._counts, self._listed, self._totals,

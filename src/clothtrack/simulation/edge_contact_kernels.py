@@ -10,7 +10,19 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.simulation.cells import Walk, block_around, cell_of, next_touching, nth, row_at
+from clothtrack.geometry.boxes import (
+    EIGHT,
+    Box,
+    around_eight,
+    box_at,
+    find_touching,
+    join,
+    keep_strangers,
+    no_box,
+    put_box,
+    take_lowest,
+)
+from clothtrack.simulation.cells import Block, block_around, nth, place_in
 from clothtrack.simulation.kernels import Clock
 from clothtrack.simulation.triangle_contact_kernels import segment_distance
 
@@ -19,6 +31,7 @@ wp.set_module_options({"enable_backward": False})
 EDGES_PER_EDGE = 8
 """Slots of each edge for edges that it may touch."""
 
+_EIGHT = wp.constant(EIGHT)
 _UNIT = wp.constant(wp.float32(1.0e12))
 _METRES = wp.constant(1.0e-12)
 _NEARLY_PARALLEL = wp.constant(0.0025)
@@ -78,13 +91,6 @@ def inside(crossing: Crossing):
 
 @no_type_check
 @wp.func
-def share_an_end(one: wp.vec2i, other: wp.vec2i):
-    """Whether two edges meet."""
-    return (one[0] == other[0] or one[0] == other[1]) or (one[1] == other[0] or one[1] == other[1])
-
-
-@no_type_check
-@wp.func
 def rest_distance(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
     """Distance between two segments in the rest shape [m]."""
     crossing = pass_by(a, b, c, d)
@@ -116,86 +122,161 @@ def find_normals(
 
 
 @no_type_check
-@wp.func
-def ball_around(
-    a: wp.vec3, b: wp.vec3, velocity_a: wp.vec3, velocity_b: wp.vec3, near: float, time: float
-):
-    """Centre and radius [m] of a ball: edges whose balls are apart may not be listed as a pair.
-
-    It holds the edge, half of the distance within which edges are listed, and how far the faster
-    end flies until the next search. A thousandth more is for rounding.
-    """
-    fastest = wp.sqrt(wp.max(wp.dot(velocity_a, velocity_a), wp.dot(velocity_b, velocity_b)))
-    radius = 0.5 * wp.length(b - a) + 0.5 * near + fastest * time
-    middle = 0.5 * (a + b)
-    return wp.vec4(middle[0], middle[1], middle[2], 1.001 * radius)
-
-
-@no_type_check
 @wp.kernel
-def count_bent(
+def fit_edges(
     stride: int,
     clocks: wp.array(dtype=Clock),
-    cells_per_metre: float,
     flat: float,
     near: float,
-    edges: wp.array(dtype=wp.vec2i),
+    numbers: wp.array2d(dtype=int),
+    corners: wp.array3d(dtype=int),
     sides: wp.array(dtype=wp.vec2i),
     normals: wp.array2d(dtype=wp.vec3),
     positions: wp.array2d(dtype=wp.vec3),
     velocities: wp.array2d(dtype=wp.vec3),
-    counts: wp.array(dtype=int),
-    cells: wp.array2d(dtype=int),
-    ranks: wp.array2d(dtype=int),
-    balls: wp.array2d(dtype=wp.vec4),
+    boxes: wp.array4d(dtype=float),
+    bent: wp.array2d(dtype=wp.uint32),
+    around: wp.array4d(dtype=float),
 ):
-    """The ball of every edge; the cell of every bent or open one, -1 for a flat one."""
+    """The box of every edge [m]; which of each eight are bent or open, and a box around those.
+
+    Edges whose boxes are apart may not be listed as a pair. A box holds the edge, half of the
+    distance within which edges are listed, and how far the faster end flies until the next search.
+    A thousandth more, and a millionth of where it is, are for rounding.
+    """
     environment, thread = wp.tid()
     here = positions[environment]
     moving = velocities[environment]
     unit = normals[environment]
-    around = balls[environment]
-    places = cells[environment]
     rebuild_s = clocks[0].rebuild_s
-    for number in range(thread, edges.shape[0], stride):
-        edge = nth(number)
-        ends = edges[edge]
-        a = here[nth(ends[0])]
-        b = here[nth(ends[1])]
-        around[edge] = ball_around(
-            a, b, moving[nth(ends[0])], moving[nth(ends[1])], near, rebuild_s
-        )
-        side = sides[edge]
-        places[edge] = -1
-        if side[1] >= 0:
-            if wp.dot(unit[nth(side[0])], unit[side[1]]) > flat:
-                continue
-        cell = cell_of(environment, 0.5 * (a + b), cells_per_metre)
-        places[edge] = cell
-        ranks[environment, edge] = wp.atomic_add(counts, cell, 1)
+    for number in range(thread, numbers.shape[0], stride):
+        eight = nth(number)
+        bits = wp.uint32(0)
+        whole = no_box()
+        for place in range(_EIGHT):
+            edge = numbers[eight, place]
+            if edge < 0:
+                break
+            i = nth(corners[eight, 0, place])
+            j = nth(corners[eight, 1, place])
+            box = Box()
+            box.low = wp.min(here[i], here[j])
+            box.high = wp.max(here[i], here[j])
+            fastest = wp.sqrt(wp.max(wp.length_sq(moving[i]), wp.length_sq(moving[j])))
+            beyond = 1.001 * (0.5 * near + fastest * rebuild_s)
+            beyond += 0.001 * wp.length(box.high - box.low)
+            margin = wp.vec3(beyond, beyond, beyond)
+            margin += 1.0e-6 * (wp.abs(box.low) + wp.abs(box.high))
+            box.low -= margin
+            box.high += margin
+            put_box(box, boxes[environment], eight, place)
+            side = sides[edge]
+            if side[1] >= 0:
+                if wp.dot(unit[nth(side[0])], unit[side[1]]) > flat:
+                    continue
+            bits |= wp.uint32(1) << wp.uint32(place)
+            whole = join(whole, box)
+        bent[environment, eight] = bits
+        put_box(whole, around[environment], eight // _EIGHT, eight % _EIGHT)
 
 
 @no_type_check
-@wp.kernel
-def sort_bent(
-    stride: int,
-    first: wp.array(dtype=int),
-    cells: wp.array2d(dtype=int),
-    ranks: wp.array2d(dtype=int),
-    balls: wp.array2d(dtype=wp.vec4),
-    sorted_edges: wp.array(dtype=int),
-    sorted_balls: wp.array(dtype=wp.vec4),
+@wp.func
+def side_of(
+    ends: wp.vec2i,
+    far: wp.vec2i,
+    near: float,
+    rebuild_s: float,
+    positions: wp.array(dtype=wp.vec3),
+    velocities: wp.array(dtype=wp.vec3),
 ):
-    """Put the bent edges in the order of their cells."""
-    environment, thread = wp.tid()
-    places = cells[environment]
-    for number in range(thread, places.shape[0], stride):
-        edge = nth(number)
-        cell = places[edge]
-        if cell >= 0:
-            place = first[cell] + ranks[environment, edge]
-            sorted_edges[place] = edge
-            sorted_balls[place] = balls[environment, edge]
+    """Side on which an edge passes one that it may touch before the next search; 0: it may not."""
+    i = ends[0]
+    j = ends[1]
+    c = far[0]
+    d = far[1]
+    crossing = pass_by(positions[i], positions[j], positions[c], positions[d])
+    if not inside(crossing):
+        return 0
+    s = crossing.along_first
+    t = crossing.along_second
+    parting = (1.0 - s) * velocities[i]
+    parting += s * velocities[j]
+    parting -= (1.0 - t) * velocities[c]
+    parting -= t * velocities[d]
+    side = wp.where(crossing.gap >= 0.0, 1, -1)
+    nearing = -float(side) * wp.dot(parting, crossing.normal) / wp.sqrt(crossing.square)
+    if wp.abs(crossing.gap) > near + wp.max(nearing, 0.0) * rebuild_s:
+        return 0
+    return side
+
+
+@no_type_check
+@wp.func
+def turn_of(
+    edge: int,
+    block: Block,
+    cells_per_metre: float,
+    edges: wp.array(dtype=wp.vec2i),
+    positions: wp.array(dtype=wp.vec3),
+):
+    """Where an edge comes among the edges of a block of cells; negative: it is not in the block.
+
+    By the cell in which its middle is, then by its number.
+    """
+    middle = 0.5 * (positions[edges[edge][0]] + positions[edges[edge][1]])
+    place = place_in(block, middle, cells_per_metre)
+    return (wp.int64(place) << wp.int64(32)) + wp.int64(edge)
+
+
+@no_type_check
+@wp.func
+def insert_partner(
+    environment: int,
+    edge: int,
+    code: int,
+    distance: float,
+    reach: float,
+    cells_per_metre: float,
+    edges: wp.array(dtype=wp.vec2i),
+    rest: wp.array(dtype=wp.vec3),
+    positions: wp.array(dtype=wp.vec3),
+    partners: wp.array(dtype=int),
+    distances: wp.array(dtype=float),
+    counts: wp.array2d(dtype=int),
+    overflows: wp.array(dtype=int),
+):
+    """List a partner in its turn among what is in the cells around an edge's middle.
+
+    The first in turn are kept where there are more than slots, so that it does not matter in which
+    order they are found.
+    """
+    ends = edges[edge]
+    far = edges[wp.abs(code) - 1]
+    middle = 0.5 * (positions[ends[0]] + positions[ends[1]])
+    block = block_around(middle, reach, cells_per_metre)
+    turn = turn_of(wp.abs(code) - 1, block, cells_per_metre, edges, positions)
+    if turn < wp.int64(0):
+        return
+    slot = int(counts[environment, edge])
+    if slot == partners.shape[0]:
+        wp.atomic_add(overflows, environment, 1)
+        last = wp.abs(partners[slot - 1]) - 1
+        if turn > turn_of(last, block, cells_per_metre, edges, positions):
+            return
+        slot -= 1
+    counts[environment, edge] = slot + 1
+    while slot > 0:
+        before = wp.abs(partners[slot - 1]) - 1
+        if turn > turn_of(before, block, cells_per_metre, edges, positions):
+            break
+        partners[slot] = partners[slot - 1]
+        distances[slot] = distances[slot - 1]
+        slot -= 1
+    partners[slot] = code
+    distances[slot] = wp.min(
+        distance, rest_distance(rest[ends[0]], rest[ends[1]], rest[far[0]], rest[far[1]])
+    )
 
 
 @no_type_check
@@ -203,13 +284,14 @@ def sort_bent(
 def find_edges(
     stride: int,
     clocks: wp.array(dtype=Clock),
-    cells_per_metre: float,
-    first: wp.array(dtype=int),
-    cells: wp.array2d(dtype=int),
-    sorted_edges: wp.array(dtype=int),
-    balls: wp.array2d(dtype=wp.vec4),
-    sorted_balls: wp.array(dtype=wp.vec4),
+    numbers: wp.array2d(dtype=int),
+    corners: wp.array3d(dtype=int),
+    boxes: wp.array4d(dtype=float),
+    bent: wp.array2d(dtype=wp.uint32),
+    around: wp.array4d(dtype=float),
+    top: wp.array4d(dtype=float),
     reach: float,
+    cells_per_metre: float,
     distance: float,
     margin: float,
     edges: wp.array(dtype=wp.vec2i),
@@ -230,65 +312,62 @@ def find_edges(
     """
     environment, thread = wp.tid()
     here = positions[environment]
-    moving = velocities[environment]
-    around = balls[environment]
-    places = cells[environment]
-    rebuild_s = clocks[0].rebuild_s
-    for number in range(thread, edges.shape[0], stride):
-        edge = nth(number)
-        ends = edges[edge]
-        i = nth(ends[0])
-        j = nth(ends[1])
-        a = here[i]
-        b = here[j]
-        middle = 0.5 * (a + b)
-        ball = around[edge]
-        bent = places[edge] >= 0
-        found = int(0)
-        block = block_around(middle, reach, cells_per_metre)
-        for z in range(block.z0, block.z1 + 1):
-            for y in range(block.y0, block.y1 + 1):
-                row = row_at(environment, y, z)
-                end = first[nth(row + block.right + 1)]
-                walk = Walk()
-                walk.asked = first[nth(row + block.left)]
-                next_touching(ball, sorted_balls, end, walk)
-                while walk.place < end:
-                    place = nth(walk.place)
-                    next_touching(ball, sorted_balls, end, walk)
-                    other = nth(sorted_edges[place])
-                    if bent and other <= edge:
-                        continue
-                    far = edges[other]
-                    c = nth(far[0])
-                    d = nth(far[1])
-                    if share_an_end(ends, far):
-                        continue
-                    crossing = pass_by(a, b, here[c], here[d])
-                    if not inside(crossing):
-                        continue
-                    s = crossing.along_first
-                    t = crossing.along_second
-                    parting = (1.0 - s) * moving[i]
-                    parting += s * moving[j]
-                    parting -= (1.0 - t) * moving[c]
-                    parting -= t * moving[d]
-                    side = wp.where(crossing.gap >= 0.0, 1.0, -1.0)
-                    nearing = -side * wp.dot(parting, crossing.normal) / wp.sqrt(crossing.square)
-                    allowed = distance + margin + wp.max(nearing, 0.0) * rebuild_s
-                    if wp.abs(crossing.gap) > allowed:
-                        continue
-                    keep = wp.min(distance, rest_distance(rest[i], rest[j], rest[c], rest[d]))
-                    if found < partners.shape[2]:
-                        code = wp.where(side > 0.0, 1, -1) * (other + 1)
-                        partners[environment, edge, found] = code
-                        distances[environment, edge, found] = keep
-                        found += 1
-                    else:
-                        wp.atomic_add(overflows, environment, 1)
-        counts[environment, edge] = found
-        if found > 0:
-            listed[environment, wp.atomic_add(totals, environment, 1)] = edge
+    mine = boxes[environment]
+    place = wp.int32(0)
+    near = wp.uint32(0)
+    near_top = wp.uint32(0)
+    near_around = wp.uint32(0)
+    near_mine = wp.uint32(0)
+    for number in range(thread, numbers.shape[0], stride):
+        group = nth(number)
+        for n in range(_EIGHT):
+            if numbers[group, n] >= 0:
+                counts[environment, nth(numbers[group, n])] = 0
+        whole = around_eight(mine, group)
+        for block in range(top.shape[1]):
+            find_touching(whole, top[environment], block, near_top)
+            while near_top != wp.uint32(0):
+                take_lowest(near_top, place)
+                eights = nth(_EIGHT * block + place)
+                find_touching(whole, around[environment], eights, near_around)
+                while near_around != wp.uint32(0):
+                    take_lowest(near_around, place)
+                    eight = nth(_EIGHT * eights + place)
+                    box = box_at(around[environment], eights, place)
+                    find_touching(box, mine, group, near_mine)
+                    while near_mine != wp.uint32(0):
+                        take_lowest(near_mine, place)
+                        edge = nth(numbers[group, place])
+                        is_bent = (bent[environment, group] >> wp.uint32(place)) & wp.uint32(1)
+                        i = nth(corners[group, 0, place])
+                        j = nth(corners[group, 1, place])
+                        find_touching(box_at(mine, group, place), mine, eight, near)
+                        near &= bent[environment, eight]
+                        keep_strangers(i, j, corners, eight, near)
+                        while near != wp.uint32(0):
+                            take_lowest(near, place)
+                            other = nth(numbers[eight, place])
+                            if is_bent != wp.uint32(0) and other <= edge:
+                                continue
+                            far = wp.vec2i(
+                                nth(corners[eight, 0, place]), nth(corners[eight, 1, place])
+                            )
+                            side = side_of(
+                                wp.vec2i(i, j), far, distance + margin, clocks[0].rebuild_s, here,
+                                velocities[environment],
+                            )  # fmt: skip
+                            if side != 0:
+                                insert_partner(
+                                    environment, edge, side * (other + 1), distance, reach,
+                                    cells_per_metre, edges, rest, here,
+                                    partners[environment, edge], distances[environment, edge],
+                                    counts, overflows,
+                                )  # fmt: skip
+        for n in range(_EIGHT):
+            edge = numbers[group, n]
+            if edge >= 0:
+                if counts[environment, edge] > 0:
+                    listed[environment, wp.atomic_add(totals, environment, 1)] = edge
 
 
 @no_type_check
