@@ -78,8 +78,9 @@ class EdgeContact:
             dim=(environments, eights.threads),
             inputs=[
                 eights.threads, buffers.clocks, FLAT_COSINE, self._distance + self._margin,
-                eights.numbers, eights.corners, self._sides, self._normals, buffers.positions,
-                buffers.velocities,
+                # A partner's middle is in a cell that is at most one reach beyond the reach.
+                2.01 * self._reach, eights.numbers, eights.corners, self._sides, self._normals,
+                buffers.positions, buffers.velocities,
             ],
             outputs=[self._boxes, self._bent, eights.around],
             device=device,

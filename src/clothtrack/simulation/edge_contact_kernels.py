@@ -128,6 +128,7 @@ def fit_edges(
     clocks: wp.array(dtype=Clock),
     flat: float,
     near: float,
+    reach: float,
     numbers: wp.array2d(dtype=int),
     corners: wp.array3d(dtype=int),
     sides: wp.array(dtype=wp.vec2i),
@@ -142,7 +143,8 @@ def fit_edges(
 
     Edges whose boxes are apart may not be listed as a pair. A box holds the edge, half of the
     distance within which edges are listed, and how far the faster end flies until the next search.
-    A thousandth more, and a millionth of where it is, are for rounding.
+    A thousandth more, and a millionth of where it is, are for rounding. What is farther from its
+    middle than the middle of a partner may be is left out: after an explosion, all would touch.
     """
     environment, thread = wp.tid()
     here = positions[environment]
@@ -167,8 +169,10 @@ def fit_edges(
             beyond += 0.001 * wp.length(box.high - box.low)
             margin = wp.vec3(beyond, beyond, beyond)
             margin += 1.0e-6 * (wp.abs(box.low) + wp.abs(box.high))
-            box.low -= margin
-            box.high += margin
+            middle = 0.5 * (here[i] + here[j])
+            farthest = wp.vec3(reach, reach, reach)
+            box.low = wp.max(box.low - margin, middle - farthest)
+            box.high = wp.min(box.high + margin, middle + farthest)
             put_box(box, boxes[environment], eight, place)
             side = sides[edge]
             if side[1] >= 0:
