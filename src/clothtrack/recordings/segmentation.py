@@ -367,10 +367,8 @@ def main_components(
     kept = np.zeros_like(mask)
     window = bounds_of(mask)
     # OpenCV's own statistics of the parts cost four times as much as the parts.
-    count, labels = cv2.connectedComponents(
-        mask[window].view(np.uint8), connectivity=8, ltype=cv2.CV_32S
-    )
-    areas = np.bincount(labels.ravel(), minlength=count)
+    _, labels = cv2.connectedComponents(mask[window].view(np.uint8), connectivity=8)
+    areas = np.bincount(labels.ravel())
     areas[0] = 0
     large = (areas > 0) & (areas >= share * areas.max())
     small = (areas >= SMALLEST_PART * areas.max()) & ~large
