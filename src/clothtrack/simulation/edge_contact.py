@@ -44,8 +44,8 @@ class EdgeContact:
         longest = 1.05 * float(mesh.edge_lengths.max())
         self._distance = DISTANCE_SHARE * config.thickness_m
         self._margin = MARGIN_SHARE * config.thickness_m
-        # Two edges that pass between their ends have middles less than one length apart. What is
-        # farther in space than the next cell of this size is not listed, however fast it nears.
+        # Two edges that pass between their ends have middles less than one length apart; one that
+        # is farther off than twice this is not listed, however fast it nears.
         self._reach = longest + config.thickness_m
         self._normals = wp.zeros((environments, len(mesh.faces)), dtype=wp.vec3, device=device)
         self._eights = Eights(mesh, mesh.edges[:, [0, 1, 1]], buffers)
@@ -78,8 +78,7 @@ class EdgeContact:
             dim=(environments, eights.threads),
             inputs=[
                 eights.threads, buffers.clocks, FLAT_COSINE, self._distance + self._margin,
-                # A partner's middle is in a cell that is at most one reach beyond the reach.
-                2.01 * self._reach, eights.numbers, eights.corners, self._sides, self._normals,
+                self._reach, eights.numbers, eights.corners, self._sides, self._normals,
                 buffers.positions, buffers.velocities,
             ],
             outputs=[self._boxes, self._bent, eights.around],
@@ -91,9 +90,8 @@ class EdgeContact:
             dim=(environments, eights.threads),
             inputs=[
                 eights.threads, buffers.clocks, eights.numbers, eights.corners, self._boxes,
-                self._bent, eights.around, eights.top, self._reach, 1.0 / self._reach,
-                self._distance, self._margin, self._edges, buffers.rest, buffers.positions,
-                buffers.velocities,
+                self._bent, eights.around, eights.top, self._distance, self._margin, buffers.rest,
+                buffers.positions, buffers.velocities,
             ],
             outputs=[
                 self._partners, self._distances, self._counts, self._listed, self._totals,

@@ -22,9 +22,8 @@ from clothtrack.geometry.boxes import (
     put_box,
     take_lowest,
 )
-from clothtrack.simulation.cells import Block, block_around, nth, place_in
-from clothtrack.simulation.kernels import Clock
-from clothtrack.simulation.triangle_contact_kernels import segment_distance
+from clothtrack.simulation.kernels import Clock, nth
+from clothtrack.simulation.triangle_contact_kernels import insert_pair, segment_distance
 
 wp.set_module_options({"enable_backward": False})
 
@@ -144,7 +143,7 @@ def fit_edges(
     Edges whose boxes are apart may not be listed as a pair. A box holds the edge, half of the
     distance within which edges are listed, and how far the faster end flies until the next search.
     A thousandth more, and a millionth of where it is, are for rounding. What is farther from its
-    middle than the middle of a partner may be is left out: after an explosion, all would touch.
+    middle than `reach` [m] is left out, however fast it is: after an explosion, all would touch.
     """
     environment, thread = wp.tid()
     here = positions[environment]
@@ -216,74 +215,6 @@ def side_of(
 
 
 @no_type_check
-@wp.func
-def turn_of(
-    edge: int,
-    block: Block,
-    cells_per_metre: float,
-    edges: wp.array(dtype=wp.vec2i),
-    positions: wp.array(dtype=wp.vec3),
-):
-    """Where an edge comes among the edges of a block of cells; negative: it is not in the block.
-
-    By the cell in which its middle is, then by its number.
-    """
-    middle = 0.5 * (positions[edges[edge][0]] + positions[edges[edge][1]])
-    place = place_in(block, middle, cells_per_metre)
-    return (wp.int64(place) << wp.int64(32)) + wp.int64(edge)
-
-
-@no_type_check
-@wp.func
-def insert_partner(
-    environment: int,
-    edge: int,
-    code: int,
-    distance: float,
-    reach: float,
-    cells_per_metre: float,
-    edges: wp.array(dtype=wp.vec2i),
-    rest: wp.array(dtype=wp.vec3),
-    positions: wp.array(dtype=wp.vec3),
-    partners: wp.array(dtype=int),
-    distances: wp.array(dtype=float),
-    counts: wp.array2d(dtype=int),
-    overflows: wp.array(dtype=int),
-):
-    """List a partner in its turn among what is in the cells around an edge's middle.
-
-    The first in turn are kept where there are more than slots, so that it does not matter in which
-    order they are found.
-    """
-    ends = edges[edge]
-    far = edges[wp.abs(code) - 1]
-    middle = 0.5 * (positions[ends[0]] + positions[ends[1]])
-    block = block_around(middle, reach, cells_per_metre)
-    turn = turn_of(wp.abs(code) - 1, block, cells_per_metre, edges, positions)
-    if turn < wp.int64(0):
-        return
-    slot = int(counts[environment, edge])
-    if slot == partners.shape[0]:
-        wp.atomic_add(overflows, environment, 1)
-        last = wp.abs(partners[slot - 1]) - 1
-        if turn > turn_of(last, block, cells_per_metre, edges, positions):
-            return
-        slot -= 1
-    counts[environment, edge] = slot + 1
-    while slot > 0:
-        before = wp.abs(partners[slot - 1]) - 1
-        if turn > turn_of(before, block, cells_per_metre, edges, positions):
-            break
-        partners[slot] = partners[slot - 1]
-        distances[slot] = distances[slot - 1]
-        slot -= 1
-    partners[slot] = code
-    distances[slot] = wp.min(
-        distance, rest_distance(rest[ends[0]], rest[ends[1]], rest[far[0]], rest[far[1]])
-    )
-
-
-@no_type_check
 @wp.kernel
 def find_edges(
     stride: int,
@@ -294,11 +225,8 @@ def find_edges(
     bent: wp.array2d(dtype=wp.uint32),
     around: wp.array4d(dtype=float),
     top: wp.array4d(dtype=float),
-    reach: float,
-    cells_per_metre: float,
     distance: float,
     margin: float,
-    edges: wp.array(dtype=wp.vec2i),
     rest: wp.array(dtype=wp.vec3),
     positions: wp.array2d(dtype=wp.vec3),
     velocities: wp.array2d(dtype=wp.vec3),
@@ -311,8 +239,8 @@ def find_edges(
 ):
     """List the bent edges that each edge may touch before the next search, with its side.
 
-    A pair of bent edges is listed by the one with the lower number. `listed` are the edges that
-    have a pair, in any order, `totals` is how many.
+    A pair of bent edges is listed by the one with the lower number, and partners by their number.
+    `listed` are the edges that have a pair, in any order, `totals` is how many.
     """
     environment, thread = wp.tid()
     here = positions[environment]
@@ -361,11 +289,13 @@ def find_edges(
                                 velocities[environment],
                             )  # fmt: skip
                             if side != 0:
-                                insert_partner(
-                                    environment, edge, side * (other + 1), distance, reach,
-                                    cells_per_metre, edges, rest, here,
-                                    partners[environment, edge], distances[environment, edge],
-                                    counts, overflows,
+                                rest_gap = rest_distance(
+                                    rest[i], rest[j], rest[nth(far[0])], rest[nth(far[1])]
+                                )
+                                counts[environment, edge] = insert_pair(
+                                    environment, counts[environment, edge], side * (other + 1),
+                                    wp.min(distance, rest_gap), partners[environment, edge],
+                                    distances[environment, edge], overflows,
                                 )  # fmt: skip
         for n in range(_EIGHT):
             edge = numbers[group, n]

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int, Int32
 from clothtrack.geometry.boxes import EIGHT, along_curve, around_eight, blocks, no_boxes, put_box
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.buffers import ClothBuffers
-from clothtrack.simulation.cells import nth
+from clothtrack.simulation.kernels import nth
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,8 +10,7 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.simulation.cells import nth
-from clothtrack.simulation.kernels import Clock
+from clothtrack.simulation.kernels import Clock, nth
 
 wp.set_module_options({"enable_backward": False})
 

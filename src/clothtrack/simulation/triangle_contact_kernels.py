@@ -19,8 +19,7 @@ from clothtrack.geometry.boxes import (
     put_box,
     take_lowest,
 )
-from clothtrack.simulation.cells import nth
-from clothtrack.simulation.kernels import Clock
+from clothtrack.simulation.kernels import Clock, nth
 
 wp.set_module_options({"enable_backward": False})
 

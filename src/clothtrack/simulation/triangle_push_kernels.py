@@ -11,8 +11,7 @@ from typing import no_type_check
 
 import warp as wp
 
-from clothtrack.simulation.cells import nth
-from clothtrack.simulation.kernels import Clock
+from clothtrack.simulation.kernels import Clock, nth
 from clothtrack.simulation.triangle_contact_kernels import SLOTS, barycentric
 
 wp.set_module_options({"enable_backward": False})
