@@ -5,10 +5,10 @@ import pytest
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.camera_view import flying_pixels
 from clothtrack.recordings.point_cloud import (
     Observation,
     cloth_measured,
-    flying_pixels,
     hidden_pixels,
     observe,
     thin,

@@ -1,13 +1,14 @@
 """Points that are followed in pictures move as the cloth does; plain cloth has none."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.known_masks import KnownMasks
-from clothtrack.recordings.point_cloud import observe
-from clothtrack.recordings.point_following import follow_points
+from clothtrack.recordings.camera_view import camera_views
+from clothtrack.recordings.point_following import PointFollower
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
 
@@ -32,6 +33,11 @@ def cut(picture, shift_px):
     return cv2.warpAffine(picture, move, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
 
 
+def as_color(gray):
+    """A grey colour picture of a brightness."""
+    return np.clip(np.rint(gray), 0, 255).astype(np.uint8)[..., None].repeat(3, 2)
+
+
 def recorded(folder, grays, depths=None, masks=None, actions=((0, None),)):
     """A recording of these brightnesses [0 to 255], on a plane 0.8 m away where nothing is said."""
     count = len(grays)
@@ -39,10 +45,10 @@ def recorded(folder, grays, depths=None, masks=None, actions=((0, None),)):
         for index, gray in enumerate(grays):
             depth = np.full((HEIGHT, WIDTH), HIGH_M) if depths is None else depths[index]
             mask = np.ones((HEIGHT, WIDTH), bool) if masks is None else masks[index]
-            color = np.clip(np.rint(gray), 0, 255).astype(np.uint8)[..., None].repeat(3, 2)
             writer.add_frame(
-                0.1 * index, color={"top": color}, depth={"top": depth}, mask={"top": mask}
-            )
+                0.1 * index,
+                color={"top": as_color(gray)}, depth={"top": depth}, mask={"top": mask},
+            )  # fmt: skip
         times = 0.1 * np.arange(count)
         writer.set_picker_path("hand", PickerPath(times, np.zeros((count, 3)), times < 0))
         for first, last in actions:
@@ -50,9 +56,17 @@ def recorded(folder, grays, depths=None, masks=None, actions=((0, None),)):
     return read_recording(folder)
 
 
+def followed(recording):
+    """The followed points of every frame."""
+    follower = PointFollower(recording)
+    return [
+        follower(frame, camera_views(recording, frame, color=True)) for frame in recording.frames
+    ]
+
+
 def test_followed_points_move_with_the_print(tmp_path):
     steps = [np.array([1.3, -0.7]) * index for index in range(5)]
-    found = follow_points(recorded(tmp_path / "r", [cut(printed(), step) for step in steps]))
+    found = followed(recorded(tmp_path / "r", [cut(printed(), step) for step in steps]))
     first, last = found[0], found[4]
     assert len(first.numbers) > 60
     assert len(last.numbers) > 0.8 * len(first.numbers)
@@ -71,7 +85,7 @@ def test_plain_cloth_has_nothing_to_follow(tmp_path, noise):
     rng = np.random.default_rng(1)
     grays = [120.0 + noise * rng.normal(size=(HEIGHT, WIDTH)) for _ in range(3)]
     # What the noise is, the second picture tells.
-    found = follow_points(recorded(tmp_path / "r", grays, actions=((1, None),)))
+    found = followed(recorded(tmp_path / "r", grays, actions=((1, None),)))
     assert [len(found[index].numbers) for index in range(3)] == [0, 0, 0]
 
 
@@ -79,7 +93,7 @@ def test_what_is_covered_is_lost_and_numbers_are_never_used_twice(tmp_path):
     masks = np.ones((5, HEIGHT, WIDTH), bool)
     masks[1:3, :, : WIDTH // 2] = False
     grays = [cut(printed(), (0.0, 0.0))] * 5
-    found = follow_points(recorded(tmp_path / "r", grays, masks=masks, actions=((0, 2), (3, None))))
+    found = followed(recorded(tmp_path / "r", grays, masks=masks, actions=((0, 2), (3, None))))
     left = [found[index].positions[:, 0] < -PIXEL_M for index in range(4)]
     assert left[0].sum() > 20
     assert [found[1].positions[left[1]].size, found[2].positions[left[2]].size] == [0, 0]
@@ -108,7 +122,7 @@ def test_a_print_that_was_covered_is_recognised_where_it_has_turned_to(tmp_path)
     masks[1, :9, :9] = True
     masks[::2] = True
     grays = [cut(still, (0.0, 0.0)), cut(still, (0.0, 0.0)), cut(after, (0.0, 0.0))]
-    found = follow_points(recorded(tmp_path / "r", grays, masks=masks))
+    found = followed(recorded(tmp_path / "r", grays, masks=masks))
     first, last = found[0], found[2]
     assert len(found[1].numbers) == 0
     assert len(last.numbers) > 30
@@ -134,7 +148,7 @@ def test_a_weave_is_followed_and_not_recognised(tmp_path):
     masks[1] = False
     masks[1, :9, :9] = True
     grays = [weave()] * 4
-    found = follow_points(recorded(tmp_path / "r", grays, masks=masks, actions=((0, 1), (2, None))))
+    found = followed(recorded(tmp_path / "r", grays, masks=masks, actions=((0, 1), (2, None))))
     assert len(found[0].numbers) > 50
     assert len(found[2].numbers) > 50
     assert found[2].numbers.min() > found[0].numbers.max()
@@ -145,7 +159,7 @@ def test_a_weave_that_a_tool_covered_comes_back_under_its_numbers(tmp_path):
     masks = np.ones((7, HEIGHT, WIDTH), bool)
     masks[2:5, :, 40:70] = False
     shifts = [np.array([1.5, 0.5]) * index for index in range(7)]
-    found = follow_points(recorded(tmp_path / "r", [weave(s) for s in shifts], masks=masks))
+    found = followed(recorded(tmp_path / "r", [weave(s) for s in shifts], masks=masks))
     before = found[1].numbers
     gone, back = ~np.isin(before, found[3].numbers), np.isin(before, found[6].numbers)
     assert gone.sum() > 10
@@ -166,7 +180,7 @@ def test_cloth_that_speeds_up_and_turns_dark_is_followed(tmp_path):
         weave(shift) * light * shadow**index
         for index, (shift, light) in enumerate(zip(shifts, dark, strict=True))
     ]
-    found = follow_points(recorded(tmp_path / "r", grays))
+    found = followed(recorded(tmp_path / "r", grays))
     first, last = found[0], found[8]
     # 36 of the 160 columns have left the picture.
     assert len(last.numbers) > 0.6 * len(first.numbers)
@@ -184,7 +198,7 @@ def test_a_faint_weave_is_followed_in_a_noisy_picture(tmp_path):
         for shift in shifts
     ]
     # What the noise is, the second picture tells.
-    found = follow_points(recorded(tmp_path / "r", grays, actions=((1, None),)))
+    found = followed(recorded(tmp_path / "r", grays, actions=((1, None),)))
     first, last = found[1], found[4]
     assert len(first.numbers) > 40
     assert len(last.numbers) > 0.6 * len(first.numbers)
@@ -201,7 +215,7 @@ def test_a_point_that_runs_away_from_its_neighbours_is_lost(tmp_path):
         gray = still.copy()
         gray[50:66, 40 + jump : 56 + jump] = cut(printed(7), (0.0, 0.0))[50:66, 40:56]
         grays.append(gray)
-    found = follow_points(recorded(tmp_path / "r", grays))
+    found = followed(recorded(tmp_path / "r", grays))
     first, last = found[0], found[4]
     before = first.positions[np.searchsorted(first.numbers, last.numbers)]
     assert len(last.numbers) > 60
@@ -213,7 +227,7 @@ def test_no_point_is_chosen_or_kept_where_two_layers_meet(tmp_path):
     step = np.full((HEIGHT, WIDTH), HIGH_M)
     step[:, WIDTH // 2 :] -= 0.3
     grays = [cut(printed(), (0.0, 0.0))] * 2
-    found = follow_points(recorded(tmp_path / "r", grays, depths=[step, step]))
+    found = followed(recorded(tmp_path / "r", grays, depths=[step, step]))
     near_step = np.abs(found[1].positions[:, 0] / PIXEL_M) < 2
     assert len(found[1].numbers) > 50
     assert not near_step.any()
@@ -222,7 +236,7 @@ def test_no_point_is_chosen_or_kept_where_two_layers_meet(tmp_path):
 def test_a_picture_without_colour_is_passed_over(tmp_path):
     recording = recorded(tmp_path / "r", [weave((2.0 * index, 0.0)) for index in range(4)])
     recording.frames[2].color.clear()
-    found = follow_points(recording)
+    found = followed(recording)
     assert len(found[2].numbers) == 0
     last, first = found[3], found[0]
     assert len(last.numbers) > 0.8 * len(first.numbers)
@@ -230,16 +244,37 @@ def test_a_picture_without_colour_is_passed_over(tmp_path):
     np.testing.assert_allclose((last.positions - before)[:, 0] / PIXEL_M, 6.0, atol=0.5)
 
 
-def test_a_cloud_of_the_known_mask_is_the_cloud_of_the_picture(tmp_path):
-    mask = np.zeros((HEIGHT, WIDTH), bool)
-    mask[20:90, 30:121] = True
-    mask[100:104, 5:9] = True  # a speck, which is not of the cloth
-    recording = recorded(tmp_path / "r", [cut(printed(), (0.0, 0.0))] * 2, masks=[mask] * 2)
-    masks = {0: KnownMasks(), 1: KnownMasks()}
-    assert not masks[0].knows(recording.frames[0].depth)
-    follow_points(recording, masks=masks)
-    for frame in recording.frames:
-        assert masks[frame.index].knows(frame.depth)
-        seen, again = observe(recording, frame), observe(recording, frame, masks[frame.index])
-        np.testing.assert_array_equal(seen.points, again.points)
-        np.testing.assert_array_equal(seen.hidden["top"], again.hidden["top"])
+def test_frames_that_nobody_asks_for_are_followed_all_the_same(tmp_path):
+    recording = recorded(tmp_path / "r", [cut(printed(), (step, 0.0)) for step in range(4)])
+    frame = recording.frames[3]
+    follower = PointFollower(recording)
+    assert not follower.knows(recording.frames[0])
+    last = follower(frame, camera_views(recording, frame, color=True))
+    assert follower.knows(frame)
+    expected = followed(recording)
+    np.testing.assert_array_equal(last.numbers, expected[3].numbers)
+    np.testing.assert_array_equal(last.positions, expected[3].positions)
+    # What was followed before needs no pictures.
+    again = follower(recording.frames[1], ())
+    np.testing.assert_array_equal(again.positions, expected[1].positions)
+
+
+def test_points_of_two_cameras_have_numbers_of_their_own(tmp_path):
+    cameras = CAMERA, replace(CAMERA, name="beside")
+    with RecordingWriter(tmp_path / "r", cameras, {"top": 1e-4, "beside": 1e-4}) as writer:
+        for index in range(4):
+            grays = [cut(printed(seed), (float(index), 0.0)) for seed in (0, 1)]
+            named = dict(zip(("top", "beside"), grays, strict=True))
+            writer.add_frame(
+                0.1 * index,
+                color={name: as_color(gray) for name, gray in named.items()},
+                depth={name: np.full((HEIGHT, WIDTH), HIGH_M) for name in named},
+                mask={name: np.ones((HEIGHT, WIDTH), bool) for name in named},
+            )
+        times = 0.1 * np.arange(4)
+        writer.set_picker_path("hand", PickerPath(times, np.zeros((4, 3)), times < 0))
+        writer.add_action(0, 1, ("hand",))
+        writer.add_action(2, 3, ("hand",))
+    for points in followed(read_recording(tmp_path / "r")):
+        assert len(points.numbers) > 120
+        assert (np.diff(points.numbers) > 0).all()

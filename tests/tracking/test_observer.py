@@ -1,8 +1,9 @@
-"""The clouds of a recording: what reads a frame twice segments it once."""
+"""The clouds of a recording: a picture is decoded and segmented once, whoever looks at it."""
 
 import numpy as np
 
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings import camera_view
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
@@ -11,7 +12,7 @@ from clothtrack.tracking.pipeline import observer
 CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5, np.diag([1.0, -1.0, -1.0, 1.0]))
 
 
-def test_every_picture_is_segmented_once_also_where_points_are_followed(tmp_path):
+def test_every_picture_is_decoded_once_also_where_points_are_followed(tmp_path, monkeypatch):
     rng, times = np.random.default_rng(0), 0.1 * np.arange(3)
     with RecordingWriter(tmp_path / "r", (CAMERA,), {"top": 1e-4}) as writer:
         for time_s in times:
@@ -28,9 +29,19 @@ def test_every_picture_is_segmented_once_also_where_points_are_followed(tmp_path
         pictures.append(color)
         return np.pad(np.ones((80, 100), bool), ((20, 20), (30, 30)))
 
+    decoded = []
+    for name in ("read_color", "read_depth"):
+        real = getattr(camera_view, name)
+
+        def read(path, *unit, real=real):
+            decoded.append(path)
+            return real(path, *unit)
+
+        monkeypatch.setattr(camera_view, name, read)
     clouds = observer(recording, 0.004, segmenter, color=True)
     seen = [clouds(frame) for frame in recording.frames]
     assert len(pictures) == 3
+    assert len(decoded) == len(set(decoded)) == 6
     for frame, observation in zip(recording.frames, seen, strict=True):
         alone = observe(recording, frame, segmenter)
         np.testing.assert_array_equal(observation.points, alone.points)

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.camera_view import flying_pixels
 from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.point_cloud import flying_pixels
 from clothtrack.recordings.recording import Recording, Table
 from clothtrack.recordings.segmentation import default_segmenter, height_picture
 

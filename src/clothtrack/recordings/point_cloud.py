@@ -1,6 +1,6 @@
 """What the cameras saw of the cloth in one frame: points, and where they were blind."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -12,30 +12,18 @@ from scipy.sparse.csgraph import connected_components
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.known_masks import KnownMasks
-from clothtrack.recordings.pictures import bands, read_cloud, read_color, read_depth
+from clothtrack.recordings.camera_view import CameraView, camera_views, flying_pixels
+from clothtrack.recordings.pictures import read_cloud
 from clothtrack.recordings.recording import Frame, Recording, Table
-from clothtrack.recordings.segmentation import (
-    ColorSegmenter,
-    HeightSegmenter,
-    MaskFolder,
-    Segmenter,
-    bounds_of,
-    default_segmenter,
-    height_picture,
-    main_components,
-)
+from clothtrack.recordings.segmentation import Segmenter, bounds_of, height_picture
 
 CUT_MARGIN_M = 0.012
 TOOL_HEIGHT_M = 0.015
-LEAST_JUMP_M = 0.004
 STRAY_SHARE = 0.04
 """Clusters of less than this share of the points are not of the cloth."""
 MOST_CELLS = 1 << 20
 """Cubes around the cloth that are counted one by one; if there were more, they are sorted."""
 
-_COLOR_BLIND = (HeightSegmenter, MaskFolder, KnownMasks)
-_MAIN_PARTS_ONLY = (ColorSegmenter, HeightSegmenter, KnownMasks)
 _HALF_NEIGHBOURS = [
     (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)
 ]
@@ -124,29 +112,33 @@ def observe(
     Raises:
         InvalidRecordingError: a file cannot be read, or no cloth is found.
     """
+    views = camera_views(
+        recording, frame, segmenter, largest_component=largest_component, drop_flying=drop_flying
+    )
+    return observed(recording, frame, views, spacing_m=spacing_m, stray_share=stray_share)
+
+
+def observed(
+    recording: Recording,
+    frame: Frame,
+    views: Sequence[CameraView],
+    *,
+    spacing_m: float | None = 0.004,
+    stray_share: float = STRAY_SHARE,
+) -> Observation:
+    """The same of what the cameras saw (`camera_views`)."""
     clouds: list[Float[np.ndarray, "points 3"]] = []
     hidden: dict[str, Bool[np.ndarray, "height width"]] = {}
     pixel_m = 0.0
-    for camera in recording.cameras:
-        if camera.name in frame.depth:
-            depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
-            find = segmenter or default_segmenter(recording, frame, camera)
-            # Decoding a picture costs as much as everything else together.
-            looks = camera.name in frame.color and not isinstance(find, _COLOR_BLIND)
-            color = read_color(frame.color[camera.name]) if looks else None
-            mask = find(color, depth, camera, recording.table)
-            if largest_component and not isinstance(find, _MAIN_PARTS_ONLY):
-                mask = main_components(mask)
-            blind = depth == 0
-            if drop_flying:
-                blind |= flying_pixels(depth, camera.fx)
-            hidden[camera.name] = hidden_pixels(depth, mask, blind, camera, recording.table)
-            shown = mask & ~blind
-            clouds.append(camera.back_project(depth, shown))
-            if len(clouds[-1]):
-                window = bounds_of(shown)
-                middle = float(np.median(depth[window][shown[window]]))
-                pixel_m = max(pixel_m, middle / camera.fx)
+    for view in views:
+        camera, depth = view.camera, view.depth_m
+        hidden[camera.name] = hidden_pixels(depth, view.mask, view.blind, camera, recording.table)
+        shown = view.mask & ~view.blind
+        clouds.append(camera.back_project(depth, shown))
+        if len(clouds[-1]):
+            window = bounds_of(shown)
+            middle = float(np.median(depth[window][shown[window]]))
+            pixel_m = max(pixel_m, middle / camera.fx)
     if frame.cloud is not None:
         # The recording's own merged cloud stands for all cameras.
         clouds = [read_cloud(frame.cloud)]
@@ -168,49 +160,6 @@ def observe(
         tool_positions=np.array(tips, dtype=np.float64).reshape(-1, 3),
         tool_clearance_m=recording.observed.tool_clearance_m,
     )
-
-
-def flying_pixels(
-    depth_m: Float[np.ndarray, "height width"], focal_px: float
-) -> Bool[np.ndarray, "height width"]:
-    """Pixels that mix two surfaces: depth climbs past them steeply, on both sides the same way.
-
-    Steep is more than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of
-    noise. A pixel on the rim of a surface has a jump on one side only, and stays.
-    """
-    flying = np.zeros(depth_m.size, dtype=bool)
-    depth = depth_m.ravel()
-    for stride in (depth_m.shape[1], 1):
-        middle = _stepping_twice(depth_m, stride)
-        back, here, front = depth[middle - stride], depth[middle], depth[middle + stride]
-        limit = (6.0 / focal_px) * here + LEAST_JUMP_M
-        climbs = (here - back > limit) & (front - here > limit) & (back > 0)
-        falls = (here - back < -limit) & (front - here < -limit) & (front > 0)
-        flying[middle] |= climbs | falls
-    return flying.reshape(depth_m.shape)
-
-
-def _stepping_twice(
-    depth_m: Float[np.ndarray, "height width"], stride: int
-) -> Int[np.ndarray, " pixels"]:
-    """The few pixels (their number in the picture) where depth steps up twice, or down twice.
-
-    The stride is the way to both neighbours: the width of the picture, or 1.
-    """
-    height, width = depth_m.shape
-    depth = depth_m.ravel()
-    found = []
-    for rows in bands(height):
-        first = max(rows.start * width - stride, 0)
-        part = depth[first : rows.stop * width + stride]
-        steps = part[stride:] - part[:-stride]
-        up, down = steps > LEAST_JUMP_M, steps < -LEAST_JUMP_M
-        twice = (up[stride:] & up[:-stride]) | (down[stride:] & down[:-stride])
-        found.append(np.flatnonzero(twice) + first + stride)
-    middle = np.concatenate(found)
-    # The last pixel of a row and the first one of the next are no neighbours.
-    column = middle % width
-    return middle[(stride == width) | ((column > 0) & (column < width - 1))]
 
 
 def hidden_pixels(

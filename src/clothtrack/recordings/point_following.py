@@ -5,7 +5,8 @@ windows are followed from each picture to the next (`optical_flow`). What is los
 a fold or in a fast move is looked for again as it was last seen. Plain cloth has nothing to follow.
 """
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.known_masks import KnownMasks
+from clothtrack.recordings.camera_view import LEAST_JUMP_M, CameraView, camera_views
 from clothtrack.recordings.numbered_points import NumberedPoints
 from clothtrack.recordings.optical_flow import (
     WINDOW_PX,
@@ -22,11 +23,10 @@ from clothtrack.recordings.optical_flow import (
     matched,
     moved_with,
 )
-from clothtrack.recordings.pictures import read_color, read_depth
-from clothtrack.recordings.point_cloud import LEAST_JUMP_M, FollowedPoints, flying_pixels
+from clothtrack.recordings.point_cloud import FollowedPoints
 from clothtrack.recordings.recognition import KeyPoints, Recogniser
 from clothtrack.recordings.recording import Frame, Recording
-from clothtrack.recordings.segmentation import Segmenter, default_segmenter, main_components
+from clothtrack.recordings.segmentation import Segmenter
 
 SPACING_PX = 10
 """At most one point is chosen per cell of this side [pixels]."""
@@ -64,51 +64,66 @@ STEEP_PX = 12.0
 slope but a step: a window there shows two layers."""
 
 
-def follow_points(
-    recording: Recording,
-    segmenter: Segmenter | None = None,
-    *,
-    masks: Mapping[int, KnownMasks] | None = None,
-) -> Mapping[int, FollowedPoints]:
-    """The points of the cloth that can be followed, by frame; chosen where actions begin.
+class PointFollower:
+    """The points of the cloth that can be followed, frame by frame; chosen where actions begin."""
 
-    Args:
-        recording: a recording of clouds has none.
-        segmenter: finds the cloth; the recording's masks, colour or height by default.
-        masks: get what it finds, by the index of the frame.
+    def __init__(self, recording: Recording, segmenter: Segmenter | None = None) -> None:
+        """Follow nothing yet.
 
-    Returns:
-        What is followed, by the index of the frame.
+        Args:
+            recording: a recording of clouds has nothing to follow.
+            segmenter: finds the cloth; the recording's masks, colour or height by default.
+        """
+        self._recording, self._segmenter = recording, segmenter
+        self._starts = {action.first_frame for action in recording.actions}
+        self._ends = {action.last_frame for action in recording.actions}
+        numbers = itertools.count()
+        self._followers = {camera.name: _Follower(camera, numbers) for camera in recording.cameras}
+        self._found: list[FollowedPoints] = []
 
-    Raises:
-        InvalidRecordingError: a picture cannot be read.
-    """
-    starts = {action.first_frame for action in recording.actions}
-    ends = {action.last_frame for action in recording.actions}
-    found: dict[int, list[FollowedPoints]] = {frame.index: [] for frame in recording.frames}
-    next_number = 0
-    for camera in recording.cameras:
-        follower = _Follower(camera, next_number)
-        for frame in recording.frames:
-            if not (camera.name in frame.color and camera.name in frame.depth):
-                continue
-            picture, mask = _Picture.read(recording, frame, camera, segmenter)
-            if masks is not None:
-                masks[frame.index].keep(camera, mask)
-            look = frame.index in starts | ends or frame.index % LOOK_AGAIN == 0
-            followed = follower.follow(picture, choose=frame.index in starts, look=look)
-            found[frame.index].append(followed)
-        next_number = follower.next_number
-    return {index: _together(parts) for index, parts in found.items()}
+    def knows(self, frame: Frame) -> bool:
+        """Whether a frame has been followed to: its pictures are not needed again."""
+        return frame.index < len(self._found)
+
+    def __call__(self, frame: Frame, views: Sequence[CameraView]) -> FollowedPoints:
+        """The points in a frame; those in the frames before it are followed first.
+
+        Args:
+            frame: one of the recording's.
+            views: what the cameras saw, with their colours where the frame is not known yet.
+
+        Raises:
+            InvalidRecordingError: a picture of a frame before cannot be read.
+        """
+        for skipped in self._recording.frames[len(self._found) : frame.index]:
+            self._follow(
+                skipped, camera_views(self._recording, skipped, self._segmenter, color=True)
+            )
+        if not self.knows(frame):
+            self._follow(frame, views)
+        return self._found[frame.index]
+
+    def _follow(self, frame: Frame, views: Sequence[CameraView]) -> None:
+        """Follow the points to the next frame."""
+        choose = frame.index in self._starts
+        look = choose or frame.index in self._ends or frame.index % LOOK_AGAIN == 0
+        parts = [
+            self._followers[view.camera.name].follow(
+                _Picture.of(view, view.color), choose=choose, look=look
+            )
+            for view in views
+            if view.color is not None
+        ]
+        self._found.append(_together(parts))
 
 
 def _together(parts: list[FollowedPoints]) -> FollowedPoints:
     if not parts:
         return FollowedPoints()
-    return FollowedPoints(
-        np.concatenate([part.numbers for part in parts]),
-        np.concatenate([part.positions for part in parts]),
-    )
+    numbers = np.concatenate([part.numbers for part in parts])
+    positions = np.concatenate([part.positions for part in parts])
+    order = np.argsort(numbers)
+    return FollowedPoints(numbers[order], positions[order])
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,25 +143,21 @@ class _Picture:
     clear: Bool[np.ndarray, "height width"]
 
     @classmethod
-    def read(
-        cls, recording: Recording, frame: Frame, camera: Camera, segmenter: Segmenter | None
-    ) -> "tuple[_Picture, Bool[np.ndarray, 'height width']]":
-        """Read a frame's pictures and find where windows may be compared; and the cloth's mask."""
-        color = read_color(frame.color[camera.name])
-        depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
-        find = segmenter or default_segmenter(recording, frame, camera)
-        mask = main_components(find(color, depth, camera, recording.table))
+    def of(cls, view: CameraView, color: UInt8[np.ndarray, "height width 3"]) -> "_Picture":
+        """Find where windows of what a camera saw may be compared."""
         window = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)
-        clear = cv2.erode(mask.view(np.uint8), window, borderValue=0).view(bool)
-        measured = ((depth > 0) & ~flying_pixels(depth, camera.fx)).astype(np.float32)
+        clear = cv2.erode(view.mask.view(np.uint8), window, borderValue=0).view(bool)
+        measured = (~view.blind).astype(np.float32)
         square = np.ones((SMOOTH_PX, SMOOTH_PX), np.uint8)
         share = cv2.blur(measured, square.shape)
-        smooth = cv2.blur(measured * depth.astype(np.float32), square.shape)
+        smooth = cv2.blur(measured * view.depth_m, square.shape)
         smooth /= np.maximum(share, 1e-6)
         step = cv2.dilate(smooth, square) - cv2.erode(smooth, square)
-        clear &= (share > LEAST_MEASURED) & (step < LEAST_JUMP_M + STEEP_PX / camera.fx * smooth)
+        clear &= (share > LEAST_MEASURED) & (
+            step < LEAST_JUMP_M + STEEP_PX / view.camera.fx * smooth
+        )
         gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-        return cls(gray, even_picture(gray, mask), smooth, clear), mask
+        return cls(gray, even_picture(gray, view.mask), smooth, clear)
 
     def noise_since(self, before: "_Picture | None") -> float:
         """Standard deviation [grey values]; most of what two pictures show stands still."""
@@ -210,8 +221,8 @@ class _Lost:
 class _Follower:
     """Follows the points that one camera sees."""
 
-    def __init__(self, camera: Camera, first_number: int) -> None:
-        self._camera, self.next_number = camera, first_number
+    def __init__(self, camera: Camera, numbers: Iterator[int]) -> None:
+        self._camera, self._numbers = camera, numbers
         self._recogniser = Recogniser()
         self._before: _Picture | None = None
         self._points = NumberedPoints.none()
@@ -290,8 +301,7 @@ class _Follower:
         self._points = points.with_neighbours(self._positions(points, picture), spread)
 
     def _new_numbers(self, count: int) -> Int[np.ndarray, " points"]:
-        self.next_number += count
-        return np.arange(self.next_number - count, self.next_number)
+        return np.fromiter(itertools.islice(self._numbers, count), np.int64, count)
 
 
 def _chosen(

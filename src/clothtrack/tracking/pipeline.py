@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,12 @@ from clothtrack.files.provenance import made_with
 from clothtrack.files.shared_work import Attempt, Executor, Share, attempts
 from clothtrack.files.work_folder import WorkFolder
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.recordings.camera_view import camera_views
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
-from clothtrack.recordings.known_masks import KnownMasks
-from clothtrack.recordings.point_cloud import FollowedPoints, Observation, observe
-from clothtrack.recordings.point_following import follow_points
+from clothtrack.recordings.point_cloud import Observation, observed
+from clothtrack.recordings.point_following import PointFollower
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
@@ -101,24 +101,19 @@ def observer(
         color: follow points of the cloth in the pictures, too.
     """
     longest = max((a.last_frame - a.first_frame for a in recording.actions), default=0)
+    follower = PointFollower(recording, segmenter) if color else None
 
     @lru_cache(maxsize=min(longest + 2, CLOUDS_KEPT))
-    def observed(frame_index: int) -> Observation:
+    def seen(frame_index: int) -> Observation:
         frame = recording.frames[frame_index]
-        points = followed()[frame_index] if color else FollowedPoints()
-        known = masks[frame_index]
-        # Whoever follows points has found the cloth in nearly every picture.
-        find = known if known.knows(frame.depth) else segmenter
-        seen = observe(recording, frame, find, spacing_m=spacing_m or None)
-        return replace(seen, followed=points)
+        looks = follower is not None and not follower.knows(frame)
+        views = camera_views(recording, frame, segmenter, color=looks)
+        observation = observed(recording, frame, views, spacing_m=spacing_m or None)
+        if follower is None:
+            return observation
+        return replace(observation, followed=follower(frame, views))
 
-    masks = {frame.index: KnownMasks() for frame in recording.frames}
-
-    @cache
-    def followed() -> Mapping[int, FollowedPoints]:
-        return follow_points(recording, segmenter, masks=masks)
-
-    return lambda frame: observed(frame.index)
+    return lambda frame: seen(frame.index)
 
 
 def track_recording(

@@ -26,7 +26,7 @@ from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_nois
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.training.batches import Draw
-from clothtrack.recordings.point_cloud import flying_pixels
+from clothtrack.recordings.camera_view import flying_pixels
 
 GarmentPart = TypeVar("GarmentPart")
 Drawn = TypeVar("Drawn")

@@ -1,0 +1,131 @@
+"""What each camera saw of the cloth in one frame: its pictures, read and segmented once.
+
+Decoding a picture costs as much as everything that is made of it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt8
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.pictures import bands, read_color, read_depth
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.recordings.segmentation import (
+    ColorSegmenter,
+    HeightSegmenter,
+    MaskFolder,
+    Segmenter,
+    default_segmenter,
+    main_components,
+)
+
+LEAST_JUMP_M = 0.004
+"""Depth that changes by less from one pixel to the next is noise [m]."""
+
+_COLOR_BLIND = (HeightSegmenter, MaskFolder)
+_MAIN_PARTS_ONLY = (ColorSegmenter, HeightSegmenter)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """What one camera saw of the cloth in one frame.
+
+    Attributes:
+        camera: the camera.
+        color: its colour picture, red first; None where there is none, or nobody looks at it.
+        depth_m: its depth picture [m]; 0 where nothing was measured.
+        mask: where the cloth is.
+        blind: where nothing was measured, or two surfaces are mixed.
+    """
+
+    camera: Camera
+    color: UInt8[np.ndarray, "height width 3"] | None
+    depth_m: Float32[np.ndarray, "height width"]
+    mask: Bool[np.ndarray, "height width"]
+    blind: Bool[np.ndarray, "height width"]
+
+
+def camera_views(
+    recording: Recording,
+    frame: Frame,
+    segmenter: Segmenter | None = None,
+    *,
+    color: bool = False,
+    largest_component: bool = True,
+    drop_flying: bool = True,
+) -> tuple[CameraView, ...]:
+    """What the cameras saw that have a depth picture of this frame.
+
+    Args:
+        recording: the recording.
+        frame: one of its frames.
+        segmenter: finds the cloth; left out, masks, colour hint or height do
+            (`default_segmenter`).
+        color: read the colour pictures that the segmenter does not look at, too.
+        largest_component: keep the largest connected part of each mask, and parts of at least a
+            quarter of its size.
+        drop_flying: pixels in mid-air between a surface and what lies behind it are blind.
+
+    Raises:
+        InvalidRecordingError: a picture cannot be read.
+    """
+    views = []
+    for camera in recording.cameras:
+        if camera.name not in frame.depth:
+            continue
+        depth_m = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
+        find = segmenter or default_segmenter(recording, frame, camera)
+        looks = camera.name in frame.color and (color or not isinstance(find, _COLOR_BLIND))
+        picture = read_color(frame.color[camera.name]) if looks else None
+        mask = find(picture, depth_m, camera, recording.table)
+        if largest_component and not isinstance(find, _MAIN_PARTS_ONLY):
+            mask = main_components(mask)
+        blind = depth_m == 0
+        if drop_flying:
+            blind |= flying_pixels(depth_m, camera.fx)
+        views.append(CameraView(camera, picture, depth_m, mask, blind))
+    return tuple(views)
+
+
+def flying_pixels(
+    depth_m: Float[np.ndarray, "height width"], focal_px: float
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels that mix two surfaces: depth climbs past them steeply, on both sides the same way.
+
+    Steep is more than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of
+    noise. A pixel on the rim of a surface has a jump on one side only, and stays.
+    """
+    flying = np.zeros(depth_m.size, dtype=bool)
+    depth = depth_m.ravel()
+    for stride in (depth_m.shape[1], 1):
+        middle = _stepping_twice(depth_m, stride)
+        back, here, front = depth[middle - stride], depth[middle], depth[middle + stride]
+        limit = (6.0 / focal_px) * here + LEAST_JUMP_M
+        climbs = (here - back > limit) & (front - here > limit) & (back > 0)
+        falls = (here - back < -limit) & (front - here < -limit) & (front > 0)
+        flying[middle] |= climbs | falls
+    return flying.reshape(depth_m.shape)
+
+
+def _stepping_twice(
+    depth_m: Float[np.ndarray, "height width"], stride: int
+) -> Int[np.ndarray, " pixels"]:
+    """The few pixels (their number in the picture) where depth steps up twice, or down twice.
+
+    The stride is the way to both neighbours: the width of the picture, or 1.
+    """
+    height, width = depth_m.shape
+    depth = depth_m.ravel()
+    found = []
+    for rows in bands(height):
+        first = max(rows.start * width - stride, 0)
+        part = depth[first : rows.stop * width + stride]
+        steps = part[stride:] - part[:-stride]
+        up, down = steps > LEAST_JUMP_M, steps < -LEAST_JUMP_M
+        twice = (up[stride:] & up[:-stride]) | (down[stride:] & down[:-stride])
+        found.append(np.flatnonzero(twice) + first + stride)
+    middle = np.concatenate(found)
+    # The last pixel of a row and the first one of the next are no neighbours.
+    column = middle % width
+    return middle[(stride == width) | ((column > 0) & (column < width - 1))]
