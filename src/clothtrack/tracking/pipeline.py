@@ -40,8 +40,9 @@ from clothtrack.tracking.tracker import Tracker
 
 logger = logging.getLogger(__name__)
 
-CLOUDS_KEPT = 128
-"""Most clouds in memory, however long an action is: some 50 MB with pictures of 640 x 480."""
+CLOUDS_KEPT = 256
+"""Most clouds in memory, however long an action is: some 100 MB with pictures of 640 x 480. What a
+search needs again and is not among them is read and segmented once more."""
 
 PARTS = tuple(part.name for part in fields(Parts))
 """The parts of Algorithm 1 that a caller may replace (`tracking.seams.Parts`)."""
