@@ -115,10 +115,10 @@ def observe(
     views = camera_views(
         recording, frame, segmenter, largest_component=largest_component, drop_flying=drop_flying
     )
-    return observed(recording, frame, views, spacing_m=spacing_m, stray_share=stray_share)
+    return observation_of(recording, frame, views, spacing_m=spacing_m, stray_share=stray_share)
 
 
-def observed(
+def observation_of(
     recording: Recording,
     frame: Frame,
     views: Sequence[CameraView],
@@ -126,7 +126,18 @@ def observed(
     spacing_m: float | None = 0.004,
     stray_share: float = STRAY_SHARE,
 ) -> Observation:
-    """The same of what the cameras saw (`camera_views`)."""
+    """Points of the cloth in the world, from what the cameras saw or from the frame's cloud.
+
+    Args:
+        recording: the recording.
+        frame: one of its frames.
+        views: what its cameras saw (`camera_views`).
+        spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
+        stray_share: clusters of less than this share of the points are dropped; 0 keeps all.
+
+    Raises:
+        InvalidRecordingError: the cloud cannot be read, or no cloth is found.
+    """
     clouds: list[Float[np.ndarray, "points 3"]] = []
     hidden: dict[str, Bool[np.ndarray, "height width"]] = {}
     pixel_m = 0.0

@@ -26,7 +26,7 @@ from clothtrack.recordings.camera_view import camera_views
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
-from clothtrack.recordings.point_cloud import Observation, observed
+from clothtrack.recordings.point_cloud import Observation, observation_of
 from clothtrack.recordings.point_following import PointFollower
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
@@ -109,7 +109,7 @@ def observer(
         frame = recording.frames[frame_index]
         looks = follower is not None and not follower.knows(frame)
         views = camera_views(recording, frame, segmenter, color=looks)
-        observation = observed(recording, frame, views, spacing_m=spacing_m or None)
+        observation = observation_of(recording, frame, views, spacing_m=spacing_m or None)
         if follower is None:
             return observation
         return replace(observation, followed=follower(frame, views))
