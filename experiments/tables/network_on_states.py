@@ -46,7 +46,8 @@ from clothtrack.reconstruction import (
     open_states,
     read_shard,
 )
-from clothtrack.reconstruction.data.state_examples import RenderConfig, render
+from clothtrack.reconstruction.data.render_config import RenderConfig
+from clothtrack.reconstruction.data.state_examples import render
 from clothtrack.reconstruction.from_picture import figures_of
 from clothtrack.recordings import Table
 from clothtrack.report.viewpoint import three_quarter_view

@@ -8,8 +8,9 @@ import torch
 
 from clothtrack.reconstruction.canonical_frame import canonical_frame
 from clothtrack.reconstruction.data.examples import ExampleConfig, collate
+from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.reconstruction.data.state_examples import RenderConfig, StateExamples
+from clothtrack.reconstruction.data.state_examples import StateExamples
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.data.winding import WindingConfig
 from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser

@@ -9,8 +9,9 @@ from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.reconstruction.data.examples import ExampleConfig, Garment, collate, draw_example
+from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.reconstruction.data.state_examples import RenderConfig, StateExamples, render
+from clothtrack.reconstruction.data.state_examples import StateExamples, render
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.data.winding import WindingConfig, winding_numbers

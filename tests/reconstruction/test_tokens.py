@@ -12,8 +12,9 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import published_weights
 from clothtrack.reconstruction.data.crumpling import CrumplingConfig
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.reconstruction.data.state_examples import RenderConfig, render
+from clothtrack.reconstruction.data.state_examples import render
 from clothtrack.reconstruction.data.state_store import open_states
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.depth_input import DepthInput

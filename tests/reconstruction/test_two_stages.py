@@ -54,7 +54,8 @@ def towels(tmp_path, monkeypatch):
 
 def labels_of(folder, count=3):
     mesh = garment("towel", vertex_count=150)
-    from clothtrack.reconstruction.data.state_examples import RenderConfig, render
+    from clothtrack.reconstruction.data.render_config import RenderConfig
+    from clothtrack.reconstruction.data.state_examples import render
 
     flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
     for number in range(count):

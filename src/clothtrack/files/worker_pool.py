@@ -15,7 +15,6 @@ from types import FrameType
 from typing import TypeVar
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.geometry.devices import quiet_warp
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -48,6 +47,9 @@ def start_worker() -> None:
 
     Call it in the worker. A parent that was killed cannot end its workers.
     """
+    # Training imports this module where Warp is not installed, and starts no worker there.
+    from clothtrack.geometry.devices import quiet_warp
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         # The thread below waits its turn while compiled code computes; the kernel does not.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 from clothtrack.reconstruction.data.examples import ExampleConfig
-from clothtrack.reconstruction.data.state_examples import RenderConfig
+from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.training.training_config import (
     STAGES,
     TrainingConfig,

@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.visibility import Rasteriser
 
 JUMP_M = 0.02
 """Neighbouring pixels further apart than this [m] are not joined: one hides what is between."""
@@ -21,8 +20,11 @@ JUMP_M = 0.02
 LEAST_PIXELS = 16
 """A picture with fewer pixels of cloth [pixels] shows no cloth."""
 
-_OUTLIERS = 0.5
-_CLEAR = 1.5
+OUTLIERS = 0.5
+"""Share of the points beyond either end of the cloth's extent [%]: specks of noise."""
+
+CLEAR = 1.5
+"""The virtual camera is this much higher than the cloth, at least."""
 
 
 @runtime_checkable
@@ -95,7 +97,7 @@ def view_camera(points: Float[np.ndarray, "points 3"], config: ViewConfig) -> Ca
         points: points of the cloth [m], world, z up.
         config: lens, margin and size of the picture.
     """
-    low, high = np.percentile(points, [_OUTLIERS, 100.0 - _OUTLIERS], axis=0)
+    low, high = np.percentile(points, [OUTLIERS, 100.0 - OUTLIERS], axis=0)
     middle = 0.5 * (low + high)
     side = max(float((high - low)[:2].max()) * (1.0 + 2.0 * config.view_margin),
                config.least_view_m)  # fmt: skip
@@ -104,9 +106,9 @@ def view_camera(points: Float[np.ndarray, "points 3"], config: ViewConfig) -> Ca
     # The plane of the lowest points is the table, or nearly so, and fills the picture exactly.
     # Cloth that is lifted stays in the picture, and below the camera.
     out, up = np.abs(points[:, :2] - middle[:2]).max(axis=1), points[:, 2] - low[2]
-    in_view_m = np.percentile(out / np.tan(half_angle) + up, 100.0 - _OUTLIERS)
+    in_view_m = np.percentile(out / np.tan(half_angle) + up, 100.0 - OUTLIERS)
     above_m = max(
-        0.5 * side / np.tan(half_angle), float(in_view_m), _CLEAR * float(high[2] - low[2])
+        0.5 * side / np.tan(half_angle), float(in_view_m), CLEAR * float(high[2] - low[2])
     )
     pose[:3, 3] = middle[0], middle[1], low[2] + above_m
     size = config.image_size
@@ -136,6 +138,9 @@ def crop(
         InvalidRecordingError: when picture, mask and camera differ in size, the depth is not in
             metres, or there is no cloth in it.
     """
+    # Batches are cropped without Warp (`batch_view.py`), where it may not be installed.
+    from clothtrack.geometry.visibility import Rasteriser
+
     shown = _cloth_shown(depth_m, mask, camera)
     points = camera.back_project(depth_m, shown)
     above = view_camera(points, config)

@@ -1,0 +1,56 @@
+"""The cameras that simulated states are seen by, and how badly their sensors measure."""
+
+from dataclasses import dataclass, field
+
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
+
+
+def _structured_light() -> SensorConfig:
+    """A camera of the Kinect v1 and Xtion kind: steps of 3 mm at 1 m, wide shadows, no wave."""
+    return SensorConfig(
+        white_m=0.0005, wave_m=0.001, disparity_step_m=0.0017, edge_dropout=0.8, edge_mixing=0.1
+    )
+
+
+def _time_of_flight() -> SensorConfig:
+    """A camera of the Kinect v2 and Azure kind: fine steps, and edges that mix both depths."""
+    return SensorConfig(
+        white_m=0.0015, wave_m=0.002, edge_dropout=0.1, edge_mixing=0.9, grazing_dropout=0.3
+    )
+
+
+@dataclass(frozen=True)
+class RenderConfig:
+    """The cameras that a simulated state is seen by. Pairs of numbers are bounds of an even draw.
+
+    Attributes:
+        distance: from the camera to the middle of the cloth, over the cloth's extent.
+        least_distance_m, usual_m: no camera is nearer than the one, nor farther than the other
+            unless the cloth is too large for it [m].
+        focal: focal length [pixels].
+        offset: the optical axis passes the middle of the cloth by up to this, over its extent.
+        tilt_deg: standard deviation of the optical axis from the vertical [deg].
+        tilted, most_tilt_deg: share of cameras that look from aside, by any angle up to this [deg].
+        stereo, structured_light, time_of_flight: how badly each of three kinds of sensor measures,
+            on average; they come equally often.
+        noise_range: the sensor's noise and drop-out are multiplied by a number between these.
+        mask_jitter: probability that the mask is some pixels too large, and that it is too small.
+        tool: share of pictures in which a tool or a hand hides part of the cloth.
+        cut: share of pictures whose border cuts part of the cloth off.
+    """
+
+    distance: tuple[float, float] = (1.2, 2.8)
+    least_distance_m: float = 0.45
+    usual_m: float = 1.6
+    focal: tuple[float, float] = (200.0, 450.0)
+    offset: float = 0.3
+    tilt_deg: float = 4.0
+    tilted: float = 0.25
+    most_tilt_deg: float = 35.0
+    stereo: SensorConfig = field(default_factory=SensorConfig)
+    structured_light: SensorConfig = field(default_factory=_structured_light)
+    time_of_flight: SensorConfig = field(default_factory=_time_of_flight)
+    noise_range: tuple[float, float] = (0.0, 2.0)
+    mask_jitter: float = 0.15
+    tool: float = 0.15
+    cut: float = 0.08
