@@ -16,15 +16,15 @@ from clothtrack.reconstruction.data.state_store import StateSet, StateShard
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
+from clothtrack.reconstruction.tokens.token_pictures import (
+    CUT,
+    PIXELS,
+    SIZE_ERROR,
+    TABLE_ERROR,
+)
 from clothtrack.reconstruction.tokens.token_stage import TokenExample
 from clothtrack.reconstruction.training.batches import Draw
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
-
-PIXELS = 512
-"""Pixels per example that are asked for their name."""
-
-CUT = 0.05
-"""A pixel farther from the mesh than this, over the garment's size, has no name."""
 
 LEAST_NAMED = 0.05
 """A label whose mesh names a smaller share of the measured pixels lies elsewhere: left out."""
@@ -36,12 +36,6 @@ Labels come from few recordings. What their sensor cut away, others may show, an
 
 MOST_LOW, MOST_BEYOND = 0.6, 0.3
 """Largest shares of the measured pixels that are missing then."""
-
-TABLE_ERROR = 0.008
-"""Standard deviation of the table's height, over the garment's size: planes are fitted."""
-
-SIZE_ERROR = 0.02
-"""Standard deviation of the size that the network is told, over the size: tapes and flats lie."""
 
 
 class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):

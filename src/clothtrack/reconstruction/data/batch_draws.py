@@ -1,0 +1,197 @@
+"""Everything about the pictures of a batch that is random, but for the noise of single pixels.
+
+Drawn on the processor whatever the device, a few dozen numbers per picture: the same seed gives the
+same cameras and hands on a CPU and on a GPU.
+"""
+
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Generator, Tensor
+
+from clothtrack.reconstruction.data.render_config import RenderConfig
+
+HELD_HEIGHT = 0.3
+"""Cloth that is higher than this, over its extent, is lifted: something holds it at its top."""
+
+HELD = 0.7
+"""How often what holds lifted cloth hides part of it."""
+
+TIP_RADIUS = (0.02, 0.08)
+"""Bounds of half the width of a tool or a hand, over the cloth's extent."""
+
+MOST_CUT = 0.25
+"""Largest share of the cloth that the picture's border cuts off."""
+
+WAVES = (5, 6)
+"""Rows and columns of the coarse field that the slowly varying error is interpolated in."""
+
+_FACING_DOWN = (1.0, -1.0, -1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Scenes:
+    """Cameras, sensors and what is in the way, of one picture each.
+
+    Attributes:
+        rotation, position: of the camera, in the world [m]; columns are its axes.
+        focal: focal length [pixels].
+        white_m, wave_m, disparity_step_m, step_m: as in `SensorConfig`, and so are the next five.
+        dropout, grazing_dropout, edge_dropout, edge_mixing, edge_step_m: as there.
+        wave: coarse field of the slowly varying error, in standard deviations.
+        grown: pixels by which the mask is too large; negative: too small.
+        tip: which vertex a tool or a hand is at, from 0 to 1; negative: there is none.
+        tip_radius_m: half of its width [m].
+        tip_angle: where it comes from in the picture [rad].
+        reaches: whether it comes from beyond the picture's border.
+        cut_side: which side of the picture is cut off, 0 to 3; negative: none.
+        cut_share: share of the cloth that goes with it.
+    """
+
+    rotation: Float[Tensor, "batch 3 3"]
+    position: Float[Tensor, "batch 3"]
+    focal: Float[Tensor, " batch"]
+    white_m: Float[Tensor, " batch"]
+    wave_m: Float[Tensor, " batch"]
+    disparity_step_m: Float[Tensor, " batch"]
+    step_m: Float[Tensor, " batch"]
+    dropout: Float[Tensor, " batch"]
+    grazing_dropout: Float[Tensor, " batch"]
+    edge_dropout: Float[Tensor, " batch"]
+    edge_mixing: Float[Tensor, " batch"]
+    edge_step_m: Float[Tensor, " batch"]
+    wave: Float[Tensor, "batch down across"]
+    grown: Int[Tensor, " batch"]
+    tip: Float[Tensor, " batch"]
+    tip_radius_m: Float[Tensor, " batch"]
+    tip_angle: Float[Tensor, " batch"]
+    reaches: Bool[Tensor, " batch"]
+    cut_side: Int[Tensor, " batch"]
+    cut_share: Float[Tensor, " batch"]
+
+    def to(self, device: str | torch.device) -> "Scenes":
+        """The same on another device."""
+        return Scenes(**{one.name: getattr(self, one.name).to(device) for one in fields(self)})
+
+    def chosen(self, which: Int[Tensor, " chosen"]) -> "Scenes":
+        """Some of them."""
+        return Scenes(
+            **{one.name: getattr(self, one.name).index_select(0, which) for one in fields(self)}
+        )
+
+
+def draw_scenes(
+    low: Float[Tensor, "batch 3"],
+    high: Float[Tensor, "batch 3"],
+    config: RenderConfig,
+    generator: Generator,
+) -> Scenes:
+    """Draw a camera and what is in its way for each cloth.
+
+    Args:
+        low: least coordinates of the cloth in the world [m], on the processor.
+        high: largest ones.
+        config: the cameras.
+        generator: of the processor.
+    """
+    count, extent = len(low), (high - low)[:, :2].amax(1)
+    even = _Even(count, generator)
+    rotation = _tilted_down(config, even)
+    cameras = {
+        "rotation": rotation,
+        "position": _positions(low, high, -rotation[:, :, 2], config, even),
+        "focal": even.between(*config.focal),
+    }
+    in_the_air = high[:, 2] > HELD_HEIGHT * extent
+    shown = even() < torch.where(in_the_air, HELD, config.tool)
+    # Lifted cloth is held at its top, which is where the share of 1 leads.
+    tip = torch.where(in_the_air, torch.ones(count), even() * (1.0 - 1e-6))
+    grown = torch.floor(even.between(1.0, 4.0)).int()
+    way = even()
+    is_cut = even() < config.cut
+    return Scenes(
+        **{name: value.float() for name, value in cameras.items()},
+        **_sensors(config, even),
+        wave=torch.randn(count, *WAVES, generator=generator),
+        grown=torch.where(
+            way < config.mask_jitter, grown, torch.where(way < 2.0 * config.mask_jitter, -grown, 0)
+        ),
+        tip=torch.where(shown, tip, -1.0).float(),
+        tip_radius_m=(extent * even.between(*TIP_RADIUS)).float(),
+        tip_angle=(2.0 * torch.pi * even()).float(),
+        reaches=even() >= 0.5,
+        cut_side=torch.where(is_cut, torch.floor(4.0 * even()).int(), -1),
+        cut_share=even.between(0.0, MOST_CUT).float(),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Even:
+    """Even draws from 0 to 1 for a number of pictures."""
+
+    count: int
+    generator: Generator
+
+    def __call__(self) -> Float[Tensor, " batch"]:
+        return torch.rand(self.count, generator=self.generator, dtype=torch.float64)
+
+    def between(self, low: float, high: float) -> Float[Tensor, " batch"]:
+        return low + (high - low) * self()
+
+
+def _tilted_down(config: RenderConfig, even: _Even) -> Float[Tensor, "batch 3 3"]:
+    """Axes of cameras that look down, most of them nearly straight."""
+    tilt = torch.randn(even.count, 2, generator=even.generator, dtype=torch.float64)
+    tilt = torch.deg2rad(torch.tensor(config.tilt_deg)) * tilt
+    heading, angle = 2.0 * torch.pi * even(), torch.deg2rad(even.between(0, config.most_tilt_deg))
+    aside = angle[:, None] * torch.stack([heading.cos(), heading.sin()], 1)
+    tilt = torch.where((even() < config.tilted)[:, None], aside, tilt)
+    angle = tilt.norm(dim=1).clamp(min=1e-12)
+    x, y = (tilt / angle[:, None]).unbind(1)
+    sine, cosine = angle.sin(), angle.cos()
+    rest = 1.0 - cosine
+    rows = [
+        cosine + x * x * rest, x * y * rest, y * sine,
+        x * y * rest, cosine + y * y * rest, -x * sine,
+        -y * sine, x * sine, cosine,
+    ]  # fmt: skip
+    turned = torch.stack(rows, 1).view(-1, 3, 3)
+    return torch.tensor(_FACING_DOWN, dtype=torch.float64)[:, None] * turned
+
+
+def _positions(
+    low: Float[Tensor, "batch 3"],
+    high: Float[Tensor, "batch 3"],
+    backwards: Float[Tensor, "batch 3"],
+    config: RenderConfig,
+    even: _Even,
+) -> Float[Tensor, "batch 3"]:
+    """Where the cameras stand [m], from the cloth's extent and the direction away from it."""
+    extent = (high - low)[:, :2].amax(1).double()
+    target = 0.5 * (low + high).double()
+    target[:, 0] += extent * even.between(-config.offset, config.offset)
+    target[:, 1] += extent * even.between(-config.offset, config.offset)
+    distance = extent * even.between(*config.distance)
+    distance = torch.minimum(distance, (1.2 * extent).clamp(min=config.usual_m))
+    # Clear of cloth that is lifted towards it, too.
+    distance = distance.clamp(min=config.least_distance_m) + 0.5 * (high - low)[:, 2]
+    return target + distance[:, None] * backwards
+
+
+def _sensors(config: RenderConfig, even: _Even) -> dict[str, Float[Tensor, " batch"]]:
+    """Sensors on a better or a worse day, of three kinds."""
+    kinds = (config.stereo, config.structured_light, config.time_of_flight)
+    scale = even.between(*config.noise_range).float()
+    kind = torch.floor(len(kinds) * even()).long()
+
+    def of(name: str) -> Float[Tensor, " batch"]:
+        return torch.tensor([float(getattr(one, name)) for one in kinds])[kind]
+
+    found = {name: of(name) for name in _FIXED}
+    found |= {name: scale * of(name) for name in ("white_m", "wave_m")}
+    return found | {name: (scale * of(name)).clamp(max=1.0) for name in _LOST}
+
+
+_FIXED = ("disparity_step_m", "step_m", "edge_mixing", "edge_step_m")
+_LOST = ("dropout", "grazing_dropout", "edge_dropout")

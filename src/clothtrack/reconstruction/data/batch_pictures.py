@@ -1,0 +1,196 @@
+"""Pictures of many states at once, by cameras above them that measure badly.
+
+What `state_examples.py: render` does for one state, on any device that PyTorch computes on and
+without Warp. Positions are in the frame of each picture's camera until the network's picture is
+taken, so that mirroring and turning the world costs nothing.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Generator, Tensor
+
+from clothtrack.reconstruction.data.batch_draws import Scenes
+from clothtrack.reconstruction.data.batch_raster import Projected, nearest_faces, unpacked
+from clothtrack.reconstruction.data.batch_sensor import (
+    cut_off,
+    flying,
+    hidden_by_tools,
+    jittered,
+    measured_depth,
+    waves,
+)
+
+MARGIN_PIXELS = 6
+"""Free space around the cloth in a picture [pixels]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloths:
+    """Cloths before their cameras; all have as many vertices and faces as the largest.
+
+    Attributes:
+        local: vertices in the frame of the camera [m]; those of a smaller one come again.
+        faces: vertices of each face, the first, second and third corner of all; those that only
+            fill up have three times the same.
+        scenes: cameras, and what is in their way.
+        first: column and row from the principal point where each picture begins [pixels].
+        size: columns and rows of each picture [pixels].
+    """
+
+    local: Float[Tensor, "batch vertices 3"]
+    faces: Int[Tensor, "batch 3 faces"]
+    scenes: Scenes
+    first: Float[Tensor, "batch 2"]
+    size: Int[Tensor, "batch 2"]
+
+    @classmethod
+    def before(
+        cls,
+        positions: Float[Tensor, "batch vertices 3"],
+        faces: Int[Tensor, "batch 3 faces"],
+        scenes: Scenes,
+    ) -> "Cloths":
+        """Cloths before the cameras of their scenes.
+
+        Args:
+            positions: vertices in the world [m].
+            faces: as the attribute.
+            scenes: with cameras that all vertices are before.
+        """
+        local = (positions - scenes.position[:, None]) @ scenes.rotation
+        seen = local[..., :2] / local[..., 2:] * scenes.focal[:, None, None]
+        first = seen.amin(1).floor_() - MARGIN_PIXELS
+        size = (seen.amax(1).ceil_() + MARGIN_PIXELS - first).long() + 1
+        return cls(local, faces, scenes, first, size)
+
+    def chosen(self, which: Int[Tensor, " chosen"]) -> "Cloths":
+        """Some of them."""
+        rows = (self.local, self.faces, self.first, self.size)
+        local, faces, first, size = (one.index_select(0, which) for one in rows)
+        return Cloths(local, faces, self.scenes.chosen(which), first, size)
+
+    def parts(self, most_pixels: int) -> Iterator[Int[Tensor, " part"]]:
+        """Which of them to draw together: such as have pictures of much the same size.
+
+        Args:
+            most_pixels: of the pictures of a part, but that a part has at least one.
+        """
+        sizes = self.size.cpu()
+        order = sizes.prod(1).argsort()
+        part: list[int] = []
+        width = height = 0
+        for one in order.tolist():
+            wide, high = max(width, int(sizes[one, 0])), max(height, int(sizes[one, 1]))
+            if part and (len(part) + 1) * wide * high > most_pixels:
+                yield torch.tensor(part, device=self.size.device)
+                part, wide, high = [], int(sizes[one, 0]), int(sizes[one, 1])
+            part, width, height = [*part, one], wide, high
+        yield torch.tensor(part, device=self.size.device)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Depth pictures of cloths, all of one size: columns and rows beyond a picture's own are table.
+
+    Attributes:
+        cloths: what they show.
+        depth: measured depth [m]; 0 where nothing was measured.
+        mask: where the cloth is thought to be, and was measured.
+        face: which face each pixel shows; -1 where none does.
+        across, down: the line of sight of each column and row at depth 1.
+    """
+
+    cloths: Cloths
+    depth: Float[Tensor, "batch height width"]
+    mask: Bool[Tensor, "batch height width"]
+    face: Int[Tensor, "batch height width"]
+    across: Float[Tensor, "batch width"]
+    down: Float[Tensor, "batch height"]
+
+
+def measure(cloths: Cloths, generator: Generator) -> Measured:
+    """Take pictures of cloths on the table z = 0.
+
+    Args:
+        cloths: before their cameras.
+        generator: of the sensors' noise, of the device of the cloths.
+    """
+    scenes = cloths.scenes
+    width, height = (int(one) for one in cloths.size.amax(0))
+    device = cloths.local.device
+    columns, rows = torch.arange(width, device=device), torch.arange(height, device=device)
+    across = (columns[None] + cloths.first[:, :1]) / scenes.focal[:, None]
+    down = (rows[None] + cloths.first[:, 1:]) / scenes.focal[:, None]
+    perfect, face, facing = _perfect_depth(cloths, across, down)
+    wide, high = cloths.size.float().unbind(1)
+    wave = waves(scenes.wave, high, wide, (height, width))
+    depth = measured_depth(perfect, facing, wave, scenes, generator)
+    mask = jittered(face >= 0, scenes.grown)
+    mask.logical_and_(depth > 0.0).logical_and_(flying(depth, scenes.focal).logical_not_())
+    hidden = _hidden(cloths, mask)
+    return Measured(cloths, depth, mask.logical_and_(hidden.logical_not_()), face, across, down)
+
+
+def _perfect_depth(
+    cloths: Cloths, across: Float[Tensor, "batch width"], down: Float[Tensor, "batch height"]
+) -> tuple[
+    Float[Tensor, "batch height width"],
+    Int[Tensor, "batch height width"],
+    Float[Tensor, "batch height width"],
+]:
+    """Depth [m] of cloth and table, faces, and how squarely the line of sight meets them."""
+    scenes, local = cloths.scenes, cloths.local
+    count, vertices = local.shape[:2]
+    shape = (count, down.shape[1], across.shape[1])
+    inverse = local[..., 2].reciprocal()
+    seen = local[..., :2] * inverse[..., None] * scenes.focal[:, None, None]
+    seen = seen - cloths.first[:, None]
+    points = Projected(*(one.reshape(-1) for one in (seen[..., 0], seen[..., 1], inverse)))
+    number = torch.arange(count, device=local.device)
+    corners = (cloths.faces + (number * vertices)[:, None, None]).transpose(0, 1).reshape(3, -1)
+    picture = number.repeat_interleave(cloths.faces.shape[2])
+    drawn, face = unpacked(nearest_faces(points, corners, picture, shape))
+    # How far the plane of each face is from the camera; the table's height for what shows none.
+    a, b, c = (local.view(-1, 3).index_select(0, corner) for corner in corners)
+    normal = torch.linalg.cross(b - a, c - a)
+    plane = (normal * a).sum(1).abs_() / normal.norm(dim=1).clamp_(min=1e-12)
+    tall = scenes.position[:, 2]
+    shown = face >= 0
+    plane = torch.where(
+        shown.view(shape),
+        plane.index_select(0, face.clamp(min=0)).view(shape),
+        tall[:, None, None],
+    )
+    # The table: the world's height falls along the line of sight.
+    tilt = scenes.rotation[:, 2]
+    slope = (tilt[:, :1] * across)[:, None] + (tilt[:, 1:2] * down + tilt[:, 2:])[..., None]
+    table = tall[:, None, None] / slope.neg_().clamp_(min=1e-3)
+    depth = torch.where(shown.view(shape), drawn.view(shape), table)
+    length = (across.square()[:, None] + (down.square() + 1.0)[..., None]).sqrt_()
+    facing = plane.div_(length.mul_(depth))
+    # Faces count from 0 in each picture.
+    face = face.view(shape).sub_((number * cloths.faces.shape[2])[:, None, None])
+    return depth, torch.where(shown.view(shape), face, -1), facing
+
+
+def _hidden(
+    cloths: Cloths, masks: Bool[Tensor, "batch height width"]
+) -> Bool[Tensor, "batch height width"]:
+    """What tools and hands hide, and what the pictures' borders cut off."""
+    scenes, found = cloths.scenes, cut_off(masks, cloths.scenes.cut_side, cloths.scenes.cut_share)
+    chosen = (scenes.tip >= 0.0).nonzero()[:, 0]
+    held = cloths.chosen(chosen)
+    # The share of 1 is the highest vertex, any other one a vertex by its number.
+    local, camera = held.local, held.scenes
+    height = (local * camera.rotation[:, 2, None]).sum(2)
+    count = local.shape[1]
+    number = (camera.tip * count).long().clamp_(max=count - 1)
+    number = torch.where(camera.tip < 1.0, number, height.argmax(1))
+    tip = local.gather(1, number[:, None, None].expand(-1, 1, 3))[:, 0]
+    pixel = (tip[:, :2] / tip[:, 2:] * camera.focal[:, None] - held.first).round_()
+    radius = camera.focal / tip[:, 2].clamp(min=0.1) * camera.tip_radius_m
+    by_tools = hidden_by_tools(pixel, radius, camera, (masks.shape[1], masks.shape[2]))
+    return found.index_copy_(0, chosen, by_tools.logical_or_(found.index_select(0, chosen)))

@@ -1,0 +1,185 @@
+"""The network's pictures of a batch: each cloth as a virtual camera straight above would see it.
+
+The same as `view.py: crop`, on any device that PyTorch computes on and without Warp: measured
+pixels are joined to a surface, and the virtual camera draws its triangles.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from clothtrack.reconstruction.data.batch_pictures import Measured
+from clothtrack.reconstruction.data.batch_raster import Projected, nearest_faces, unpacked
+from clothtrack.reconstruction.data.view import (
+    CLEAR,
+    JUMP_M,
+    LEAST_PIXELS,
+    OUTLIERS,
+    ViewConfig,
+)
+
+LATTICE = 64
+"""The virtual camera's place is that of so many rows and columns of measured pixels, evenly taken:
+a percentile of a thousand points is within a pixel of the network's picture of that of all."""
+
+_DOWNWARDS = (1.0, -1.0, -1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """The network's pictures.
+
+    Attributes:
+        depth: distance along the optical axis of the virtual camera [m]; 0 where no cloth is.
+        position: of the virtual camera in the world [m].
+        rotation: from directions in the real camera's frame to those in the virtual one's, which
+            is mirrored where the world is.
+        shift: where the real camera is in the virtual one's frame [m].
+        focal: of the virtual camera [pixels].
+        is_cloth: whether enough cloth was measured to make a picture of.
+    """
+
+    depth: Float[Tensor, "batch size size"]
+    position: Float[Tensor, "batch 3"]
+    rotation: Float[Tensor, "batch 3 3"]
+    shift: Float[Tensor, "batch 3"]
+    focal: float
+    is_cloth: Bool[Tensor, " batch"]
+
+    def points(self, pixels: Int[Tensor, "batch asked 2"]) -> Float[Tensor, "batch asked 3"]:
+        """Where pixels (row, column) were measured, in the frame of the real camera [m]."""
+        rows, columns = pixels.unbind(2)
+        size = self.depth.shape[1]
+        depth = self.depth.flatten(1).gather(1, rows * size + columns)
+        middle = 0.5 * (size - 1)
+        x, y = (columns - middle) / self.focal * depth, (rows - middle) / self.focal * depth
+        return (torch.stack([x, y, depth], 2) - self.shift[:, None]) @ self.rotation
+
+
+def above(
+    measured: Measured,
+    world: Float[Tensor, "batch 3 3"],
+    config: ViewConfig,
+) -> Views:
+    """The network's pictures of measured depth.
+
+    Args:
+        measured: depth pictures of real cameras.
+        world: what is done to the world of each first: a turn about the vertical, or a mirror
+            image of one.
+        config: of the network.
+    """
+    scenes = measured.cloths.scenes
+    to_world = world @ scenes.rotation
+    origin = (world @ scenes.position[..., None])[..., 0]
+    position = _camera_positions(measured, to_world, origin, config)
+    down = torch.tensor(_DOWNWARDS, device=position.device)
+    rotation = down[:, None] * to_world
+    shift = down * (origin - position)
+    size = config.image_size
+    focal = 0.5 * size / math.tan(math.radians(config.field_of_view_deg) / 2.0)
+    points = _seen_from(measured, rotation, shift, focal, 0.5 * (size - 1))
+    corners = _joined(measured)
+    count, height, width = measured.depth.shape
+    picture = torch.div(corners[0], height * width, rounding_mode="floor")
+    drawn, face = unpacked(nearest_faces(points, corners, picture, (count, size, size)))
+    depth = drawn.masked_fill_(face < 0, 0.0).view(count, size, size)
+    is_cloth = measured.mask.sum((1, 2)) >= LEAST_PIXELS
+    is_cloth = is_cloth & (depth > 0.0).flatten(1).any(1)
+    return Views(depth, position, rotation, shift, focal, is_cloth)
+
+
+def _camera_positions(
+    measured: Measured,
+    to_world: Float[Tensor, "batch 3 3"],
+    origin: Float[Tensor, "batch 3"],
+    config: ViewConfig,
+) -> Float[Tensor, "batch 3"]:
+    """Where the virtual cameras stand in the world [m] (`view.py: view_camera`)."""
+    step = -(-max(measured.depth.shape[1:]) // LATTICE)
+    depth = measured.depth[:, ::step, ::step]
+    shown = measured.mask[:, ::step, ::step].flatten(1)
+    rays = _rays(measured.across[:, ::step], measured.down[:, ::step])
+    points = [(one * depth).flatten(1) for one in rays]
+    x, y, z = (
+        sum(to_world[:, row, axis, None] * points[axis] for axis in range(3)) + origin[:, row, None]
+        for row in range(3)
+    )
+    low, high = zip(*(_ends(one, shown) for one in (x, y, z)), strict=True)
+    middle = [0.5 * (one + other) for one, other in zip(low[:2], high[:2], strict=True)]
+    side = torch.maximum(high[0] - low[0], high[1] - low[1]) * (1.0 + 2.0 * config.view_margin)
+    half = math.tan(math.radians(config.field_of_view_deg) / 2.0)
+    # Cloth that is lifted stays in the picture, and below the camera.
+    out = torch.maximum((x - middle[0][:, None]).abs(), (y - middle[1][:, None]).abs())
+    _, in_view = _ends(out / half + z - low[2][:, None], shown)
+    up = torch.maximum(0.5 * side.clamp(min=config.least_view_m) / half, in_view)
+    up = torch.maximum(up, CLEAR * (high[2] - low[2]))
+    return torch.stack([*middle, low[2] + up], 1)
+
+
+def _ends(
+    values: Float[Tensor, "batch points"], shown: Bool[Tensor, "batch points"]
+) -> tuple[Float[Tensor, " batch"], Float[Tensor, " batch"]]:
+    """Values between which all but few of the shown ones are; 0 and 0 where none is shown."""
+    share = OUTLIERS / 100.0
+    last = (shown.sum(1) - 1).clamp(min=0)
+    place = (share * last)[:, None]
+    before = place.floor().long()
+    count = min(int(share * values.shape[1]) + 3, values.shape[1])
+    found = []
+    for sign in (1.0, -1.0):
+        least = (sign * values).masked_fill(~shown, torch.inf)
+        least = least.topk(count, largest=False).values
+        after = torch.minimum(before + 1, last[:, None])
+        value = torch.lerp(least.gather(1, before), least.gather(1, after), place - before)
+        found.append(sign * value.nan_to_num(0.0, 0.0, 0.0)[:, 0])
+    return found[0], found[1]
+
+
+def _rays(
+    across: Float[Tensor, "batch width"], down: Float[Tensor, "batch height"]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The line of sight of each pixel at depth 1, to be broadcast."""
+    return across[:, None], down[..., None], torch.ones_like(across[:, None])
+
+
+def _seen_from(
+    measured: Measured,
+    rotation: Float[Tensor, "batch 3 3"],
+    shift: Float[Tensor, "batch 3"],
+    focal: float,
+    middle: float,
+) -> Projected:
+    """Where the virtual cameras see each measured pixel."""
+    local = []
+    for row in range(3):
+        right, downwards, ahead = rotation[:, row].unbind(1)
+        columns = (right[:, None] * measured.across + ahead[:, None])[:, None]
+        ray = columns + (downwards[:, None] * measured.down)[..., None]
+        local.append(ray.mul_(measured.depth).add_(shift[:, row, None, None]).view(-1))
+    inverse = local[2].reciprocal_()
+    columns = local[0].mul_(inverse).mul_(focal).add_(middle)
+    rows = local[1].mul_(inverse).mul_(focal).add_(middle)
+    return Projected(columns, rows, inverse)
+
+
+def _joined(measured: Measured) -> Int[Tensor, "3 faces"]:
+    """Triangles between neighbouring pixels (`view.py: _joined`), over all pixels of the batch."""
+    depth, shown = measured.depth, measured.mask
+    width = depth.shape[2]
+    a, b = (depth[:, :-1, :-1], shown[:, :-1, :-1]), (depth[:, :-1, 1:], shown[:, :-1, 1:])
+    c, d = (depth[:, 1:, :-1], shown[:, 1:, :-1]), (depth[:, 1:, 1:], shown[:, 1:, 1:])
+    both = b[1] & c[1]
+    low, high = torch.minimum(b[0], c[0]), torch.maximum(b[0], c[0])
+    number = torch.arange(depth.numel(), device=depth.device).view(depth.shape)[:, :-1, :-1]
+    faces = []
+    for (other, is_shown), offset in ((a, 0), (d, width + 1)):
+        apart = torch.maximum(high, other) - torch.minimum(low, other)
+        whole = (both & is_shown).logical_and_(apart < JUMP_M)
+        first = number[whole]
+        rest = (first + width, first + 1) if offset == 0 else (first + 1, first + width)
+        faces.append(torch.stack([first + offset, *rest]))
+    return torch.cat(faces, 1)

@@ -1,0 +1,370 @@
+"""Packed states as batches of the token network: rendered, measured, cropped and named together.
+
+What `token_examples.py` makes of one state after the other, on any device that PyTorch computes on
+and without Warp. All that lies in a batch is a function of the states, the seed and the step.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Generator, Tensor
+
+from clothtrack.reconstruction.data.batch_draws import draw_scenes
+from clothtrack.reconstruction.data.batch_pictures import Cloths, measure
+from clothtrack.reconstruction.data.batch_surface import on_mesh
+from clothtrack.reconstruction.data.batch_view import above
+from clothtrack.reconstruction.data.render_config import RenderConfig
+from clothtrack.reconstruction.tokens.packed_states import LARGEST, PackedStates
+from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
+from clothtrack.reconstruction.tokens.token_stage import TokenBatch
+
+PIXELS = 512
+"""Pixels per example that are asked for their name."""
+
+CUT = 0.05
+"""A pixel farther from the mesh than this, over the garment's size, has no name."""
+
+TABLE_ERROR = 0.008
+"""Standard deviation of the table's height, over the garment's size: planes are fitted."""
+
+SIZE_ERROR = 0.02
+"""Standard deviation of the size that the network is told, over the size: tapes and flats lie."""
+
+SPARE = 1.25
+"""Pixels that are looked at for each that is asked for: some have no name."""
+
+PART_PIXELS = {"cpu": 200_000, "cuda": 50_000_000}
+"""Pixels of depth pictures that are made together: what fits a processor's cache, or a GPU's
+memory (about 2 kB per pixel at the peak)."""
+
+
+class TokenPictures:
+    """States as batches of the token network.
+
+    Args:
+        states: packed.
+        network: what the pictures are for.
+        rendering: the cameras.
+        device: where the batches are made, "cpu" or "cuda:0".
+        asked: pixels per picture that are asked for their name.
+        seed: of everything random.
+    """
+
+    def __init__(
+        self,
+        states: PackedStates,
+        network: TokenNetworkConfig,
+        *,
+        rendering: RenderConfig | None = None,
+        device: str = "cpu",
+        asked: int = PIXELS,
+        seed: int = 0,
+    ) -> None:
+        self.network = network
+        self.rendering = rendering or RenderConfig()
+        self.device = device
+        self.asked = asked
+        self.seed = seed
+        self._low, self._high = states.low, states.high
+        self._states = PackedStates(
+            **{one.name: getattr(states, one.name).to(device) for one in fields(states)}
+        )
+        self._most = {name: int(getattr(states, name).max()) for name in ("vertices", "faces")}
+        self._part_pixels = PART_PIXELS[device.split(":", maxsplit=1)[0]]
+
+    def batch(self, chosen: Int[Tensor, " batch"], step: Sequence[int]) -> TokenBatch:
+        """Render some states, mirrored and turned at random.
+
+        A state of which too little was measured is replaced by another one of the batch.
+
+        Args:
+            chosen: which states, on the processor.
+            step: what these pictures are for: the same numbers, the same pictures.
+        """
+        seeds = np.random.SeedSequence([self.seed, *step]).generate_state(2, np.uint64)
+        draws = Generator().manual_seed(int(seeds[0] >> 1))
+        noise = Generator(self.device).manual_seed(int(seeds[1] >> 1))
+        scenes = draw_scenes(self._low[chosen], self._high[chosen], self.rendering, draws)
+        world = _Worlds.drawn(len(chosen), draws).to(self.device)
+        garments = _Garments.of(self._states, chosen.to(self.device), self._most)
+        cloths = Cloths.before(garments.positions, garments.faces, scenes.to(self.device))
+        parts, order = [], []
+        for part in cloths.parts(self._part_pixels):
+            parts.append(
+                self._seen(cloths.chosen(part), garments.chosen(part), world.chosen(part), noise)
+            )
+            order.append(part)
+        back = torch.cat(order).argsort()
+        seen = _Seen(
+            **{
+                one.name: torch.cat([getattr(part, one.name) for part in parts])[back]
+                for one in fields(_Seen)
+            }
+        )
+        return _batch(garments, world, seen)
+
+    def _seen(
+        self, cloths: Cloths, garments: "_Garments", world: "_Worlds", noise: Generator
+    ) -> "_Seen":
+        """What the network sees of some cloths, and what pixels of it are called."""
+        measured = measure(cloths, noise)
+        views = above(measured, world.motion, self.network)
+        blocks, sources, shown = _drawn_pixels(
+            views.depth, self.network.output_stride, int(SPARE * self.asked), noise
+        )
+        found = on_mesh(views.points(sources), measured)
+        known = shown & (found.apart <= CUT * garments.size_m[:, None])
+        # Those with a name come first; too few are asked for more than once.
+        first = torch.sort(known.byte(), dim=1, descending=True, stable=True).indices
+        turn = torch.arange(self.asked, device=known.device) % known.sum(1, keepdim=True).clamp_(1)
+        taken = first.gather(1, turn)[..., None]
+        tokens, shares = garments.named(
+            found.corners.gather(1, taken.expand(-1, -1, 3)),
+            found.weights.gather(1, taken.expand(-1, -1, 3)),
+        )
+        size_m = garments.size_m * world.size_factor
+        table_m = garments.size_m * world.table_shift
+        above_m = views.position[:, 2] - table_m
+        height = (above_m[:, None, None] - views.depth) / size_m[:, None, None]
+        return _Seen(
+            height=height.masked_fill_(views.depth <= 0.0, EMPTY),
+            distance=above_m / size_m,
+            pixels=blocks.gather(1, taken.expand(-1, -1, 2)),
+            pixel_tokens=tokens,
+            pixel_shares=shares,
+            origin=torch.stack([views.position[:, 0], views.position[:, 1], table_m], 1),
+            size_m=size_m,
+            is_cloth=views.is_cloth & known.any(1),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Tensors of which every row belongs to one example."""
+
+    def chosen(self, which: Int[Tensor, " chosen"]) -> Self:
+        """Some of the examples."""
+        rows = {one.name: getattr(self, one.name)[which] for one in fields(self)}
+        return replace(self, **rows)
+
+    def to(self, device: str) -> Self:
+        """The same on another device."""
+        return replace(
+            self, **{one.name: getattr(self, one.name).to(device) for one in fields(self)}
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Worlds(_Rows):
+    """What is done to the world of each example before the network sees it.
+
+    Attributes:
+        motion: a turn about the vertical, after a mirror image where there is one.
+        mirrored: whether there is.
+        size_factor: the size that the network is told, over the true one.
+        table_shift: height of the table that the network is told, over the size.
+    """
+
+    motion: Float[Tensor, "batch 3 3"]
+    mirrored: Bool[Tensor, " batch"]
+    size_factor: Float[Tensor, " batch"]
+    table_shift: Float[Tensor, " batch"]
+
+    @classmethod
+    def drawn(cls, count: int, draws: Generator) -> "_Worlds":
+        """Worlds at random."""
+        mirrored = torch.rand(count, generator=draws) < 0.5
+        angle = 2.0 * torch.pi * torch.rand(count, generator=draws)
+        errors = torch.randn(2, count, generator=draws)
+        cosine, sine, zero = angle.cos(), angle.sin(), torch.zeros(count)
+        sign = 1.0 - 2.0 * mirrored.float()
+        rows = [sign * cosine, -sine, zero, sign * sine, cosine, zero, zero, zero, zero + 1.0]
+        motion = torch.stack(rows, 1).view(count, 3, 3)
+        return cls(motion, mirrored, (SIZE_ERROR * errors[0]).exp(), TABLE_ERROR * errors[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Garments(_Rows):
+    """The states of a batch, and what the network is told of their garments.
+
+    Attributes:
+        positions: vertices in the world [m]; those of a smaller garment come again.
+        faces: vertices of each face, by corner; those that only fill up are vertex 0.
+        vertex_tokens, vertex_shares: as in `GarmentTokens`, and so are the others.
+    """
+
+    positions: Float[Tensor, "batch vertices 3"]
+    faces: Int[Tensor, "batch 3 faces"]
+    vertex_tokens: Int[Tensor, "batch vertices shares"]
+    vertex_shares: Float[Tensor, "batch vertices shares"]
+    features: Float[Tensor, "batch tokens features"]
+    token_corners: Int[Tensor, "batch tokens 3"]
+    token_blend: Float[Tensor, "batch tokens 3"]
+    labellings: Int[Tensor, "batch labellings tokens"]
+    is_labelling: Bool[Tensor, "batch labellings"]
+    mirror: Int[Tensor, "batch tokens"]
+    neighbours: Int[Tensor, "batch tokens neighbours"]
+    size_m: Float[Tensor, " batch"]
+    layers: Int[Tensor, " batch"]
+
+    @classmethod
+    def of(
+        cls, states: PackedStates, chosen: Int[Tensor, " batch"], most: Mapping[str, int]
+    ) -> "_Garments":
+        """Those of some states.
+
+        Args:
+            states: packed, on the device.
+            chosen: which, there too.
+            most: vertices and faces of the largest garment.
+        """
+        garment = states.garment[chosen].long()
+        vertices, faces = states.vertices.long(), states.faces.long()
+        vertex = torch.arange(most["vertices"], device=chosen.device) % vertices[garment, None]
+        low, high = states.low[chosen], states.high[chosen]
+        scale = 0.5 * (high - low).amax(1) / LARGEST
+        parts = states.positions[states.first[chosen, None] + vertex].float()
+        positions = parts * scale[:, None, None] + (0.5 * (low + high))[:, None]
+        face = torch.arange(most["faces"], device=chosen.device).expand(len(chosen), -1)
+        is_face = face < faces[garment, None]
+        begin = (faces.cumsum(0) - faces)[garment, None]
+        corners = states.corners[(begin + face).clamp_(max=len(states.corners) - 1)].long()
+        corners = corners * is_face[..., None]
+        first = (vertices.cumsum(0) - vertices)[garment, None]
+        told = {name: getattr(states, name)[garment] for name in _OF_GARMENTS}
+        return cls(
+            positions=positions,
+            faces=corners.transpose(1, 2).contiguous(),
+            vertex_tokens=states.vertex_tokens[first + vertex].long(),
+            vertex_shares=states.vertex_shares[first + vertex].float(),
+            **{name: one.long() if name in _INDICES else one for name, one in told.items()},
+        )
+
+    def named(
+        self, corners: Int[Tensor, "batch asked 3"], weights: Float[Tensor, "batch asked 3"]
+    ) -> tuple[Int[Tensor, "batch asked named"], Float[Tensor, "batch asked named"]]:
+        """Tokens around places on faces, and their shares of them.
+
+        Args:
+            corners: of the faces.
+            weights: of the corners.
+        """
+        batch, asked = corners.shape[:2]
+        index = corners.reshape(batch, -1, 1).expand(-1, -1, self.vertex_tokens.shape[2])
+        tokens = self.vertex_tokens.gather(1, index).view(batch, asked, -1)
+        shares = self.vertex_shares.gather(1, index).view(batch, asked, 3, -1)
+        return tokens, (shares * weights[..., None]).flatten(2)
+
+    def places(self) -> Float[Tensor, "batch tokens 3"]:
+        """Where the tokens are in the world [m]."""
+        batch = len(self.positions)
+        index = self.token_corners.reshape(batch, -1, 1).expand(-1, -1, 3)
+        at = self.positions.gather(1, index).view(*self.token_corners.shape, 3)
+        return (at * self.token_blend[..., None]).sum(2)
+
+
+_INDICES = ("token_corners", "labellings", "mirror", "neighbours", "layers")
+_OF_GARMENTS = (*_INDICES, "features", "token_blend", "is_labelling", "size_m")
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen(_Rows):
+    """What was seen of the examples; lengths in parts of the garment's size, but `origin` [m].
+
+    Attributes:
+        height, distance, pixels, pixel_tokens, pixel_shares, size_m: as in `TokenExample`, before
+            tokens are called as in a mirror.
+        origin: of the picture's frame, in the moved world.
+        is_cloth: whether enough of the cloth was measured.
+    """
+
+    height: Float[Tensor, "batch size size"]
+    distance: Float[Tensor, " batch"]
+    pixels: Int[Tensor, "batch asked 2"]
+    pixel_tokens: Int[Tensor, "batch asked named"]
+    pixel_shares: Float[Tensor, "batch asked named"]
+    origin: Float[Tensor, "batch 3"]
+    size_m: Float[Tensor, " batch"]
+    is_cloth: Bool[Tensor, " batch"]
+
+
+def _drawn_pixels(
+    depth: Float[Tensor, "batch size size"], stride: int, count: int, noise: Generator
+) -> tuple[Int[Tensor, "batch drawn 2"], Int[Tensor, "batch drawn 2"], Bool[Tensor, "batch drawn"]]:
+    """Some pixels of cloth at random (`view.py: cloth_pixels`).
+
+    Args:
+        depth: the network's pictures [m]; 0 where no cloth is.
+        stride: pixels of a picture per pixel that gets a name.
+        count: how many to draw.
+        noise: of the choice.
+
+    Returns:
+        Row and column of those pixels; of the measurement that stands for each, the nearest to the
+        camera; and which of them show cloth, the first ones.
+    """
+    batch, size = depth.shape[:2]
+    blocks = size // stride
+    parts = depth.view(batch, blocks, stride, blocks, stride).transpose(2, 3)
+    parts = parts.reshape(batch, blocks * blocks, stride * stride)
+    nearest, within = torch.where(parts > 0.0, parts, torch.inf).min(2)
+    is_cloth = torch.isfinite(nearest)
+    order = torch.rand(nearest.shape, generator=noise, device=depth.device)
+    drawn = torch.where(is_cloth, order, -1.0).topk(min(count, blocks * blocks)).indices
+    within = within.gather(1, drawn)
+    rows, columns = torch.div(drawn, blocks, rounding_mode="floor"), drawn % blocks
+    pixels = torch.stack([rows, columns], 2)
+    inner = torch.stack([torch.div(within, stride, rounding_mode="floor"), within % stride], 2)
+    return pixels, pixels * stride + inner, is_cloth.gather(1, drawn)
+
+
+def _batch(garments: _Garments, world: _Worlds, seen: _Seen) -> TokenBatch:
+    """The batch, as the network learns from it."""
+    count = len(seen.height)
+    places = garments.places() @ world.motion.transpose(1, 2)
+    places = (places - seen.origin[:, None]) / seen.size_m[:, None, None]
+    # The mirror image of a garment is one of the same kind, named by its mirror.
+    same = torch.arange(garments.mirror.shape[1], device=places.device)
+    name = torch.where(world.mirrored[:, None], garments.mirror, same)
+    places = places.gather(1, name[..., None].expand(-1, -1, 3))
+    tokens = name.gather(1, seen.pixel_tokens.flatten(1)).view_as(seen.pixel_tokens)
+    batch = TokenBatch(
+        height=seen.height,
+        distance=seen.distance,
+        features=garments.features,
+        pixels=seen.pixels,
+        pixel_tokens=tokens,
+        pixel_shares=seen.pixel_shares,
+        places=places,
+        labellings=garments.labellings,
+        is_labelling=garments.is_labelling,
+        neighbours=garments.neighbours,
+        conventional=_conventional(places, garments),
+        size_m=seen.size_m,
+        weight=seen.is_cloth.any().float().expand(count),
+    )
+    # One without cloth has nothing to teach: the first that has some stands in for it.
+    number = torch.arange(count, device=places.device)
+    source = torch.where(seen.is_cloth, number, seen.is_cloth.byte().argmax())
+    return TokenBatch(**{one.name: getattr(batch, one.name)[source] for one in fields(batch)})
+
+
+def _conventional(
+    places: Float[Tensor, "batch tokens 3"], garments: _Garments
+) -> Float[Tensor, "batch labellings"]:
+    """How much each cloth lies as the flat garment does under each labelling.
+
+    A sheet: its x to the right and its y up. What has two layers: its front above its back.
+    """
+    level = (garments.layers == 1).float()
+    axes = torch.stack([level, level, 1.0 - level], 1)
+    shown = (places - places.mean(1, keepdim=True)) * axes[:, None]
+    lying = garments.features[:, :, :3].flatten(1)
+    names = garments.labellings
+    index = names[..., None] * 3 + torch.arange(3, device=names.device)
+    lying = lying.gather(1, index.flatten(1)).view(*names.shape, 3)
+    return (lying * shown[:, None]).sum((2, 3))
