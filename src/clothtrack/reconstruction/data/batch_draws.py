@@ -4,7 +4,7 @@ Drawn on the processor whatever the device, a few dozen numbers per picture: the
 same cameras and hands on a CPU and on a GPU.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -69,16 +69,6 @@ class Scenes:
     reaches: Bool[Tensor, " batch"]
     cut_side: Int[Tensor, " batch"]
     cut_share: Float[Tensor, " batch"]
-
-    def to(self, device: str | torch.device) -> "Scenes":
-        """The same on another device."""
-        return Scenes(**{one.name: getattr(self, one.name).to(device) for one in fields(self)})
-
-    def chosen(self, which: Int[Tensor, " chosen"]) -> "Scenes":
-        """Some of them."""
-        return Scenes(
-            **{one.name: getattr(self, one.name).index_select(0, which) for one in fields(self)}
-        )
 
 
 def draw_scenes(

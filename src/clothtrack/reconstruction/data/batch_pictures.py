@@ -14,6 +14,7 @@ from torch import Generator, Tensor
 
 from clothtrack.reconstruction.data.batch_draws import Scenes
 from clothtrack.reconstruction.data.batch_raster import Projected, nearest_faces, unpacked
+from clothtrack.reconstruction.data.batch_rows import rows_of
 from clothtrack.reconstruction.data.batch_sensor import (
     cut_off,
     flying,
@@ -65,12 +66,6 @@ class Cloths:
         first = seen.amin(1).floor_() - MARGIN_PIXELS
         size = (seen.amax(1).ceil_() + MARGIN_PIXELS - first).long() + 1
         return cls(local, faces, scenes, first, size)
-
-    def chosen(self, which: Int[Tensor, " chosen"]) -> "Cloths":
-        """Some of them."""
-        rows = (self.local, self.faces, self.first, self.size)
-        local, faces, first, size = (one.index_select(0, which) for one in rows)
-        return Cloths(local, faces, self.scenes.chosen(which), first, size)
 
     def parts(self, most_pixels: int) -> Iterator[Int[Tensor, " part"]]:
         """Which of them to draw together: such as have pictures of much the same size.
@@ -182,7 +177,7 @@ def _hidden(
     """What tools and hands hide, and what the pictures' borders cut off."""
     scenes, found = cloths.scenes, cut_off(masks, cloths.scenes.cut_side, cloths.scenes.cut_share)
     chosen = (scenes.tip >= 0.0).nonzero()[:, 0]
-    held = cloths.chosen(chosen)
+    held = rows_of(cloths, chosen)
     # The share of 1 is the highest vertex, any other one a vertex by its number.
     local, camera = held.local, held.scenes
     height = (local * camera.rotation[:, 2, None]).sum(2)

@@ -23,6 +23,7 @@ from torch import Tensor
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.array_digest import DIGEST
 from clothtrack.files.atomic_write import atomic_file
+from clothtrack.reconstruction.data.batch_rows import joined_rows
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.training.checkpoint import weights_digest
 
@@ -144,12 +145,7 @@ class PackedStates:
         for one in packs:
             moved.append(replace(one, first=one.first + begin, garment=one.garment + garments))
             begin, garments = begin + len(one.positions), garments + len(one.vertices)
-        return cls(
-            **{
-                field.name: torch.cat([getattr(one, field.name) for one in moved])
-                for field in fields(cls)
-            }
-        )
+        return joined_rows(moved)
 
     def bytes(self) -> int:
         """Size of the arrays."""

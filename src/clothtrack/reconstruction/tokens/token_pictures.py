@@ -5,8 +5,7 @@ and without Warp. All that lies in a batch is a function of the states, the seed
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,6 +14,7 @@ from torch import Generator, Tensor
 
 from clothtrack.reconstruction.data.batch_draws import draw_scenes
 from clothtrack.reconstruction.data.batch_pictures import Cloths, measure
+from clothtrack.reconstruction.data.batch_rows import joined_rows, on_device, rows_of
 from clothtrack.reconstruction.data.batch_surface import on_mesh
 from clothtrack.reconstruction.data.batch_view import above
 from clothtrack.reconstruction.data.render_config import RenderConfig
@@ -70,9 +70,7 @@ class TokenPictures:
         self.asked = asked
         self.seed = seed
         self._low, self._high = states.low, states.high
-        self._states = PackedStates(
-            **{one.name: getattr(states, one.name).to(device) for one in fields(states)}
-        )
+        self._states = on_device(states, device)
         self._most = {name: int(getattr(states, name).max()) for name in ("vertices", "faces")}
         self._part_pixels = PART_PIXELS[device.split(":", maxsplit=1)[0]]
 
@@ -89,23 +87,18 @@ class TokenPictures:
         draws = Generator().manual_seed(int(seeds[0] >> 1))
         noise = Generator(self.device).manual_seed(int(seeds[1] >> 1))
         scenes = draw_scenes(self._low[chosen], self._high[chosen], self.rendering, draws)
-        world = _Worlds.drawn(len(chosen), draws).to(self.device)
+        world = on_device(_Worlds.drawn(len(chosen), draws), self.device)
         garments = _Garments.of(self._states, chosen.to(self.device), self._most)
-        cloths = Cloths.before(garments.positions, garments.faces, scenes.to(self.device))
+        scenes = on_device(scenes, self.device)
+        cloths = Cloths.before(garments.positions, garments.faces, scenes)
         parts, order = [], []
         for part in cloths.parts(self._part_pixels):
             parts.append(
-                self._seen(cloths.chosen(part), garments.chosen(part), world.chosen(part), noise)
+                self._seen(*(rows_of(one, part) for one in (cloths, garments, world)), noise)
             )
             order.append(part)
         back = torch.cat(order).argsort()
-        seen = _Seen(
-            **{
-                one.name: torch.cat([getattr(part, one.name) for part in parts])[back]
-                for one in fields(_Seen)
-            }
-        )
-        return _batch(garments, world, seen)
+        return _batch(garments, world, rows_of(joined_rows(parts), back))
 
     def _seen(
         self, cloths: Cloths, garments: "_Garments", world: "_Worlds", noise: Generator
@@ -143,23 +136,7 @@ class TokenPictures:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
-    """Tensors of which every row belongs to one example."""
-
-    def chosen(self, which: Int[Tensor, " chosen"]) -> Self:
-        """Some of the examples."""
-        rows = {one.name: getattr(self, one.name)[which] for one in fields(self)}
-        return replace(self, **rows)
-
-    def to(self, device: str) -> Self:
-        """The same on another device."""
-        return replace(
-            self, **{one.name: getattr(self, one.name).to(device) for one in fields(self)}
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _Worlds(_Rows):
+class _Worlds:
     """What is done to the world of each example before the network sees it.
 
     Attributes:
@@ -188,7 +165,7 @@ class _Worlds(_Rows):
 
 
 @dataclass(frozen=True, eq=False)
-class _Garments(_Rows):
+class _Garments:
     """The states of a batch, and what the network is told of their garments.
 
     Attributes:
@@ -272,7 +249,7 @@ _OF_GARMENTS = (*_INDICES, "features", "token_blend", "is_labelling", "size_m")
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen(_Rows):
+class _Seen:
     """What was seen of the examples; lengths in parts of the garment's size, but `origin` [m].
 
     Attributes:
@@ -350,7 +327,7 @@ def _batch(garments: _Garments, world: _Worlds, seen: _Seen) -> TokenBatch:
     # One without cloth has nothing to teach: the first that has some stands in for it.
     number = torch.arange(count, device=places.device)
     source = torch.where(seen.is_cloth, number, seen.is_cloth.byte().argmax())
-    return TokenBatch(**{one.name: getattr(batch, one.name)[source] for one in fields(batch)})
+    return rows_of(batch, source)
 
 
 def _conventional(

@@ -1,0 +1,40 @@
+"""Dataclasses of tensors of which every row belongs to one example: some rows, other devices."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+Rows = TypeVar("Rows")
+
+
+def rows_of(batch: Rows, which: Int[Tensor, " chosen"]) -> Rows:
+    """Some of the examples, in the order that is asked for."""
+    return _changed(batch, lambda values: rows_of(values, which), lambda one: one[which])
+
+
+def on_device(batch: Rows, device: str) -> Rows:
+    """The same on another device."""
+    return _changed(batch, lambda values: on_device(values, device), lambda one: one.to(device))
+
+
+def joined_rows(batches: Sequence[Rows]) -> Rows:
+    """All examples of several batches, in their order."""
+    names = [one.name for one in fields(batches[0])]
+    return type(batches[0])(
+        **{name: torch.cat([getattr(one, name) for one in batches]) for name in names}
+    )
+
+
+def _changed(batch: Rows, inner: Any, change: Any) -> Rows:
+    """The dataclass with every tensor changed, those of dataclasses inside it too."""
+    values = {one.name: getattr(batch, one.name) for one in fields(batch)}
+    return type(batch)(
+        **{
+            name: change(value) if isinstance(value, Tensor) else inner(value)
+            for name, value in values.items()
+        }
+    )
