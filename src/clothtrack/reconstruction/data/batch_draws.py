@@ -134,7 +134,7 @@ def _tilted_down(config: RenderConfig, even: _Even) -> Float[Tensor, "batch 3 3"
     """Axes of cameras that look down, most of them nearly straight."""
     tilt = torch.randn(even.count, 2, generator=even.generator, dtype=torch.float64)
     tilt = torch.deg2rad(torch.tensor(config.tilt_deg)) * tilt
-    heading, angle = 2.0 * torch.pi * even(), torch.deg2rad(even.between(0, config.most_tilt_deg))
+    heading, angle = 2.0 * torch.pi * even(), torch.deg2rad(even.between(0.0, config.most_tilt_deg))
     aside = angle[:, None] * torch.stack([heading.cos(), heading.sin()], 1)
     tilt = torch.where((even() < config.tilted)[:, None], aside, tilt)
     angle = tilt.norm(dim=1).clamp(min=1e-12)
