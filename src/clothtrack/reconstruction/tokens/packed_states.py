@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
@@ -63,15 +63,15 @@ class PackedStates:
     vertices: Int[Tensor, " garments"]
     faces: Int[Tensor, " garments"]
     corners: Int[Tensor, "all_faces 3"]
-    vertex_tokens: Int[Tensor, "garment_vertices shares"]
+    vertex_tokens: UInt8[Tensor, "garment_vertices shares"]
     vertex_shares: Float[Tensor, "garment_vertices shares"]
     features: Float[Tensor, "garments tokens features"]
     token_corners: Int[Tensor, "garments tokens 3"]
     token_blend: Float[Tensor, "garments tokens 3"]
-    labellings: Int[Tensor, "garments labellings tokens"]
+    labellings: UInt8[Tensor, "garments labellings tokens"]
     is_labelling: Bool[Tensor, "garments labellings"]
-    mirror: Int[Tensor, "garments tokens"]
-    neighbours: Int[Tensor, "garments tokens neighbours"]
+    mirror: UInt8[Tensor, "garments tokens"]
+    neighbours: UInt8[Tensor, "garments tokens neighbours"]
     size_m: Float[Tensor, " garments"]
     layers: Int[Tensor, " garments"]
     held_out: Float[Tensor, " garments"]

@@ -1,0 +1,321 @@
+"""Packed states, and the batches that are rendered of them: names, places, statistics, devices."""
+
+import subprocess
+import sys
+from dataclasses import fields, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import ks_2samp
+
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.reconstruction.data.render_config import RenderConfig
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
+from clothtrack.reconstruction.data.state_examples import render
+from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
+from clothtrack.reconstruction.tokens.packed_states import (
+    PackedStates,
+    in_files,
+    read_pack,
+    write_pack,
+)
+from clothtrack.reconstruction.tokens.token_examples import token_example
+from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
+from clothtrack.reconstruction.tokens.token_pictures import TokenPictures
+from clothtrack.reconstruction.tokens.token_stage import TokenBatch, collate_tokens
+from clothtrack.simulation.garments import garment
+
+NETWORK = TokenNetworkConfig()
+EXACT = SensorConfig.perfect()
+PERFECT = RenderConfig(
+    stereo=EXACT, structured_light=EXACT, time_of_flight=EXACT, mask_jitter=0.0, tool=0.0, cut=0.0
+)
+MESHES = [
+    garment("towel", vertex_count=300, pattern="random"),
+    garment("towel", vertex_count=500, size_m=(1.0, 0.6), pattern="random"),
+    garment("tshirt", vertex_count=700),
+]
+STATES = 16
+
+
+def folded(mesh, seed):
+    """The garment turned, in waves, with one side laid over the rest."""
+    rng = np.random.default_rng(seed)
+    x, y, z = np.asarray(mesh.vertices, np.float64).T
+    line = x.min() + rng.uniform(0.1, 0.4) * np.ptp(x)
+    over = x < line
+    x, z = np.where(over, 2 * line - x, x), z - z.min() + 0.012 * over
+    z = z + 0.015 * (1 + np.sin(rng.uniform(10, 20) * x) * np.cos(rng.uniform(10, 20) * y)) + 0.002
+    turn = rng.uniform(-np.pi, np.pi)
+    level = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+    return np.column_stack([*level, z])
+
+
+@pytest.fixture(scope="module")
+def tokens():
+    return [GarmentTokens.of(mesh) for mesh in MESHES]
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    return [
+        np.stack([folded(mesh, 100 * number + one) for one in range(STATES)]).astype(np.float32)
+        for number, mesh in enumerate(MESHES)
+    ]
+
+
+@pytest.fixture(scope="module")
+def packs(tokens, shapes):
+    return [
+        PackedStates.of(mesh.faces, *parts)
+        for mesh, *parts in zip(MESHES, tokens, shapes, strict=True)
+    ]
+
+
+@pytest.fixture(scope="module")
+def states(packs):
+    return PackedStates.joined(packs)
+
+
+def test_states_come_back_as_they_were_packed(states, packs, shapes, tokens, tmp_path):
+    write_pack(tmp_path / "pack.safetensors", states, {"from": "a test"})
+    back = read_pack(tmp_path / "pack.safetensors")
+    for one in fields(PackedStates):
+        assert torch.equal(getattr(back, one.name), getattr(states, one.name)), one.name
+    for number in range(len(states)):
+        kind, state = divmod(number, STATES)
+        gap = (back.state(number).numpy() - shapes[kind][state]).__abs__().max()
+        # The longest axis has 65,534 steps: half of one, and what single precision rounds.
+        assert gap < 0.5 * np.ptp(shapes[kind][state], axis=0).max() / 65_534 + 2e-7
+        assert gap < 3e-4
+    np.testing.assert_array_equal(packs[1].corners.numpy(), MESHES[1].faces)
+    np.testing.assert_allclose(packs[2].vertex_shares, tokens[2].vertex_shares, atol=3e-4)
+    # 6 bytes per vertex, and what the garment takes once.
+    assert packs[2].positions.nbytes == 6 * STATES * MESHES[2].vertex_count
+    assert packs[2].bytes() - packs[2].positions.nbytes < 60_000
+
+
+def test_a_damaged_pack_is_refused(states, tmp_path):
+    path = tmp_path / "pack.safetensors"
+    write_pack(path, states, {})
+    content = bytearray(path.read_bytes())
+    content[-1000] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InvalidResultError, match="SHA-256 differs"):
+        read_pack(path)
+    path.write_bytes(content[:500])
+    with pytest.raises(InvalidResultError, match="not a whole safetensors file"):
+        read_pack(path)
+    with pytest.raises(InvalidResultError, match="no such file"):
+        read_pack(tmp_path / "other")
+
+
+def test_packs_are_joined_up_to_a_size(packs):
+    most = packs[0].bytes() + packs[1].bytes()
+    joined = list(in_files(packs, most))
+    assert [len(one) for one in joined] == [2 * STATES, STATES]
+    assert all(one.bytes() <= most for one in joined)
+    assert len(list(in_files(packs, 1))) == 3
+
+
+def test_a_garment_is_held_out_by_its_own_shape(packs):
+    """Whatever else is in a pack, and however large the share is."""
+    by_name = {float(one.held_out): number for number, one in enumerate(packs)}
+    order = sorted(by_name)
+    for low, high in pairwise(order):
+        share = 0.5 * (low + high)
+        backwards = PackedStates.joined(packs[::-1])
+        for whole, numbers in ((PackedStates.joined(packs), [0, 1, 2]), (backwards, [2, 1, 0])):
+            _, held = whole.split(share)
+            found = {numbers[int(one)] for one in whole.garment[held]}
+            assert found == {by_name[one] for one in order if one < share}
+    with pytest.raises(InvalidConfigError, match="of 3 garments, 0 are held out"):
+        PackedStates.joined(packs).split(0.5 * order[0])
+
+
+def own_place(batch):
+    """Where each named pixel is, from its column, row and height."""
+    size = NETWORK.output_size
+    rows, columns = batch.pixels.unbind(2)
+    block = batch.height.view(-1, size, 2, size, 2).amax((2, 4)).flatten(1)
+    height = block.gather(1, rows * size + columns)
+    tick = np.tan(np.radians(NETWORK.field_of_view_deg / 2.0)) / size
+    along = tick * (batch.distance[:, None] - height)
+    x, y = (2 * columns + 1 - size) * along, -(2 * rows + 1 - size) * along
+    return torch.stack([x, y, height], 2)
+
+
+def named_place(batch):
+    """Where the tokens are that each pixel is called by."""
+    index = batch.pixel_tokens.flatten(1)[..., None].expand(-1, -1, 3)
+    at = batch.places.gather(1, index).view(*batch.pixel_tokens.shape, 3)
+    return (at * batch.pixel_shares[..., None]).sum(2)
+
+
+def test_names_places_and_pictures_say_the_same(states):
+    """However the world is mirrored and turned: the tokens of a pixel lie where it was measured."""
+    batch = TokenPictures(states, NETWORK, rendering=PERFECT).batch(torch.arange(48), (0,))
+    apart = (named_place(batch) - own_place(batch)).norm(dim=2)
+    # The size that is told is a few percent off, and a token is a patch of cloth.
+    assert apart.median() < 0.025
+    assert apart.flatten().quantile(0.95) < 0.07
+    # As many are mirrored as not: a mirrored shirt with the names of a plain one would be far off.
+    assert apart.median(1).values.max() < 0.05
+    torch.testing.assert_close(batch.pixel_shares.sum(2), torch.ones(48, 512), atol=2e-3, rtol=0)
+    assert bool((batch.weight == 1.0).all())
+    for one in fields(TokenBatch):
+        assert len(getattr(batch, one.name)) == 48
+
+
+def test_a_mirrored_garment_is_named_by_its_mirror(states):
+    """A state has two shapes, its own and its mirror image with the names of the mirror."""
+    pictures = TokenPictures(states, NETWORK, rendering=PERFECT)
+    places = pictures.batch(torch.full((24,), 2 * STATES + 3), (1,)).places
+    mirror = states.mirror[2].long()
+    gaps = torch.cdist(places, places)
+    # Distances between tokens do not change by turning, and in a mirror neither.
+    gaps = gaps / gaps.mean((1, 2), keepdim=True)
+    first = (gaps - gaps[0]).abs().mean((1, 2)) < 1e-3
+    other = (gaps[:, mirror][:, :, mirror] - gaps[0]).abs().mean((1, 2)) < 1e-3
+    assert bool((first ^ other).all())
+    assert 4 < int(first.sum()) < 20
+    # Three tokens come the other way round there.
+    ways = []
+    for kind, names in ((first, torch.arange(256)), (other, mirror)):
+        a, b, c = (places[kind][:, names[one], :2] for one in (0, 40, 100))
+        area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+        assert area.abs().min() > 1e-4
+        ways.append(set(area.sign().tolist()))
+    assert ways in ([{1.0}, {-1.0}], [{-1.0}, {1.0}])
+
+
+def test_a_batch_is_a_function_of_states_seed_and_step(states):
+    pictures = TokenPictures(states, NETWORK, seed=3)
+    chosen = torch.tensor([5, 40, 20])
+    first, again, other = (pictures.batch(chosen, step) for step in ((7, 1), (7, 1), (7, 2)))
+    for one in fields(TokenBatch):
+        assert torch.equal(getattr(first, one.name), getattr(again, one.name)), one.name
+    assert not torch.equal(first.height, other.height)
+    reseeded = TokenPictures(states, NETWORK, seed=4).batch(chosen, (7, 1))
+    assert not torch.equal(first.height, reseeded.height)
+
+
+def summary(batch):
+    """Per picture: cloth's share, height, its curvature and slope, holes, distance, places."""
+    shown = batch.height > 0.5 * EMPTY
+    count = shown.sum((1, 2)).float()
+    height = torch.where(shown, batch.height, 0.0)
+    right = shown[:, :, 1:] & shown[:, :, :-1]
+    step = (height[:, :, 1:] - height[:, :, :-1]) * right
+    bend = (step[:, :, 1:] - step[:, :, :-1]) * (right[:, :, 1:] & right[:, :, :-1])
+    wide = torch.nn.functional.max_pool2d(shown.float()[:, None], 5, 1, 2)
+    closed = -torch.nn.functional.max_pool2d(-wide, 5, 1, 2)[:, 0]
+    return torch.stack(
+        [
+            count / shown[0].numel(),
+            height.sum((1, 2)) / count,
+            bend.abs().sum((1, 2)) / count,
+            step.abs().sum((1, 2)) / count,
+            ((closed > 0) & ~shown).sum((1, 2)) / (closed > 0).sum((1, 2)),
+            batch.distance,
+            batch.places[..., 2].mean(1),
+            batch.places[..., :2].norm(dim=2).mean(1),
+            (named_place(batch) - own_place(batch)).norm(dim=2).mean(1),
+            batch.conventional[:, 0],
+        ],
+        1,
+    )  # fmt: skip
+
+
+def test_batches_are_statistically_those_of_single_states(states, shapes, tokens):
+    """Cameras, sensors, masks, hands and cuts as they are in training, each state seen twice."""
+    config, singles = RenderConfig(), []
+    for kind, mesh in enumerate(MESHES):
+        for number in range(2 * STATES):
+            rng = np.random.default_rng([kind, number])
+            positions = shapes[kind][number % STATES].astype(float)
+            picture = render(positions, mesh, config, rng)
+            singles.append(token_example(picture, mesh.faces, tokens[kind], NETWORK, rng))
+    expected = summary(collate_tokens(singles))
+    pictures = TokenPictures(states, NETWORK)
+    chosen = torch.cat([STATES * kind + torch.arange(2 * STATES) % STATES for kind in range(3)])
+    found = summary(pictures.batch(chosen, (0,)))
+    assert torch.isfinite(found).all()
+    # Pairs of pictures of one state: four standard errors of the mean difference; and the whole
+    # distributions, which by chance differ so much in one test of ten thousand.
+    gap = found - expected
+    assert (gap.mean(0).abs() < 4.0 * gap.std(0) / len(gap) ** 0.5).all()
+    for column in range(found.shape[1]):
+        assert ks_2samp(found[:, column], expected[:, column]).pvalue > 1e-4
+
+
+def test_a_state_that_nobody_sees_is_replaced_by_another_one(states):
+    blind = SensorConfig.perfect(dropout=1.0)
+    kinds = dict.fromkeys(("stereo", "structured_light", "time_of_flight"), blind)
+    dark = replace(PERFECT, noise_range=(1.0, 1.0), **kinds)
+    batch = TokenPictures(states, NETWORK, rendering=dark).batch(torch.arange(4), (0,))
+    assert not bool(batch.weight.any())
+    for one in fields(TokenBatch):
+        assert torch.isfinite(getattr(batch, one.name).float()).all(), one.name
+    half = replace(dark, stereo=EXACT)
+    batch = TokenPictures(states, NETWORK, rendering=half).batch(torch.arange(32), (1,))
+    assert bool((batch.weight == 1.0).all())
+    shown = (batch.height > 0.5 * EMPTY).flatten(1).any(1)
+    assert bool(shown.all())
+    assert len(torch.unique(batch.distance)) < 32
+
+
+NOT_THERE = (
+    "warp", "zarr", "tyro", "trimesh", "mujoco", "skimage", "igl", "av", "rosbags", "mcap",
+    "jsonschema", "lz4", "zstandard", "tensorboard",
+)  # fmt: skip
+
+
+def test_a_machine_that_only_trains_needs_pytorch_alone():
+    script = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {NOT_THERE}:
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Missing())
+import clothtrack.reconstruction.tokens.piecewise_training
+import clothtrack.reconstruction.tokens.token_pictures
+assert not set({NOT_THERE}) & set(sys.modules)
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.gpu
+def test_a_gpu_sees_what_a_processor_sees(states):
+    """With perfect sensors the device only rounds; names of pixels are drawn by each by itself."""
+    chosen = torch.arange(48)
+    here, there = (
+        TokenPictures(states, NETWORK, rendering=PERFECT, device=device).batch(chosen, (0,))
+        for device in ("cpu", "cuda")
+    )
+    found = replace(there, **{one.name: getattr(there, one.name).cpu() for one in fields(there)})
+    both = (here.height > 0.5 * EMPTY) & (found.height > 0.5 * EMPTY)
+    either = (here.height > 0.5 * EMPTY) | (found.height > 0.5 * EMPTY)
+    assert both.sum() > 0.99 * either.sum()
+    assert (here.height - found.height)[both].abs().quantile(0.99) < 1e-3
+    torch.testing.assert_close(found.places, here.places, atol=1e-3, rtol=0)
+    apart = (named_place(found) - own_place(found)).norm(dim=2)
+    assert apart.median() < 0.025
+
+
+@pytest.mark.gpu
+def test_a_gpu_measures_as_badly_as_a_processor(states):
+    chosen = torch.arange(48).repeat(8)
+    here, there = (
+        TokenPictures(states, NETWORK, device=device).batch(chosen, (0,))
+        for device in ("cpu", "cuda")
+    )
+    found = replace(there, **{one.name: getattr(there, one.name).cpu() for one in fields(there)})
+    gap = summary(found) - summary(here)
+    assert (gap.mean(0).abs() < 4.0 * gap.std(0) / len(gap) ** 0.5 + 1e-6).all()
