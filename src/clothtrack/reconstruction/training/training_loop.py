@@ -1,6 +1,8 @@
 """The training loop: one for all networks, resumable to the same bits, under torchrun or alone."""
 
+import math
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -81,18 +83,19 @@ def train(
             run.judge(held(run.averaged), log)
         batches = iter(loader(examples, order, collate, workers=config.workers))
         show = progress or _show_nothing
-        ends = time.monotonic() + 3600.0 * (float("inf") if hours is None else hours)
+        began_s, limit_s = time.monotonic(), 3600.0 * (math.inf if hours is None else hours)
         while run.step < order.steps and not run.converged:
             run.note(run.advance(next(batches)), log)
             if run.is_to_be_judged:
                 run.judge(held(run.averaged), log)
             elif run.step % config.save_steps == 0:
                 run.save()
-            show(run.place, run.step, order.steps)
+            elapsed_s = time.monotonic() - began_s
+            show(run.place, *_how_far(run, elapsed_s, limit_s))
             if together.any(terminated.is_set):
                 run.save()
                 return run.outcome("interrupted")
-            if together.any(time.monotonic() > ends):
+            if together.any(elapsed_s > limit_s):
                 run.judge(held(run.averaged), log)
                 return run.outcome("paused")
         run.save()
@@ -158,3 +161,10 @@ def _termination_noted() -> Iterator[_Termination]:
 
 def _show_nothing(place: str, done: int, total: int) -> None:
     """Show no progress."""
+
+
+def _how_far(run: TrainingRun, elapsed_s: float, limit_s: float) -> tuple[int, int]:
+    """Return how much is done and in all: of the time where there is a limit, else of the steps."""
+    if math.isfinite(limit_s):
+        return round(elapsed_s), math.ceil(limit_s)
+    return run.step, run.order.steps if run.order.steps < sys.maxsize else 0
