@@ -207,7 +207,10 @@ def token_example(
     picture = picture.turned(rng.uniform(-np.pi, np.pi))
     view = crop(picture.depth_m, picture.mask, picture.camera, network)
     seen = cloth_pixels(view.depth, network)
-    points = points_of(view.depth, view.camera, seen.sources)
+    # More than are asked for: some lie off the mesh.
+    chosen = rng.permutation(len(seen.pixels))[: 2 * PIXELS]
+    pixels = seen.pixels[chosen]
+    points = points_of(view.depth, view.camera, seen.sources[chosen])
     face, weights, known = faces_of_points(points, picture, faces, cut_m=CUT * garment.size_m)
     known = np.flatnonzero(known)
     if len(known) == 0:
@@ -227,7 +230,7 @@ def token_example(
         height=height,
         distance=distance,
         features=garment.features,
-        pixels=seen.pixels[known],
+        pixels=pixels[known],
         pixel_tokens=tokens,
         pixel_shares=shares.reshape(PIXELS, -1).astype(np.float32),
         places=places.astype(np.float32),

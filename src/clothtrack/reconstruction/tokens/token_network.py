@@ -163,7 +163,9 @@ class TokenNetwork(nn.Module):
         seen = coarse.flatten(2).transpose(1, 2) + self.cell(self._cell_places(asked))
         # Empty cells are dropped: cells with cloth come first, cut to the fullest picture.
         order = torch.argsort(filled.float(), dim=1, descending=True, stable=True)
-        order = order[:, : int(filled.sum(1).max())]
+        # In steps of 32, so that few shapes occur: each has kernels and memory of its own.
+        fullest = -(-int(filled.sum(1).max()) // 32) * 32
+        order = order[:, :fullest]
         index = order[..., None].expand(-1, -1, seen.shape[-1])
         valid = filled.gather(1, order)
         garment = self.garment(self._told(asked.features))
