@@ -74,7 +74,7 @@ def pretrain(
     )
     data = {
         "states": len(examples),
-        "sets": [one.folder.name for one in states],
+        "sets": [one.identity for one in states],
         "examples": asdict(config.examples),
         "rendering": _plain(asdict(config.rendering)),
     }

@@ -134,9 +134,11 @@ class StateSet:
     document: Mapping[str, Any]
 
     @property
-    def digest(self) -> str:
-        """SHA-256 of what lies in the shards, in hexadecimal digits."""
-        return hashlib.sha256("".join(map(shard_digest, self.shards)).encode()).hexdigest()
+    def identity(self) -> dict[str, Any]:
+        """What the set is, wherever it lies: kind, shards and the SHA-256 of what is in them."""
+        digests = "".join(map(shard_digest, self.shards))
+        sha256 = hashlib.sha256(digests.encode()).hexdigest()
+        return {"kind": self.kind, "shards": len(self.shards), "sha256": sha256}
 
 
 def write_shard(shard: StateShard, path: Path) -> None:

@@ -74,9 +74,7 @@ def pretrain_tokens(
     training, held = split_by_digest(examples.groups, config.tokens.held_out_share)
     data: dict[str, Any] = {
         "states": len(examples),
-        "sets": [
-            {"name": one.folder.name, "kind": one.kind, "sha256": one.digest} for one in states
-        ],
+        "sets": [one.identity for one in states],
         "rendering": as_plain(asdict(config.rendering)),
     }
     weights = None
