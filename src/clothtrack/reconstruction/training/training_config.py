@@ -176,6 +176,7 @@ def _of_tokens(name: str) -> TrainingConfig:
             average_examples=20_000,
             gradient_limit=1.0,
             held_out_share=0.03,
+            save_steps=100,
             bfloat16=True,
         )
     fine = replace(training_preset(name, "canonicalisation"), gradient_limit=1.0, bfloat16=True)
