@@ -94,6 +94,7 @@ def setting_names(verb):
     from clothtrack.planning import FlattenConfig
     from clothtrack.planning.graph_dynamics.mesh_training import DynamicsTrainingConfig
     from clothtrack.reconstruction import LearningConfig
+    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
     from clothtrack.tracking import RunConfig
     from clothtrack.world import EpisodeConfig
     from clothtrack.world.self_improvement import ImprovementConfig
@@ -107,7 +108,11 @@ def setting_names(verb):
         "pretrain": [LearningConfig.preset("pretrain")],
         "finetune": [LearningConfig.preset("finetune")],
     }
-    return {setting.name for config in known[verb] for setting in settings_of(config)}
+    names = {setting.name for config in known[verb] for setting in settings_of(config)}
+    if verb == "pretrain":
+        # Sizes of the token network go to the network itself.
+        names |= {setting.name for setting in settings_of(TokenNetworkConfig(), "tokens")}
+    return names
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,9 @@ import torch
 from torch import nn
 
 from clothtrack.reconstruction.training.processes import joined
+from clothtrack.reconstruction.training.stage import Stage
 from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.reconstruction.training.training_loop import Stage, train
+from clothtrack.reconstruction.training.training_loop import train
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.reconstruction.data.examples import ExampleConfig, Garment, collate, draw_example
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_examples import StateExamples, render
-from clothtrack.reconstruction.data.state_store import StateShard, write_states
+from clothtrack.reconstruction.data.state_store import StateShard, open_states, write_states
 from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.data.winding import WindingConfig, winding_numbers
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
@@ -233,3 +233,22 @@ def test_the_labels_of_a_long_towel_are_those_of_a_wide_one():
     first, second = (Garment.of(one, "towel", CONFIG.winding, seed=0) for one in (wide, long))
     np.testing.assert_allclose(second.unit, first.unit, atol=1e-12)
     np.testing.assert_allclose(second.pool.values, first.pool.values, atol=1e-6)
+
+
+def test_a_state_that_cannot_be_rendered_is_replaced_by_another(tmp_path):
+    mesh = garment("towel", vertex_count=300)
+    # All vertices within a tenth of a millimetre: no camera measures cloth there.
+    nothing = (1e-4 * np.asarray(mesh.vertices) + [0.0, 0.0, 0.005]).astype(np.float32)
+    whole = crumpled(mesh).astype(np.float32)
+    for name, positions in (("one", [nothing, whole, whole, whole]), ("all", [nothing] * 4)):
+        shard = StateShard("towel", mesh, np.stack(positions), np.arange(4), ("drop",) * 4, 0)
+        write_states(tmp_path / name, "towel", [shard], {})
+    one, every = (
+        StateExamples([open_states(tmp_path / name)], NETWORK, CONFIG, rendering=PERFECT, seed=2)
+        for name in ("one", "all")
+    )
+    example = one[0, 0]
+    assert np.ptp(example.positions, axis=0).max() > 0.2
+    np.testing.assert_array_equal(example.depth, one[0, 0].depth)
+    with pytest.raises(InvalidRecordingError, match=r"0000\.zarr, state \d: camera 'top'"):
+        every[0, 0]

@@ -15,6 +15,7 @@ from clothtrack.reconstruction.data.state_store import (
     open_states,
     read_list,
     read_shard,
+    shard_digest,
     shard_path,
     write_shard,
     write_states,
@@ -196,3 +197,21 @@ def test_a_list_of_states_with_wrong_shards_is_told(tmp_path: Path, shards: str)
     (tmp_path / "states.json").write_text(head + shards + "}")
     with pytest.raises(InvalidResultError, match=r"states\.json: not the list of"):
         read_list(tmp_path)
+
+
+def test_a_set_is_known_by_its_content_and_not_by_its_name(tmp_path: Path) -> None:
+    first, second = (write_states(tmp_path / name, "towel", [make()], {}) for name in "ab")
+    assert first.identity == second.identity
+    moved = replace(make(), positions=make().positions + np.float32(1e-3))
+    other = write_states(tmp_path / "c", "towel", [moved], {})
+    assert other.identity != first.identity
+    grown = write_states(tmp_path / "d", "towel", [make(), moved], {})
+    assert (grown.identity["shards"], grown.identity["kind"]) == (2, "towel")
+    assert grown.identity["sha256"] not in (first.identity["sha256"], other.identity["sha256"])
+
+
+def test_a_shard_without_an_array_has_no_digest(tmp_path: Path) -> None:
+    (path,) = write_states(tmp_path / "a", "towel", [make()], {}).shards
+    shutil.rmtree(path / "faces")
+    with pytest.raises(InvalidResultError, match=r"0000\.zarr: not a whole shard of states"):
+        shard_digest(path)

@@ -23,7 +23,7 @@ from clothtrack.reconstruction.tokens.packed_states import (
 )
 from clothtrack.reconstruction.tokens.token_examples import token_example
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
-from clothtrack.reconstruction.tokens.token_pictures import TokenPictures
+from clothtrack.reconstruction.tokens.token_pictures import PIXELS, TokenPictures
 from clothtrack.reconstruction.tokens.token_stage import TokenBatch, collate_tokens
 from clothtrack.simulation.garments import garment
 
@@ -163,7 +163,7 @@ def test_names_places_and_pictures_say_the_same(states):
     assert apart.flatten().quantile(0.95) < 0.07
     # As many are mirrored as not: a mirrored shirt with the names of a plain one would be far off.
     assert apart.median(1).values.max() < 0.05
-    torch.testing.assert_close(batch.pixel_shares.sum(2), torch.ones(48, 512), atol=2e-3, rtol=0)
+    torch.testing.assert_close(batch.pixel_shares.sum(2), torch.ones(48, PIXELS), atol=2e-3, rtol=0)
     assert bool((batch.weight == 1.0).all())
     for one in fields(TokenBatch):
         assert len(getattr(batch, one.name)) == 48

@@ -32,6 +32,7 @@ from clothtrack.reconstruction.tokens.token_network import (
     TokenInput,
     TokenNetwork,
     TokenNetworkConfig,
+    TokenOutput,
 )
 from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 from clothtrack.reconstruction.tokens.token_stage import (
@@ -190,7 +191,7 @@ class _PlacesOfPixels(TokenNetwork):
     def __init__(self) -> None:
         super().__init__(TINY)
 
-    def forward(self, asked: TokenInput) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(self, asked: TokenInput) -> TokenOutput:
         logits, answers = [], []
         for height, distance, pixels in zip(
             asked.height, asked.distance, asked.pixels, strict=True
@@ -202,7 +203,8 @@ class _PlacesOfPixels(TokenNetwork):
             y = -middle[rows] * (distance - high)
             answers.append(torch.stack([x, y, high, x * 0 - 3.0, x * 0 - 3.0], 1))
             logits.append(torch.eye(len(pixels), TOKENS) * 50.0)
-        return torch.stack(logits), torch.stack(answers)
+        places = torch.stack(answers)[:, None]
+        return TokenOutput(torch.stack(logits), places, torch.zeros(len(places), 1))
 
 
 def test_turned_and_mirrored_views_say_the_same_place() -> None:
@@ -214,10 +216,10 @@ def test_turned_and_mirrored_views_say_the_same_place() -> None:
     height = np.where(answer.view.depth > 0, 0.5 - answer.view.depth, EMPTY)
     rows, columns = np.nonzero(answer.view.depth.reshape(64, 2, 64, 2).min(axis=(1, 3)) > 0)
     asked = np.stack([rows, columns], axis=1)[:TOKENS]
-    names, places, _ = reconstructor._views(height, 1.5, asked, tokens, 8)
+    said = reconstructor._views(height, 1.5, asked, tokens, 8)
     for number in range(1, 8):
-        np.testing.assert_allclose(places[number], places[0], atol=1e-5)
-        np.testing.assert_allclose(names[number], names[0], atol=1e-9)
+        np.testing.assert_allclose(said.places[number], said.places[0], atol=1e-5)
+        np.testing.assert_allclose(said.names[number], said.names[0], atol=1e-9)
 
 
 def _picture(mesh: ClothMesh) -> DepthInput:

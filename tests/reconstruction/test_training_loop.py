@@ -21,7 +21,8 @@ from clothtrack.reconstruction.training.checkpoint import load_progress, load_we
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig, training_preset
 from clothtrack.reconstruction.training.training_log import read_scalars
-from clothtrack.reconstruction.training.training_loop import PROGRESS, train
+from clothtrack.reconstruction.training.training_loop import train
+from clothtrack.reconstruction.training.training_run import PROGRESS, freeze_statistics
 
 SCRIPT = Path(__file__).with_name("line_stage.py")
 STEPS = 40
@@ -320,8 +321,6 @@ def test_a_mixture_has_its_share_of_others():
 
 
 def test_statistics_are_frozen_in_every_depth():
-    from clothtrack.reconstruction.training.training_loop import freeze_statistics
-
     nested = nn.Sequential(nn.Sequential(nn.BatchNorm2d(2), nn.Dropout()), nn.BatchNorm3d(2))
     freeze_statistics(nested.train())
     assert not nested[0][0].training

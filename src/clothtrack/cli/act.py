@@ -30,7 +30,7 @@ from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
     from clothtrack.planning.flatten_config import FlattenConfig
-    from clothtrack.reconstruction.training.training_loop import TrainingOutcome
+    from clothtrack.reconstruction.training.training_run import TrainingOutcome
 
 PerceptionChoice = Literal["network", "tracker", "truth"]
 PolicyChoice = Literal["planned", "random", "outwards", "heuristic"]

@@ -2,7 +2,7 @@
 
 import json as json_module
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -105,6 +105,7 @@ def pretrain(
     output: Path,
     network: Literal["tokens", "small", "reference"] = "tokens",
     start: Path | None = None,
+    hours: float | None = None,
     settings: Settings = (),
     device: Device = "cpu",
     seed: Seed = 0,
@@ -112,7 +113,9 @@ def pretrain(
 ) -> int:
     """Train the network on simulated states (`simulate --states`), from nothing or further.
 
-    The same command goes on where an interrupted one stopped, to the same bits. For several GPUs:
+    The same command goes on where an interrupted one stopped, to the same bits. The token network
+    learns for as long as it is given time; folders of states may be added then. Its rate falls
+    once, at the end: --set tokens.fall_examples=100000. Several processes or GPUs:
     torchrun --nproc-per-node N --module clothtrack.cli pretrain ... --device cuda
 
     Args:
@@ -120,14 +123,17 @@ def pretrain(
         output: folder for progress, scalars and model.safetensors.
         network: the token network, for every garment; or the published one, in the size for two
             processor cores (small) or as published (reference).
-        start: model.safetensors of the same garment and sizes to begin with.
-        settings: changes, such as tokens.epochs=20, or canonicalisation.epochs=20 of a published
-            network.
+        start: model.safetensors to begin with; a token network may have fewer layers and
+            hypotheses, a published one is of the same garment and sizes.
+        hours: of wall time after which the token network's training pauses.
+        settings: changes, such as tokens.high_rate=5e-4 or tokens.width=192, or
+            canonicalisation.epochs=20 of a published network.
         device: where to compute.
         seed: of weights, order, cameras and noise.
         json: machine-readable.
     """
     require_learning()
+    from clothtrack.files.settings import with_settings
     from clothtrack.reconstruction import two_stages
     from clothtrack.reconstruction.data.state_store import open_states
     from clothtrack.reconstruction.networks.network_config import preset
@@ -139,10 +145,14 @@ def pretrain(
         return 2
     sets = [open_states(folder) for folder in states]
     name = "pretrain_reference" if network == "reference" else "pretrain"
-    config = _learning_config(name, settings, seed=seed)
+    sizes, others = _sizes_of_tokens(settings)
+    config = _learning_config(name, others, seed=seed)
     if network == "tokens":
-        learn = partial(pretrain_tokens, sets, TokenNetworkConfig(), config, output, start=start)
+        tokens = with_settings(TokenNetworkConfig(), sizes)
+        learn = partial(pretrain_tokens, sets, tokens, config, output, start=start, hours=hours)
         return _learn(learn, device, json=json)
+    if hours is not None:
+        raise InvalidConfigError("--hours: a published network learns for its epochs; leave it out")
     learn = partial(two_stages.pretrain, sets, preset(network), config, output, start=start)
     return _learn(learn, device, json=json)
 
@@ -279,6 +289,15 @@ def _mesh_of(picture: Path, frame: int | None) -> Path:
     """Where the mesh of a picture, or of a recording's frame, goes when nobody says."""
     name = picture.resolve().name if picture.is_dir() else picture.stem
     return Path("out") / (f"{name}.obj" if frame is None else f"{name}_{frame:06d}.obj")
+
+
+def _sizes_of_tokens(settings: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return settings of the token network's sizes, without their group, and the others."""
+    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
+
+    sizes = tuple(f"tokens.{one.name}=" for one in fields(TokenNetworkConfig))
+    own = [one.removeprefix("tokens.") for one in settings if one.startswith(sizes)]
+    return own, [one for one in settings if not one.startswith(sizes)]
 
 
 def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "LearningConfig":

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from clothtrack.reconstruction.training.training_loop import TrainingOutcome
+from clothtrack.reconstruction.training.training_run import TrainingOutcome
 
 
 @dataclass(frozen=True)

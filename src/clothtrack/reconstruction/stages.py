@@ -28,7 +28,7 @@ from clothtrack.reconstruction.networks.completion import Completion, ObservedPo
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.networks.warp_field import RESIDUAL_M, WarpField
 from clothtrack.reconstruction.observation import observe_pictures
-from clothtrack.reconstruction.training.training_loop import Stage
+from clothtrack.reconstruction.training.stage import Stage
 
 CLOSE = 0.05
 """A canonical coordinate nearer to the truth than this [unit cube] counts as found."""

@@ -35,7 +35,8 @@ from clothtrack.reconstruction.training.checkpoint import (
 )
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.reconstruction.training.training_loop import TrainingOutcome, train
+from clothtrack.reconstruction.training.training_loop import train
+from clothtrack.reconstruction.training.training_run import TrainingOutcome
 
 MODEL = "model.safetensors"
 
@@ -73,7 +74,7 @@ def pretrain(
     )
     data = {
         "states": len(examples),
-        "sets": [one.folder.name for one in states],
+        "sets": [one.identity for one in states],
         "examples": asdict(config.examples),
         "rendering": _plain(asdict(config.rendering)),
     }

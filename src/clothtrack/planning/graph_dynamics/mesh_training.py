@@ -32,8 +32,10 @@ from clothtrack.reconstruction.model_card import PACKAGES
 from clothtrack.reconstruction.training.batches import Draw, Subset, split_by_group
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.training.processes import Processes
+from clothtrack.reconstruction.training.stage import Stage
 from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.reconstruction.training.training_loop import Stage, TrainingOutcome, train
+from clothtrack.reconstruction.training.training_loop import train
+from clothtrack.reconstruction.training.training_run import TrainingOutcome
 
 RESTING_HEIGHT_M = 0.0015
 WHOLE_ERROR = "whole_error_mm"

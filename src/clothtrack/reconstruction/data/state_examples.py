@@ -1,8 +1,8 @@
 """Simulated states as examples, drawn on the fly: a fresh camera, its noise, a fresh rotation."""
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
@@ -32,8 +32,10 @@ from clothtrack.recordings.camera_view import flying_pixels
 GarmentPart = TypeVar("GarmentPart")
 Drawn = TypeVar("Drawn")
 
+logger = logging.getLogger(__name__)
+
 _MARGIN_PIXELS = 6
-_ATTEMPTS = 4
+_ATTEMPTS, _STATES_TRIED = 8, 4
 _ROOM = 0.98
 
 
@@ -82,30 +84,35 @@ class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
         return len(self._places)
 
     def __getitem__(self, draw: Draw) -> Drawn:
-        """The state, rendered and augmented for this epoch."""
+        """The state, rendered and augmented for this epoch.
+
+        A camera may measure too little cloth to ask the network about, most often of a narrow
+        cloth that hangs before a hand. It is rendered again, and in the end another state is.
+
+        Raises:
+            InvalidRecordingError: several states in turn could not be rendered.
+        """
         index, epoch = draw
-        number, state = self._places[index]
-        shard = self._shard(number)
-        if number not in self._garments:
-            self._garments[number] = self._garment_of(shard, number)
-        garment = self._garments[number]
         rng = np.random.default_rng([self.seed, epoch, index])
-        positions = shard.positions[state].astype(np.float64)
+        failure = None
+        for _ in range(_STATES_TRIED):
+            number, state = self._places[index]
+            shard, garment = self._shard(number), self._garment(number)
+            positions = shard.positions[state].astype(np.float64)
+            for _ in range(_ATTEMPTS):
+                picture = render(positions, shard.mesh, self.rendering, rng)
+                try:
+                    return self._drawn(picture, shard, garment, rng)
+                except InvalidRecordingError as error:
+                    failure = f"{self._paths[number]}, state {state}: {error}"
+            logger.info("rendered %d times; another state is taken: %s", _ATTEMPTS, failure)
+            index = int(rng.integers(len(self)))
+        raise InvalidRecordingError(str(failure))
 
-        def drawn() -> Drawn:
-            return self._drawn(
-                render(positions, shard.mesh, self.rendering, rng), shard, garment, rng
-            )
-
-        for _ in range(_ATTEMPTS - 1):
-            # So little cloth may be measured that the network could not be asked: render it again.
-            with suppress(InvalidRecordingError):
-                return drawn()
-        try:
-            return drawn()
-        except InvalidRecordingError as error:
-            where = f"{self._paths[number]}, state {state}"
-            raise InvalidRecordingError(f"{where}: {error}") from error
+    def _garment(self, number: int) -> GarmentPart:
+        if number not in self._garments:
+            self._garments[number] = self._garment_of(self._shard(number), number)
+        return self._garments[number]
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the shards: a process reads its own."""

@@ -9,6 +9,7 @@ Every array carries the SHA-256 of its values, the shard that of all attributes:
 that is missing as zeros.
 """
 
+import hashlib
 import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
@@ -132,6 +133,13 @@ class StateSet:
     shards: tuple[Path, ...]
     document: Mapping[str, Any]
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the set is, wherever it lies: kind, shards and the SHA-256 of what is in them."""
+        digests = "".join(map(shard_digest, self.shards))
+        sha256 = hashlib.sha256(digests.encode()).hexdigest()
+        return {"kind": self.kind, "shards": len(self.shards), "sha256": sha256}
+
 
 def write_shard(shard: StateShard, path: Path) -> None:
     """Write a shard as a Zarr group, whole or not at all; one that is there is replaced.
@@ -166,6 +174,26 @@ def read_shard(path: Path) -> StateShard:
             f"{path}: not a whole shard of states ({error}); remove it and run the command that "
             "made it again"
         ) from error
+
+
+def shard_digest(path: Path) -> str:
+    """Return the SHA-256 of a shard's states and mesh, in hexadecimal digits.
+
+    It is made of the digests that the arrays were written with; the arrays are not read.
+
+    Raises:
+        InvalidResultError: the shard is damaged.
+    """
+    arrays = ("positions", "rest_positions", "canonical", "faces")
+    try:
+        group = zarr.open_group(path, mode="r")
+        parts = [str(group[name].attrs[DIGEST]) for name in arrays]
+    except DAMAGE as error:
+        raise InvalidResultError(
+            f"{path}: not a whole shard of states ({error}); remove it and run the command that "
+            "made it again"
+        ) from error
+    return hashlib.sha256("".join(parts).encode()).hexdigest()
 
 
 def open_states(folder: Path) -> StateSet:

@@ -12,7 +12,7 @@ from clothtrack.reconstruction.data.examples import LabelledPicture, faces_of_po
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_examples import RenderedStates
-from clothtrack.reconstruction.data.state_store import StateSet, StateShard
+from clothtrack.reconstruction.data.state_store import StateSet, StateShard, shard_digest
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
@@ -64,7 +64,8 @@ class TokenExamples(RenderedStates[GarmentTokens, TokenExample]):
         super().__init__(sets, rendering or RenderConfig(), seed)
         if not len(self):
             raise InvalidConfigError("there are no states; make some with clothtrack simulate")
-        self.groups = [number for number, _ in self._places]
+        digests = [shard_digest(path) for path in self._paths]
+        self.groups = [digests[number] for number, _ in self._places]
 
     def _garment_of(self, shard: StateShard, number: int) -> GarmentTokens:
         del number
@@ -201,7 +202,10 @@ def token_example(
     picture = picture.turned(rng.uniform(-np.pi, np.pi))
     view = crop(picture.depth_m, picture.mask, picture.camera, network)
     seen = cloth_pixels(view.depth, network)
-    points = points_of(view.depth, view.camera, seen.sources)
+    # More than are asked for: some lie off the mesh.
+    chosen = rng.permutation(len(seen.pixels))[: 2 * PIXELS]
+    pixels = seen.pixels[chosen]
+    points = points_of(view.depth, view.camera, seen.sources[chosen])
     face, weights, known = faces_of_points(points, picture, faces, cut_m=CUT * garment.size_m)
     known = np.flatnonzero(known)
     if len(known) == 0:
@@ -221,7 +225,7 @@ def token_example(
         height=height,
         distance=distance,
         features=garment.features,
-        pixels=seen.pixels[known],
+        pixels=pixels[known],
         pixel_tokens=tokens,
         pixel_shares=shares.reshape(PIXELS, -1).astype(np.float32),
         places=places.astype(np.float32),

@@ -3,12 +3,13 @@
 One network for every garment: it is told the garment by tokens of the rest mesh, and all lengths
 are in parts of the garment's longer side. Names are one joint distribution over all tokens, so that
 x and y of a pixel's place cannot contradict each other; the tokens' own places are learned for what
-nobody sees as well.
+nobody sees as well. One picture may allow several foldings, so the places come as a few hypotheses,
+each with a likelihood.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -41,6 +42,7 @@ class TokenNetworkConfig(Checked):
         width: channels of a token.
         layers: of attention.
         heads: of each layer; few and wide ones are much faster on a CPU.
+        hypotheses: alternative sets of places for one picture.
         image_size: pixels of the picture along each side.
         field_of_view_deg: of the picture's virtual camera [deg].
         view_margin: free space around the cloth, over its extent.
@@ -50,6 +52,7 @@ class TokenNetworkConfig(Checked):
     width: Count = 128
     layers: Count = 4
     heads: Count = 2
+    hypotheses: Count = 4
     image_size: Annotated[int, Bounds(least=32)] = 128
     field_of_view_deg: float = 45.0
     view_margin: float = 0.05
@@ -87,6 +90,22 @@ EMPTY = -10.0
 """Height of a pixel without cloth."""
 
 
+class TokenOutput(NamedTuple):
+    """Answers to a batch of pictures.
+
+    Attributes:
+        names: logits of the pixels' correspondences over the tokens.
+        places: x, y, z and two log spreads of each token under each hypothesis, in parts of the
+            garment's longer side and in the picture's frame: x to the right, y up, z up from the
+            table, the origin on the table below the camera.
+        choice: logits of the hypotheses.
+    """
+
+    names: Float[Tensor, "batch asked tokens"]
+    places: Float[Tensor, "batch hypotheses tokens 5"]
+    choice: Float[Tensor, "batch hypotheses"]
+
+
 class TokenNetwork(nn.Module):
     """Names of pixels and places of tokens.
 
@@ -121,7 +140,10 @@ class TokenNetwork(nn.Module):
         self.up = nn.Sequential(_convolution(128, 64), nn.ReLU())
         self.pixel = nn.Sequential(nn.Linear(96, 128), nn.ReLU(), nn.Linear(128, KEY))
         self.key = nn.Linear(width, KEY)
-        self.place = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 5))
+        self.place = nn.Sequential(
+            nn.Linear(width, width), nn.GELU(), nn.Linear(width, 5 * config.hypotheses)
+        )
+        self.choice = nn.Linear(width, config.hypotheses) if config.hypotheses > 1 else None
         self.sharpness = nn.Parameter(torch.zeros(()))
         size = config.image_size
         ticks = (torch.arange(size) - 0.5 * (size - 1)) / (0.5 * size)
@@ -130,14 +152,8 @@ class TokenNetwork(nn.Module):
         # Kept with the weights: a training that goes on is as far as it was.
         self.register_buffer("examples", torch.zeros((), dtype=torch.long))
 
-    def forward(
-        self, asked: TokenInput
-    ) -> tuple[Float[Tensor, "batch asked tokens"], Float[Tensor, "batch tokens 5"]]:
-        """Logits of the pixels' names, and x, y, z and two log spreads of the tokens' places.
-
-        Places are in the picture's frame: x to the right, y up, z up from the table, the origin on
-        the table below the camera.
-        """
+    def forward(self, asked: TokenInput) -> TokenOutput:
+        """Return names of pixels, hypotheses of the tokens' places, and their likelihoods."""
         batch, cells = len(asked.height), self.config.image_size // CELL
         cloth = (asked.height > 0.5 * EMPTY).float()
         fine = self.stem(self._channels(asked, cloth).contiguous(memory_format=torch.channels_last))
@@ -147,7 +163,9 @@ class TokenNetwork(nn.Module):
         seen = coarse.flatten(2).transpose(1, 2) + self.cell(self._cell_places(asked))
         # Empty cells are dropped: cells with cloth come first, cut to the fullest picture.
         order = torch.argsort(filled.float(), dim=1, descending=True, stable=True)
-        order = order[:, : int(filled.sum(1).max())]
+        # In steps of 32, so that few shapes occur: each has kernels and memory of its own.
+        fullest = -(-int(filled.sum(1).max()) // 32) * 32
+        order = order[:, :fullest]
         index = order[..., None].expand(-1, -1, seen.shape[-1])
         valid = filled.gather(1, order)
         garment = self.garment(self._told(asked.features))
@@ -168,7 +186,18 @@ class TokenNetwork(nn.Module):
         at = [part.permute(0, 2, 3, 1)[image, rows, columns] for part in (wide, fine)]
         names = self.pixel(torch.cat(at, -1))
         logits = names @ self.key(template).transpose(1, 2) * (self.sharpness.exp() / KEY**0.5)
-        return logits.float(), self.place(template).float()
+        return TokenOutput(logits.float(), *self._hypotheses(template))
+
+    def _hypotheses(
+        self, template: Float[Tensor, "batch tokens width"]
+    ) -> tuple[Float[Tensor, "batch hypotheses tokens 5"], Float[Tensor, "batch hypotheses"]]:
+        """Return the places of the tokens under each hypothesis, and its logits."""
+        count = self.config.hypotheses
+        places = self.place(template).float()
+        places = places.unflatten(-1, (count, 5)).transpose(1, 2)
+        if self.choice is None:
+            return places, places.new_zeros(len(places), 1)
+        return places, self.choice(template.mean(1)).float()
 
     def _channels(
         self, asked: TokenInput, cloth: Float[Tensor, "batch rows columns"]

@@ -37,6 +37,13 @@ _PLACE_WEIGHT = 0.1
 _OF_SIZE = 0.05
 _DEEP = 0.05
 _ALIKE = 0.1
+"""Hypotheses whose tokens are nearer than this in the mean, over the garment's size, agree."""
+
+_LEAST_LIKELY = 0.1
+"""Hypotheses less likely than this in their view are not asked for."""
+
+_MOST_PARTIES = 8
+"""Most rival answers of one picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +139,7 @@ class TokenReconstructor:
     def rivals(
         self, picture: DepthInput, tokens: GarmentTokens, *, views: int = VIEWS
     ) -> list[TokenAnswer]:
-        """What the views say: all of them joined, and joined with those only that say the same.
+        """Return rival answers: all views joined, and hypotheses joined with those that agree.
 
         Args:
             picture: as for `answer`, and so are the others.
@@ -144,11 +151,11 @@ class TokenReconstructor:
         points = points_of(view.depth, view.camera, seen.sources)
         table_m = _table_height(picture, points)
         height, distance, origin = seen_by_network(view, tokens.size_m, table_m)
-        answers = _Views(*self._views(height, distance, seen.pixels, tokens, views), tokens)
+        answers = self._views(height, distance, seen.pixels, tokens, views)
         if not np.isfinite(answers.places).all():
             raise InvalidResultError("the network's answer is not finite; give other weights")
 
-        def answer(members: tuple[int, ...]) -> TokenAnswer:
+        def answer(members: tuple[_Member, ...]) -> TokenAnswer:
             share, place, spread = answers.joined(members)
             canonical, sure = _read(share, tokens)
             return TokenAnswer(
@@ -160,9 +167,7 @@ class TokenReconstructor:
                 tokens,
             )
 
-        everybody = tuple(range(views))
-        parties = dict.fromkeys([everybody, *(answers.alike(view) for view in everybody)])
-        return [answer(members) for members in parties]
+        return [answer(members) for members in answers.parties()]
 
     def mesh(self, answer: TokenAnswer, garment: ClothMesh, picture: DepthInput) -> ClothMesh:
         """The garment's mesh laid into an answer.
@@ -188,8 +193,8 @@ class TokenReconstructor:
         pixels: np.ndarray,
         tokens: GarmentTokens,
         views: int,
-    ) -> tuple[Tensor, np.ndarray, np.ndarray]:
-        """Names, places and spreads by each view, named and placed as in the picture itself."""
+    ) -> "_Views":
+        """Names and hypotheses of each view, named and placed as in the picture itself."""
         last = self.config.output_size - 1
         shown, asked = [], []
         for number in range(views):
@@ -210,69 +215,103 @@ class TokenReconstructor:
             torch.from_numpy(np.stack(asked)).to(device),
         )
         with torch.no_grad(), torch.autocast(device.type, torch.bfloat16):
-            logits, answers = self.model(given)
-        names = logits.softmax(-1).double().cpu()
-        answers = answers.double().cpu().numpy()
+            output = self.model(given)
+        names = output.names.softmax(-1).double().cpu()
+        answers = output.places.double().cpu().numpy()
         places, spreads = answers[..., :3].copy(), np.exp(np.clip(answers[..., 3:], *LOG_SPREADS))
         mirror = torch.from_numpy(tokens.mirror)
         for number in range(views):
             place = places[number]
             if number & 4:
-                place[:, :2] = -place[:, [1, 0]]
+                place[..., :2] = -place[..., [1, 0]]
             if number & 2:
-                place[:, 1] *= -1.0
+                place[..., 1] *= -1.0
             if number & 1:
-                place[:, 0] *= -1.0
+                place[..., 0] *= -1.0
             if number.bit_count() % 2:
                 # The mirror image was named as the garment's mirror image is.
-                places[number], spreads[number] = (
-                    place[tokens.mirror],
-                    spreads[number][tokens.mirror],
-                )
+                places[number] = place[:, tokens.mirror]
+                spreads[number] = spreads[number][:, tokens.mirror]
                 names[number] = names[number][:, mirror]
-        return names, places, spreads
+        likelihoods = output.choice.softmax(-1).double().cpu().numpy()
+        return _Views(names, places, spreads, likelihoods, tokens)
 
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """Answers to all views of one picture, in the picture's own frame."""
+    """Hypotheses of all views of one picture, in the picture's own frame.
+
+    Attributes:
+        names: correspondences by view.
+        places, spreads: of the tokens, by view and hypothesis.
+        likelihoods: of the hypotheses of each view; their sum is 1.
+        tokens: of the garment.
+    """
 
     names: Tensor
-    places: Float[np.ndarray, "views tokens 3"]
-    spreads: Float[np.ndarray, "views tokens 2"]
+    places: Float[np.ndarray, "views hypotheses tokens 3"]
+    spreads: Float[np.ndarray, "views hypotheses tokens 2"]
+    likelihoods: Float[np.ndarray, "views hypotheses"]
     tokens: GarmentTokens
 
-    def alike(self, centre: int) -> tuple[int, ...]:
-        """The views whose places are those of one view, whatever they are called."""
-        apart = [self._named_as(centre, view)[1] for view in range(len(self.places))]
-        return tuple(int(view) for view in np.flatnonzero(np.array(apart) < _ALIKE))
+    def parties(self) -> list[tuple["_Member", ...]]:
+        """Return sets of hypotheses to join: the likeliest of each view, and those that agree.
+
+        Each hypothesis of any view gathers those of other views that are alike, one per view.
+        Parties are in the order of their likelihood; improbable ones are left out.
+        """
+        views, count = self.likelihoods.shape
+        everybody = tuple((view, int(self.likelihoods[view].argmax())) for view in range(views))
+        found = [
+            self._alike((view, number))
+            for view in range(views)
+            for number in range(count)
+            if self.likelihoods[view, number] >= _LEAST_LIKELY
+        ]
+        mass = {members: sum(self.likelihoods[one] for one in members) for members in found}
+        ranked = sorted(mass, key=lambda members: -mass[members])
+        return list(dict.fromkeys([everybody, *ranked]))[:_MOST_PARTIES]
 
     def joined(
-        self, members: tuple[int, ...]
+        self, members: tuple["_Member", ...]
     ) -> tuple[Float[np.ndarray, "asked tokens"], np.ndarray, np.ndarray]:
-        """One answer of some views: all named as the surest is, and weighed by their spreads."""
+        """One answer of some hypotheses: named as the surest is, and weighed by their spreads."""
         sure = self.names.max(-1).values.mean(-1)
-        surest = max(members, key=lambda view: float(sure[view]))
-        share, total = torch.zeros_like(self.names[0]), np.zeros_like(self.places[0])
+        surest = max(members, key=lambda one: float(sure[one[0]]))
+        share = torch.zeros_like(self.names[0])
+        total = np.zeros_like(self.places[0, 0])
         weight = np.zeros((len(total), 1))
-        for view in members:
-            name, _ = self._named_as(surest, view)
-            close = 1.0 / self.spreads[view][name].mean(axis=1, keepdims=True) ** 2
-            total += close * self.places[view][name]
+        for member in members:
+            name, _ = self._named_as(surest, member)
+            close = 1.0 / self.spreads[member][name].mean(axis=1, keepdims=True) ** 2
+            total += close * self.places[member][name]
             weight += close
-            share += self.names[view][:, torch.from_numpy(name)]
+            share += self.names[member[0]][:, torch.from_numpy(name)]
         share = share / share.sum(-1, keepdim=True)
         return share.numpy(), total / weight, np.sqrt(len(members) / weight) * np.ones(2)
 
-    def _named_as(self, centre: int, view: int) -> tuple[np.ndarray, float]:
-        """The labelling of a view that is nearest to another's, and their mean distance."""
+    def _alike(self, centre: "_Member") -> tuple["_Member", ...]:
+        """The hypotheses whose places are those of one, whatever they are called; one per view."""
+        views, count = self.likelihoods.shape
+        members = []
+        for view in range(views):
+            apart = [self._named_as(centre, (view, number))[1] for number in range(count)]
+            if min(apart) < _ALIKE:
+                members.append((view, int(np.argmin(apart))))
+        return tuple(members)
+
+    def _named_as(self, centre: "_Member", member: "_Member") -> tuple[np.ndarray, float]:
+        """The labelling of a hypothesis that is nearest to another's, and their mean distance."""
         labellings = self.tokens.labellings[self.tokens.is_labelling]
-        gaps = [
-            float(np.linalg.norm(self.places[view][name] - self.places[centre], axis=1).mean())
-            for name in labellings
-        ]
+        gaps = np.linalg.norm(self.places[member][labellings] - self.places[centre], axis=-1).mean(
+            axis=-1
+        )
         nearest = int(np.argmin(gaps))
-        return labellings[nearest], gaps[nearest]
+        return labellings[nearest], float(gaps[nearest])
+
+
+_Member = tuple[int, int]
+"""A view and one of its hypotheses."""
 
 
 def agreement(answer: TokenAnswer, mesh: ClothMesh) -> float:

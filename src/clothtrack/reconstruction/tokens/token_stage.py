@@ -3,6 +3,10 @@
 Which of a garment's look-alike labellings is true cannot be seen (`GarmentTokens.labellings`). The
 loss of a picture is a soft minimum over them, which hardens while training goes on; at first the
 labelling that lies most as the flat garment does is asked for, so that names settle at all.
+
+Of several hypotheses of the places only the nearest learns ("winner takes all"; A. Guzman-Rivera,
+D. Batra, P. Kohli, 2012), and its likelihood rises. A small share of the loss goes to the others,
+so that none is left behind (C. Rupprecht et al., 2017, doi:10.1109/ICCV.2017.388).
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,8 +22,9 @@ from clothtrack.reconstruction.tokens.token_network import (
     TokenInput,
     TokenNetwork,
     TokenNetworkConfig,
+    TokenOutput,
 )
-from clothtrack.reconstruction.training.training_loop import Stage
+from clothtrack.reconstruction.training.stage import Stage
 
 PLACE_WEIGHT, SPREAD_WEIGHT, EDGE_WEIGHT = 10.0, 0.1, 2.0
 """Weights of the loss beside 1 for names [nat]: places and edges are in parts of the garment."""
@@ -27,6 +32,12 @@ PLACE_WEIGHT, SPREAD_WEIGHT, EDGE_WEIGHT = 10.0, 0.1, 2.0
 CONVENTION_EXAMPLES, HARDENING_EXAMPLES = 6_000, 12_000
 """Examples for which one labelling is asked for by convention, and after which the minimum over
 labellings is as hard as it gets."""
+
+OTHERS = 0.08
+"""Share of the loss of places that hypotheses which are not the nearest have together."""
+
+CHOICE_WEIGHT = 0.2
+"""Weight of the cross entropy of the hypotheses' likelihoods [nat]."""
 
 CONVENTION = 20.0
 SOFTEST, HARDEST = 0.5, 0.02
@@ -130,82 +141,120 @@ class TokenStage(Stage):
         """The loss of a batch and its parts."""
         done = int(self.model.examples)
         self.model.examples.add_(len(batch.height))
-        parts = _parts(*self.model(batch.asked), batch)
-        each = parts.names + PLACE_WEIGHT * parts.places + EDGE_WEIGHT * parts.edges
+        output = self.model(batch.asked)
+        parts = _parts(output, batch)
+        nearest = parts.of_places.detach().argmin(-1, keepdim=True)
+        own = torch.zeros_like(parts.places).scatter(-1, nearest, 1.0)
+        count = own.shape[-1]
+        taught = (1.0 - OTHERS) * own + OTHERS / count if count > 1 else own
+        each = parts.names + parts.of_places.gather(-1, nearest)[..., 0]
         soft = max(0.0, 1.0 - done / HARDENING_EXAMPLES)
         score = -each.detach() / (HARDEST + (SOFTEST - HARDEST) * soft)
         if done < CONVENTION_EXAMPLES:
             shown = batch.conventional.masked_fill(~batch.is_labelling, -torch.inf).argmax(1)
             score = score + CONVENTION * functional.one_hot(shown, score.shape[1]) / HARDEST
         share = score.masked_fill(~batch.is_labelling, -torch.inf).softmax(1)
-        whole = ((each + SPREAD_WEIGHT * parts.spreads) * share).sum(1)
-        loss = (batch.weight * whole).sum() / batch.weight.sum().clamp(min=1e-12)
+        placed = ((parts.of_places + SPREAD_WEIGHT * parts.spreads) * taught).sum(-1)
         best = parts.best(batch)
+        winner = nearest[..., 0].gather(1, best)[:, 0]
+        chosen = functional.cross_entropy(output.choice, winner, reduction="none")
+        whole = ((parts.names + placed) * share).sum(1) + CHOICE_WEIGHT * chosen
+        loss = (batch.weight * whole).sum() / batch.weight.sum().clamp(min=1e-12)
         return {
             "loss": loss,
             "names": parts.names.gather(1, best).mean(),
-            "places": parts.places.gather(1, best).mean(),
-            "edges": parts.edges.gather(1, best).mean(),
+            "places": parts.places.amin(-1).gather(1, best).mean(),
+            "edges": parts.edges.gather(-1, nearest)[..., 0].gather(1, best).mean(),
+            "choice": chosen.mean(),
         }
 
     def measure(self, batch: TokenBatch) -> Mapping[str, Tensor]:
-        """Errors up to look-alike labelling: places in parts of the garment and in mm, names."""
-        parts = _parts(*self.model(batch.asked), batch)
-        best = parts.best(batch)
-        place = parts.places.gather(1, best)[:, 0]
+        """Errors up to look-alike labelling, per picture.
+
+        Places are those of the likeliest hypothesis, and of the nearest one ("nearest_error"), in
+        parts of the garment and in mm. "edge_ratio" is the length of edges between tokens over
+        their true length: below 1 where places shrink to a mean.
+        """
+        output = self.model(batch.asked)
+        parts = _parts(output, batch)
+        likeliest = output.choice.argmax(1)
+        index = likeliest[:, None, None].expand(-1, parts.names.shape[1], 1)
+        own = parts.at(index)
+        best = own.best(batch)
+        place = own.places[..., 0].gather(1, best)[:, 0]
+        apart = parts.places.amin(-1).masked_fill(~batch.is_labelling, torch.inf)
+        near = batch.neighbours
+        answer = output.places[torch.arange(len(likeliest), device=place.device), likeliest]
+        lengths = _lengths(answer[..., :3], near).mean((1, 2))
         return {
             "place_error": place,
             "place_error_mm": 1e3 * batch.size_m * place,
+            "nearest_error": apart.amin(1),
             "name_loss": parts.names.gather(1, best)[:, 0],
+            "edge_ratio": lengths / _lengths(batch.places, near).mean((1, 2)).clamp(min=1e-6),
         }
 
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Losses per picture and labelling."""
+    """Losses per picture, labelling and hypothesis; zero where a row is no labelling."""
 
     names: Float[Tensor, "batch labellings"]
-    places: Float[Tensor, "batch labellings"]
-    spreads: Float[Tensor, "batch labellings"]
-    edges: Float[Tensor, "batch labellings"]
+    places: Float[Tensor, "batch labellings hypotheses"]
+    spreads: Float[Tensor, "batch labellings hypotheses"]
+    edges: Float[Tensor, "batch labellings hypotheses"]
+
+    @property
+    def of_places(self) -> Float[Tensor, "batch labellings hypotheses"]:
+        """Loss of places and edges, with their weights."""
+        return PLACE_WEIGHT * self.places + EDGE_WEIGHT * self.edges
+
+    def at(self, index: Int[Tensor, "batch labellings 1"]) -> "_Parts":
+        """The losses of one hypothesis per picture."""
+        rows = (part.gather(-1, index) for part in (self.places, self.spreads, self.edges))
+        return _Parts(self.names, *rows)
 
     def best(self, batch: TokenBatch) -> Int[Tensor, "batch 1"]:
-        """The labelling that fits best."""
-        each = self.names + PLACE_WEIGHT * self.places
+        """The labelling that fits best, each with its nearest hypothesis."""
+        each = self.names + PLACE_WEIGHT * self.places.amin(-1)
         return each.detach().masked_fill(~batch.is_labelling, torch.inf).argmin(1)[:, None]
 
 
-def _parts(logits: Tensor, place: Tensor, batch: TokenBatch) -> _Parts:
-    log_names = logits.log_softmax(-1)
-    names, places, spreads, edges = [], [], [], []
-    near = batch.neighbours
-    for number in range(batch.labellings.shape[1]):
-        if not bool(batch.is_labelling[:, number].any()):
-            for row in (names, places, spreads, edges):
-                row.append(torch.zeros_like(batch.distance))
-            continue
-        # What is token i is called name[i]: its pixels are, and the token of that name lies there.
-        name = batch.labellings[:, number]
-        called = name.gather(1, batch.pixel_tokens.flatten(1)).view_as(batch.pixel_tokens)
-        loss = -(log_names.gather(-1, called) * batch.pixel_shares).sum(-1)
-        names.append(loss.sum(-1) / batch.pixel_shares.sum((1, 2)).clamp(min=1e-6))
-        guess = place.gather(1, name[..., None].expand(-1, -1, 5))
-        gap = guess[..., :3] - batch.places
-        places.append(gap.square().sum(-1).add(1e-6).sqrt().mean(-1))
-        # The mean learns by distance, the measure itself; the spread by Laplace's likelihood.
-        off, spread = gap.detach().abs(), guess[..., 3:].clamp(*LOG_SPREADS)
-        level = off[..., :2].sum(-1) * (-spread[..., 0]).exp() + 2.0 * spread[..., 0]
-        height = off[..., 2] * (-spread[..., 1]).exp() + spread[..., 1]
-        spreads.append((level + height).mean(-1))
-        edges.append(
-            (_lengths(guess[..., :3], near) - _lengths(batch.places, near)).abs().mean((1, 2))
-        )
-    return _Parts(*(torch.stack(rows, 1) for rows in (names, places, spreads, edges)))
+def _parts(output: TokenOutput, batch: TokenBatch) -> _Parts:
+    picture, labelling = batch.is_labelling.nonzero(as_tuple=True)
+    # What is token i is called name[i]: its pixels are, and the token of that name lies there.
+    name = batch.labellings[picture, labelling]
+    shares = batch.pixel_shares[picture]
+    called = name.gather(1, batch.pixel_tokens[picture].flatten(1)).view_as(shares)
+    loss = -(output.names.log_softmax(-1)[picture].gather(-1, called) * shares).sum((1, 2))
+    names = loss / shares.sum((1, 2)).clamp(min=1e-6)
+    index = name[:, None, :, None].expand(-1, output.places.shape[1], -1, 5)
+    guess = output.places[picture].gather(2, index)
+    true, near = batch.places[picture][:, None], batch.neighbours[picture]
+    gap = guess[..., :3] - true
+    places = gap.square().sum(-1).add(1e-6).sqrt().mean(-1)
+    # The mean learns by distance, the measure itself; the spread by Laplace's likelihood.
+    off, spread = gap.detach().abs(), guess[..., 3:].clamp(*LOG_SPREADS)
+    level = off[..., :2].sum(-1) * (-spread[..., 0]).exp() + 2.0 * spread[..., 0]
+    height = off[..., 2] * (-spread[..., 1]).exp() + spread[..., 1]
+    spreads = (level + height).mean(-1)
+    long, wanted = _lengths(guess[..., :3], near[:, None]), _lengths(true, near[:, None])
+    edges = (long - wanted).abs().mean((-2, -1))
+
+    def table(values: Tensor) -> Tensor:
+        # Zero where a row is no labelling: its share of the loss is zero, and so is its gradient.
+        shape = (*batch.is_labelling.shape, *values.shape[1:])
+        return values.new_zeros(shape).index_put((picture, labelling), values)
+
+    return _Parts(table(names), table(places), table(spreads), table(edges))
 
 
-def _lengths(places: Tensor, near: Tensor) -> Tensor:
+def _lengths(
+    places: Float[Tensor, "*batch tokens 3"], near: Int[Tensor, "*around tokens neighbours"]
+) -> Float[Tensor, "*batch tokens others"]:
     """Distances of tokens from their nearest neighbours."""
     count = 5
-    index = near[..., 1:count].flatten(1)[..., None].expand(-1, -1, 3)
-    others = places.gather(1, index).view(*places.shape[:2], count - 1, 3)
-    return (others - places[:, :, None]).square().sum(-1).add(1e-8).sqrt()
+    index = near[..., 1:count].flatten(-2)[..., None]
+    index = index.expand(*places.shape[:-2], index.shape[-2], 3)
+    others = places.gather(-2, index).unflatten(-2, (places.shape[-2], count - 1))
+    return (others - places[..., None, :]).square().sum(-1).add(1e-8).sqrt()

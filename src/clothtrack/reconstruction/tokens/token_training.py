@@ -1,11 +1,14 @@
 """Trains the token network: on simulated states, from nothing or further, and on pseudo-labels."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import torch
+from jaxtyping import Int
+from torch import nn
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.progress import Progress
@@ -39,19 +42,22 @@ def pretrain_tokens(
     folder: Path,
     *,
     start: Path | None = None,
+    hours: float | None = None,
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
     """Train on states of any garments; a second call goes on where the first one stopped.
 
-    Garments are held out as a whole.
+    Garments are held out as a whole, by the digest of their states: whatever else is learned from,
+    the same ones are. A second call may add folders of states, or leave some out.
 
     Args:
         states: folders of states.
         network: sizes of the network.
         config: how.
         folder: gets progress, scalars and `model.safetensors`.
-        start: weights to begin with, of a network of the same sizes.
+        start: weights to begin with; the network may have more layers and hypotheses (`grown`).
+        hours: of wall time after which the training pauses; None for no limit.
         processes: who trains together.
         progress: called after every step.
 
@@ -65,18 +71,17 @@ def pretrain_tokens(
     """
     seed = config.tokens.seed
     examples = TokenExamples(states, network, rendering=config.rendering, seed=seed)
-    training, held = split_by_group(examples.groups, config.tokens.held_out_share, seed)
+    training, held = split_by_digest(examples.groups, config.tokens.held_out_share)
     data: dict[str, Any] = {
         "states": len(examples),
-        "sets": [one.folder.name for one in states],
+        "sets": [one.identity for one in states],
         "rendering": as_plain(asdict(config.rendering)),
     }
     weights = None
     if start is not None:
         weights = load_weights(start)
-        require_tokens(weights)
         data["start"] = as_plain(dict(weights.provenance))
-    learning = _Learning(network, config.tokens, folder, processes, progress)
+    learning = _Learning(network, config.tokens, folder, processes, progress, hours)
     return learning.of(Subset(examples, training), Subset(examples, held), data, weights)
 
 
@@ -122,6 +127,7 @@ class _Learning:
     folder: Path
     processes: Processes | None
     progress: Progress | None
+    hours: float | None = None
 
     def of(
         self, taught: Examples, held: Examples, data: dict[str, Any], start: Weights | None
@@ -132,7 +138,7 @@ class _Learning:
         model = TokenNetwork(self.network).to(memory_format=torch.channels_last)
         stage = TokenStage(model)
         if start is not None:
-            start.load_into(model, prefix=PREFIX)
+            grown(start, self.network).load_into(model, prefix=PREFIX)
         if self.processes is not None:
             stage = stage.to(self.processes.device)
         outcome = train(
@@ -145,6 +151,7 @@ class _Learning:
             data=data,
             processes=self.processes,
             progress=self.progress,
+            hours=self.hours,
         )
         if outcome.status == "interrupted" or outcome.weights is None:
             return LearningOutcome({"tokens": outcome}, None)
@@ -156,6 +163,79 @@ class _Learning:
             }  # fmt: skip
             save_weights(file, best.tensors, self.network, kind=KIND, provenance=provenance)
         return LearningOutcome({"tokens": outcome}, file)
+
+
+def grown(weights: Weights, network: TokenNetworkConfig) -> Weights:
+    """Return weights for a network of more layers or hypotheses that answers as before.
+
+    A new layer adds nothing at first, and a new hypothesis is the first one with a little noise.
+
+    Args:
+        weights: of a token network.
+        network: sizes that are wanted; its width and picture are those of the weights.
+
+    Raises:
+        InvalidResultError: they are of another network, or of other sizes.
+    """
+    old = require_tokens(weights)
+    free = {"layers": network.layers, "hypotheses": network.hypotheses}
+    if replace(old, **free) != network or old.layers > network.layers:
+        raise InvalidResultError(
+            f"{weights.path}: its sizes are {old}, wanted are {network}; a start may have fewer "
+            "layers and other hypotheses, and all else must be equal"
+        )
+    tensors = dict(weights.tensors)
+    model = TokenNetwork(network)
+    for number in range(old.layers, network.layers):
+        layer = cast("nn.Module", model.layers[number])
+        for name, value in layer.state_dict().items():
+            silent = name.startswith(("join.", "perceptron.2."))
+            tensors[f"{PREFIX}layers.{number}.{name}"] = value * 0.0 if silent else value
+    if old.hypotheses != network.hypotheses:
+        rng = torch.Generator().manual_seed(0)
+        for name in ("place.2.weight", "place.2.bias"):
+            first = tensors[PREFIX + name][:5]
+            copies = first.repeat(network.hypotheses, *[1] * (first.ndim - 1))
+            noise = _NOISE * first.std() * torch.randn(copies.shape, generator=rng)
+            noise[: len(first)] = 0.0
+            tensors[PREFIX + name] = copies + noise
+        for name, value in model.state_dict().items():
+            if name.startswith("choice."):
+                tensors[PREFIX + name] = torch.zeros_like(value)
+        if network.hypotheses == 1:
+            tensors = {k: v for k, v in tensors.items() if not k.startswith(f"{PREFIX}choice.")}
+    return replace(weights, tensors=tensors, network=asdict(network))
+
+
+_NOISE = 0.1
+"""Noise of a new hypothesis, over the standard deviation of the weights that it is copied from."""
+
+
+def split_by_digest(
+    digests: Sequence[str], held_out_share: float
+) -> tuple[Int[np.ndarray, " training"], Int[np.ndarray, " held_out"]]:
+    """Return indices to train on and to hold out; equal digests stay together.
+
+    A garment is held out because of its own digest alone, so that the same ones are whatever else
+    is learned from; the one with the lowest digest is in any case.
+
+    Args:
+        digests: of each example's garment, in hexadecimal digits.
+        held_out_share: share of the garments to hold out, about.
+
+    Raises:
+        InvalidConfigError: fewer than two garments, or none is left to train on.
+    """
+    names = set(digests)
+    chosen = {name for name in names if int(name[:8], 16) < held_out_share * 16**8}
+    chosen |= {min(names)}
+    if names == chosen:
+        raise InvalidConfigError(
+            f"{len(digests)} states of {len(names)} garments, of which {len(chosen)} are held out "
+            f"at a held_out_share of {held_out_share}; training needs one more: add states"
+        )
+    is_held = np.array([name in chosen for name in digests])
+    return np.flatnonzero(~is_held), np.flatnonzero(is_held)
 
 
 def require_tokens(weights: Weights) -> TokenNetworkConfig:
@@ -170,7 +250,8 @@ def require_tokens(weights: Weights) -> TokenNetworkConfig:
             "give weights of the token network"
         )
     try:
-        return TokenNetworkConfig(**weights.network)
+        # Weights written before there were hypotheses have one.
+        return TokenNetworkConfig(**{"hypotheses": 1, **weights.network})
     except TypeError as error:
         raise InvalidResultError(
             f"{weights.path}: its network's sizes are not known here ({error}); give weights of "

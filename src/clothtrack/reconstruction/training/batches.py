@@ -5,6 +5,7 @@ killed would have seen, however many processes make the examples.
 """
 
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol, runtime_checkable
 
@@ -115,6 +116,13 @@ class Mixture:
 class BatchOrder:
     """The batches of a run from a step on, this process's part of each.
 
+    Attributes:
+        steps: that the run has in all; without end for a rate that stays.
+        start: the first step that is asked for.
+        from_step: step at which the examples were last changed.
+        first_epoch: number of the epoch that begins there, so that no epoch is drawn twice.
+        processes: who takes part.
+
     Args:
         count: examples.
         config: batch size, epochs and seed.
@@ -126,6 +134,7 @@ class BatchOrder:
 
     def __init__(self, count: int, config: TrainingConfig, processes: Processes) -> None:
         self.count = count
+        self.from_step, self.first_epoch = 0, 0
         self.size = min(config.batch_size, count)
         if self.size % processes.count:
             raise InvalidConfigError(
@@ -133,24 +142,29 @@ class BatchOrder:
             )
         # What is left over after whole batches waits for another epoch's order.
         self.steps_per_epoch = count // self.size
-        self.steps = config.epochs * self.steps_per_epoch
+        endless = config.decay == "stable"
+        self.steps = sys.maxsize if endless else config.epochs * self.steps_per_epoch
         self.start = 0
         self._seed = config.seed
-        self._processes = processes
+        self.processes = processes
 
     def __len__(self) -> int:
         """Steps that are left."""
         return self.steps - self.start
 
+    def epoch(self, step: int) -> int:
+        """Return the number of the epoch that a step is in."""
+        return self.first_epoch + (step - self.from_step) // self.steps_per_epoch
+
     def __iter__(self) -> Iterator[Sequence[Draw]]:
         """Each step's examples."""
         order = np.zeros(0, np.int64)
         for step in range(self.start, self.steps):
-            epoch, position = divmod(step, self.steps_per_epoch)
+            epoch, position = self.epoch(step), (step - self.from_step) % self.steps_per_epoch
             if position == 0 or step == self.start:
                 order = np.random.default_rng([self._seed, epoch]).permutation(self.count)
             chosen = order[position * self.size : (position + 1) * self.size]
-            yield self._processes.share([(int(index), epoch) for index in chosen])
+            yield self.processes.share([(int(index), epoch) for index in chosen])
 
 
 def loader(

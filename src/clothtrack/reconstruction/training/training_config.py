@@ -23,14 +23,22 @@ class TrainingConfig(Checked):
         high_rate: the highest rate of the triangular cycle; the same as `low_rate`: constant.
         rise_epochs: epochs over which the rate climbs from the lowest to the highest.
         decay: what the rate does after its rise: down and up again in a triangle (L. N. Smith,
-            2017), or down once over all epochs that are left, as a cosine (I. Loshchilov,
-            F. Hutter, 2017).
+            2017), down once over all epochs that are left, as a cosine (I. Loshchilov, F. Hutter,
+            2017), or "stable": it stays, for as long as the run is given time, and falls once at
+            the end (S. Hu et al., arXiv 2404.06395, Sec. 4).
+        rise_examples: "stable": examples over which the rate climbs. Long enough for the moments
+            of Adam, which a start from weights alone begins at zero.
+        fall_examples: "stable": when above 0, the rate falls to the lowest over so many examples,
+            from the step at which this is first asked for, and the run ends there.
+        average_examples: examples over which the exponential average of the weights reaches back;
+            the average is what is measured and kept. 0: no average.
         gradient_limit: gradients are scaled to this norm at most; 0: as they are.
         freeze_statistics: batch norms keep the statistics that they have (fine-tuning on few
             examples spoils them).
         held_out_share: share of the groups (episodes, trajectories) that selects and is never
             trained on; the paper's 9:1.
         evaluate_epochs: epochs between two measurements on the held-out examples.
+        evaluate_examples: "stable": examples between two measurements; epochs are not counted.
         patience: measurements without an improvement after which training stops; 0: never.
         old_share: probability that an example is replaced by one of the old cloth, against
             forgetting (fine-tuning).
@@ -47,11 +55,15 @@ class TrainingConfig(Checked):
     low_rate: Positive = 1e-3
     high_rate: float = 1e-3
     rise_epochs: Positive = 4.0
-    decay: Literal["triangle", "cosine"] = "triangle"
+    decay: Literal["triangle", "cosine", "stable"] = "triangle"
+    rise_examples: Count = 16_000
+    fall_examples: Natural = 0
+    average_examples: Natural = 0
     gradient_limit: NotNegative = 0.0
     freeze_statistics: bool = False
     held_out_share: Fraction = 0.1
     evaluate_epochs: Count = 1
+    evaluate_examples: Count = 20_000
     patience: Natural = 0
     old_share: Annotated[float, Bounds(least=0, below=1)] = 0.0
     log_steps: Count = 10
@@ -73,11 +85,21 @@ class TrainingConfig(Checked):
                 "0 < low_rate <= high_rate"
             )
 
-    def rate(self, step: int, steps_per_epoch: int) -> float:
-        """Learning rate at a step.
+    def rate(self, step: int, steps_per_epoch: int, *, falls_from: int | None = None) -> float:
+        """Return the learning rate at a step, a function of the step and nothing else.
 
-        It is a function of the step and nothing else, so that nothing of it needs saving.
+        Args:
+            step: steps done.
+            steps_per_epoch: not used by a "stable" rate.
+            falls_from: step from which a "stable" rate falls; None while it stays.
         """
+        if self.decay == "stable":
+            height = min(1.0, step * self.batch_size / self.rise_examples)
+            if falls_from is not None:
+                fallen = (step - falls_from) * self.batch_size / max(1, self.fall_examples)
+                # 1 - sqrt loses least (A. Haegele et al., arXiv 2405.18392, Sec. 4).
+                height *= 1.0 - math.sqrt(min(1.0, max(0.0, fallen)))
+            return self.low_rate + (self.high_rate - self.low_rate) * height
         rise = max(1.0, self.rise_epochs * steps_per_epoch)
         if self.decay == "cosine":
             left = max(1.0, self.epochs * steps_per_epoch - rise)
@@ -147,13 +169,14 @@ def training_preset(name: str, stage: StageName) -> TrainingConfig:
 def _of_tokens(name: str) -> TrainingConfig:
     if name.startswith("pretrain"):
         return TrainingConfig(
-            epochs=40,
+            batch_size=16,
             low_rate=1e-6,
-            high_rate=1e-3,
-            rise_epochs=1.0,
-            decay="cosine",
+            high_rate=8e-4,
+            decay="stable",
+            average_examples=20_000,
             gradient_limit=1.0,
-            held_out_share=0.05,
+            held_out_share=0.03,
+            save_steps=100,
             bfloat16=True,
         )
     fine = replace(training_preset(name, "canonicalisation"), gradient_limit=1.0, bfloat16=True)
