@@ -33,7 +33,7 @@ from clothtrack.reconstruction.data.crumpling import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
-from clothtrack.reconstruction.tokens.token_training import KIND as ANY_GARMENT
+from clothtrack.reconstruction.tokens.token_learning import KIND as ANY_GARMENT
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.world import SMALL_WORLD, simulate
 from clothtrack.world.bench import vary

@@ -13,15 +13,15 @@ from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_examples import render
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_examples import token_example
-from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
-from clothtrack.reconstruction.tokens.token_stage import TokenExample, TokenStage, collate_tokens
-from clothtrack.reconstruction.tokens.token_training import (
+from clothtrack.reconstruction.tokens.token_learning import (
     KIND,
     PREFIX,
     grown,
     require_tokens,
     split_by_digest,
 )
+from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
+from clothtrack.reconstruction.tokens.token_stage import TokenExample, TokenStage, collate_tokens
 from clothtrack.reconstruction.training.checkpoint import Weights
 from clothtrack.simulation.garments import garment
 

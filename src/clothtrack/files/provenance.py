@@ -51,14 +51,17 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
 
 
 def commit() -> str:
-    """The commit of a checkout, or an empty text when this is an installed package."""
-    asked = subprocess.run(
-        ["git", "describe", "--always", "--dirty"],
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    """The commit of a checkout; empty for an installed package, or where there is no Git."""
+    try:
+        asked = subprocess.run(
+            ["git", "describe", "--always", "--dirty"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    except FileNotFoundError:
+        return ""
     return asked.stdout.strip() if asked.returncode == 0 else ""
 
 

@@ -8,7 +8,8 @@ from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
-from clothtrack.reconstruction.tokens.token_training import KIND, finetune_tokens
+from clothtrack.reconstruction.tokens.token_learning import KIND
+from clothtrack.reconstruction.tokens.token_training import finetune_tokens
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.two_stages import finetune_two_stages

@@ -5,8 +5,8 @@ from pathlib import Path
 from clothtrack.errors import InvalidResultError
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.model import MeshReconstructor
+from clothtrack.reconstruction.tokens.token_learning import KIND
 from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
-from clothtrack.reconstruction.tokens.token_training import KIND
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.two_stages import network_of
 

@@ -6,7 +6,6 @@ the token network is told of their garments, so that training needs neither the 
 nor what reads them. The file is safetensors, with a SHA-256 over all of it.
 """
 
-import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -52,7 +51,7 @@ class PackedStates:
         features, token_corners, token_blend, labellings, is_labelling, mirror, neighbours: of the
             tokens; the corners are those of the face that a token lies on.
         size_m, layers: of each garment.
-        held_out: a number from 0 to 1 of each garment, by which it is held out in any pack.
+        digest: the first 8 hexadecimal digits of each garment's digest, as a number.
     """
 
     positions: Int[Tensor, "all_vertices 3"]
@@ -74,7 +73,7 @@ class PackedStates:
     neighbours: UInt8[Tensor, "garments tokens neighbours"]
     size_m: Float[Tensor, " garments"]
     layers: Int[Tensor, " garments"]
-    held_out: Float[Tensor, " garments"]
+    digest: Int[Tensor, " garments"]
 
     def __len__(self) -> int:
         """Number of states."""
@@ -86,13 +85,15 @@ class PackedStates:
         faces: Int[np.ndarray, "faces 3"],
         garment: GarmentTokens,
         positions: Float32[np.ndarray, "states vertices 3"],
+        digest: str,
     ) -> "PackedStates":
-        """The states of one garment.
+        """Pack the states of one garment.
 
         Args:
             faces: of its mesh.
             garment: its tokens.
             positions: vertices of each state in the world [m], z up, the table at z = 0.
+            digest: of the garment and its states, in hexadecimal digits.
 
         Raises:
             InvalidConfigError: it has more vertices than fit.
@@ -107,7 +108,6 @@ class PackedStates:
         middle, scale = 0.5 * (low + high), 0.5 * (high - low).max(axis=1)
         parts = (positions - middle[:, None]) / np.maximum(scale, 1e-9)[:, None, None]
         parts = np.rint(parts * LARGEST).clip(-LARGEST, LARGEST)
-        drawn = hashlib.sha256(np.ascontiguousarray(garment.canonical).tobytes()).digest()
         arrays = {
             "positions": parts.reshape(-1, 3).astype(np.int16),
             "first": np.arange(states) * vertices,
@@ -128,7 +128,7 @@ class PackedStates:
             "neighbours": garment.neighbours.astype(np.uint8)[None],
             "size_m": np.array([garment.size_m], np.float32),
             "layers": np.array([garment.layers], np.int32),
-            "held_out": np.array([int.from_bytes(drawn[:4], "big") / 2**32], np.float32),
+            "digest": np.array([int(digest[:8], 16)]),
         }
         return cls(**{name: torch.from_numpy(values.copy()) for name, values in arrays.items()})
 
@@ -151,26 +151,11 @@ class PackedStates:
         """Size of the arrays."""
         return sum(getattr(self, field.name).nbytes for field in fields(self))
 
-    def split(self, share: float) -> tuple[Int[Tensor, " training"], Int[Tensor, " held_out"]]:
-        """States to train on, and states of garments that are held out.
-
-        A garment is held out or not by its own shape, whatever else is in a pack.
-
-        Args:
-            share: of the garments to hold out.
-
-        Raises:
-            InvalidConfigError: one of both is empty.
-        """
-        held = (self.held_out < share)[self.garment.long()]
-        training, others = (~held).nonzero()[:, 0], held.nonzero()[:, 0]
-        if len(training) == 0 or len(others) == 0:
-            raise InvalidConfigError(
-                f"of {len(self.vertices)} garments, {int((self.held_out < share).sum())} are held "
-                f"out with a share of {share}; both parts need one: give more garments, or "
-                "another share"
-            )
-        return training, others
+    @property
+    def groups(self) -> list[str]:
+        """The digest of each state's garment, shortened: by it a garment is held out as a whole."""
+        named = [f"{one:08x}" for one in self.digest.tolist()]
+        return [named[one] for one in self.garment.tolist()]
 
     def state(self, number: int) -> Float[Tensor, "vertices 3"]:
         """Vertices of one state in the world [m]."""
@@ -199,8 +184,8 @@ def write_pack(path: Path, states: PackedStates, provenance: dict[str, Any]) -> 
         save_file(tensors, temporary, metadata)
 
 
-def read_pack(path: Path) -> PackedStates:
-    """Read what `write_pack` has written; nothing in it is executed.
+def read_pack(path: Path) -> tuple[PackedStates, dict[str, Any]]:
+    """Read states and their provenance, as `write_pack` has written them; nothing is executed.
 
     Raises:
         InvalidResultError: it is missing, damaged, of another version or something else.
@@ -226,7 +211,7 @@ def read_pack(path: Path) -> PackedStates:
         raise InvalidResultError(
             f"{path}: is damaged (its SHA-256 differs from the one it was written with); {remedy}"
         )
-    return PackedStates(**tensors)
+    return PackedStates(**tensors), {**json.loads(metadata["provenance"]), DIGEST: metadata[DIGEST]}
 
 
 def in_files(packs: Iterable[PackedStates], most_bytes: int) -> Iterator[PackedStates]:

@@ -21,13 +21,13 @@ from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.template_fit import SeenPoints, TemplateFitConfig, fit_template
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_examples import seen_by_network
+from clothtrack.reconstruction.tokens.token_learning import PREFIX, require_tokens
 from clothtrack.reconstruction.tokens.token_network import (
     TokenInput,
     TokenNetwork,
     TokenNetworkConfig,
 )
 from clothtrack.reconstruction.tokens.token_stage import LOG_SPREADS
-from clothtrack.reconstruction.tokens.token_training import PREFIX, require_tokens
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 
 VIEWS = 8

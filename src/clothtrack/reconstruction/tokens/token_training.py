@@ -1,38 +1,27 @@
 """Trains the token network: on simulated states, from nothing or further, and on pseudo-labels."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
-import torch
-from jaxtyping import Int
-from torch import nn
-
-from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
-from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
-from clothtrack.reconstruction.model_card import PACKAGES
 from clothtrack.reconstruction.tokens.token_examples import LabelledTokenExamples, TokenExamples
-from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
-from clothtrack.reconstruction.tokens.token_stage import TokenStage, collate_tokens
+from clothtrack.reconstruction.tokens.token_learning import (
+    TokenLearning,
+    require_tokens,
+    split_by_digest,
+)
+from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
 from clothtrack.reconstruction.training.batches import Examples, Mixture, Subset, split_by_group
-from clothtrack.reconstruction.training.checkpoint import Weights, load_weights, save_weights
+from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 from clothtrack.reconstruction.training.processes import Processes
-from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.reconstruction.training.training_loop import train
-
-MODEL = "model.safetensors"
-KIND = "any"
-"""The garment in the weights' description: the network is told it."""
-
-PREFIX = "tokens."
 
 
 def pretrain_tokens(
@@ -81,7 +70,7 @@ def pretrain_tokens(
     if start is not None:
         weights = load_weights(start)
         data["start"] = as_plain(dict(weights.provenance))
-    learning = _Learning(network, config.tokens, folder, processes, progress, hours)
+    learning = TokenLearning(network, config.tokens, folder, processes, progress, hours)
     return learning.of(Subset(examples, training), Subset(examples, held), data, weights)
 
 
@@ -114,146 +103,5 @@ def finetune_tokens(
         others = TokenExamples(old, network, rendering=config.rendering, seed=training.seed)
         taught = Mixture(taught, others, training.old_share, seed=training.seed)
         data["old_states"] = len(others)
-    learning = _Learning(network, training, folder, processes, progress)
+    learning = TokenLearning(network, training, folder, processes, progress)
     return learning.of(taught, Subset(examples, held), data, start)
-
-
-@dataclass(frozen=True, eq=False)
-class _Learning:
-    """One training of the token network."""
-
-    network: TokenNetworkConfig
-    config: TrainingConfig
-    folder: Path
-    processes: Processes | None
-    progress: Progress | None
-    hours: float | None = None
-
-    def of(
-        self, taught: Examples, held: Examples, data: dict[str, Any], start: Weights | None
-    ) -> LearningOutcome:
-        """Train on examples, and write the weights that were best on the others."""
-        torch.manual_seed(self.config.seed)
-        # Pictures one pixel after the other: convolutions on a CPU are faster so.
-        model = TokenNetwork(self.network).to(memory_format=torch.channels_last)
-        stage = TokenStage(model)
-        if start is not None:
-            grown(start, self.network).load_into(model, prefix=PREFIX)
-        if self.processes is not None:
-            stage = stage.to(self.processes.device)
-        outcome = train(
-            stage,
-            taught,
-            held,
-            self.config,
-            self.folder,
-            collate=collate_tokens,
-            data=data,
-            processes=self.processes,
-            progress=self.progress,
-            hours=self.hours,
-        )
-        if outcome.status == "interrupted" or outcome.weights is None:
-            return LearningOutcome({"tokens": outcome}, None)
-        file = self.folder / MODEL
-        if self.processes is None or self.processes.writes:
-            best = load_weights(outcome.weights)
-            provenance: Mapping[str, Any] = {
-                **best.provenance, "cpu_s": outcome.cpu_s, "made_with": made_with(PACKAGES)
-            }  # fmt: skip
-            save_weights(file, best.tensors, self.network, kind=KIND, provenance=provenance)
-        return LearningOutcome({"tokens": outcome}, file)
-
-
-def grown(weights: Weights, network: TokenNetworkConfig) -> Weights:
-    """Return weights for a network of more layers or hypotheses that answers as before.
-
-    A new layer adds nothing at first, and a new hypothesis is the first one with a little noise.
-
-    Args:
-        weights: of a token network.
-        network: sizes that are wanted; its width and picture are those of the weights.
-
-    Raises:
-        InvalidResultError: they are of another network, or of other sizes.
-    """
-    old = require_tokens(weights)
-    free = {"layers": network.layers, "hypotheses": network.hypotheses}
-    if replace(old, **free) != network or old.layers > network.layers:
-        raise InvalidResultError(
-            f"{weights.path}: its sizes are {old}, wanted are {network}; a start may have fewer "
-            "layers and other hypotheses, and all else must be equal"
-        )
-    tensors = dict(weights.tensors)
-    model = TokenNetwork(network)
-    for number in range(old.layers, network.layers):
-        layer = cast("nn.Module", model.layers[number])
-        for name, value in layer.state_dict().items():
-            silent = name.startswith(("join.", "perceptron.2."))
-            tensors[f"{PREFIX}layers.{number}.{name}"] = value * 0.0 if silent else value
-    if old.hypotheses != network.hypotheses:
-        rng = torch.Generator().manual_seed(0)
-        for name in ("place.2.weight", "place.2.bias"):
-            first = tensors[PREFIX + name][:5]
-            copies = first.repeat(network.hypotheses, *[1] * (first.ndim - 1))
-            noise = _NOISE * first.std() * torch.randn(copies.shape, generator=rng)
-            noise[: len(first)] = 0.0
-            tensors[PREFIX + name] = copies + noise
-        for name, value in model.state_dict().items():
-            if name.startswith("choice."):
-                tensors[PREFIX + name] = torch.zeros_like(value)
-        if network.hypotheses == 1:
-            tensors = {k: v for k, v in tensors.items() if not k.startswith(f"{PREFIX}choice.")}
-    return replace(weights, tensors=tensors, network=asdict(network))
-
-
-_NOISE = 0.1
-"""Noise of a new hypothesis, over the standard deviation of the weights that it is copied from."""
-
-
-def split_by_digest(
-    digests: Sequence[str], held_out_share: float
-) -> tuple[Int[np.ndarray, " training"], Int[np.ndarray, " held_out"]]:
-    """Return indices to train on and to hold out; equal digests stay together.
-
-    A garment is held out because of its own digest alone, so that the same ones are whatever else
-    is learned from; the one with the lowest digest is in any case.
-
-    Args:
-        digests: of each example's garment, in hexadecimal digits.
-        held_out_share: share of the garments to hold out, about.
-
-    Raises:
-        InvalidConfigError: fewer than two garments, or none is left to train on.
-    """
-    names = set(digests)
-    chosen = {name for name in names if int(name[:8], 16) < held_out_share * 16**8}
-    chosen |= {min(names)}
-    if names == chosen:
-        raise InvalidConfigError(
-            f"{len(digests)} states of {len(names)} garments, of which {len(chosen)} are held out "
-            f"at a held_out_share of {held_out_share}; training needs one more: add states"
-        )
-    is_held = np.array([name in chosen for name in digests])
-    return np.flatnonzero(~is_held), np.flatnonzero(is_held)
-
-
-def require_tokens(weights: Weights) -> TokenNetworkConfig:
-    """The sizes of a token network, from its weights.
-
-    Raises:
-        InvalidResultError: they are of another network.
-    """
-    if weights.kind != KIND or not any(name.startswith(PREFIX) for name in weights.tensors):
-        raise InvalidResultError(
-            f"{weights.path}: these are weights of the published network for {weights.kind!r}; "
-            "give weights of the token network"
-        )
-    try:
-        # Weights written before there were hypotheses have one.
-        return TokenNetworkConfig(**{"hypotheses": 1, **weights.network})
-    except TypeError as error:
-        raise InvalidResultError(
-            f"{weights.path}: its network's sizes are not known here ({error}); give weights of "
-            "this version"
-        ) from error
