@@ -3,7 +3,7 @@
     python experiments pack_states out/towels out/shirts --output out/packs
     PYTHONPATH=src python experiments/tables/train_pieces.py --packs out/packs/*
         --start src/clothtrack/reconstruction/weights/tokens.safetensors
-        --device cuda --seconds 570 --output out/pieces
+        --device cuda --seconds 540 --output out/pieces
 
 For a GPU that is there for minutes at a time, on a machine that has PyTorch, NumPy, SciPy, OpenCV,
 safetensors and jaxtyping and nothing else. Pictures are rendered on the device. The next run, on
@@ -212,7 +212,7 @@ def parser() -> argparse.ArgumentParser:
         "--folder", type=Path, default=Path("out/run"), help="of the progress, on this machine"
     )
     made.add_argument("--device", default="cuda", help="cuda, or cpu")
-    made.add_argument("--seconds", type=float, default=570.0, help="of wall time, all included")
+    made.add_argument("--seconds", type=float, default=540.0, help="of wall time, all included")
     made.add_argument("--join", action="store_true", help="only put pieces together in --folder")
     made.add_argument("--measure", nargs="+", type=int, help="only measure batches of these sizes")
     made.add_argument("--repeats", type=int, default=20, help="of what is measured")
