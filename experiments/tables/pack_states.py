@@ -4,9 +4,9 @@
     clothtrack simulate out/shirts --garment tshirt --states 3000 --seed 50
     python experiments pack_states out/towels out/shirts --output out/packs
 
-A state takes 6 bytes per vertex, a garment about 50 kB beside its states (8 kB a state, if it has
-25 of 1,000 vertices). A file holds whole garments, as many as --most-mib allows; towels and shirts
-take turns, so that every file has both. `train_pieces` trains on the files.
+A state of 1,000 vertices takes about 3 kB, with its share of what is said of its garment. A file
+holds whole garments, as many as --most-mib allows; towels and shirts take turns, so that every file
+has both. `train_pieces` trains on the files.
 """
 
 import argparse

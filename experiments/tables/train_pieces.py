@@ -126,7 +126,9 @@ def measured(options: argparse.Namespace) -> None:
         width=options.width, layers=options.layers, hypotheses=options.hypotheses
     )
     device = options.device
-    pictures = TokenPictures(states, network, device=device, asked=options.asked)
+    pictures = TokenPictures(
+        states, network, device=device, asked=options.asked, part_pixels=options.part_pixels
+    )
     model = TokenNetwork(network).to(device, memory_format=torch.channels_last)
     stage = TokenStage(model).train()
     optimizer = torch.optim.Adam(stage.parameters(), lr=1e-6, fused=True)
@@ -215,6 +217,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--seconds", type=float, default=540.0, help="of wall time, all included")
     made.add_argument("--join", action="store_true", help="only put pieces together in --folder")
     made.add_argument("--measure", nargs="+", type=int, help="only measure batches of these sizes")
+    made.add_argument("--part-pixels", type=int, help="drawn together, in what is measured")
     made.add_argument("--repeats", type=int, default=20, help="of what is measured")
     made.add_argument("--batch-size", type=int, default=256, help="examples per step")
     made.add_argument("--rate", type=float, default=1.5e-3, help="the rate that stays")

@@ -33,7 +33,7 @@ def states_of(folder, kind, count=3):
 def packs(tmp_path_factory):
     out = tmp_path_factory.mktemp("packs")
     folders = [states_of(out / kind, kind) for kind in ("towel", "tshirt")]
-    assert pack_states.main([*folders, "--output", str(out / "packs"), "--most-mib", "0.1"]) == 0
+    assert pack_states.main([*folders, "--output", str(out / "packs"), "--most-mib", "0.03"]) == 0
     return [str(file) for file in sorted((out / "packs").iterdir())]
 
 

@@ -73,17 +73,15 @@ class Cloths:
         Args:
             most_pixels: of the pictures of a part, but that a part has at least one.
         """
-        sizes = self.size.cpu()
-        order = sizes.prod(1).argsort()
-        part: list[int] = []
-        width = height = 0
-        for one in order.tolist():
-            wide, high = max(width, int(sizes[one, 0])), max(height, int(sizes[one, 1]))
-            if part and (len(part) + 1) * wide * high > most_pixels:
-                yield torch.tensor(part, device=self.size.device)
-                part, wide, high = [], int(sizes[one, 0]), int(sizes[one, 1])
-            part, width, height = [*part, one], wide, high
-        yield torch.tensor(part, device=self.size.device)
+        sizes = self.size.tolist()
+        order = sorted(range(len(sizes)), key=lambda one: sizes[one][0] * sizes[one][1])
+        begin = width = height = 0
+        for place, one in enumerate(order):
+            width, height = max(width, sizes[one][0]), max(height, sizes[one][1])
+            if place > begin and (place - begin + 1) * width * height > most_pixels:
+                yield torch.tensor(order[begin:place], device=self.size.device)
+                begin, (width, height) = place, sizes[one]
+        yield torch.tensor(order[begin:], device=self.size.device)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,13 @@
 """States of many garments in one small file, for a machine that only trains.
 
-A state is 6 bytes per vertex: 16-bit numbers between the ends of its longest axis, which are
-0.015 mm apart for a garment of 1 m (half precision: 0.24 mm). Beside the states lies what
-the token network is told of their garments, so that training needs neither the folders of states
-nor what reads them. The file is safetensors, with a SHA-256 over all of it.
+Vertices are whole tenths of a millimeter, predicted from one another (`state_codec.py`) and
+compressed: about 2.5 bytes each. Beside the states lies what the token network is told of their
+garments, so that training needs neither the folders of states nor what reads them. The file is
+safetensors, with a SHA-256 over all of it.
 """
 
 import json
+import lzma
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -24,13 +25,17 @@ from clothtrack.files.array_digest import DIGEST
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.reconstruction.data.batch_rows import joined_rows
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
+from clothtrack.reconstruction.tokens.state_codec import Prediction, coded, decoded, prediction
 from clothtrack.reconstruction.training.checkpoint import weights_digest
 
 FORMAT = "clothtrack-packed-states"
 VERSION = "1"
 
-LARGEST = 32_767
-"""Largest 16-bit number: half of a state's longest axis."""
+STEP_M = 1e-4
+"""Positions are whole multiples of this [m]: 0.05 mm off at most, where sensors are 1 mm off."""
+
+LARGEST_M = 32_767 * STEP_M
+"""Half of the longest axis that a state can have [m]."""
 
 MOST_VERTICES = 32_768
 """Vertices that a face can name in 16 bits."""
@@ -41,7 +46,7 @@ class PackedStates:
     """States of garments, one after the other.
 
     Attributes:
-        positions: vertices of all states, from the middle of the state, as parts of its scale.
+        positions: vertices of all states from the middle of the state, in steps of `STEP_M`.
         first: where the vertices of each state begin.
         garment: the garment of each state.
         low, high: least and largest coordinates of each state [m].
@@ -96,18 +101,18 @@ class PackedStates:
             digest: of the garment and its states, in hexadecimal digits.
 
         Raises:
-            InvalidConfigError: it has more vertices than fit.
+            InvalidConfigError: it has more vertices, or is larger, than fits.
         """
         states, vertices = positions.shape[:2]
-        if vertices > MOST_VERTICES:
-            raise InvalidConfigError(
-                f"a garment has {vertices} vertices (at most {MOST_VERTICES} can be packed); "
-                "simulate it with fewer"
-            )
         low, high = positions.min(axis=1), positions.max(axis=1)
-        middle, scale = 0.5 * (low + high), 0.5 * (high - low).max(axis=1)
-        parts = (positions - middle[:, None]) / np.maximum(scale, 1e-9)[:, None, None]
-        parts = np.rint(parts * LARGEST).clip(-LARGEST, LARGEST)
+        largest_m = 0.5 * float((high - low).max())
+        if vertices > MOST_VERTICES or not largest_m < LARGEST_M:
+            raise InvalidConfigError(
+                f"a garment has {vertices} vertices and is up to {2.0 * largest_m:.2f} m long (at "
+                f"most {MOST_VERTICES} and {2.0 * LARGEST_M:.1f} m can be packed); simulate a "
+                "coarser or smaller one"
+            )
+        parts = np.rint((positions - 0.5 * (low + high)[:, None]) / STEP_M)
         arrays = {
             "positions": parts.reshape(-1, 3).astype(np.int16),
             "first": np.arange(states) * vertices,
@@ -147,10 +152,6 @@ class PackedStates:
             begin, garments = begin + len(one.positions), garments + len(one.vertices)
         return joined_rows(moved)
 
-    def bytes(self) -> int:
-        """Size of the arrays."""
-        return sum(getattr(self, field.name).nbytes for field in fields(self))
-
     @property
     def groups(self) -> list[str]:
         """The digest of each state's garment, shortened: by it a garment is held out as a whole."""
@@ -161,9 +162,8 @@ class PackedStates:
         """Vertices of one state in the world [m]."""
         count = int(self.vertices[int(self.garment[number])])
         begin = int(self.first[number])
-        low, high = self.low[number], self.high[number]
-        scale = 0.5 * (high - low).max() / LARGEST
-        return self.positions[begin : begin + count].float() * scale + 0.5 * (low + high)
+        middle = 0.5 * (self.low[number] + self.high[number])
+        return self.positions[begin : begin + count].float() * STEP_M + middle
 
 
 def write_pack(path: Path, states: PackedStates, provenance: dict[str, Any]) -> None:
@@ -177,8 +177,18 @@ def write_pack(path: Path, states: PackedStates, provenance: dict[str, Any]) -> 
     Raises:
         StorageError: the disk refuses.
     """
-    tensors = {one.name: getattr(states, one.name).contiguous() for one in fields(states)}
-    metadata = {"format": FORMAT, "version": VERSION, "provenance": json.dumps(provenance)}
+    arrays = {one.name: getattr(states, one.name).numpy() for one in fields(states)}
+    metadata = {
+        "format": FORMAT,
+        "version": VERSION,
+        "provenance": json.dumps(provenance),
+        "arrays": json.dumps({name: [one.dtype.str, one.shape] for name, one in arrays.items()}),
+    }
+    compressed = {name: _compressed(content) for name, content in _contents(states).items()}
+    tensors = {
+        name: torch.frombuffer(bytearray(content), dtype=torch.uint8)
+        for name, content in compressed.items()
+    }
     metadata[DIGEST] = weights_digest(tensors, metadata)
     with atomic_file(path) as temporary:
         save_file(tensors, temporary, metadata)
@@ -211,7 +221,22 @@ def read_pack(path: Path) -> tuple[PackedStates, dict[str, Any]]:
         raise InvalidResultError(
             f"{path}: is damaged (its SHA-256 differs from the one it was written with); {remedy}"
         )
-    return PackedStates(**tensors), {**json.loads(metadata["provenance"]), DIGEST: metadata[DIGEST]}
+    try:
+        arrays = {
+            name: _array(tensors[name].numpy().tobytes(), *described)
+            for name, described in json.loads(metadata["arrays"]).items()
+        }
+        states = PackedStates(**{name: torch.from_numpy(one) for name, one in arrays.items()})
+        positions = _decoded(states)
+    except (KeyError, ValueError, TypeError, IndexError, lzma.LZMAError) as error:
+        raise InvalidResultError(f"{path}: its content does not fit ({error}); {remedy}") from error
+    provenance = {**json.loads(metadata["provenance"]), DIGEST: metadata[DIGEST]}
+    return replace(states, positions=positions), provenance
+
+
+def packed_bytes(states: PackedStates) -> int:
+    """Return about how many bytes a file of these states has."""
+    return sum(len(_compressed(content)) for content in _contents(states).values())
 
 
 def in_files(packs: Iterable[PackedStates], most_bytes: int) -> Iterator[PackedStates]:
@@ -224,10 +249,62 @@ def in_files(packs: Iterable[PackedStates], most_bytes: int) -> Iterator[PackedS
     waiting: list[PackedStates] = []
     size = 0
     for one in packs:
-        if waiting and size + one.bytes() > most_bytes:
+        own = packed_bytes(one)
+        if waiting and size + own > most_bytes:
             yield PackedStates.joined(waiting)
             waiting, size = [], 0
         waiting.append(one)
-        size += one.bytes()
+        size += own
     if waiting:
         yield PackedStates.joined(waiting)
+
+
+def _contents(states: PackedStates) -> dict[str, bytes]:
+    """The bytes of every array, positions as what their prediction leaves."""
+    arrays = {one.name: getattr(states, one.name).numpy() for one in fields(states)}
+    parts = [coded(shown.numpy(), how) for shown, how in _by_garment(states)]
+    return {
+        name: np.concatenate(parts).tobytes() if name == "positions" else values.tobytes()
+        for name, values in arrays.items()
+    }
+
+
+def _by_garment(
+    states: PackedStates,
+) -> Iterator[tuple[Int[Tensor, "states vertices 3"], Prediction]]:
+    """Yield the positions of each garment's states, and how they are predicted."""
+    begin = corner = 0
+    counts = torch.bincount(states.garment.long(), minlength=len(states.vertices)).tolist()
+    sizes = zip(counts, states.vertices.tolist(), states.faces.tolist(), strict=True)
+    for count, vertices, faces in sizes:
+        how = prediction(states.corners[corner : corner + faces].numpy().astype(np.int64), vertices)
+        shown = states.positions[begin : begin + count * vertices]
+        yield shown.view(count, vertices, 3), how
+        begin, corner = begin + count * vertices, corner + faces
+
+
+def _decoded(states: PackedStates) -> Int[Tensor, "all_vertices 3"]:
+    """The positions, from an array of their size that holds what their prediction leaves."""
+    parts = [
+        torch.from_numpy(decoded(shown.numpy().reshape(-1).view(np.uint8), how)).view(-1, 3)
+        for shown, how in _by_garment(states)
+    ]
+    return torch.cat(parts)
+
+
+def _compressed(content: bytes) -> bytes:
+    return lzma.compress(content, preset=6)
+
+
+def _array(content: bytes, dtype: str, shape: Sequence[int]) -> np.ndarray:
+    """An array from its compressed bytes; no more of them than its shape asks for.
+
+    Raises:
+        ValueError: they are too few or too many.
+    """
+    size = int(np.dtype(dtype).itemsize * np.prod(shape))
+    # One byte more, to see that there is none.
+    whole = lzma.LZMADecompressor().decompress(content, max_length=size + 1)
+    if len(whole) != size:
+        raise ValueError(f"an array of {size} bytes has other ones")
+    return np.frombuffer(whole, dtype).reshape(shape).copy()

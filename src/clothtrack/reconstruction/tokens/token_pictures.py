@@ -18,7 +18,7 @@ from clothtrack.reconstruction.data.batch_rows import joined_rows, on_device, ro
 from clothtrack.reconstruction.data.batch_surface import on_mesh
 from clothtrack.reconstruction.data.batch_view import above
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.tokens.packed_states import LARGEST, PackedStates
+from clothtrack.reconstruction.tokens.packed_states import STEP_M, PackedStates
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenBatch
 
@@ -37,9 +37,9 @@ SIZE_ERROR = 0.02
 SPARE = 1.25
 """Pixels that are looked at for each that is asked for: some have no name."""
 
-PART_PIXELS = {"cpu": 200_000, "cuda": 50_000_000}
-"""Pixels of depth pictures that are made together: what fits a processor's cache, or a GPU's
-memory (about 2 kB per pixel at the peak)."""
+PART_PIXELS = {"cpu": 200_000, "cuda": 8_000_000}
+"""Pixels of depth pictures that are made together: what fits a processor's cache, and enough to
+keep a GPU busy. Pictures of much the same size come together: larger parts have wider margins."""
 
 
 class TokenPictures:
@@ -52,6 +52,7 @@ class TokenPictures:
         device: where the batches are made, "cpu" or "cuda:0".
         asked: pixels per picture that are asked for their name.
         seed: of everything random.
+        part_pixels: pixels of depth pictures that are made together; None: what suits the device.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class TokenPictures:
         device: str = "cpu",
         asked: int = PIXELS,
         seed: int = 0,
+        part_pixels: int | None = None,
     ) -> None:
         self.network = network
         self.rendering = rendering or RenderConfig()
@@ -72,7 +74,7 @@ class TokenPictures:
         self._low, self._high = states.low, states.high
         self._states = on_device(states, device)
         self._most = {name: int(getattr(states, name).max()) for name in ("vertices", "faces")}
-        self._part_pixels = PART_PIXELS[device.split(":", maxsplit=1)[0]]
+        self._part_pixels = part_pixels or PART_PIXELS[device.split(":", maxsplit=1)[0]]
 
     def batch(self, chosen: Int[Tensor, " batch"], step: Sequence[int]) -> TokenBatch:
         """Render some states, mirrored and turned at random.
@@ -203,9 +205,8 @@ class _Garments:
         vertices, faces = states.vertices.long(), states.faces.long()
         vertex = torch.arange(most["vertices"], device=chosen.device) % vertices[garment, None]
         low, high = states.low[chosen], states.high[chosen]
-        scale = 0.5 * (high - low).amax(1) / LARGEST
-        parts = states.positions[states.first[chosen, None] + vertex].float()
-        positions = parts * scale[:, None, None] + (0.5 * (low + high))[:, None]
+        steps = states.positions[states.first[chosen, None] + vertex].float()
+        positions = steps * STEP_M + (0.5 * (low + high))[:, None]
         face = torch.arange(most["faces"], device=chosen.device).expand(len(chosen), -1)
         is_face = face < faces[garment, None]
         begin = (faces.cumsum(0) - faces)[garment, None]
