@@ -13,7 +13,9 @@ Rows = TypeVar("Rows")
 
 def rows_of(batch: Rows, which: Int[Tensor, " chosen"]) -> Rows:
     """Some of the examples, in the order that is asked for."""
-    return _changed(batch, lambda values: rows_of(values, which), lambda one: one[which])
+    return _changed(
+        batch, lambda values: rows_of(values, which), lambda one: one.index_select(0, which)
+    )
 
 
 def on_device(batch: Rows, device: str) -> Rows:

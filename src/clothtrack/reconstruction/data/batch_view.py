@@ -174,12 +174,12 @@ def _joined(measured: Measured) -> Int[Tensor, "3 faces"]:
     c, d = (depth[:, 1:, :-1], shown[:, 1:, :-1]), (depth[:, 1:, 1:], shown[:, 1:, 1:])
     both = b[1] & c[1]
     low, high = torch.minimum(b[0], c[0]), torch.maximum(b[0], c[0])
-    number = torch.arange(depth.numel(), device=depth.device).view(depth.shape)[:, :-1, :-1]
+    joined = torch.zeros_like(shown)
     faces = []
     for (other, is_shown), offset in ((a, 0), (d, width + 1)):
         apart = torch.maximum(high, other) - torch.minimum(low, other)
-        whole = (both & is_shown).logical_and_(apart < JUMP_M)
-        first = number[whole]
+        joined[:, :-1, :-1] = (both & is_shown).logical_and_(apart < JUMP_M)
+        first = joined.view(-1).nonzero()[:, 0]
         rest = (first + width, first + 1) if offset == 0 else (first + 1, first + width)
         faces.append(torch.stack([first + offset, *rest]))
     return torch.cat(faces, 1)

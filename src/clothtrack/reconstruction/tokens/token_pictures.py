@@ -117,10 +117,9 @@ class TokenPictures:
         first = torch.sort(known.byte(), dim=1, descending=True, stable=True).indices
         turn = torch.arange(self.asked, device=known.device) % known.sum(1, keepdim=True).clamp_(1)
         taken = first.gather(1, turn)[..., None]
-        tokens, shares = garments.named(
-            found.corners.gather(1, taken.expand(-1, -1, 3)),
-            found.weights.gather(1, taken.expand(-1, -1, 3)),
-        )
+        corners = found.corners.gather(1, taken.expand(-1, -1, 3)) + garments.first[:, None, None]
+        weights = found.weights.gather(1, taken.expand(-1, -1, 3))
+        shares = self._states.vertex_shares[corners].float() * weights[..., None]
         size_m = garments.size_m * world.size_factor
         table_m = garments.size_m * world.table_shift
         above_m = views.position[:, 2] - table_m
@@ -129,8 +128,8 @@ class TokenPictures:
             height=height.masked_fill_(views.depth <= 0.0, EMPTY),
             distance=above_m / size_m,
             pixels=blocks.gather(1, taken.expand(-1, -1, 2)),
-            pixel_tokens=tokens,
-            pixel_shares=shares,
+            pixel_tokens=self._states.vertex_tokens[corners].long().flatten(2),
+            pixel_shares=shares.flatten(2),
             origin=torch.stack([views.position[:, 0], views.position[:, 1], table_m], 1),
             size_m=size_m,
             is_cloth=views.is_cloth & known.any(1),
@@ -173,13 +172,14 @@ class _Garments:
     Attributes:
         positions: vertices in the world [m]; those of a smaller garment come again.
         faces: vertices of each face, by corner; those that only fill up are vertex 0.
-        vertex_tokens, vertex_shares: as in `GarmentTokens`, and so are the others.
+        first: where the vertices of each garment begin in the pack.
+        features, token_corners, token_blend, labellings, is_labelling, mirror, neighbours, size_m,
+            layers: as in `PackedStates`.
     """
 
     positions: Float[Tensor, "batch vertices 3"]
     faces: Int[Tensor, "batch 3 faces"]
-    vertex_tokens: Int[Tensor, "batch vertices shares"]
-    vertex_shares: Float[Tensor, "batch vertices shares"]
+    first: Int[Tensor, " batch"]
     features: Float[Tensor, "batch tokens features"]
     token_corners: Int[Tensor, "batch tokens 3"]
     token_blend: Float[Tensor, "batch tokens 3"]
@@ -212,30 +212,13 @@ class _Garments:
         begin = (faces.cumsum(0) - faces)[garment, None]
         corners = states.corners[(begin + face).clamp_(max=len(states.corners) - 1)].long()
         corners = corners * is_face[..., None]
-        first = (vertices.cumsum(0) - vertices)[garment, None]
         told = {name: getattr(states, name)[garment] for name in _OF_GARMENTS}
         return cls(
             positions=positions,
             faces=corners.transpose(1, 2).contiguous(),
-            vertex_tokens=states.vertex_tokens[first + vertex].long(),
-            vertex_shares=states.vertex_shares[first + vertex].float(),
+            first=(vertices.cumsum(0) - vertices)[garment],
             **{name: one.long() if name in _INDICES else one for name, one in told.items()},
         )
-
-    def named(
-        self, corners: Int[Tensor, "batch asked 3"], weights: Float[Tensor, "batch asked 3"]
-    ) -> tuple[Int[Tensor, "batch asked named"], Float[Tensor, "batch asked named"]]:
-        """Tokens around places on faces, and their shares of them.
-
-        Args:
-            corners: of the faces.
-            weights: of the corners.
-        """
-        batch, asked = corners.shape[:2]
-        index = corners.reshape(batch, -1, 1).expand(-1, -1, self.vertex_tokens.shape[2])
-        tokens = self.vertex_tokens.gather(1, index).view(batch, asked, -1)
-        shares = self.vertex_shares.gather(1, index).view(batch, asked, 3, -1)
-        return tokens, (shares * weights[..., None]).flatten(2)
 
     def places(self) -> Float[Tensor, "batch tokens 3"]:
         """Where the tokens are in the world [m]."""
