@@ -13,8 +13,8 @@ any machine, goes on from the pieces:
 
 It may name other packs. The rate rises, stays, and falls once: --fall-examples, in the last runs.
 --join puts the pieces together in --folder, where model.safetensors, the average of the weights
-with the lowest held-out error, works wherever weights are asked for. --measure says what rendering
-and learning cost on this machine, and trains nothing.
+with the lowest held-out error, works wherever weights are asked for. --measure says whether the
+device renders what the processor does and what rendering and learning cost, and trains nothing.
 """
 
 import argparse
@@ -29,9 +29,11 @@ import _path  # noqa: F401
 from shared.figures import say
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.reconstruction.data.render_config import RenderConfig
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.tokens.packed_states import PackedStates, read_pack
 from clothtrack.reconstruction.tokens.packed_training import pretrain_packed
-from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
+from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_pictures import TokenPictures
 from clothtrack.reconstruction.tokens.token_stage import TokenBatch, TokenStage
 from clothtrack.reconstruction.training.pieces import join_pieces, write_pieces
@@ -140,6 +142,7 @@ def measured(options: argparse.Namespace) -> None:
         loss.backward()
         optimizer.step()
 
+    say(agreement(states, network, device))
     for size in options.measure:
         chosen = torch.arange(size) % len(states)
         render_s = timed(partial(pictures.batch, chosen, (0,)), device, options.repeats)
@@ -151,6 +154,38 @@ def measured(options: argparse.Namespace) -> None:
             f"{1e3 * learn_s / size:.3f} ms an example: {size / (render_s + learn_s):.0f} "
             f"examples/s; most memory of the GPU {memory:.1f} GiB\n"
         )
+
+
+def agreement(states: PackedStates, network: TokenNetworkConfig, device: str) -> str:
+    """Say how far pictures of exact sensors on a device are from those on the processor."""
+    import torch
+
+    exact = SensorConfig.perfect()
+    config = RenderConfig(
+        stereo=exact, structured_light=exact, time_of_flight=exact, mask_jitter=0.0
+    )
+    chosen = torch.arange(min(len(states), COMPARED))
+    here, there = (
+        TokenPictures(states, network, rendering=config, device=one).batch(chosen, (0,))
+        for one in ("cpu", device)
+    )
+    first, second = here.height, there.height.cpu()
+    both = (first > 0.5 * EMPTY) & (second > 0.5 * EMPTY)
+    either = (first > 0.5 * EMPTY) | (second > 0.5 * EMPTY)
+    apart = torch.quantile((first - second)[both][:LARGEST].abs(), 0.99)
+    places = (here.places - there.places.cpu()).abs().max()
+    return (
+        f"{device} and the processor see cloth in the same {100.0 * both.sum() / either.sum():.2f} "
+        f"% of the pixels, 99 % of the heights are within {float(apart):.1e} and all places within "
+        f"{float(places):.1e} of the garment's size\n"
+    )
+
+
+COMPARED = 64
+"""States that are rendered on both devices."""
+
+LARGEST = 10_000_000
+"""Numbers of which PyTorch takes a quantile."""
 
 
 def timed(work: Callable[[], object], device: str, repeats: int) -> float:
@@ -221,12 +256,10 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--repeats", type=int, default=20, help="of what is measured")
     made.add_argument("--batch-size", type=int, default=256, help="examples per step")
     made.add_argument("--rate", type=float, default=1.5e-3, help="the rate that stays")
-    for name, default in (
-        ("rise", 100_000), ("fall", 0), ("average", 200_000), ("evaluate", 500_000)
-    ):  # fmt: skip
-        made.add_argument(
-            f"--{name}-examples", type=int, default=default, help="see docs/training.md"
-        )
+    made.add_argument("--rise-examples", type=int, default=100_000, help="of the rate, at first")
+    made.add_argument("--fall-examples", type=int, default=0, help="of the rate, at the end")
+    made.add_argument("--average-examples", type=int, default=200_000, help="of the weights")
+    made.add_argument("--evaluate-examples", type=int, default=500_000, help="between measurements")
     made.add_argument("--held-out-share", type=float, default=0.03, help="of the garments")
     made.add_argument("--asked", type=int, default=192, help="pixels per picture that are named")
     made.add_argument("--width", type=int, default=sizes.width, help="of the network")

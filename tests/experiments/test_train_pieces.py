@@ -10,7 +10,8 @@ pytest.importorskip("torch", reason="the extra [learn] brings it")
 
 from tables import pack_states, train_pieces
 
-from clothtrack.reconstruction.data.state_store import StateShard, write_states
+from clothtrack.reconstruction import write_states
+from clothtrack.reconstruction.data.state_store import StateShard
 from clothtrack.reconstruction.tokens.packed_states import read_pack
 from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 from clothtrack.simulation.garments import garment
@@ -78,6 +79,7 @@ def test_what_rendering_and_learning_cost_is_said(packs, tmp_path, capsys):
     words = [*options(packs, tmp_path), "--measure", "2", "4", "--repeats", "1"]
     assert train_pieces.main(words) == 0
     said = capsys.readouterr().out
+    assert "see cloth in the same 100.00 % of the pixels" in said
     rows = re.findall(r"batch (\d): render ([\d.]+) ms, learn ([\d.]+) ms an example", said)
     assert [int(size) for size, *_ in rows] == [2, 4]
     assert all(float(one) > 0.0 for row in rows for one in row[1:])

@@ -127,6 +127,7 @@ class _Even:
         return torch.rand(self.count, generator=self.generator, dtype=torch.float64)
 
     def between(self, low: float, high: float) -> Float[Tensor, " batch"]:
+        """Even draws between two bounds."""
         return low + (high - low) * self()
 
 
