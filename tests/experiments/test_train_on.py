@@ -3,12 +3,10 @@
 import json
 
 import pytest
-
-pytest.importorskip("torch", reason="the extra [learn] brings it")
-pytest.importorskip("matplotlib", reason="the extra [experiments] brings it")
-
+import torch
 from tables import train_on
 
+from clothtrack.files import content_hash
 from clothtrack.reconstruction.training.checkpoint import load_weights
 
 
@@ -25,6 +23,16 @@ def test_a_second_round_goes_on_with_more_states(tmp_path, capsys):
     phases = load_weights(tmp_path / "run" / "model.safetensors").provenance["phases"]
     assert [len(phase["data"]["sets"]) for phase in phases] == [1, 2]
     assert phases[1]["data"]["sets"][0] == phases[0]["data"]["sets"][0]
+    whole = load_weights(tmp_path / "run" / "model.safetensors")
+    shipped = tmp_path / "shipped.safetensors"
+    assert train_on.main([*command, "--ship", str(shipped)]) == 0
+    assert content_hash(shipped) in capsys.readouterr().out
+    halves = load_weights(shipped)
+    assert shipped.stat().st_size < 0.6 * whole.path.stat().st_size
+    for name, value in whole.tensors.items():
+        torch.testing.assert_close(
+            halves.tensors[name].to(value.dtype), value, rtol=1e-3, atol=1e-6
+        )
 
 
 def test_the_seed_that_judges_is_refused(tmp_path, capsys):
