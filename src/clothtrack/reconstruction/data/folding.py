@@ -208,7 +208,7 @@ class NeatFolds:
         return self._rolled(points, line, rng.uniform(1.0, 1.4))
 
     def top(self, points: Points, rng: np.random.Generator) -> Points | None:
-        """Fold back a part of the uppermost layers; None: no line was found that has such a part."""
+        """Fold back a part of the uppermost layers only; None when no line has such a part."""
         first, _ = _axes(points)
         for _ in range(TRIES):
             angle = first + 0.25 * np.pi * rng.integers(8) + self._care(rng)[0]
