@@ -6,21 +6,25 @@ states of one garment, each of which starts from the one before. A state is take
 come to rest, on the table or in the gripper.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
-from clothtrack.reconstruction.data.folding import MOST_LAYERS, NEAT, NeatFold, NeatFolds
+from clothtrack.reconstruction.data.folding import NEAT, NeatFolds
+from clothtrack.reconstruction.data.recipes import (
+    REFERENCE_SIZE_M,
+    CrumplingConfig,
+    Recipe,
+    drawn,
+)
 from clothtrack.reconstruction.data.wrinkles import wrinkled
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.pick_and_place import (
-    ActionConfig,
     Picks,
     PlannedAction,
     carrying_path,
@@ -29,21 +33,21 @@ from clothtrack.simulation.pick_and_place import (
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
 
-Recipe = Literal[NeatFold, "flat", "drop", "lift", "held", "push", "pick_and_place", "release"]
-
-
 STEP_S = 0.025
 """Length of a step of the solver while the cloth is moved [s]."""
 
 PULL_REACH = 0.7
 """No pull leads farther from where the garment lay flat than this, over its longer side."""
 
-REFERENCE_SIZE_M = 0.4
-"""Longer side of a garment for which lengths of `CrumplingConfig` hold as they are [m]; those of a
-larger garment grow with it, and speeds with the root of it, as free fall does."""
+MOST_LAYERS, MOST_HEIGHT = 4.5, 0.03
+"""A pressed stack of more layers than this, or that is higher over the garment's size, is not
+folded as a whole any more: it would have twice as many."""
 
 AGAIN = 0.6
 """Share of stacks of many layers of which a part is folded back; others are unfolded."""
+
+LOFT = 0.3
+"""Largest loft of a crease over the length of an edge: edges into it keep their lengths."""
 
 SOFTEST = 0.6
 """Least share of its height to which a soft fold is pressed: its bulges would lose their length."""
@@ -64,80 +68,6 @@ PUSH_WAY = (0.1, 0.4)
 
 WINDOW_STEPS = 4
 """Steps of the solver over which the way of a vertex is measured while waiting for rest."""
-
-
-@dataclass(frozen=True)
-class CrumplingConfig:
-    """How states of a garment come about. Pairs of numbers are bounds of an even draw.
-
-    Lengths and speeds are those for a garment of `REFERENCE_SIZE_M`.
-
-    Attributes:
-        states: states per episode.
-        shares: how often an episode begins with each recipe.
-        after_fold: how often each recipe follows a neat fold (`NEAT`).
-        next_shares: how often each follows another; what was held in the air is let go first.
-        turned_over: share of episodes that begin with the garment's other side up.
-        pressed: share of episodes whose neat folds are pressed flat and stay so; others the solver
-            lets go, which makes them soft.
-        smoothed: share of soft folds at which a hand smooths the cloth afterwards.
-        wrinkled: share of flat and folded states that have fine wrinkles.
-        smoothing_m: how far a hand that laid the cloth flat may have pulled it last [m].
-        lift_m: how high a vertex is lifted when the cloth stays on the table in part [m].
-        hang_m: distance of the hanging cloth from the table before it is dropped [m].
-        lift_speed: speed at which a vertex is lifted [m/s].
-        hang_s: how long it hangs [s].
-        drift_m: how far aside it is let go [m].
-        two_pickers: share of pick-and-places with a second gripper that moves alike.
-        folded, middle, pulled: shares of pick-and-places that take folded cloth with all its
-            layers, cloth near the middle, and the outline to carry it outwards, as one who flattens
-            a crumpled cloth; the others take mostly the outline, and carry it inwards.
-        action: pick-and-places; `reach_m` and the release height follow the garment.
-        rest_speed: a cloth is at rest when no vertex covers more way than this in a tenth of a
-            second [m/s].
-        rest_limit_s: longest wait for that [s].
-        strain_limit: a state whose edges changed length by more than this share, in the mean, has
-            exploded, as has one of which a vertex lies under the table.
-        folded_strain_limit: the same for pressed stacks, whose creases take up most of it.
-    """
-
-    states: int = 5
-    shares: dict[str, float] = field(
-        default_factory=lambda: {
-            "flat": 0.08, "fold": 0.1, "fold_half": 0.17, "fold_corner": 0.13, "fold_strips": 0.09,
-            "fold_sleeves": 0.12, "roll": 0.03, "drop": 0.1, "lift": 0.02, "held": 0.06,
-            "push": 0.03, "pick_and_place": 0.07,
-        }
-    )  # fmt: skip
-    after_fold: dict[str, float] = field(
-        default_factory=lambda: {
-            "fold": 0.08, "fold_half": 0.2, "fold_corner": 0.1, "fold_top": 0.32,
-            "fold_strips": 0.02, "roll": 0.03, "turn_over": 0.08, "held": 0.03, "push": 0.03,
-            "pick_and_place": 0.11,
-        }
-    )  # fmt: skip
-    next_shares: dict[str, float] = field(
-        default_factory=lambda: {"pick_and_place": 0.7, "held": 0.2, "push": 0.1}
-    )
-    turned_over: float = 0.5
-    pressed: float = 0.65
-    smoothed: float = 0.3
-    wrinkled: float = 0.7
-    smoothing_m: float = 0.02
-    lift_m: tuple[float, float] = (0.08, 0.25)
-    hang_m: tuple[float, float] = (0.03, 0.25)
-    lift_speed: float = 1.2
-    hang_s: float = 0.1
-    drift_m: float = 0.1
-    two_pickers: float = 0.3
-    folded: float = 0.15
-    middle: float = 0.15
-    pulled: float = 0.35
-    action: ActionConfig = field(default_factory=lambda: ActionConfig(speed=0.6, clear_held=True))
-    rest_speed: float = 0.1
-    rest_limit_s: float = 0.8
-    strain_limit: float = 0.05
-    folded_strain_limit: float = 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +135,7 @@ class Crumpler:
         )
         self._attached: Attachment | None = None
         self._thickness_m = thickness_m or solver.thickness_m
-        self._edge_m = float(np.mean(mesh.edge_lengths))
+        self._loft_m = 0.0
         self._folds = NeatFolds(mesh, solver.thickness_m)
         self._stack: Float[np.ndarray, "vertices 3"] | None = None
 
@@ -221,7 +151,9 @@ class Crumpler:
         self._solver.set_parameters(parameters)
         self._lay_down(turned_over=rng.random() < self.config.turned_over)
         pressed = rng.random() < self.config.pressed
-        recipe = _drawn(self.config.shares, rng)
+        loft_m = float(np.exp(rng.uniform(*np.log(self.config.loft_m))))
+        self._loft_m = min(loft_m, LOFT * self._folds.layers.edge_m)
+        recipe = drawn(self.config.shares, rng)
         for _ in range(self.config.states):
             if recipe in NEAT:
                 recipe, state = self._folded(recipe, rng, pressed=pressed)
@@ -234,21 +166,32 @@ class Crumpler:
             recipe = self._next(recipe, rng)
 
     def _next(self, recipe: Recipe, rng: np.random.Generator) -> Recipe:
-        """What follows a recipe."""
+        """Choose what follows a recipe; a stack that is too thick for a fold is unfolded first."""
         if recipe == "held":
             return "release"
-        if recipe not in NEAT:
-            return _drawn(self.config.next_shares, rng)
-        following = self.config.after_fold
+        following = self.config.after_fold if recipe in NEAT else self.config.next_shares
         if self._stack is None:
-            return _drawn(self.config.next_shares if recipe == "roll" else following, rng)
-        if self._folds.layers(self._stack) > MOST_LAYERS / 2:
+            return drawn(self.config.next_shares if recipe == "roll" else following, rng)
+        layers = self._folds.layers.most(self._stack)
+        if layers > min(MOST_LAYERS, MOST_HEIGHT * self._size_m / self._thickness_m):
             if rng.random() < AGAIN:
                 return "fold_top"
             self._lay_down(turned_over=rng.random() < self.config.turned_over)
             following = self.config.shares
-        others = NEAT if recipe != "turn_over" else [one for one in NEAT if one != recipe]
-        return _drawn({name: following.get(name, 0.0) for name in others}, rng)
+        neat = {name: following.get(name, 0.0) for name in NEAT}
+        if recipe == "turn_over":
+            neat[recipe] = 0.0
+        if any(neat.values()):
+            return drawn(neat, rng)
+        self._let_go()
+        return drawn(following, rng)
+
+    def _let_go(self) -> None:
+        """Give a pressed stack to the solver, its layers as far apart as contact keeps them."""
+        if self._stack is not None:
+            self._folds.layers.thickness_m = 2.0 * self._rest_height_m
+            self._solver.place(self._folds.layers.pressed(self._stack))
+            self._stack = None
 
     def _lay_down(self, *, turned_over: bool) -> None:
         """Lay the flat garment on the table, at rest."""
@@ -259,7 +202,7 @@ class Crumpler:
         self._solver.restore(self._fresh)
         self._solver.place(vertices)
         self._stack = None
-        self._folds.lay_flat()
+        self._folds.layers.lay_flat()
         self._attached = None
 
     def _scaled(self, bounds: tuple[float, float]) -> tuple[float, float]:
@@ -304,12 +247,14 @@ class Crumpler:
     def _folded(
         self, recipe: Recipe, rng: np.random.Generator, *, pressed: bool
     ) -> tuple[Recipe, CrumpledState]:
-        """Fold neatly; what was done in the end, and what came of it.
+        """Fold neatly; return what was done in the end, and what came of it.
 
         A pressed stack lies as hands left it. Otherwise, and when it is rolled, the solver lets go.
         """
         pressed &= recipe != "roll"
-        self._folds.thickness_m = self._thickness_m if pressed else 2.0 * self._rest_height_m
+        layers = self._folds.layers
+        layers.thickness_m = self._thickness_m if pressed else 2.0 * self._rest_height_m
+        layers.loft_m = self._loft_m if pressed else 0.0
         points = self._solver.positions[0].astype(np.float64)
         if self._stack is not None:
             points = self._stack
@@ -340,7 +285,10 @@ class Crumpler:
         if rng.random() < self.config.wrinkled:
             alone = state.recipe == "flat" and not np.ptp(self.mesh.vertices[:, 2])
             points = wrinkled(
-                points, edge_m=self._edge_m, stacked_m=None if alone else self._thickness_m, rng=rng
+                points,
+                edge_m=self._folds.layers.edge_m,
+                stacked_m=None if alone else self._thickness_m,
+                rng=rng,
             )
         return replace(state, positions=points.astype(np.float32))
 
@@ -439,13 +387,6 @@ class Crumpler:
     def _exploded(self, positions: Float32[np.ndarray, "vertices 3"]) -> bool:
         under: Bool[np.ndarray, " vertices"] = positions[:, 2] < -0.5 * self._rest_height_m
         return bool(under.any()) or edge_strain(self.mesh, positions) > self.config.strain_limit
-
-
-def _drawn(shares: Mapping[str, float], rng: np.random.Generator) -> Recipe:
-    """A recipe, each as often as its share says."""
-    names = [name for name in get_args(Recipe) if shares.get(name, 0.0) > 0.0]
-    share = np.array([shares[name] for name in names])
-    return names[int(rng.choice(len(names), p=share / share.sum()))]
 
 
 def _aside(distance_m: float, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:

@@ -28,12 +28,7 @@ from clothtrack.files.work_folder import WorkFolder
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
-from clothtrack.reconstruction.data.crumpling import (
-    REFERENCE_SIZE_M,
-    CrumpledState,
-    Crumpler,
-    CrumplingConfig,
-)
+from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler
 from clothtrack.reconstruction.data.folding import NEAT
 from clothtrack.reconstruction.data.garment_draws import (
     BEND_LENGTH_M,
@@ -42,6 +37,7 @@ from clothtrack.reconstruction.data.garment_draws import (
     draw_garment,
     draw_parameters,
 )
+from clothtrack.reconstruction.data.recipes import REFERENCE_SIZE_M, CrumplingConfig
 from clothtrack.reconstruction.data.state_store import (
     LIST_FILE,
     SHARD_FOLDER,

@@ -12,7 +12,7 @@ WIDTH_EDGES = (1.3, 5.0)
 """Half width of a ridge over the length of an edge; the logarithm is drawn evenly. A narrower one
 falls between the vertices."""
 
-HEIGHT_M = (0.0004, 0.005)
+HEIGHT_M = (0.0008, 0.007)
 """Height of a ridge [m]; the logarithm is drawn evenly."""
 
 STEEPEST = 0.22
