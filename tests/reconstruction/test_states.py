@@ -20,8 +20,9 @@ from clothtrack.files.worker_pool import PATIENCE_S
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data import states
-from clothtrack.reconstruction.data.crumpling import Crumpler, CrumplingConfig
+from clothtrack.reconstruction.data.crumpling import Crumpler
 from clothtrack.reconstruction.data.garment_draws import draw_garment
+from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import open_states, read_shard, shard_path
 from clothtrack.reconstruction.data.states import (
     StatesConfig,
