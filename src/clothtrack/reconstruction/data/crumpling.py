@@ -150,10 +150,11 @@ class Crumpler:
         """
         self._solver.set_parameters(parameters)
         self._lay_down(turned_over=rng.random() < self.config.turned_over)
-        pressed = rng.random() < self.config.pressed
-        loft_m = float(np.exp(rng.uniform(*np.log(self.config.loft_m))))
-        self._loft_m = min(loft_m, LOFT * self._folds.layers.edge_m)
         recipe = drawn(self.config.shares, rng)
+        pressed = recipe in NEAT and rng.random() < self.config.pressed
+        if pressed:
+            loft_m = float(np.exp(rng.uniform(*np.log(self.config.loft_m))))
+            self._loft_m = min(loft_m, LOFT * self._folds.layers.edge_m)
         for _ in range(self.config.states):
             if recipe in NEAT:
                 recipe, state = self._folded(recipe, rng, pressed=pressed)

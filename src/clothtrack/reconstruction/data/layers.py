@@ -28,6 +28,9 @@ ONE_PART = 0.6
 CORE_EDGES = 1.2
 """Least radius of a roll's inmost turn, over the length of an edge: a tighter one is a prism."""
 
+CORE_SAG = 0.125 / CORE_EDGES
+"""How far a straight edge lies inside that turn, over its length; turns are so much farther apart."""
+
 STACKED = 0.65
 """Vertices nearer than this lie one above the other, over the length of an edge: any layer has a
 vertex within 0.58 of it."""
@@ -252,7 +255,8 @@ class Layers:
         beyond = np.maximum(line.beyond(points), 0.0)
         floor = float(points[:, 2].min())
         height_m = points[:, 2] - floor
-        pitch_m = looseness * (float(height_m.max()) + self.thickness_m)
+        straight_m = CORE_SAG * self.edge_m
+        pitch_m = looseness * (float(height_m.max()) + self.thickness_m) + straight_m
         core_m = CORE_EDGES * self.edge_m + float(height_m.max())
         # The wound sheet fills the ring between the core and the outermost turn.
         outer_m = float(np.sqrt(core_m**2 + beyond.max() * pitch_m / np.pi))
