@@ -29,7 +29,7 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files import with_settings
 from clothtrack.geometry import quiet_warp
 from clothtrack.reconstruction import LearningConfig, MeshReconstructor, open_states
-from clothtrack.reconstruction.data.crumpling import CrumplingConfig
+from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK

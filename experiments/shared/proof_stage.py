@@ -19,7 +19,7 @@ STATES = (
 )  # fmt: skip
 TRAINING = (
     "tokens.epochs=2", "tokens.batch_size=2", "tokens.held_out_share=0.5", "tokens.save_steps=1",
-    "tokens.log_steps=1",
+    "tokens.log_steps=1", "tokens.decay=cosine",
 )  # fmt: skip
 ROLL_OUTS = (
     "roll_outs.vertex_count=150", "roll_outs.starts=1", "roll_outs.actions=4",

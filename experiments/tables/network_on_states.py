@@ -194,14 +194,18 @@ def markdown(rows: Sequence[Row]) -> str:
                 Path(network).name, band, str(len(own)), _mean_and_error(error),
                 f"{np.mean([0.1 * row['error_mm'] / row['size_m'] for row in own]):.1f}",
                 f"{np.mean([row['seen_mm'] for row in own]):.1f}",
-                f"{np.mean([row['hidden_mm'] for row in own if 'hidden_mm' in row]):.1f}",
+                _mean([row["hidden_mm"] for row in own if "hidden_mm" in row]),
                 *pair, f"{len(trusted)} of {len(own)}",
-                f"{np.mean(trusted):.1f}" if trusted else "-",
+                _mean(trusted),
                 f"{np.median([row['cpu_s'] for row in own]):.2f}",
             ])  # fmt: skip
     failed = [f"- {row['weights']}, shard {row['shard']}, state {row['state']}: {row['error']}"
               for row in rows if "error" in row]  # fmt: skip
     return "\n".join([table(head, lines), "", *failed])
+
+
+def _mean(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.1f}" if len(values) else "-"
 
 
 def _mean_and_error(values: Float[np.ndarray, " rows"]) -> str:

@@ -15,7 +15,8 @@ the states are more. A round that is interrupted goes on with the same command.
     OUT/curve.png              error of held-out garments against examples seen
 
 The first round begins with the shipped weights, or with --start. --fall EXAMPLES ends the
-training: the rate falls to nothing over so many examples. `--smoke` trains an untrained network
+training: the rate falls to nothing over so many examples. --ship FILE writes the weights in half
+precision, as those of the package are. `--smoke` trains an untrained network
 on a handful of small states; its figures mean nothing.
 """
 
@@ -48,6 +49,7 @@ from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_training import pretrain_tokens
+from clothtrack.reconstruction.training.checkpoint import load_weights, save_weights
 from clothtrack.reconstruction.training.processes import joined
 from clothtrack.reconstruction.training.training_log import read_scalars
 from tables import network_on_states
@@ -136,6 +138,19 @@ def _errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | int]:
     }  # fmt: skip
 
 
+def ship(weights: Path, file: Path) -> None:
+    """Write weights in half precision, and say by what digest they are known."""
+    whole = load_weights(weights)
+    halves = {
+        name: value.half() if value.is_floating_point() else value
+        for name, value in whole.tensors.items()
+    }
+    sizes = TokenNetworkConfig(**whole.network)
+    save_weights(file, halves, sizes, kind=whole.kind, provenance=whole.provenance)
+    count = sum(value.numel() for value in halves.values())
+    say(f"{file}: {count} numbers, SHA-256 {content_hash(file)}\n")
+
+
 def draw_curve(run: Path, file: Path, batch_size: int) -> None:
     """Draw the error of held-out garments against examples seen."""
     import matplotlib as mpl
@@ -160,6 +175,9 @@ def draw_curve(run: Path, file: Path, batch_size: int) -> None:
 def run(options: argparse.Namespace) -> None:
     """One round."""
     config = SMALL if options.smoke else StatesConfig()
+    if options.ship is not None:
+        ship(options.output / "run" / "model.safetensors", options.ship)
+        return
     if not options.judge_only:
         weights = trained(options, states_of(options, config))
     else:
@@ -194,6 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--judge-only", action="store_true", help="judge the weights that are there"
     )
+    parser.add_argument("--ship", type=Path, help="write the weights in half precision, no more")
     parser.add_argument("--smoke", action="store_true", help="a handful of small states")
     options = parser.parse_args(arguments)
     if options.output is None and not options.smoke:

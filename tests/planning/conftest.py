@@ -7,7 +7,7 @@ import pytest
 from clothtrack.planning.coarse_cloth import CoarseConfig
 from clothtrack.planning.graph_dynamics.roll_outs import RollOutConfig, generate_roll_outs
 from clothtrack.planning.planning_dynamics import MotionConfig
-from clothtrack.reconstruction.data.crumpling import CrumplingConfig
+from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.states import StatesConfig
 
 SMALL_ROLL_OUTS = RollOutConfig(

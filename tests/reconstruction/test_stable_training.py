@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 import torch
 
+from clothtrack.cli.command_line import main
 from clothtrack.errors import InvalidConfigError
+from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.reconstruction.training.training_run import PROGRESS
+from clothtrack.simulation.garments import garment
 
 CONFIG = {
     "decay": "stable", "batch_size": 4, "low_rate": 1e-6, "high_rate": 3e-2, "rise_examples": 80,
@@ -135,3 +138,17 @@ def test_another_rate_is_refused(line, tmp_path):
     learn(line, tmp_path, hours=1e-9)
     with pytest.raises(InvalidConfigError, match=r"training\.high_rate"):
         learn(line, tmp_path, hours=1e-9, high_rate=1e-3)
+
+
+def test_a_training_that_nothing_ends_is_refused(tmp_path, capsys):
+    mesh = garment("towel", vertex_count=100)
+    positions = np.asarray(mesh.vertices, np.float32)[None]
+    shard = StateShard("towel", mesh, positions, np.zeros(1, np.int64), ("flat",), 0)
+    write_states(tmp_path / "states", "towel", [shard], {})
+    command = ["pretrain", str(tmp_path / "states"), "--output", str(tmp_path / "run")]
+    assert main(command) == 1
+    said = capsys.readouterr().err
+    assert "add --hours N, or --set tokens.fall_examples=N" in said
+    assert not (tmp_path / "run").exists()
+    assert main([*command, "--hours", "1", "--network", "small"]) == 1
+    assert "--hours: a published network learns for its epochs" in capsys.readouterr().err

@@ -10,8 +10,8 @@ import torch
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import published_weights
-from clothtrack.reconstruction.data.crumpling import CrumplingConfig
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_examples import render

@@ -149,6 +149,11 @@ def pretrain(
     config = _learning_config(name, others, seed=seed)
     if network == "tokens":
         tokens = with_settings(TokenNetworkConfig(), sizes)
+        if config.tokens.decay == "stable" and hours is None and not config.tokens.fall_examples:
+            raise InvalidConfigError(
+                "the token network learns for as long as it is given time; add --hours N, or "
+                "--set tokens.fall_examples=N to let its rate fall and the training end"
+            )
         learn = partial(pretrain_tokens, sets, tokens, config, output, start=start, hours=hours)
         return _learn(learn, device, json=json)
     if hours is not None:

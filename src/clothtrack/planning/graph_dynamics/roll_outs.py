@@ -35,6 +35,7 @@ from clothtrack.reconstruction.data.garment_draws import (
     draw_garment,
     draw_parameters,
 )
+from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.states import StatesConfig
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
@@ -50,10 +51,19 @@ _OF_ROLL_OUTS = 0x5017
 
 
 def _of_flattening() -> StatesConfig:
-    """States of garments as large as those that are flattened."""
+    """States of garments as large as those that are flattened, and mostly heaps."""
     shirts_m = 0.38, 0.48
     sizes = GarmentRanges(towel_side_m=(0.22, 0.34), shirt_length_m=shirts_m, long_sleeves=0.0)
-    return StatesConfig(garments=sizes)
+    crumpling = CrumplingConfig(
+        shares={
+            "flat": 0.15, "fold": 0.3, "drop": 0.2, "lift": 0.05, "held": 0.1, "push": 0.05,
+            "pick_and_place": 0.15,
+        },
+        after_fold={"fold": 0.5, "pick_and_place": 0.35, "held": 0.1, "push": 0.05},
+        pressed=0.0,
+        wrinkled=0.0,
+    )  # fmt: skip
+    return StatesConfig(garments=sizes, crumpling=crumpling)
 
 
 @dataclass(frozen=True)

@@ -6,19 +6,25 @@ states of one garment, each of which starts from the one before. A state is take
 come to rest, on the table or in the gripper.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
+from clothtrack.reconstruction.data.folding import NEAT, NeatFolds
+from clothtrack.reconstruction.data.recipes import (
+    REFERENCE_SIZE_M,
+    CrumplingConfig,
+    Recipe,
+    drawn,
+)
+from clothtrack.reconstruction.data.wrinkles import wrinkled
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.pick_and_place import (
-    ActionConfig,
     Picks,
     PlannedAction,
     carrying_path,
@@ -27,28 +33,24 @@ from clothtrack.simulation.pick_and_place import (
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
 
-Recipe = Literal["flat", "fold", "drop", "lift", "held", "push", "pick_and_place", "release"]
-
 STEP_S = 0.025
 """Length of a step of the solver while the cloth is moved [s]."""
 
 PULL_REACH = 0.7
 """No pull leads farther from where the garment lay flat than this, over its longer side."""
 
-REFERENCE_SIZE_M = 0.4
-"""Longer side of a garment for which lengths of `CrumplingConfig` hold as they are [m]; those of a
-larger garment grow with it, and speeds with the root of it, as free fall does."""
+MOST_LAYERS, MOST_HEIGHT = 4.5, 0.03
+"""A pressed stack of more layers than this, or that is higher over the garment's size, is not
+folded as a whole any more: it would have twice as many."""
 
-RIGHT_ANGLES, DIAGONALS = 0.45, 0.25
-"""Shares of folds along the garment's own axes, and along its diagonals; others lie anywhere."""
+AGAIN = 0.6
+"""Share of stacks of many layers of which a part is folded back; others are unfolded."""
 
-FOLD_WOBBLE_RAD = np.radians(4.0)
-"""Standard deviation of a hand's fold from the direction that it aims at [rad]."""
+LOFT = 0.3
+"""Largest loft of a crease over the length of an edge: edges into it keep their lengths."""
 
-FOLDED_PART = (0.12, 0.5)
-"""Least and largest share of the vertices that are folded over."""
-
-MOST_FOLDS = 3
+SOFTEST = 0.6
+"""Least share of its height to which a soft fold is pressed: its bulges would lose their length."""
 
 HELD_SHARE = (0.15, 1.15)
 """How high a held vertex is lifted, over its distance from the farthest vertex of the flat garment:
@@ -66,63 +68,6 @@ PUSH_WAY = (0.1, 0.4)
 
 WINDOW_STEPS = 4
 """Steps of the solver over which the way of a vertex is measured while waiting for rest."""
-
-
-@dataclass(frozen=True)
-class CrumplingConfig:
-    """How states of a garment come about. Pairs of numbers are bounds of an even draw.
-
-    Lengths and speeds are those for a garment of `REFERENCE_SIZE_M`.
-
-    Attributes:
-        states: states per episode.
-        shares: how often an episode begins with each recipe.
-        next_shares: how often each recipe follows; a fold is followed by the garment's next folds,
-            what was held in the air is let go first.
-        turned_over: share of episodes that begin with the garment's other side up.
-        smoothing_m: how far a hand that laid the cloth flat may have pulled it last [m].
-        lift_m: how high a vertex is lifted when the cloth stays on the table in part [m].
-        hang_m: distance of the hanging cloth from the table before it is dropped [m].
-        lift_speed: speed at which a vertex is lifted [m/s].
-        hang_s: how long it hangs [s].
-        drift_m: how far aside it is let go [m].
-        two_pickers: share of pick-and-places with a second gripper that moves alike.
-        folded, middle, pulled: shares of pick-and-places that take folded cloth with all its
-            layers, cloth near the middle, and the outline to carry it outwards, as one who flattens
-            a crumpled cloth; the others take mostly the outline, and carry it inwards.
-        action: pick-and-places; `reach_m` and the release height follow the garment.
-        rest_speed: a cloth is at rest when no vertex covers more way than this in a tenth of a
-            second [m/s].
-        rest_limit_s: longest wait for that [s].
-        strain_limit: a state whose edges changed length by more than this share, in the mean, has
-            exploded, as has one of which a vertex lies under the table.
-    """
-
-    states: int = 5
-    shares: dict[str, float] = field(
-        default_factory=lambda: {
-            "flat": 0.15, "fold": 0.3, "drop": 0.2, "lift": 0.05, "held": 0.1, "push": 0.05,
-            "pick_and_place": 0.15,
-        }
-    )  # fmt: skip
-    next_shares: dict[str, float] = field(
-        default_factory=lambda: {"pick_and_place": 0.7, "held": 0.2, "push": 0.1}
-    )
-    turned_over: float = 0.5
-    smoothing_m: float = 0.02
-    lift_m: tuple[float, float] = (0.08, 0.25)
-    hang_m: tuple[float, float] = (0.03, 0.25)
-    lift_speed: float = 1.2
-    hang_s: float = 0.1
-    drift_m: float = 0.1
-    two_pickers: float = 0.3
-    folded: float = 0.15
-    middle: float = 0.15
-    pulled: float = 0.35
-    action: ActionConfig = field(default_factory=lambda: ActionConfig(speed=0.6, clear_held=True))
-    rest_speed: float = 0.1
-    rest_limit_s: float = 0.8
-    strain_limit: float = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +96,23 @@ class Crumpler:
     """
 
     def __init__(
-        self, mesh: ClothMesh, config: CrumplingConfig, solver: SolverConfig, *, device: str = "cpu"
+        self,
+        mesh: ClothMesh,
+        config: CrumplingConfig,
+        solver: SolverConfig,
+        *,
+        thickness_m: float | None = None,
+        device: str = "cpu",
     ) -> None:
-        """Prepare the solver; its table is put at z = 0."""
+        """Prepare the solver; its table is put at z = 0.
+
+        Args:
+            mesh: the flat garment.
+            config: how states come about.
+            solver: how motion is computed; its thickness is the distance that contact keeps.
+            thickness_m: distance of the layers of a pressed stack [m]; that of contact when None.
+            device: "cpu" or "cuda:0".
+        """
         self.mesh = mesh
         self.config = config
         table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
@@ -175,7 +134,10 @@ class Crumpler:
             release_height_m=0.002 + layers * solver.thickness_m,
         )
         self._attached: Attachment | None = None
-        self._folds_left = 0
+        self._thickness_m = thickness_m or solver.thickness_m
+        self._loft_m = 0.0
+        self._folds = NeatFolds(mesh, solver.thickness_m)
+        self._stack: Float[np.ndarray, "vertices 3"] | None = None
 
     def episode(
         self, parameters: ClothParameters, rng: np.random.Generator
@@ -188,20 +150,49 @@ class Crumpler:
         """
         self._solver.set_parameters(parameters)
         self._lay_down(turned_over=rng.random() < self.config.turned_over)
-        self._folds_left = int(rng.integers(1, MOST_FOLDS + 1))
-        recipe = _drawn(self.config.shares, rng)
+        recipe = drawn(self.config.shares, rng)
+        pressed = recipe in NEAT and rng.random() < self.config.pressed
+        if pressed:
+            loft_m = float(np.exp(rng.uniform(*np.log(self.config.loft_m))))
+            self._loft_m = min(loft_m, LOFT * self._folds.layers.edge_m)
         for _ in range(self.config.states):
-            getattr(self, f"_{recipe}")(rng)
-            state = self._rest(recipe)
-            yield state
+            if recipe in NEAT:
+                recipe, state = self._folded(recipe, rng, pressed=pressed)
+            else:
+                getattr(self, f"_{recipe}")(rng)
+                state = self._rest(recipe)
+            yield self._finished(state, rng)
             if state.exploded:
                 return
-            if recipe == "held":
-                recipe = "release"
-            elif recipe == "fold" and self._folds_left:
-                recipe = "fold"
-            else:
-                recipe = _drawn(self.config.next_shares, rng)
+            recipe = self._next(recipe, rng)
+
+    def _next(self, recipe: Recipe, rng: np.random.Generator) -> Recipe:
+        """Choose what follows a recipe; a stack that is too thick for a fold is unfolded first."""
+        if recipe == "held":
+            return "release"
+        following = self.config.after_fold if recipe in NEAT else self.config.next_shares
+        if self._stack is None:
+            return drawn(self.config.next_shares if recipe == "roll" else following, rng)
+        layers = self._folds.layers.most(self._stack)
+        if layers > min(MOST_LAYERS, MOST_HEIGHT * self._size_m / self._thickness_m):
+            if rng.random() < AGAIN:
+                return "fold_top"
+            self._lay_down(turned_over=rng.random() < self.config.turned_over)
+            following = self.config.shares
+        neat = {name: following.get(name, 0.0) for name in NEAT}
+        if recipe == "turn_over":
+            neat[recipe] = 0.0
+        if any(neat.values()):
+            return drawn(neat, rng)
+        self._let_go()
+        return drawn(following, rng)
+
+    def _let_go(self) -> None:
+        """Give a pressed stack to the solver, its layers as far apart as contact keeps them."""
+        if self._stack is not None:
+            self._folds.layers.thickness_m = 2.0 * self._rest_height_m
+            self._solver.place(self._folds.layers.pressed(self._stack))
+            self._stack = None
 
     def _lay_down(self, *, turned_over: bool) -> None:
         """Lay the flat garment on the table, at rest."""
@@ -211,6 +202,8 @@ class Crumpler:
         vertices[:, 2] += self._rest_height_m - vertices[:, 2].min()
         self._solver.restore(self._fresh)
         self._solver.place(vertices)
+        self._stack = None
+        self._folds.layers.lay_flat()
         self._attached = None
 
     def _scaled(self, bounds: tuple[float, float]) -> tuple[float, float]:
@@ -252,33 +245,53 @@ class Crumpler:
     def _release(self, rng: np.random.Generator) -> None:
         """Let go of what was held; the wait for rest does the falling."""
 
-    def _fold(self, rng: np.random.Generator) -> None:
-        """Fold the smaller part of the cloth over the larger one, as two hands do.
+    def _folded(
+        self, recipe: Recipe, rng: np.random.Generator, *, pressed: bool
+    ) -> tuple[Recipe, CrumpledState]:
+        """Fold neatly; return what was done in the end, and what came of it.
 
-        Each layer is wrapped around the line by its own radius, the lowest farthest out, so that
-        layers keep their order and their lengths.
+        A pressed stack lies as hands left it. Otherwise, and when it is rolled, the solver lets go.
         """
-        self._folds_left -= 1
+        pressed &= recipe != "roll"
+        layers = self._folds.layers
+        layers.thickness_m = self._thickness_m if pressed else 2.0 * self._rest_height_m
+        layers.loft_m = self._loft_m if pressed else 0.0
         points = self._solver.positions[0].astype(np.float64)
-        kind = rng.random()
-        if kind < RIGHT_ANGLES:
-            angle = 0.5 * np.pi * rng.integers(4)
-        elif kind < RIGHT_ANGLES + DIAGONALS:
-            angle = 0.5 * np.pi * (rng.integers(4) + 0.5)
-        else:
-            angle = rng.uniform(0.0, 2.0 * np.pi)
-        angle += FOLD_WOBBLE_RAD * rng.standard_normal()
-        across = np.array([np.cos(angle), np.sin(angle), 0.0])
-        along = points @ across
-        line = np.quantile(along, 1.0 - rng.uniform(*FOLDED_PART))
-        beyond = np.maximum(along - line, 0.0)
-        radius = points[:, 2].max() + self._rest_height_m - points[:, 2]
-        angle = np.minimum(beyond / radius, np.pi)
-        ahead = radius * np.sin(angle) - np.maximum(beyond - np.pi * radius, 0.0)
-        points += (ahead - beyond)[:, None] * across
-        points[:, 2] += radius * (1.0 - np.cos(angle))
+        if self._stack is not None:
+            points = self._stack
+        recipe, points = self._folds.fold(recipe, points, rng)
+        if pressed:
+            self._stack = points
+            strain = edge_strain(self.mesh, points)
+            exploded = strain > self.config.folded_strain_limit
+            return recipe, CrumpledState(recipe, points.astype(np.float32), 0.0, exploded)
+        self._stack = None
         self._solver.place(points)
-        self._flat(rng)
+        if rng.random() < self.config.smoothed:
+            self._flat(rng)
+        return recipe, self._rest(recipe)
+
+    def _finished(self, state: CrumpledState, rng: np.random.Generator) -> CrumpledState:
+        """What lies flat or folded, pressed by a hand, and with fine wrinkles; others as they are.
+
+        Thin cloth is simulated as thick as contact needs: flat, it is pressed to its own thickness.
+        """
+        if state.exploded or (state.recipe not in NEAT and state.recipe != "flat"):
+            return state
+        points = state.positions.astype(np.float64)
+        if self._stack is None:
+            share = min(1.0, self._thickness_m / (2.0 * self._rest_height_m))
+            soft = rng.uniform(max(share, SOFTEST), 1.0)
+            points[:, 2] *= share if state.recipe == "flat" else soft
+        if rng.random() < self.config.wrinkled:
+            alone = state.recipe == "flat" and not np.ptp(self.mesh.vertices[:, 2])
+            points = wrinkled(
+                points,
+                edge_m=self._folds.layers.edge_m,
+                stacked_m=None if alone else self._thickness_m,
+                rng=rng,
+            )
+        return replace(state, positions=points.astype(np.float32))
 
     def _push(self, rng: np.random.Generator) -> None:
         """Press a hand on the cloth and push it over the table, mostly towards the middle."""
@@ -375,13 +388,6 @@ class Crumpler:
     def _exploded(self, positions: Float32[np.ndarray, "vertices 3"]) -> bool:
         under: Bool[np.ndarray, " vertices"] = positions[:, 2] < -0.5 * self._rest_height_m
         return bool(under.any()) or edge_strain(self.mesh, positions) > self.config.strain_limit
-
-
-def _drawn(shares: Mapping[str, float], rng: np.random.Generator) -> Recipe:
-    """A recipe, each as often as its share says."""
-    names = [name for name in get_args(Recipe) if shares.get(name, 0.0) > 0.0]
-    share = np.array([shares[name] for name in names])
-    return names[int(rng.choice(len(names), p=share / share.sum()))]
 
 
 def _aside(distance_m: float, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:

@@ -38,9 +38,10 @@ class ClothRanges:
     """What garments are made of: bounds of an even draw.
 
     Attributes:
-        thickness_m: distance that layers keep [m] in a garment of `REFERENCE_SIZE_M`; it grows with
-            the root of the size. A little more than the benchmark's cloth, which halves the
-            crossings.
+        thickness_m: distance of the layers of a pressed stack [m]; its logarithm is drawn evenly.
+        contact_m: least distance that layers keep in the solver [m] in a garment of
+            `REFERENCE_SIZE_M`; it grows with the root of the size. A little more than the
+            benchmark's cloth, which halves the crossings.
         area_density: mass per area [kg/m^2].
         bend_compliance: inverse stiffness between vertices that face each other across an edge of
             `BEND_LENGTH_M` [m/N]; its logarithm is drawn evenly.
@@ -50,7 +51,8 @@ class ClothRanges:
         particle_friction: Coulomb coefficient between cloth and cloth.
     """
 
-    thickness_m: tuple[float, float] = (0.0035, 0.0042)
+    thickness_m: tuple[float, float] = (0.0005, 0.008)
+    contact_m: tuple[float, float] = (0.0035, 0.0042)
     area_density: tuple[float, float] = (0.12, 0.3)
     bend_compliance: tuple[float, float] = (3.0, 100.0)
     stretch_compliance: tuple[float, float] = (1e-3, 8e-3)

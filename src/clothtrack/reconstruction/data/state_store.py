@@ -43,7 +43,8 @@ LIST_FILE = "states.json"
 SHARD_FOLDER = "shards"
 
 RECIPES = (
-    "flat", "fold", "drop", "lift", "held", "push", "pick_and_place", "release", "imported",
+    "flat", "fold", "fold_half", "fold_corner", "fold_top", "fold_strips", "fold_sleeves", "roll",
+    "turn_over", "drop", "lift", "held", "push", "pick_and_place", "release", "imported",
 )  # fmt: skip
 """How a state can have come about; the last one is for states of other data sets."""
 

@@ -28,12 +28,8 @@ from clothtrack.files.work_folder import WorkFolder
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
-from clothtrack.reconstruction.data.crumpling import (
-    REFERENCE_SIZE_M,
-    CrumpledState,
-    Crumpler,
-    CrumplingConfig,
-)
+from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler
+from clothtrack.reconstruction.data.folding import NEAT
 from clothtrack.reconstruction.data.garment_draws import (
     BEND_LENGTH_M,
     ClothRanges,
@@ -41,6 +37,7 @@ from clothtrack.reconstruction.data.garment_draws import (
     draw_garment,
     draw_parameters,
 )
+from clothtrack.reconstruction.data.recipes import REFERENCE_SIZE_M, CrumplingConfig
 from clothtrack.reconstruction.data.state_store import (
     LIST_FILE,
     SHARD_FOLDER,
@@ -77,7 +74,10 @@ GARMENTS_TRIED = 4
 
 
 THICKEST_M = 0.008
-"""Largest distance of layers [m]."""
+"""Largest distance that layers keep in the solver [m]."""
+
+THICKEST = 0.015
+"""Largest thickness of cloth over the garment's size."""
 
 
 def _fast_contact() -> SolverConfig:
@@ -106,6 +106,8 @@ class StatesConfig(Checked):
         shift_m: a finished state lies this far from the origin at most, along x and along y [m].
         crossings_limit: states in which more than this share of the edges passes through a
             triangle are left out, and what would have followed from them.
+        folded_crossings_limit: the same for neat folds, whose layers meet in creases that are
+            narrower than an edge.
         crumpling: the episodes.
         garments: how large they are, and how they are cut.
         cloth: what they are made of.
@@ -116,6 +118,7 @@ class StatesConfig(Checked):
     episodes: Count = 5
     shift_m: float = 0.03
     crossings_limit: float = 0.03
+    folded_crossings_limit: float = 0.06
     crumpling: CrumplingConfig = field(default_factory=CrumplingConfig)
     garments: GarmentRanges = field(default_factory=GarmentRanges)
     cloth: ClothRanges = field(default_factory=ClothRanges)
@@ -279,11 +282,13 @@ def _shard(
     """
     mesh = draw_garment(kind, config.garments, config.vertex_count, rng)
     size_m = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
-    thickness = float(rng.uniform(*config.cloth.thickness_m))
-    thickness = min(THICKEST_M, thickness * max(1.0, math.sqrt(size_m / REFERENCE_SIZE_M)))
+    thickness = float(np.exp(rng.uniform(*np.log(config.cloth.thickness_m))))
+    thickness = min(thickness, THICKEST * size_m)
+    contact = float(rng.uniform(*config.cloth.contact_m))
+    contact = max(thickness, contact * max(1.0, math.sqrt(size_m / REFERENCE_SIZE_M)))
     density = float(rng.uniform(*config.cloth.area_density))
-    solver = _with_cloth(config.solver, thickness, density)
-    crumpler = Crumpler(mesh, config.crumpling, solver)
+    solver = _with_cloth(config.solver, min(THICKEST_M, contact), density)
+    crumpler = Crumpler(mesh, config.crumpling, solver, thickness_m=thickness)
     flat_area = projected_area(mesh.vertices, mesh.faces)
     taken: list[CrumpledState] = []
     episodes: list[int] = []
@@ -314,6 +319,7 @@ def _sound_states(
     """As many states as a shard has, each with its episode and how many edges cross something."""
     wanted, found = config.shard_states, 0
     limit = config.crossings_limit * len(crumpler.mesh.edges)
+    folded_limit = config.folded_crossings_limit * len(crumpler.mesh.edges)
     edge_m = float(np.mean(crumpler.mesh.edge_lengths))
     for episode in range(4 * config.episodes):
         parameters = draw_parameters(config.cloth, rng)
@@ -326,7 +332,7 @@ def _sound_states(
                 logger.info("episode %d: %s exploded", episode, state.recipe)
                 break
             crossed = crossings(state.positions, crumpler.mesh.faces)
-            if crossed > limit:
+            if crossed > (folded_limit if state.recipe in NEAT else limit):
                 logger.info("episode %d: %s: %d edges cross", episode, state.recipe, crossed)
                 break
             yield episode, state, crossed

@@ -289,8 +289,9 @@ class TrainingRun:
         if self.config.decay != "stable":
             return
         if self.config.fall_examples:
-            self.falls_from = self.step if self.falls_from is None else self.falls_from
-            self.order.steps = self.falls_from + -(-self.config.fall_examples // self.order.size)
+            start = self.step if self.falls_from is None else self.falls_from
+            self.falls_from = start
+            self.order.steps = start + -(-self.config.fall_examples // self.order.size)
         elif self.falls_from is not None:
             raise InvalidConfigError(
                 f"{self.folder}: its rate falls since step {self.falls_from}; give the "

@@ -1,0 +1,351 @@
+"""The layers of a cloth that lies folded on a table: how they are pressed, wrapped and rolled.
+
+Cloth beyond a line is laid around it, each layer by its own radius, so that layers keep their
+order and their lengths. What is folded is a part of the mesh that hangs together beyond the line:
+the line is the only place where it meets what stays, so that nothing is torn, and a part that
+nothing lies on can be folded back alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, cKDTree
+
+from clothtrack.geometry.mesh import ClothMesh
+
+Points = Float[np.ndarray, "vertices 3"]
+"""Vertices of a cloth on the table z = 0 [m]."""
+
+LEAST_PART = 0.015
+"""A part of fewer vertices than this share is not folded alone."""
+
+ONE_PART = 0.6
+"""How often one part of several is folded back; otherwise any number of them."""
+
+CORE_EDGES = 1.2
+"""Least radius of a roll's inmost turn, over the length of an edge: a tighter one is a prism."""
+
+CORE_SAG = 0.125 / CORE_EDGES
+"""How far a straight edge lies inside that turn, over its length; turns are so much farther apart."""
+
+STACKED = 0.65
+"""Vertices nearer than this lie one above the other, over the length of an edge: any layer has a
+vertex within 0.58 of it."""
+
+SAME_LAYER = 0.2
+"""Vertices whose heights differ by less than this, over the thickness, are of one layer."""
+
+STIFFNESS = 3
+"""Passes that smooth the heights of a pressed stack."""
+
+PRESSES = 40
+"""Most layers that a stack can have while it is pressed."""
+
+NESTED, NESTED_MOST = 0.15, 0.5
+"""How far each layer's crease is drawn into that of the layer around it, and most, over the length
+of an edge. Between the straight edges of a mesh a crease has no room for another one."""
+
+LOFT_REACH = 2
+"""Edges from a crease over which its loft fades."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A line on the table over which cloth is folded.
+
+    Attributes:
+        across: horizontal unit vector from the line to the cloth that is folded.
+        offset_m: distance of the line from the origin along `across` [m].
+    """
+
+    across: Float[np.ndarray, " 3"]
+    offset_m: float
+
+    @classmethod
+    def at(cls, angle: float, offset_m: float) -> "Line":
+        """Return the line whose cloth beyond lies in a direction [rad]."""
+        return cls(np.array([np.cos(angle), np.sin(angle), 0.0]), offset_m)
+
+    def beyond(self, points: Points) -> Float[np.ndarray, " vertices"]:
+        """Return how far points lie beyond the line [m]; below 0 before it."""
+        return points @ self.across - self.offset_m
+
+
+@dataclass(frozen=True, eq=False)
+class Creases:
+    """Vertices in creases, and their neighbors on both sides of the crease.
+
+    Attributes:
+        creased: which vertices lie in a crease.
+        vertex: a vertex in a crease, one entry for each of its neighbors out of it.
+        neighbor: that neighbor.
+        folded: whether the neighbor lies on the side that was folded over.
+    """
+
+    creased: Bool[np.ndarray, " vertices"]
+    vertex: Int[np.ndarray, " entries"]
+    neighbor: Int[np.ndarray, " entries"]
+    folded: Bool[np.ndarray, " entries"]
+
+    @classmethod
+    def none(cls, vertices: int) -> "Creases":
+        """Return the creases of a flat cloth."""
+        nothing = np.empty(0, np.int64)
+        return cls(np.zeros(vertices, bool), nothing, nothing, np.empty(0, bool))
+
+    def with_crease(
+        self,
+        mesh: ClothMesh,
+        vertices: Int[np.ndarray, " creased"],
+        folded: Bool[np.ndarray, " vertices"],
+    ) -> "Creases":
+        """Return these creases and a new one; a vertex of both is of the new one."""
+        new = np.zeros(mesh.vertex_count, bool)
+        new[vertices] = True
+        ends = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
+        ends = ends[new[ends[:, 0]] & ~new[ends[:, 1]]]
+        kept = ~new[self.vertex]
+        return Creases(
+            creased=self.creased | new,
+            vertex=np.concatenate([self.vertex[kept], ends[:, 0]]),
+            neighbor=np.concatenate([self.neighbor[kept], ends[:, 1]]),
+            folded=np.concatenate([self.folded[kept], folded[ends[:, 1]]]),
+        )
+
+    def halfway(self, height: Float[np.ndarray, " vertices"]) -> Float[np.ndarray, " vertices"]:
+        """Return heights [m] with every crease halfway between what it joins."""
+        count = len(height)
+        total, sides = np.zeros(count), np.zeros(count)
+        for side in (self.folded, ~self.folded):
+            number = np.bincount(self.vertex[side], minlength=count)
+            total += np.bincount(
+                self.vertex[side], height[self.neighbor[side]], count
+            ) / np.maximum(number, 1)
+            sides += number > 0
+        return np.where(sides > 0, total / np.maximum(sides, 1), height)
+
+
+class Layers:
+    """The layers of one garment, of which the creases are remembered.
+
+    Attributes:
+        mesh: the flat garment.
+        edge_m: mean length of its edges [m].
+        thickness_m: distance that layers keep [m]; the lowest lies half of it above the table.
+        loft_m: how much farther they are apart at creases [m].
+        creases: of all folds since the cloth lay flat.
+    """
+
+    def __init__(self, mesh: ClothMesh, thickness_m: float) -> None:
+        self.mesh = mesh
+        self.edge_m = float(np.mean(mesh.edge_lengths))
+        self.thickness_m, self.loft_m = thickness_m, 0.0
+        ends, count = np.sort(mesh.edges, axis=1), mesh.vertex_count
+        self._joined = ends[:, 0] * count + ends[:, 1]
+        both = np.concatenate([ends, ends[:, ::-1]])
+        graph = sparse.coo_array((np.ones(len(both)), both.T), shape=(count, count)).tocsr()
+        self._mean = sparse.diags_array(1.0 / np.maximum(graph.sum(axis=1), 1.0)) @ graph
+        self.creases = Creases.none(count)
+
+    def lay_flat(self) -> None:
+        """Forget all creases."""
+        self.creases = Creases.none(self.mesh.vertex_count)
+
+    def most(self, points: Points) -> float:
+        """Return how many layers lie on each other where there are many of them."""
+        heights = self._heights(points, self.thickness_m)
+        return float(np.percentile(heights, 95)) / self.thickness_m + 0.5
+
+    def pressed(self, points: Points) -> Points:
+        """Let every layer down onto what it lies on, as a hand does that presses a stack.
+
+        Nothing moves sideways, and of two layers the same lies above the other. Cloth is a little
+        stiff: it leads from step to step over the length of an edge or two.
+        """
+        near = self.creases.creased.astype(np.float64)
+        for _ in range(LOFT_REACH):
+            near = np.maximum(near, 2.0 * (self._mean @ near)).clip(max=1.0)
+        settled = points.copy()
+        settled[:, 2] = self._heights(points, self.thickness_m + self.loft_m * near)
+        return settled
+
+    def _heights(
+        self, points: Points, gap_m: float | Float[np.ndarray, " vertices"]
+    ) -> Float[np.ndarray, " vertices"]:
+        """Return heights [m] at which each vertex is a gap [m] above what it lies on."""
+        lower, upper = self._stacked(points)
+        floor = 0.5 * self.thickness_m
+        gap = np.broadcast_to(gap_m, len(points))[upper]
+        height = np.full(len(points), floor)
+        for smoothing in range(STIFFNESS + 1):
+            if smoothing:
+                height = np.maximum(0.5 * (height + self._mean @ height), floor)
+            for _ in range(PRESSES):
+                before = height.copy()
+                np.maximum.at(height, upper, height[lower] + gap)
+                if np.array_equal(before, height):
+                    break
+            height = self.creases.halfway(height)
+        return height
+
+    def _stacked(
+        self, points: Points
+    ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
+        """Return vertices one above the other: the lower and the upper of each pair."""
+        pairs = cKDTree(points[:, :2]).query_pairs(STACKED * self.edge_m, output_type="ndarray")
+        apart = points[pairs[:, 1], 2] - points[pairs[:, 0], 2]
+        same = np.isin(pairs.min(axis=1) * len(points) + pairs.max(axis=1), self._joined)
+        same |= self.creases.creased[pairs].any(axis=1)
+        same |= np.abs(apart) < SAME_LAYER * self.thickness_m
+        pairs, rising = pairs[~same], apart[~same] > 0.0
+        pairs = np.where(rising[:, None], pairs, pairs[:, ::-1])
+        return pairs[:, 0], pairs[:, 1]
+
+    def wrapped(
+        self, points: Points, line: Line, part: Bool[np.ndarray, " vertices"] | None = None
+    ) -> Points:
+        """Lay a part beyond a line, or all that is there, around the line and onto the rest.
+
+        Of each edge over the line the nearer end is drawn into the crease: of a mesh that knows
+        nothing of the line the crease would be ragged, and layers would stick out of one another.
+        """
+        points = self.pressed(points)
+        beyond = line.beyond(points)
+        top = float(points[:, 2].max()) + 0.5 * self.thickness_m
+        radius = np.maximum(top - points[:, 2], 0.5 * self.thickness_m)
+        free = np.ones(len(points), bool) if part is None else part
+        creased = self._across(beyond - 0.5 * np.pi * radius, free)
+        if not len(creased):
+            return points
+        way = beyond.copy()
+        way[creased] = 0.5 * np.pi * radius[creased]
+        moved = free & (way > 0.0)
+        moved[creased] = True
+        angle = np.where(moved, np.minimum(way / radius, np.pi), 0.0)
+        ahead = radius * np.sin(angle) - np.maximum(way - np.pi * radius, 0.0)
+        inside = (radius[creased].max() - radius[creased]) / self.thickness_m
+        ahead[creased] -= self.edge_m * np.minimum(NESTED * inside, NESTED_MOST)
+        wrapped = points.copy()
+        wrapped[moved] += ((ahead - beyond)[:, None] * line.across)[moved]
+        wrapped[moved, 2] += (radius * (1.0 - np.cos(angle)))[moved]
+        self.creases = self.creases.with_crease(self.mesh, creased, angle > 0.5 * np.pi)
+        return self.pressed(wrapped)
+
+    def _across(
+        self, beyond: Float[np.ndarray, " vertices"], free: Bool[np.ndarray, " vertices"]
+    ) -> Int[np.ndarray, " creased"]:
+        """Return the nearer ends of the edges that lead from a part over the line."""
+        ends = self.mesh.edges
+        ends = ends[(beyond[ends].prod(axis=1) < 0.0) & free[ends].any(axis=1)]
+        nearer = np.abs(beyond[ends]).argmin(axis=1)
+        return np.unique(ends[np.arange(len(ends)), nearer])
+
+    def rolled(self, points: Points, line: Line, looseness: float) -> Points:
+        """Roll up what lies beyond a line, towards the line; the rim becomes the roll's core.
+
+        Args:
+            points: the vertices [m].
+            line: where the roll begins.
+            looseness: distance of two turns over the height of the stack.
+        """
+        points = self.pressed(points)
+        beyond = np.maximum(line.beyond(points), 0.0)
+        floor = float(points[:, 2].min())
+        height_m = points[:, 2] - floor
+        straight_m = CORE_SAG * self.edge_m
+        pitch_m = looseness * (float(height_m.max()) + self.thickness_m) + straight_m
+        core_m = CORE_EDGES * self.edge_m + float(height_m.max())
+        # The wound sheet fills the ring between the core and the outermost turn.
+        outer_m = float(np.sqrt(core_m**2 + beyond.max() * pitch_m / np.pi))
+        shrink = pitch_m / (2.0 * np.pi)
+        angle = (outer_m - np.sqrt(np.maximum(outer_m**2 - 2.0 * shrink * beyond, 0.0))) / shrink
+        radius = outer_m - shrink * angle - height_m
+        rolled = points + (radius * np.sin(angle) - beyond)[:, None] * line.across
+        wound = floor + outer_m - radius * np.cos(angle)
+        rolled[:, 2] = np.where(beyond > 0.0, wound, points[:, 2])
+        return rolled
+
+    def turned_over(self, points: Points) -> Points:
+        """Turn the whole stack over."""
+        turned = points * [-1.0, 1.0, -1.0]
+        turned[:, 2] += 0.5 * self.thickness_m - turned[:, 2].min()
+        return turned
+
+    def free_part(
+        self, points: Points, line: Line, rng: np.random.Generator
+    ) -> Bool[np.ndarray, " vertices"] | None:
+        """Return parts beyond a line that nothing else lies on; None: there are none, or all are.
+
+        Args:
+            points: the vertices [m].
+            line: where the cloth is to be folded.
+            rng: of the choice among several parts.
+        """
+        labels, count = self.parts(line.beyond(points))
+        if count < 2:
+            return None
+        above = self._above(points, labels, count)
+        sizes = np.bincount(labels[labels >= 0], minlength=count)
+        wanted = 1 if rng.random() < ONE_PART else int(rng.integers(1, count))
+        taken = np.zeros(count, bool)
+        for _ in range(wanted):
+            free = np.flatnonzero(~taken & ~above[~taken].any(axis=0))
+            if not len(free):
+                break
+            taken[rng.choice(free, p=sizes[free] / sizes[free].sum())] = True
+        part = (labels >= 0) & taken[labels]
+        return part if not taken.all() and part.mean() > LEAST_PART else None
+
+    def parts(
+        self, beyond: Float[np.ndarray, " vertices"]
+    ) -> tuple[Int[np.ndarray, " vertices"], int]:
+        """Return which part beyond a line each vertex belongs to, and how many parts there are.
+
+        -1: none; nor does a part that hardly reaches beyond the line count.
+        """
+        inside = beyond > 0.0
+        edges = self.mesh.edges[inside[self.mesh.edges].all(axis=1)]
+        count = len(beyond)
+        graph = sparse.coo_array((np.ones(len(edges)), edges.T), shape=(count, count))
+        found, labels = connected_components(graph, directed=False)
+        reach = np.zeros(found)
+        np.maximum.at(reach, labels, np.where(inside, beyond, 0.0))
+        kept = np.flatnonzero(reach > self.edge_m)
+        number = np.full(found, -1)
+        number[kept] = np.arange(len(kept))
+        return np.where(inside, number[labels], -1), len(kept)
+
+    def _above(
+        self, points: Points, labels: Int[np.ndarray, " vertices"], count: int
+    ) -> Bool[np.ndarray, "parts parts"]:
+        """Return whether the first part lies on the second somewhere."""
+        own = np.flatnonzero(labels >= 0)
+        pairs = cKDTree(points[own, :2]).query_pairs(self.edge_m, output_type="ndarray")
+        pairs = own[np.concatenate([pairs, pairs[:, ::-1]])]
+        upper, lower = labels[pairs].T
+        apart = points[pairs[:, 0], 2] - points[pairs[:, 1], 2]
+        higher = apart > SAME_LAYER * self.thickness_m
+        above = np.zeros((count, count), bool)
+        above[upper[higher], lower[higher]] = True
+        np.fill_diagonal(above, val=False)
+        return above
+
+
+def axes_of(points: Points) -> tuple[float, Float[np.ndarray, " 2"]]:
+    """Return how the smallest rectangle around the silhouette lies, and its sides.
+
+    Returns:
+        The direction of a side [rad]; lengths [m] of the side in that direction and of the other.
+    """
+    flat = points[:, :2]
+    hull = flat[ConvexHull(flat).vertices]
+    sides = np.roll(hull, -1, axis=0) - hull
+    angles = np.arctan2(sides[:, 1], sides[:, 0])
+    along = hull @ np.stack([np.cos(angles), np.sin(angles)])
+    aside = hull @ np.stack([-np.sin(angles), np.cos(angles)])
+    extents = np.stack([np.ptp(along, axis=0), np.ptp(aside, axis=0)])
+    best = int(np.argmin(extents.prod(axis=0)))
+    return float(angles[best]), extents[:, best]
