@@ -59,6 +59,7 @@ def known_settings():
     from clothtrack.planning.graph_dynamics.roll_outs import RollOutConfig
     from clothtrack.reconstruction import LearningConfig
     from clothtrack.reconstruction.data.states import StatesConfig
+    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
     from clothtrack.tracking import RunConfig
     from clothtrack.world import EpisodeConfig
     from clothtrack.world.self_improvement import ImprovementConfig
@@ -68,7 +69,8 @@ def known_settings():
         StatesConfig(), EpisodeConfig(), ImprovementConfig(),
     ]  # fmt: skip
     names = {setting.name for config in configs for setting in settings_of(config)}
-    return names | {setting.name for setting in settings_of(RollOutConfig(), "roll_outs")}
+    names |= {setting.name for setting in settings_of(RollOutConfig(), "roll_outs")}
+    return names | {setting.name for setting in settings_of(TokenNetworkConfig(), "tokens")}
 
 
 def anchors_of(page):
