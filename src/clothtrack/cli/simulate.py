@@ -22,7 +22,7 @@ from clothtrack.cli.terminal import complain, progress, say_result
 def simulate(
     output: Positional[Path],
     *,
-    garment: Annotated[Literal["towel", "tshirt"], arg(aliases=["--kind"])] = "towel",
+    garment: Annotated[Literal["towel", "tshirt", "trousers"], arg(aliases=["--kind"])] = "towel",
     template: Path | None = None,
     garment_seed: int | None = None,
     states: int | None = None,
@@ -40,7 +40,7 @@ def simulate(
 
     Args:
         output: folder for recordings/ and truth/, or shards/; what is finished there is kept.
-        garment: what lies on the table.
+        garment: what lies on the table; trousers only with --states.
         template: the garment's own mesh (`clothtrack garment`), of one layer for a towel, of two
             for a tshirt.
         garment_seed: one garment for all recordings, before one camera, of a cut, size and
@@ -80,6 +80,9 @@ def simulate(
         report = {"states": store.folder, "card": card, "garments": garments}
         say_result(f"{card}   ({garments} garments)", report, json=json)
         return 0
+    if garment == "trousers":
+        complain("trousers are not recorded; add --states, or give a towel or a tshirt")
+        return 2
     count = 1 if trajectories is None else trajectories
     if actions is not None:
         settings = (f"actions={actions}", *settings)

@@ -10,12 +10,14 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.outlines import (
     ShirtOutline,
     TrousersOutline,
+    cut_open,
     shirt_spans,
     tshirt_corners,
 )
@@ -125,6 +127,7 @@ def two_layers(
     spacing_m: float,
     *,
     layer_gap_m: float = 0.004,
+    open_front: bool = False,
     seed: int = 0,
 ) -> ClothMesh:
     """A garment of a front that lies on a back, sewn together where both outlines are seams.
@@ -137,10 +140,15 @@ def two_layers(
         back: outline of the back; its seams are those of the front.
         spacing_m: length of an edge [m].
         layer_gap_m: distance of the layers [m] away from the seams.
+        open_front: whether the front of a shirt is cut along its middle.
         seed: turns and shifts the lattice of each layer.
     """
-    pieces = triangulate(front, spacing_m, 2 * seed), triangulate(back, spacing_m, 2 * seed + 1)
-    points, faces, side = _sewn_together(*pieces)
+    behind = triangulate(back, spacing_m, 2 * seed + 1)
+    if open_front:
+        ahead = _side_by_side([triangulate(one, spacing_m, 2 * seed) for one in cut_open(front)])
+    else:
+        ahead = triangulate(front, spacing_m, 2 * seed)
+    points, faces, side = _sewn_together(ahead, behind)
     seams = [span.points for span in front if span.sewn]
     from_seam = np.min([distance_to_polyline(points, seam) for seam in seams], axis=0)
     gap = 0.5 * layer_gap_m * _rounded(from_seam / SEAM_TAPER_M)
@@ -152,7 +160,12 @@ def two_layers(
 
 
 def shirt(
-    outline: ShirtOutline, length_m: float, *, vertex_count: int = 1000, seed: int = 0
+    outline: ShirtOutline,
+    length_m: float,
+    *,
+    vertex_count: int = 1000,
+    open_front: bool = False,
+    seed: int = 0,
 ) -> ClothMesh:
     """A shirt of any cut, lying flat as `tshirt` does.
 
@@ -160,6 +173,7 @@ def shirt(
         outline: its proportions.
         length_m: from the hem to the neck [m].
         vertex_count: wanted number of vertices.
+        open_front: whether the front is cut along its middle, as that of a cardigan or a robe.
         seed: turns and shifts the lattice of each layer.
 
     Raises:
@@ -167,7 +181,7 @@ def shirt(
     """
     front = outline.spans(length_m, depth=outline.front_depth)
     back = outline.spans(length_m, depth=outline.back_depth)
-    return sewn(front, back, vertex_count=vertex_count, seed=seed)
+    return sewn(front, back, vertex_count=vertex_count, open_front=open_front, seed=seed)
 
 
 def trousers(
@@ -186,7 +200,12 @@ def trousers(
 
 
 def sewn(
-    front: list[Span], back: list[Span], *, vertex_count: int = 1000, seed: int = 0
+    front: list[Span],
+    back: list[Span],
+    *,
+    vertex_count: int = 1000,
+    open_front: bool = False,
+    seed: int = 0,
 ) -> ClothMesh:
     """A garment of two layers (`two_layers`) with about the wanted number of vertices.
 
@@ -194,10 +213,11 @@ def sewn(
         front: outline [m] of the front, counter-clockwise.
         back: outline of the back; its seams are those of the front.
         vertex_count: wanted number of vertices.
+        open_front: whether the front of a shirt is cut along its middle.
         seed: turns and shifts the lattice of each layer.
     """
     return with_vertices(
-        lambda edge_m: two_layers(front, back, edge_m, seed=seed),
+        lambda edge_m: two_layers(front, back, edge_m, open_front=open_front, seed=seed),
         vertex_count,
         _edge_for(vertex_count, front, layers=2),
     )
@@ -299,19 +319,30 @@ def _rounded(share: Float[np.ndarray, " vertices"]) -> Float[np.ndarray, " verti
     return np.sqrt(1.0 - rest**2)
 
 
+def _side_by_side(pieces: list[Piece]) -> Piece:
+    """Several pieces of one layer as one, not joined."""
+    first = np.cumsum([0] + [len(piece.points) for piece in pieces[:-1]])
+    return Piece(
+        np.concatenate([piece.points for piece in pieces]),
+        np.concatenate([piece.faces + start for piece, start in zip(pieces, first, strict=True)]),
+        np.concatenate([piece.sewn for piece in pieces]),
+    )
+
+
 def _sewn_together(
     front: Piece, back: Piece
 ) -> tuple[
     Float[np.ndarray, "vertices 2"], Int[np.ndarray, "faces 3"], Float[np.ndarray, " vertices"]
 ]:
-    """Join two pieces at their sewn vertices, which both list in the same order.
+    """Join two pieces at their sewn vertices, which lie at the same places.
 
     Returns the points [m], the faces (outward on both layers) and the side of each vertex:
     +1 front, -1 back, 0 on a seam.
     """
     own = np.flatnonzero(~back.sewn)
     index = np.empty(len(back.points), dtype=np.int32)
-    index[back.sewn] = np.flatnonzero(front.sewn)
+    _, same = cKDTree(front.points[front.sewn]).query(back.points[back.sewn])
+    index[back.sewn] = np.flatnonzero(front.sewn)[same]
     index[own] = len(front.points) + np.arange(len(own))
     points = np.concatenate([front.points, back.points[own]])
     faces = np.concatenate([front.faces, index[back.faces][:, ::-1]]).astype(np.int32)

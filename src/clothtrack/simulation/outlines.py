@@ -4,6 +4,7 @@ An outline is a list of spans, counter-clockwise from the left end of the hem; s
 seams between front and back, the others are openings.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -85,9 +86,10 @@ def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> Shirt
         rng: of the draw.
         long_sleeves: share of those with long sleeves.
     """
-    while True:
+
+    def draw() -> ShirtOutline:
         long = rng.random() < long_sleeves
-        outline = ShirtOutline(
+        return ShirtOutline(
             body=rng.uniform(0.6, 0.95),
             waist=rng.uniform(0.85, 1.1),
             shoulder=rng.uniform(0.78, 0.98),
@@ -100,6 +102,56 @@ def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> Shirt
             front_depth=rng.uniform(0.04, 0.14),
             back_depth=rng.uniform(0.015, 0.04),
         )
+
+    return _with_free_sleeves(draw)
+
+
+def draw_sweater(rng: np.random.Generator) -> ShirtOutline:
+    """Draw proportions of a sweater or a cardigan: wide, gathered at the hem, its shoulders low."""
+
+    def draw() -> ShirtOutline:
+        return ShirtOutline(
+            body=rng.uniform(0.75, 1.05),
+            waist=rng.uniform(0.72, 0.98),
+            shoulder=rng.uniform(0.72, 0.92),
+            slope=rng.uniform(0.05, 0.12),
+            armhole=rng.uniform(0.3, 0.42),
+            sleeve=rng.uniform(0.6, 0.95),
+            sleeve_angle_rad=rng.uniform(0.4, 1.2),
+            cuff=rng.uniform(0.11, 0.2),
+            neck=rng.uniform(0.1, 0.17),
+            front_depth=rng.uniform(0.02, 0.2),
+            back_depth=rng.uniform(0.01, 0.03),
+        )
+
+    return _with_free_sleeves(draw)
+
+
+def draw_robe(rng: np.random.Generator) -> ShirtOutline:
+    """Draw proportions of a robe, a coat or a nightshirt: narrow for its length."""
+
+    def draw() -> ShirtOutline:
+        return ShirtOutline(
+            body=rng.uniform(0.42, 0.62),
+            waist=rng.uniform(0.98, 1.25),
+            shoulder=rng.uniform(0.82, 1.0),
+            slope=rng.uniform(0.02, 0.05),
+            armhole=rng.uniform(0.16, 0.26),
+            sleeve=rng.uniform(0.15, 0.52),
+            sleeve_angle_rad=rng.uniform(0.2, 1.0),
+            cuff=rng.uniform(0.1, 0.18),
+            neck=rng.uniform(0.05, 0.09),
+            front_depth=rng.uniform(0.03, 0.25),
+            back_depth=rng.uniform(0.008, 0.02),
+        )
+
+    return _with_free_sleeves(draw)
+
+
+def _with_free_sleeves(draw: Callable[[], ShirtOutline]) -> ShirtOutline:
+    """Draw until the outline does not cross itself, and its sleeves' ends stand off the body."""
+    while True:
+        outline = draw()
         try:
             spans = outline.spans(1.0, depth=outline.front_depth)
         except InvalidConfigError:
@@ -224,6 +276,28 @@ def shirt_spans(right: Float[np.ndarray, "6 2"], *, neck_depth_m: float) -> list
     up = [Span(right[[a, b]], sewn=number != cuff) for number, (a, b) in steps]
     down = [Span(left[[b, a]], sewn=number != cuff) for number, (a, b) in steps]
     return [Span(np.stack([left[0], right[0]])), *up, Span(curve), *down[::-1]]
+
+
+def cut_open(spans: list[Span]) -> tuple[list[Span], list[Span]]:
+    """Cut the outline of a shirt (`shirt_spans`) along its middle, from the neck to the hem.
+
+    Returns:
+        The outlines of the left and of the right half, counter-clockwise; the cut is open.
+    """
+    number = len(spans) // 2
+    hem, up, neck, down = spans[0], spans[1:number], spans[number], spans[number + 1 :]
+    middle = np.array([0.0, hem.points[0, 1]])
+    half = len(neck.points) // 2
+    top = neck.points[half]
+    right = [
+        Span(np.stack([middle, hem.points[-1]])), *up, Span(neck.points[: half + 1]),
+        Span(np.stack([top, middle])),
+    ]  # fmt: skip
+    left = [
+        Span(np.stack([hem.points[0], middle])), Span(np.stack([middle, top])),
+        Span(neck.points[half:]), *down,
+    ]  # fmt: skip
+    return left, right
 
 
 def _crosses_itself(corners: Float[np.ndarray, "corners 2"]) -> bool:

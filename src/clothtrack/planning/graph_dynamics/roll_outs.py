@@ -53,7 +53,14 @@ _OF_ROLL_OUTS = 0x5017
 def _of_flattening() -> StatesConfig:
     """States of garments as large as those that are flattened, and mostly heaps."""
     shirts_m = 0.38, 0.48
-    sizes = GarmentRanges(towel_side_m=(0.22, 0.34), shirt_length_m=shirts_m, long_sleeves=0.0)
+    sizes = GarmentRanges(
+        towel_side_m=(0.22, 0.34),
+        shirt_length_m=shirts_m,
+        long_sleeves=0.0,
+        sweaters=0.0,
+        robes=0.0,
+        open_shirts=0.0,
+    )
     crumpling = CrumplingConfig(
         shares={
             "flat": 0.15, "fold": 0.3, "drop": 0.2, "lift": 0.05, "held": 0.1, "push": 0.05,

@@ -1,12 +1,13 @@
 """What garments states are made of: how large, how cut, of what cloth."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import GarmentKind, garment, shirt
-from clothtrack.simulation.outlines import draw_shirt
+from clothtrack.simulation.garments import garment, shirt, trousers
+from clothtrack.simulation.outlines import draw_robe, draw_shirt, draw_sweater, draw_trousers
 from clothtrack.simulation.parameters import ClothParameters
 
 BEND_LENGTH_M = 0.016
@@ -14,23 +15,43 @@ BEND_LENGTH_M = 0.016
 apart the same cloth gives more, by the square of their distance."""
 
 
+DrawnKind = Literal["towel", "tshirt", "trousers"]
+"""Kinds of garments of which states are made."""
+
+KINDS: tuple[str, ...] = get_args(DrawnKind)
+
+
 @dataclass(frozen=True)
 class GarmentRanges:
     """How large garments are, and how they are cut: bounds of an even draw.
 
     Attributes:
-        towel_side_m: longer side of a towel [m]; its logarithm is drawn evenly.
+        towel_side_m: longer side of a towel or a blanket [m]; its logarithm is drawn evenly.
         towel_aspect: shorter side over the longer one.
         square: share of towels whose sides are equal.
         shirt_length_m: from the hem to the neck [m]; its logarithm is drawn evenly.
         long_sleeves: share of shirts with long sleeves (`simulation.outlines.draw_shirt`).
+        sweaters, robes: shares of shirts that are cut as a sweater, and as a robe.
+        robe_length_m: the same length of a robe [m].
+        open_shirts, open_sweaters, open_robes: shares that are open in front.
+        trousers_length_m, shorts_length_m: from the waist to the cuffs [m].
+        shorts: share of trousers with short legs.
     """
 
-    towel_side_m: tuple[float, float] = (0.2, 1.5)
-    towel_aspect: tuple[float, float] = (0.5, 1.0)
+    towel_side_m: tuple[float, float] = (0.2, 2.0)
+    towel_aspect: tuple[float, float] = (0.4, 1.0)
     square: float = 0.3
     shirt_length_m: tuple[float, float] = (0.3, 0.85)
     long_sleeves: float = 0.35
+    sweaters: float = 0.22
+    robes: float = 0.1
+    robe_length_m: tuple[float, float] = (0.75, 1.35)
+    open_shirts: float = 0.12
+    open_sweaters: float = 0.35
+    open_robes: float = 0.8
+    trousers_length_m: tuple[float, float] = (0.4, 1.15)
+    shorts_length_m: tuple[float, float] = (0.25, 0.6)
+    shorts: float = 0.35
 
 
 @dataclass(frozen=True)
@@ -61,39 +82,68 @@ class ClothRanges:
 
 
 def draw_garment(
-    kind: GarmentKind, ranges: GarmentRanges, vertex_count: int, rng: np.random.Generator
+    kind: DrawnKind, ranges: GarmentRanges, vertex_count: int, rng: np.random.Generator
 ) -> ClothMesh:
-    """A flat garment of any size; a towel's width is its longer side.
+    """Draw a flat garment of any size; a towel's width is its longer side.
 
     Args:
-        kind: "towel", or "tshirt" for shirts with sleeves of any length.
+        kind: "towel" for blankets too; "tshirt" for polos, sweaters, cardigans and robes, with
+            sleeves of any length; "trousers" for shorts.
         ranges: of sizes and cuts.
         vertex_count: about how many vertices it has.
         rng: of its size, outline and triangulation.
     """
-    towel = kind == "towel"
-    bounds = ranges.towel_side_m if towel else ranges.shirt_length_m
-    length_m = float(np.exp(rng.uniform(*np.log(bounds))))
-    if towel:
-        square = rng.random() < ranges.square
-        aspect = 1.0 if square else float(rng.uniform(*ranges.towel_aspect))
-        return garment(
-            "towel",
-            vertex_count=vertex_count,
-            size_m=(length_m, aspect * length_m),
-            pattern="random",
-            seed=int(rng.integers(1 << 31)),
-        )
-    outline = draw_shirt(rng, long_sleeves=ranges.long_sleeves)
-    return shirt(outline, length_m, vertex_count=vertex_count, seed=int(rng.integers(1 << 31)))
+    if kind == "towel":
+        return _towel(ranges, vertex_count, rng)
+    if kind == "trousers":
+        short = rng.random() < ranges.shorts
+        bounds = ranges.shorts_length_m if short else ranges.trousers_length_m
+        length_m = _log_even(bounds, rng)
+        legs = draw_trousers(rng, short=float(short))
+        return trousers(legs, length_m, vertex_count=vertex_count, seed=_seed(rng))
+    cut = rng.random()
+    if cut < ranges.robes:
+        length_m, outline = _log_even(ranges.robe_length_m, rng), draw_robe(rng)
+        open_front = rng.random() < ranges.open_robes
+    elif cut < ranges.robes + ranges.sweaters:
+        length_m, outline = _log_even(ranges.shirt_length_m, rng), draw_sweater(rng)
+        open_front = rng.random() < ranges.open_sweaters
+    else:
+        length_m = _log_even(ranges.shirt_length_m, rng)
+        outline = draw_shirt(rng, long_sleeves=ranges.long_sleeves)
+        open_front = rng.random() < ranges.open_shirts
+    return shirt(
+        outline, length_m, vertex_count=vertex_count, open_front=open_front, seed=_seed(rng)
+    )
+
+
+def _towel(ranges: GarmentRanges, vertex_count: int, rng: np.random.Generator) -> ClothMesh:
+    """Draw a rectangle that lies across."""
+    length_m = _log_even(ranges.towel_side_m, rng)
+    square = rng.random() < ranges.square
+    aspect = 1.0 if square else float(rng.uniform(*ranges.towel_aspect))
+    return garment(
+        "towel",
+        vertex_count=vertex_count,
+        size_m=(length_m, aspect * length_m),
+        pattern="random",
+        seed=_seed(rng),
+    )
+
+
+def _log_even(bounds: tuple[float, float], rng: np.random.Generator) -> float:
+    """Draw a number whose logarithm lies evenly between those of two bounds."""
+    return float(np.exp(rng.uniform(*np.log(bounds))))
+
+
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(1 << 31))
 
 
 def draw_parameters(ranges: ClothRanges, rng: np.random.Generator) -> ClothParameters:
     """What one cloth is made of, drawn from the ranges."""
-    bend, stretch = (
-        float(np.exp(rng.uniform(*np.log(bounds))))
-        for bounds in (ranges.bend_compliance, ranges.stretch_compliance)
-    )
+    bend = _log_even(ranges.bend_compliance, rng)
+    stretch = _log_even(ranges.stretch_compliance, rng)
     return ClothParameters(
         stretch_compliance=stretch,
         bend_compliance=bend,

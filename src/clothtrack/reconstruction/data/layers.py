@@ -29,7 +29,7 @@ CORE_EDGES = 1.2
 """Least radius of a roll's inmost turn, over the length of an edge: a tighter one is a prism."""
 
 CORE_SAG = 0.125 / CORE_EDGES
-"""How far a straight edge lies inside that turn, over its length; turns are so much farther apart."""
+"""How far a straight edge lies inside that turn, over its length: turns need so much more room."""
 
 STACKED = 0.65
 """Vertices nearer than this lie one above the other, over the length of an edge: any layer has a

@@ -1,4 +1,4 @@
-"""Generates labelled states of towels and T-shirts: what a reconstruction network learns from.
+"""Generates labelled states of garments: what a reconstruction network learns from.
 
 `OUT/shards/0000.zarr` holds all states of one garment; garments differ in width and length, and in
 what they are made of. Shard k depends on the seed and on k alone. A finished shard is kept, so an
@@ -32,7 +32,9 @@ from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler
 from clothtrack.reconstruction.data.folding import NEAT
 from clothtrack.reconstruction.data.garment_draws import (
     BEND_LENGTH_M,
+    KINDS,
     ClothRanges,
+    DrawnKind,
     GarmentRanges,
     draw_garment,
     draw_parameters,
@@ -51,10 +53,6 @@ from clothtrack.reconstruction.data.state_store import (
     write_shard,
 )
 from clothtrack.reconstruction.data.states_card import dataset_card
-from clothtrack.simulation.garments import (
-    DEFAULT_SIZES_M,
-    GarmentKind,
-)
 from clothtrack.simulation.parameters import SolverConfig
 
 logger = logging.getLogger(__name__)
@@ -153,7 +151,7 @@ class StatesConfig(Checked):
 
 def generate_states(
     out: Path,
-    kind: GarmentKind,
+    kind: DrawnKind,
     states: int,
     *,
     seed: int = 0,
@@ -209,7 +207,7 @@ class _Making:
     """Make a shard, as `clothtrack.files.shared_work.Work`."""
 
     out: Path
-    kind: GarmentKind
+    kind: DrawnKind
     seed: int
     config: StatesConfig
 
@@ -253,7 +251,7 @@ class _Making:
             write_list(self.out, document)
 
 
-def make_shard(kind: GarmentKind, number: int, seed: int, config: StatesConfig) -> StateShard:
+def make_shard(kind: DrawnKind, number: int, seed: int, config: StatesConfig) -> StateShard:
     """Shard `number`: the states of one garment.
 
     An episode ends early when the cloth explodes or passes through itself too much; more
@@ -263,7 +261,7 @@ def make_shard(kind: GarmentKind, number: int, seed: int, config: StatesConfig) 
     Raises:
         SimulationDivergedError: `GARMENTS_TRIED` garments were given up.
     """
-    rng = np.random.default_rng([_OF_STATES, seed, number, list(DEFAULT_SIZES_M).index(kind)])
+    rng = np.random.default_rng([_OF_STATES, seed, number, KINDS.index(kind)])
     for _ in range(GARMENTS_TRIED - 1):
         try:
             return _shard(kind, seed, config, rng)
@@ -273,7 +271,7 @@ def make_shard(kind: GarmentKind, number: int, seed: int, config: StatesConfig) 
 
 
 def _shard(
-    kind: GarmentKind, seed: int, config: StatesConfig, rng: np.random.Generator
+    kind: DrawnKind, seed: int, config: StatesConfig, rng: np.random.Generator
 ) -> StateShard:
     """The states of the garment that is drawn next.
 
@@ -363,7 +361,7 @@ def _near_origin(
     return moved.astype(np.float32)
 
 
-def _document(out: Path, kind: GarmentKind, seed: int, config: StatesConfig) -> dict[str, Any]:
+def _document(out: Path, kind: DrawnKind, seed: int, config: StatesConfig) -> dict[str, Any]:
     """The list of a folder, as found or new.
 
     Raises:

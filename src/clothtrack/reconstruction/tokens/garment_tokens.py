@@ -7,6 +7,7 @@ the cloth, never across the gap between a sleeve and the body.
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy import sparse
@@ -32,6 +33,12 @@ NEIGHBOURS = 8
 
 NEARLY_SQUARE = 0.85
 """Sides whose ratio is above this look alike in a crumpled cloth: quarter turns are labellings."""
+
+ALIKE = 0.9
+"""Outlines whose intersection over union is above this look alike in a crumpled cloth."""
+
+SILHOUETTE_PIXELS = 96
+"""Pixels along each side of the pictures in which outlines are compared."""
 
 FEATURES = 7
 """Numbers that a token is told by: `GarmentTokens.features`."""
@@ -106,7 +113,7 @@ class GarmentTokens:
         places = interpolate(blend, flat[faces[face]])
         layered = _Layered(flat, faces, side, of_face)
         near, tokens, shares = _shares(layered, places, sides, faces[face])
-        labellings, is_labelling = _labellings(places, sides, extent, layers)
+        labellings, is_labelling = _labellings(layered, places, sides)
         rim, seam = _rim_and_seam(faces, side, len(flat))
         features = np.column_stack(
             [
@@ -127,7 +134,7 @@ class GarmentTokens:
             vertex_shares=shares.astype(np.float32),
             labellings=labellings,
             is_labelling=is_labelling,
-            mirror=_named(places * (-1.0, 1.0), sides, places, sides),
+            mirror=_mirrored(layered, places, sides),
             neighbours=near,
             layers=layers,
         )
@@ -294,24 +301,61 @@ def _convex(
 
 
 def _labellings(
-    places: Float[np.ndarray, "tokens 2"],
-    sides: Float[np.ndarray, " tokens"],
-    extent: Float[np.ndarray, " 2"],
-    layers: int,
+    layered: _Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
 ) -> tuple[Int[np.ndarray, "labellings tokens"], Bool[np.ndarray, " labellings"]]:
-    """Names under which the garment looks the same: a sheet's turns, a shirt's turning over."""
+    """Names under which the garment looks the same: a sheet's turns, a shirt's turning over.
+
+    A sheet looks alike from both sides; of what is sewn, a mirror image shows the other layer. A
+    symmetry is one of the outline: what it makes of a layer must cover the layer that it becomes.
+    """
+    extent = np.ptp(layered.flat, axis=0)
+    single = not layered.side.any()
+    layers = [_filled(layered.flat, layered.faces[layered.of_face == k]) for k in (1.0, -1.0)]
+    if single:
+        layers = [_filled(layered.flat, layered.faces)] * 2
+    signs = [(-1, -1), (1, -1), (-1, 1)]
+    turns = [(False, one) for one in signs]
+    if single and extent.min() > NEARLY_SQUARE * extent.max():
+        turns += [(True, one) for one in [(1, 1), *signs]]
+    unit = extent if single else np.ones(2)
     rows = [np.arange(len(places))]
-    if layers == 2:
-        rows.append(_named(places * (-1.0, 1.0), -sides, places, sides))
-    else:
-        units = places / extent
-        signs = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)]
-        rows += [_named(units * one, sides, units, sides) for one in signs]
-        if extent.min() > NEARLY_SQUARE * extent.max():
-            swapped = units[:, ::-1]
-            rows += [_named(swapped * one, sides, units, sides) for one in [(1.0, 1.0), *signs]]
+    for swapped, sign in turns:
+        over = not single and sign[0] * sign[1] < 0
+        shape = (layers[0].T if swapped else layers[0])[:: sign[1], :: sign[0]]
+        other = layers[1] if over else layers[0]
+        if (shape & other).sum() < ALIKE * (shape | other).sum():
+            continue
+        moved = (places / unit)[:, ::-1] if swapped else places / unit
+        rows.append(_named(moved * sign, -sides if over else sides, places / unit, sides))
     filled = rows + [rows[0]] * (LABELLINGS - len(rows))
     return np.array(filled), np.arange(LABELLINGS) < len(rows)
+
+
+def _mirrored(
+    layered: _Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
+) -> Int[np.ndarray, " tokens"]:
+    """The name of each token in the mirror image of the garment.
+
+    A mirrored sheet is the same sheet from below, so that an outline without that symmetry keeps
+    its names.
+    """
+    if not layered.side.any():
+        shape = _filled(layered.flat, layered.faces)
+        if (shape & shape[:, ::-1]).sum() < ALIKE * (shape | shape[:, ::-1]).sum():
+            return np.arange(len(places))
+    return _named(places * (-1.0, 1.0), sides, places, sides)
+
+
+def _filled(
+    flat: Float[np.ndarray, "vertices 2"], faces: Int[np.ndarray, "faces 3"]
+) -> Bool[np.ndarray, "rows columns"]:
+    """The silhouette of a flat layer, the garment's extent stretched to a square of pixels."""
+    unit = (flat - flat.min(axis=0)) / np.ptp(flat, axis=0)
+    corners = np.rint(unit * (SILHOUETTE_PIXELS - 1)).astype(np.int32)
+    picture = np.zeros((SILHOUETTE_PIXELS, SILHOUETTE_PIXELS), np.uint8)
+    for triangle in corners[faces]:
+        cv2.fillConvexPoly(picture, triangle, 1)
+    return picture.astype(bool)
 
 
 def _named(
