@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -196,3 +197,11 @@ def test_track_lists_what_can_be_set_without_tracking(tmp_path, monkeypatch, cap
     listed = capsys.readouterr().out.splitlines()
     assert any(line.startswith("tracker.line_search.trials=3    ") for line in listed)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_verb_computes_on_one_thread_unless_it_is_told_otherwise(monkeypatch, capsys):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    assert cli.main(["inspect", "nowhere"]) == 1
+    capsys.readouterr()
+    assert (os.environ["OMP_NUM_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]) == ("1", "3")

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 bad input or a full disk (one clear line on standard error
 (one line, too), 130 an interrupt.
 """
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -40,6 +41,11 @@ VERBS: tuple[Callable[..., int], ...] = (
 """The functions behind the verbs, in the order of the README."""
 
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that numeric libraries read when they are loaded. The operations here are small, and
+threads wait for each other more than they compute: on a busy machine several times as long."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb.
 
@@ -58,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complain(str(wrong))
         return WRONG_USAGE
     remember(words)
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")
     with logged(verbose="--verbose" in words):
         code = exit_code(lambda: _quietly(run))
     if code == INTERRUPTED and arguments is None:
