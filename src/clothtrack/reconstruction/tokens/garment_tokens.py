@@ -6,6 +6,7 @@ the cloth, never across the gap between a sleeve and the body.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
@@ -83,54 +84,44 @@ class GarmentTokens:
         Raises:
             InvalidConfigError: the mesh has no canonical coordinates.
         """
-        if mesh.canonical is None:
-            raise InvalidConfigError(
-                "the garment's mesh has no canonical coordinates; make it with clothtrack's "
-                "garments, or give a template that has them"
-            )
-        canonical = np.asarray(mesh.canonical, np.float64)
-        flat = canonical[:, :2] - 0.5 * (
-            canonical[:, :2].min(axis=0) + canonical[:, :2].max(axis=0)
-        )
-        side = _sides(canonical)
-        extent = np.ptp(flat, axis=0)
-        size_m = float(extent.max())
-        layers = 2 if (side != 0).any() else 1
-        faces = np.asarray(mesh.faces)
-        of_face = np.sign(side[faces].sum(axis=1))
-        if layers == 1:
-            places, sides = _of_one_layer(flat, faces, extent), np.zeros(TOKENS)
+        shape = _Shape.of(mesh)
+        flat, faces, side = shape.flat, shape.faces, shape.side
+        if shape.layers == 1:
+            places, sides = _of_one_layer(flat, faces, shape.extent), np.zeros(TOKENS)
         else:
             places, sides = _of_two_layers(flat, side)
+        of_face = np.sign(side[faces].sum(axis=1))
         face, blend = _on_layers(places, sides, flat, faces, of_face)
         places = interpolate(blend, flat[faces[face]])
         layered = _Layered(flat, faces, side, of_face)
         near, tokens, shares = _shares(layered, places, sides, faces[face])
-        labellings, is_labelling = _labellings(places, sides, extent, layers)
-        rim, seam = _rim_and_seam(faces, side, len(flat))
-        features = np.column_stack(
-            [
-                places / size_m,
-                sides,
-                _distance(places, flat[rim]) / size_m,
-                _distance(places, flat[seam]) / size_m,
-                places / extent,
-            ]
-        )
         return cls(
-            size_m=size_m,
-            canonical=interpolate(blend, canonical[faces[face]]),
-            features=features.astype(np.float32),
+            **shape.told(places, sides),
+            canonical=interpolate(blend, shape.canonical[faces[face]]),
             face=face,
             blend=blend,
             vertex_tokens=tokens,
             vertex_shares=shares.astype(np.float32),
-            labellings=labellings,
-            is_labelling=is_labelling,
-            mirror=_named(places * (-1.0, 1.0), sides, places, sides),
             neighbours=near,
-            layers=layers,
         )
+
+    def stretched(self, mesh: ClothMesh) -> "GarmentTokens":
+        """The same tokens in the same garment that is stretched along x and y, both a little.
+
+        Each vertex keeps its shares of the tokens, and each token its neighbours.
+
+        Args:
+            mesh: the garment as `of` takes it, with the same triangles.
+
+        Raises:
+            InvalidConfigError: the mesh has no canonical coordinates.
+        """
+        shape = _Shape.of(mesh)
+        corners = shape.faces[self.face]
+        places = interpolate(self.blend, shape.flat[corners])
+        sides = self.features[:, 2].astype(np.float64)
+        canonical = interpolate(self.blend, shape.canonical[corners])
+        return replace(self, **shape.told(places, sides), canonical=canonical)
 
     def places(
         self, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
@@ -148,6 +139,73 @@ class GarmentTokens:
         """Values of the tokens at the vertices."""
         shares = self.vertex_shares.reshape(*self.vertex_shares.shape, *[1] * (values.ndim - 1))
         return (values[self.vertex_tokens] * shares).sum(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """A garment that lies flat, around the origin.
+
+    Attributes:
+        canonical: of the vertices [m].
+        flat: x and y of the vertices [m].
+        faces: vertex indices per triangle.
+        side: of the vertices.
+        extent: along x and y [m].
+    """
+
+    canonical: Float[np.ndarray, "vertices 3"]
+    flat: Float[np.ndarray, "vertices 2"]
+    faces: Int[np.ndarray, "faces 3"]
+    side: Float[np.ndarray, " vertices"]
+    extent: Float[np.ndarray, " 2"]
+
+    @classmethod
+    def of(cls, mesh: ClothMesh) -> "_Shape":
+        """The shape of a flat mesh.
+
+        Raises:
+            InvalidConfigError: the mesh has no canonical coordinates.
+        """
+        if mesh.canonical is None:
+            raise InvalidConfigError(
+                "the garment's mesh has no canonical coordinates; make it with clothtrack's "
+                "garments, or give a template that has them"
+            )
+        canonical = np.asarray(mesh.canonical, np.float64)
+        level = canonical[:, :2]
+        flat = level - 0.5 * (level.min(axis=0) + level.max(axis=0))
+        faces = np.asarray(mesh.faces)
+        return cls(canonical, flat, faces, _sides(canonical), np.ptp(flat, axis=0))
+
+    @property
+    def layers(self) -> int:
+        """1 or 2."""
+        return 2 if (self.side != 0).any() else 1
+
+    def told(
+        self, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
+    ) -> dict[str, Any]:
+        """What depends on the tokens' flat places [m] and sides alone, by its name."""
+        size_m = float(self.extent.max())
+        labellings, is_labelling = _labellings(places, sides, self.extent, self.layers)
+        rim, seam = _rim_and_seam(self.faces, self.side, len(self.flat))
+        features = np.column_stack(
+            [
+                places / size_m,
+                sides,
+                _distance(places, self.flat[rim]) / size_m,
+                _distance(places, self.flat[seam]) / size_m,
+                places / self.extent,
+            ]
+        )
+        return {
+            "size_m": size_m,
+            "features": features.astype(np.float32),
+            "labellings": labellings,
+            "is_labelling": is_labelling,
+            "mirror": _named(places * (-1.0, 1.0), sides, places, sides),
+            "layers": self.layers,
+        }
 
 
 def _sides(canonical: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, " vertices"]:
