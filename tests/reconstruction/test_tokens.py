@@ -212,9 +212,9 @@ def test_turned_and_mirrored_views_say_the_same_place() -> None:
     picture = _picture(mesh)
     reconstructor = TokenReconstructor(_PlacesOfPixels())
     tokens = replace(GarmentTokens.of(mesh), mirror=np.arange(TOKENS))
-    answer = reconstructor.answer(picture, mesh, views=1)
-    height = np.where(answer.view.depth > 0, 0.5 - answer.view.depth, EMPTY)
-    rows, columns = np.nonzero(answer.view.depth.reshape(64, 2, 64, 2).min(axis=(1, 3)) > 0)
+    look = reconstructor.look(picture)
+    height = np.where(look.view.depth > 0, 0.5 - look.view.depth, EMPTY)
+    rows, columns = np.nonzero(look.view.depth.reshape(64, 2, 64, 2).min(axis=(1, 3)) > 0)
     asked = np.stack([rows, columns], axis=1)[:TOKENS]
     said = reconstructor._views(height, 1.5, asked, tokens, 8)
     for number in range(1, 8):

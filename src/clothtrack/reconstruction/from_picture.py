@@ -32,6 +32,7 @@ from clothtrack.simulation.untangling import Untangling, untangled
 if TYPE_CHECKING:
     from clothtrack.reconstruction.depth_input import DepthInput
     from clothtrack.reconstruction.model import MeshReconstructor, Method, Reconstruction
+    from clothtrack.reconstruction.search import Choice
     from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 
 SPACING_M = 0.004
@@ -64,6 +65,8 @@ class NetworkMesh:
         spread_m: the same of each vertex [m].
         untangling: how the mesh was taken out of itself: crossings as the network's answer had them
             and at the end; None when it was not asked for, or the flat garment is not known.
+        choices: garments that the token network was asked about and turns of the picture, best
+            explanation first: the first is the one whose mesh this is; none of another network.
     """
 
     mesh: ClothMesh | None
@@ -73,22 +76,22 @@ class NetworkMesh:
     expected_error_m: float | None = None
     spread_m: Float[np.ndarray, " vertices"] | None = None
     untangling: Untangling | None = None
+    choices: "tuple[Choice, ...]" = ()
 
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """What a network makes of a picture.
+    """What the published network makes of a picture.
 
     Attributes:
         reconstruction: its mesh.
         canonical: of the mesh's vertices, as the observed points are named; None without a mesh.
-        scale, spread_m: as in `NetworkMesh`.
+        scale: as in `NetworkMesh`.
     """
 
     reconstruction: "Reconstruction"
     canonical: Float[np.ndarray, "vertices 3"] | None
     scale: float = 1.0
-    spread_m: Float[np.ndarray, " vertices"] | None = None
 
 
 def network_mesh(
@@ -133,18 +136,20 @@ def network_mesh(
 
     if template is None and size_m is not None and method == "template":
         template = garment(kind, vertex_count=vertex_count, size_m=size_m)
-    ask = _by_token_network if isinstance(model, TokenReconstructor) else _by_published_network
     shown = picture.turned(turn_rad)
-    answer = ask(model, shown, kind, template, method=method, vertex_count=vertex_count)
-    reconstruction = answer.reconstruction.turned(-turn_rad)
-    spread_m = answer.spread_m
-    result = NetworkMesh(
-        reconstruction.mesh,
-        reconstruction,
-        scale=answer.scale,
-        expected_error_m=None if spread_m is None else float(np.mean(spread_m)),
-        spread_m=spread_m,
+    if isinstance(model, TokenReconstructor):
+        _require_template_method(method)
+        result = _searched(
+            model, shown, kind, template, vertex_count=vertex_count,
+            finish=refinement is not None, device=device,
+        )  # fmt: skip
+        back = result.reconstruction.turned(-turn_rad)
+        return replace(result, reconstruction=back, mesh=back.mesh)
+    answer = _by_published_network(
+        model, shown, kind, template, method=method, vertex_count=vertex_count
     )
+    reconstruction = answer.reconstruction.turned(-turn_rad)
+    result = NetworkMesh(reconstruction.mesh, reconstruction, scale=answer.scale)
     if reconstruction.mesh is None:
         return result
     if untangle:
@@ -201,28 +206,38 @@ def _taken_apart(result: NetworkMesh, picture: "DepthInput", device: str) -> Net
     return replace(result, mesh=mesh.with_vertices(apart.positions), untangling=apart)
 
 
-def _by_token_network(
-    model: "TokenReconstructor",
-    picture: "DepthInput",
-    kind: str,
-    template: ClothMesh | None,
-    *,
-    method: "Method",
-    vertex_count: int,
-) -> _Answer:
-    """Names and places at once; a garment of unknown size is asked about in several."""
-    from clothtrack.reconstruction.model import Reconstruction
-    from clothtrack.reconstruction.tokens.unknown_size import best_garment
-
+def _require_template_method(method: str) -> None:
     if method != "template":
         raise InvalidConfigError(
             f"the token network makes no mesh by method {method!r}; take 'template', or name "
             "weights of the published network"
         )
-    if template is None:
-        template = best_garment(model, picture, kind, vertex_count=vertex_count)
-    answer = model.answer(picture, template)
-    mesh = model.mesh(answer, template, picture)
+
+
+def _searched(
+    model: "TokenReconstructor",
+    picture: "DepthInput",
+    kind: str,
+    template: ClothMesh | None,
+    *,
+    vertex_count: int,
+    finish: bool,
+    device: str,
+) -> NetworkMesh:
+    """The mesh of the token network's answer that explains the picture best."""
+    from clothtrack.reconstruction.finished_fit import finished
+    from clothtrack.reconstruction.model import Reconstruction
+    from clothtrack.reconstruction.search import Search
+
+    search = Search(model, picture, device=device)
+    best = search.best(kind, template, vertex_count=vertex_count)
+    rest, answer, vertices, untangling = best.garment.mesh, best.answer, best.vertices, None
+    if finish:
+        untangling = finished(
+            best.garment.fit, answer.guide, search.cloth, table=picture.table, device=device
+        )
+        vertices = untangling.positions
+    mesh = rest.with_vertices(vertices)
     size = model.config.output_size
     canonical = np.full((size, size, 3), np.nan, np.float32)
     confidence = np.zeros((size, size), np.float32)
@@ -231,10 +246,17 @@ def _by_token_network(
         answer.seen.canonical,
         answer.seen.confidence,
     )
-    reconstruction = Reconstruction(
-        mesh, "template", answer.view.camera, canonical, confidence, answer.seen, rest=template
+    spread_m = answer.guide.spread_m
+    return NetworkMesh(
+        mesh,
+        Reconstruction(
+            mesh, "template", answer.view.camera, canonical, confidence, answer.seen, rest=rest
+        ),
+        expected_error_m=float(np.mean(spread_m)),
+        spread_m=spread_m,
+        untangling=untangling,
+        choices=search.choices,
     )
-    return _Answer(reconstruction, mesh.canonical, spread_m=answer.vertex_spread_m)
 
 
 def _by_published_network(

@@ -6,8 +6,8 @@ the cloth, never across the gap between a sleeve and the body.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy import sparse
@@ -18,27 +18,16 @@ from scipy.spatial import cKDTree
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.tokens.token_symmetries import Layered, labellings, mirrored
 
 TOKENS = 256
 """Tokens per garment: 16 x 16 of a rectangle, 128 on each layer of what is sewn."""
-
-LABELLINGS = 8
-"""Most look-alike labellings that a garment has: a square's."""
 
 SHARES = 4
 """Tokens that a material point of one layer is a share of."""
 
 NEIGHBOURS = 8
 """Tokens around a token over which the place of a pixel is averaged."""
-
-NEARLY_SQUARE = 0.85
-"""Sides whose ratio is above this look alike in a crumpled cloth: quarter turns are labellings."""
-
-ALIKE = 0.9
-"""Outlines whose intersection over union is above this look alike in a crumpled cloth."""
-
-SILHOUETTE_PIXELS = 96
-"""Pixels along each side of the pictures in which outlines are compared."""
 
 FEATURES = 7
 """Numbers that a token is told by: `GarmentTokens.features`."""
@@ -90,54 +79,42 @@ class GarmentTokens:
         Raises:
             InvalidConfigError: the mesh has no canonical coordinates.
         """
-        if mesh.canonical is None:
-            raise InvalidConfigError(
-                "the garment's mesh has no canonical coordinates; make it with clothtrack's "
-                "garments, or give a template that has them"
-            )
-        canonical = np.asarray(mesh.canonical, np.float64)
-        flat = canonical[:, :2] - 0.5 * (
-            canonical[:, :2].min(axis=0) + canonical[:, :2].max(axis=0)
-        )
-        side = _sides(canonical)
-        extent = np.ptp(flat, axis=0)
-        size_m = float(extent.max())
-        layers = 2 if (side != 0).any() else 1
-        faces = np.asarray(mesh.faces)
-        of_face = np.sign(side[faces].sum(axis=1))
-        if layers == 1:
-            places, sides = _of_one_layer(flat, faces, extent), np.zeros(TOKENS)
+        shape = _Shape.of(mesh)
+        flat, faces, side = shape.flat, shape.faces, shape.side
+        if shape.layers == 1:
+            places, sides = _of_one_layer(flat, faces, shape.extent), np.zeros(TOKENS)
         else:
             places, sides = _of_two_layers(flat, side)
-        face, blend = _on_layers(places, sides, flat, faces, of_face)
+        face, blend = _on_layers(places, sides, flat, faces, shape.layered.of_face)
         places = interpolate(blend, flat[faces[face]])
-        layered = _Layered(flat, faces, side, of_face)
-        near, tokens, shares = _shares(layered, places, sides, faces[face])
-        labellings, is_labelling = _labellings(layered, places, sides)
-        rim, seam = _rim_and_seam(faces, side, len(flat))
-        features = np.column_stack(
-            [
-                places / size_m,
-                sides,
-                _distance(places, flat[rim]) / size_m,
-                _distance(places, flat[seam]) / size_m,
-                places / extent,
-            ]
-        )
+        near, tokens, shares = _shares(shape.layered, places, sides, faces[face])
         return cls(
-            size_m=size_m,
-            canonical=interpolate(blend, canonical[faces[face]]),
-            features=features.astype(np.float32),
+            **shape.told(places, sides),
+            canonical=interpolate(blend, shape.canonical[faces[face]]),
             face=face,
             blend=blend,
             vertex_tokens=tokens,
             vertex_shares=shares.astype(np.float32),
-            labellings=labellings,
-            is_labelling=is_labelling,
-            mirror=_mirrored(layered, places, sides),
             neighbours=near,
-            layers=layers,
         )
+
+    def stretched(self, mesh: ClothMesh) -> "GarmentTokens":
+        """The same tokens in the same garment that is stretched along x and y, both a little.
+
+        Each vertex keeps its shares of the tokens, and each token its neighbours.
+
+        Args:
+            mesh: the garment as `of` takes it, with the same triangles.
+
+        Raises:
+            InvalidConfigError: the mesh has no canonical coordinates.
+        """
+        shape = _Shape.of(mesh)
+        corners = shape.faces[self.face]
+        places = interpolate(self.blend, shape.flat[corners])
+        sides = self.features[:, 2].astype(np.float64)
+        canonical = interpolate(self.blend, shape.canonical[corners])
+        return replace(self, **shape.told(places, sides), canonical=canonical)
 
     def places(
         self, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
@@ -155,6 +132,80 @@ class GarmentTokens:
         """Values of the tokens at the vertices."""
         shares = self.vertex_shares.reshape(*self.vertex_shares.shape, *[1] * (values.ndim - 1))
         return (values[self.vertex_tokens] * shares).sum(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """A garment that lies flat, around the origin.
+
+    Attributes:
+        canonical: of the vertices [m].
+        flat: x and y of the vertices [m].
+        faces: vertex indices per triangle.
+        side: of the vertices.
+        extent: along x and y [m].
+    """
+
+    canonical: Float[np.ndarray, "vertices 3"]
+    flat: Float[np.ndarray, "vertices 2"]
+    faces: Int[np.ndarray, "faces 3"]
+    side: Float[np.ndarray, " vertices"]
+    extent: Float[np.ndarray, " 2"]
+
+    @classmethod
+    def of(cls, mesh: ClothMesh) -> "_Shape":
+        """The shape of a flat mesh.
+
+        Raises:
+            InvalidConfigError: the mesh has no canonical coordinates.
+        """
+        if mesh.canonical is None:
+            raise InvalidConfigError(
+                "the garment's mesh has no canonical coordinates; make it with clothtrack's "
+                "garments, or give a template that has them"
+            )
+        canonical = np.asarray(mesh.canonical, np.float64)
+        level = canonical[:, :2]
+        flat = level - 0.5 * (level.min(axis=0) + level.max(axis=0))
+        faces = np.asarray(mesh.faces)
+        return cls(canonical, flat, faces, _sides(canonical), np.ptp(flat, axis=0))
+
+    @property
+    def layers(self) -> int:
+        """1 or 2."""
+        return 2 if (self.side != 0).any() else 1
+
+    @property
+    def layered(self) -> Layered:
+        """Its layers, flat."""
+        of_face = np.sign(self.side[self.faces].sum(axis=1))
+        return Layered(self.flat, self.faces, self.side, of_face)
+
+    def told(
+        self, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
+    ) -> dict[str, Any]:
+        """What depends on the tokens' flat places [m] and sides alone, by its name."""
+        size_m = float(self.extent.max())
+        layered = self.layered
+        names, is_labelling = labellings(layered, places, sides)
+        rim, seam = _rim_and_seam(self.faces, self.side, len(self.flat))
+        features = np.column_stack(
+            [
+                places / size_m,
+                sides,
+                _distance(places, self.flat[rim]) / size_m,
+                _distance(places, self.flat[seam]) / size_m,
+                places / self.extent,
+            ]
+        )
+        return {
+            "size_m": size_m,
+            "features": features.astype(np.float32),
+            "labellings": names,
+            "is_labelling": is_labelling,
+            "mirror": mirrored(layered, places, sides),
+            "layers": self.layers,
+        }
 
 
 def _sides(canonical: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, " vertices"]:
@@ -220,18 +271,8 @@ def _on_layers(
     return face, blend
 
 
-@dataclass(frozen=True, eq=False)
-class _Layered:
-    """A flat mesh of one or two layers: side of each vertex, 0 on seams, and of each face."""
-
-    flat: Float[np.ndarray, "vertices 2"]
-    faces: Int[np.ndarray, "faces 3"]
-    side: Float[np.ndarray, " vertices"]
-    of_face: Float[np.ndarray, " faces"]
-
-
 def _shares(
-    mesh: _Layered,
+    mesh: Layered,
     places: Float[np.ndarray, "tokens 2"],
     sides: Float[np.ndarray, " tokens"],
     corners: Int[np.ndarray, "tokens 3"],
@@ -298,77 +339,6 @@ def _convex(
     right[-1] = _CENTRED
     weights, _ = nnls(rows, right)
     return weights / weights.sum()
-
-
-def _labellings(
-    layered: _Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
-) -> tuple[Int[np.ndarray, "labellings tokens"], Bool[np.ndarray, " labellings"]]:
-    """Names under which the garment looks the same: a sheet's turns, a shirt's turning over.
-
-    A sheet looks alike from both sides; of what is sewn, a mirror image shows the other layer. A
-    symmetry is one of the outline: what it makes of a layer must cover the layer that it becomes.
-    """
-    extent = np.ptp(layered.flat, axis=0)
-    single = not layered.side.any()
-    layers = [_filled(layered.flat, layered.faces[layered.of_face == k]) for k in (1.0, -1.0)]
-    if single:
-        layers = [_filled(layered.flat, layered.faces)] * 2
-    signs = [(-1, -1), (1, -1), (-1, 1)]
-    turns = [(False, one) for one in signs]
-    if single and extent.min() > NEARLY_SQUARE * extent.max():
-        turns += [(True, one) for one in [(1, 1), *signs]]
-    unit = extent if single else np.ones(2)
-    rows = [np.arange(len(places))]
-    for swapped, sign in turns:
-        over = not single and sign[0] * sign[1] < 0
-        shape = (layers[0].T if swapped else layers[0])[:: sign[1], :: sign[0]]
-        other = layers[1] if over else layers[0]
-        if (shape & other).sum() < ALIKE * (shape | other).sum():
-            continue
-        moved = (places / unit)[:, ::-1] if swapped else places / unit
-        rows.append(_named(moved * sign, -sides if over else sides, places / unit, sides))
-    filled = rows + [rows[0]] * (LABELLINGS - len(rows))
-    return np.array(filled), np.arange(LABELLINGS) < len(rows)
-
-
-def _mirrored(
-    layered: _Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
-) -> Int[np.ndarray, " tokens"]:
-    """The name of each token in the mirror image of the garment.
-
-    A mirrored sheet is the same sheet from below, so that an outline without that symmetry keeps
-    its names.
-    """
-    if not layered.side.any():
-        shape = _filled(layered.flat, layered.faces)
-        if (shape & shape[:, ::-1]).sum() < ALIKE * (shape | shape[:, ::-1]).sum():
-            return np.arange(len(places))
-    return _named(places * (-1.0, 1.0), sides, places, sides)
-
-
-def _filled(
-    flat: Float[np.ndarray, "vertices 2"], faces: Int[np.ndarray, "faces 3"]
-) -> Bool[np.ndarray, "rows columns"]:
-    """The silhouette of a flat layer, the garment's extent stretched to a square of pixels."""
-    unit = (flat - flat.min(axis=0)) / np.ptp(flat, axis=0)
-    corners = np.rint(unit * (SILHOUETTE_PIXELS - 1)).astype(np.int32)
-    picture = np.zeros((SILHOUETTE_PIXELS, SILHOUETTE_PIXELS), np.uint8)
-    for triangle in corners[faces]:
-        cv2.fillConvexPoly(picture, triangle, 1)
-    return picture.astype(bool)
-
-
-def _named(
-    places: Float[np.ndarray, "asked 2"],
-    sides: Float[np.ndarray, " asked"],
-    tokens: Float[np.ndarray, "tokens 2"],
-    token_sides: Float[np.ndarray, " tokens"],
-) -> Int[np.ndarray, " asked"]:
-    """The nearest token of the same layer."""
-    far = 10.0 * float(np.ptp(tokens, axis=0).max())
-    tree = cKDTree(np.column_stack([tokens, far * token_sides]))
-    _, nearest = tree.query(np.column_stack([places, far * sides]))
-    return nearest
 
 
 def _rim_and_seam(

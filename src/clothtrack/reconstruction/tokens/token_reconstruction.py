@@ -1,11 +1,12 @@
-"""One depth picture and one garment to the whole mesh, by the token network.
+"""What the token network says of one garment in one depth picture.
 
 The picture is shown in its eight quarter turns and mirror images. Answers that say the same are
-named alike and joined, each by its own spread; of rival ones that which covers the picture best is
-taken. Then the garment's mesh is laid into what was named and placed (`template_fit`).
+named alike and joined, each by its own spread. Which of rival answers is right, the picture decides
+(`reconstruction.search`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from clothtrack.errors import InvalidResultError
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.geometry.camera import about_vertical
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.depth_input import DepthInput
-from clothtrack.reconstruction.template_fit import SeenPoints, TemplateFitConfig, fit_template
+from clothtrack.reconstruction.isometric_fit import Guide
+from clothtrack.reconstruction.template_fit import SeenPoints
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_examples import seen_by_network
 from clothtrack.reconstruction.tokens.token_learning import PREFIX, require_tokens
@@ -33,9 +34,6 @@ from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 VIEWS = 8
 """Quarter turns and mirror images of a picture."""
 
-_PLACE_WEIGHT = 0.1
-_OF_SIZE = 0.05
-_DEEP = 0.05
 _ALIKE = 0.1
 """Hypotheses whose tokens are nearer than this in the mean, over the garment's size, agree."""
 
@@ -44,6 +42,23 @@ _LEAST_LIKELY = 0.1
 
 _MOST_PARTIES = 8
 """Most rival answers of one picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """One picture as the network sees it, whatever garment it is asked about.
+
+    Attributes:
+        view: the cloth from straight above.
+        pixels: row and column of each named pixel in the canonical picture.
+        points: what each of them shows [m], world.
+        table_m: height of the table in the world [m].
+    """
+
+    view: CroppedView
+    pixels: Int[np.ndarray, "points 2"]
+    points: Float[np.ndarray, "points 3"]
+    table_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +82,24 @@ class TokenAnswer:
     tokens: GarmentTokens
 
     @property
-    def vertices(self) -> Float[np.ndarray, "vertices 3"]:
-        """Where the tokens' places put the garment's vertices [m]."""
-        return self.tokens.at_vertices(self.places)
-
-    @property
-    def vertex_spread_m(self) -> Float[np.ndarray, " vertices"]:
-        """Mean deviation of each vertex [m], as the network expects it."""
+    def guide(self) -> Guide:
+        """What it says of the garment's vertices."""
         level, height = self.spreads.T
-        return self.tokens.at_vertices(np.sqrt(2.0 * level**2 + height**2))
+        return Guide(
+            self.seen,
+            self.tokens.at_vertices(self.places),
+            self.tokens.at_vertices(np.sqrt(2.0 * level**2 + height**2)),
+            self.tokens.size_m,
+        )
+
+    def turned(self, angle_rad: float) -> "TokenAnswer":
+        """The same in a world that is turned about the vertical through its origin."""
+        return replace(
+            self,
+            seen=self.seen.turned(angle_rad),
+            places=self.places @ about_vertical(angle_rad).T,
+            view=replace(self.view, camera=self.view.camera.turned(angle_rad)),
+        )
 
 
 class TokenReconstructor:
@@ -111,47 +135,33 @@ class TokenReconstructor:
         weights.load_into(model, prefix=PREFIX)
         return cls(model.to(device))
 
-    def answer(
-        self,
-        picture: DepthInput,
-        garment: ClothMesh,
-        *,
-        tokens: GarmentTokens | None = None,
-        views: int = VIEWS,
-    ) -> TokenAnswer:
-        """Names and places for one picture: of rival answers the one that agrees best with it.
+    def look(self, picture: DepthInput) -> Look:
+        """The picture as the network sees it.
 
         Args:
             picture: depth, mask, camera and table; world z up.
-            garment: its flat mesh, canonical coordinates filled.
-            tokens: of the garment, where they are known.
-            views: quarter turns and mirror images that are asked about, 1 to 8.
 
         Raises:
             InvalidRecordingError: there is no cloth in the picture.
-            InvalidResultError: the network's answer is not finite.
-        """
-        rivals = self.rivals(picture, tokens or GarmentTokens.of(garment), views=views)
-        if len(rivals) == 1:
-            return rivals[0]
-        return max(rivals, key=lambda answer: agreement(answer, garment))
-
-    def rivals(
-        self, picture: DepthInput, tokens: GarmentTokens, *, views: int = VIEWS
-    ) -> list[TokenAnswer]:
-        """Return rival answers: all views joined, and hypotheses joined with those that agree.
-
-        Args:
-            picture: as for `answer`, and so are the others.
-            tokens: of the garment.
-            views: that are asked about.
         """
         view = crop(picture.depth_m, picture.mask, picture.camera, self.config)
         seen = cloth_pixels(view.depth, self.config)
         points = points_of(view.depth, view.camera, seen.sources)
-        table_m = _table_height(picture, points)
-        height, distance, origin = seen_by_network(view, tokens.size_m, table_m)
-        answers = self._views(height, distance, seen.pixels, tokens, views)
+        return Look(view, seen.pixels, points, _table_height(picture, points))
+
+    def rivals(self, look: Look, tokens: GarmentTokens, *, views: int = VIEWS) -> list[TokenAnswer]:
+        """Return rival answers: all views joined, and hypotheses joined with those that agree.
+
+        Args:
+            look: at the picture.
+            tokens: of the garment.
+            views: quarter turns and mirror images that are asked about, 1 to 8.
+
+        Raises:
+            InvalidResultError: the network's answer is not finite.
+        """
+        height, distance, origin = seen_by_network(look.view, tokens.size_m, look.table_m)
+        answers = self._views(height, distance, look.pixels, tokens, views)
         if not np.isfinite(answers.places).all():
             raise InvalidResultError("the network's answer is not finite; give other weights")
 
@@ -159,32 +169,15 @@ class TokenReconstructor:
             share, place, spread = answers.joined(members)
             canonical, sure = _read(share, tokens)
             return TokenAnswer(
-                SeenPoints(points, canonical, sure),
+                SeenPoints(look.points, canonical, sure),
                 place * tokens.size_m + origin,
                 spread * tokens.size_m,
-                seen.pixels,
-                view,
+                look.pixels,
+                look.view,
                 tokens,
             )
 
         return [answer(members) for members in answers.parties()]
-
-    def mesh(self, answer: TokenAnswer, garment: ClothMesh, picture: DepthInput) -> ClothMesh:
-        """The garment's mesh laid into an answer.
-
-        Args:
-            answer: names and places.
-            garment: the flat mesh that was asked about.
-            picture: the picture that was answered.
-        """
-        size_m = answer.tokens.size_m
-        fit = TemplateFitConfig(
-            layer_weight=0.0,
-            warp_weight=_PLACE_WEIGHT,
-            outlier_m=_OF_SIZE * size_m,
-            off_template_m=_OF_SIZE * size_m,
-        )
-        return fit_template(garment, answer.seen, fit, warp=answer.vertices, table=picture.table)
 
     def _views(
         self,
@@ -216,7 +209,7 @@ class TokenReconstructor:
         )
         with torch.no_grad(), torch.autocast(device.type, torch.bfloat16):
             output = self.model(given)
-        names = output.names.softmax(-1).double().cpu()
+        names = output.names.softmax(-1).cpu()
         answers = output.places.double().cpu().numpy()
         places, spreads = answers[..., :3].copy(), np.exp(np.clip(answers[..., 3:], *LOG_SPREADS))
         mirror = torch.from_numpy(tokens.mirror)
@@ -276,8 +269,7 @@ class _Views:
         self, members: tuple["_Member", ...]
     ) -> tuple[Float[np.ndarray, "asked tokens"], np.ndarray, np.ndarray]:
         """One answer of some hypotheses: named as the surest is, and weighed by their spreads."""
-        sure = self.names.max(-1).values.mean(-1)
-        surest = max(members, key=lambda one: float(sure[one[0]]))
+        surest = max(members, key=lambda one: self._sure[one[0]])
         share = torch.zeros_like(self.names[0])
         total = np.zeros_like(self.places[0, 0])
         weight = np.zeros((len(total), 1))
@@ -288,7 +280,12 @@ class _Views:
             weight += close
             share += self.names[member[0]][:, torch.from_numpy(name)]
         share = share / share.sum(-1, keepdim=True)
-        return share.numpy(), total / weight, np.sqrt(len(members) / weight) * np.ones(2)
+        return share.double().numpy(), total / weight, np.sqrt(len(members) / weight) * np.ones(2)
+
+    @cached_property
+    def _sure(self) -> list[float]:
+        """Mean share of the likeliest name, per view."""
+        return self.names.max(-1).values.mean(-1).tolist()
 
     def _alike(self, centre: "_Member") -> tuple["_Member", ...]:
         """The hypotheses whose places are those of one, whatever they are called; one per view."""
@@ -303,34 +300,14 @@ class _Views:
     def _named_as(self, centre: "_Member", member: "_Member") -> tuple[np.ndarray, float]:
         """The labelling of a hypothesis that is nearest to another's, and their mean distance."""
         labellings = self.tokens.labellings[self.tokens.is_labelling]
-        gaps = np.linalg.norm(self.places[member][labellings] - self.places[centre], axis=-1).mean(
-            axis=-1
-        )
+        moved = self.places[member][labellings] - self.places[centre]
+        gaps = np.sqrt(np.square(moved).sum(axis=-1)).mean(axis=-1)
         nearest = int(np.argmin(gaps))
         return labellings[nearest], float(gaps[nearest])
 
 
 _Member = tuple[int, int]
 """A view and one of its hypotheses."""
-
-
-def agreement(answer: TokenAnswer, mesh: ClothMesh) -> float:
-    """How well an answer covers what it answers, 0 to 1.
-
-    Overlap of the silhouettes from above (intersection over union), less where heights differ.
-
-    Args:
-        answer: names and places.
-        mesh: the garment.
-    """
-    shown = Rasteriser(mesh.faces, answer.view.camera).render(answer.vertices).depth
-    seen, covered = answer.view.depth > 0, np.isfinite(shown)
-    both = seen & covered
-    if not both.any():
-        return 0.0
-    deep_m = _DEEP * answer.tokens.size_m
-    off = np.minimum(np.abs(shown[both] - answer.view.depth[both]) / deep_m, 1.0)
-    return float((1.0 - 0.5 * off).sum() / (seen | covered).sum())
 
 
 def _read(

@@ -1,0 +1,122 @@
+"""Garments that nobody has measured: the cuts that are tried, each in any width and length."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+
+import numpy as np
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.isometric_fit import IsometricFit
+from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
+from clothtrack.simulation.garments import garment, shirt, trousers
+from clothtrack.simulation.outlines import ShirtOutline, TrousersOutline
+
+TOWEL_ASPECTS = (1.0, 0.75, 0.55)
+"""Shorter over longer side of towels from which a search begins."""
+
+SHIRTS = {
+    "wide T-shirt": ShirtOutline(),
+    "narrow T-shirt": ShirtOutline(body=0.64, sleeve=0.2, sleeve_angle_rad=0.4),
+    "sweater": ShirtOutline(body=0.8, sleeve=0.72, sleeve_angle_rad=0.75, cuff=0.14),
+}
+"""Shirts from which a search begins."""
+
+TROUSERS = {
+    "trousers": TrousersOutline(),
+    "shorts": TrousersOutline(
+        waist=0.36, hip=0.45, rise=0.5, spread_rad=0.15, thigh=0.47, cuff=0.4
+    ),
+}
+"""Trousers from which a search begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownGarment:
+    """A garment of known cut and size, ready to be asked about and to be laid.
+
+    Attributes:
+        cut: what it is called.
+        mesh: the flat garment, canonical coordinates filled [m].
+        tokens: of the mesh.
+        device: of what is drawn.
+    """
+
+    cut: str
+    mesh: ClothMesh
+    tokens: GarmentTokens
+    device: str = "cpu"
+
+    @classmethod
+    def of(cls, mesh: ClothMesh, cut: str = "template", *, device: str = "cpu") -> "KnownGarment":
+        """A garment from its flat mesh.
+
+        Raises:
+            InvalidConfigError: the mesh has no canonical coordinates.
+        """
+        return cls(cut, mesh, GarmentTokens.of(mesh), device)
+
+    @cached_property
+    def fit(self) -> IsometricFit:
+        """Lays it into pictures."""
+        return IsometricFit(self.mesh, device=self.device)
+
+    @cached_property
+    def size_m(self) -> tuple[float, float]:
+        """Width and length of the flat garment [m]."""
+        width, length = np.ptp(np.asarray(self.mesh.canonical)[:, :2], axis=0)
+        return float(width), float(length)
+
+    def resized(self, width_m: float, length_m: float) -> "KnownGarment":
+        """The same cut, wider and longer.
+
+        Args:
+            width_m: of the flat garment [m].
+            length_m: of the flat garment [m].
+        """
+        across, along = width_m / self.size_m[0], length_m / self.size_m[1]
+        scale = np.array([across, along, np.sqrt(across * along)])
+        canonical = np.asarray(self.mesh.canonical, np.float64) * scale
+        mesh = replace(
+            self.mesh, vertices=np.asarray(self.mesh.vertices) * scale, canonical=canonical
+        )
+        return KnownGarment(self.cut, mesh, self.tokens.stretched(mesh), self.device)
+
+
+@lru_cache(maxsize=8)
+def cuts(kind: str, vertex_count: int) -> tuple[KnownGarment, ...]:
+    """Garments of a kind from which a search begins; the longer side is a metre.
+
+    Args:
+        kind: "towel", "tshirt" or "trousers".
+        vertex_count: of each mesh, about.
+    """
+    makers: dict[str, Callable[..., ClothMesh]] = {}
+    if kind == "towel":
+        for aspect in TOWEL_ASPECTS:
+            makers[f"rectangle 1:{aspect:g}"] = partial(garment, "towel", size_m=(1.0, aspect))
+    elif kind == "trousers":
+        makers = {name: partial(trousers, cut, 1.0) for name, cut in TROUSERS.items()}
+    else:
+        makers = {name: partial(shirt, cut, 1.0) for name, cut in SHIRTS.items()}
+    found = []
+    for name, make in makers.items():
+        mesh = make(vertex_count=vertex_count)
+        longer = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
+        found.append(KnownGarment.of(mesh.scaled(1.0 / longer), name))
+    return tuple(found)
+
+
+def finer(coarse: KnownGarment, kind: str, vertex_count: int) -> KnownGarment:
+    """The same garment with more vertices.
+
+    Args:
+        coarse: one of `cuts`, resized.
+        kind: of it.
+        vertex_count: of the mesh, about.
+    """
+    if kind == "towel":
+        mesh = garment(kind, vertex_count=vertex_count, size_m=coarse.size_m)
+        return KnownGarment.of(mesh, coarse.cut, device=coarse.device)
+    fine = next(cut for cut in cuts(kind, vertex_count) if cut.cut == coarse.cut)
+    return fine.resized(*coarse.size_m)

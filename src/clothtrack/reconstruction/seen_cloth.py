@@ -1,0 +1,162 @@
+"""One picture of a cloth as a fit asks about it: from straight above, where it may lie and how high.
+
+Everything is kept at the few thousand pixels of the network's own picture: a fit asks hundreds of
+times.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import binary_closing, distance_transform_edt
+from scipy.spatial import cKDTree
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.reconstruction.data.view import CroppedView
+from clothtrack.reconstruction.depth_input import DepthInput
+
+CLOSED_PIXELS = 2
+"""Gaps in the mask up to twice as wide [pixels] are cloth that was not measured."""
+
+TALL_M = 0.015
+"""What was measured beside the mask and stands so high over the table [m] hides what is under it."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCloth:
+    """Where a cloth may lie, from straight above.
+
+    Attributes:
+        camera: the virtual camera above the cloth.
+        depth: along its axis [m]; 0 where no cloth was measured.
+        free: pixels in which cloth may lie: it was seen there, or nothing could be.
+        table_m: height of the table in the world [m].
+    """
+
+    camera: Camera
+    depth: Float[np.ndarray, "height width"]
+    free: Bool[np.ndarray, "height width"]
+    table_m: float
+
+    @classmethod
+    def of(cls, view: CroppedView, picture: DepthInput, table_m: float) -> "SeenCloth":
+        """What a picture says.
+
+        Args:
+            view: the picture from straight above.
+            picture: the same cloth as the sensor saw it.
+            table_m: height of the table [m].
+        """
+        seen = view.depth > 0
+        # A border of free pixels, so that closing does not open the mask at the picture's border.
+        wide = np.pad(seen, CLOSED_PIXELS)
+        closed = binary_closing(wide, iterations=CLOSED_PIXELS)
+        inner = slice(CLOSED_PIXELS, -CLOSED_PIXELS)
+        free = closed[inner, inner] | seen | _unknown(view.camera, picture, table_m)
+        return cls(view.camera, view.depth, free, table_m)
+
+    @cached_property
+    def seen(self) -> Bool[np.ndarray, "height width"]:
+        """Pixels in which cloth was measured."""
+        return self.depth > 0
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "points 3"]:
+        """A quarter of the measured places [m], evenly taken."""
+        every = np.zeros(self.depth.shape, bool)
+        every[::2, ::2] = True
+        return self.camera.back_project(self.depth.astype(np.float64), self.seen & every)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Of the points."""
+        return cKDTree(self.points)
+
+    @cached_property
+    def extent_m(self) -> float:
+        """Root of the area that is seen [m], as if it lay on the table."""
+        pixel_m = (self.camera.position[2] - self.table_m) / self.camera.fx
+        return float(np.sqrt(self.seen.sum()) * pixel_m)
+
+    @cached_property
+    def longest_m(self) -> float:
+        """The longest extent of what is seen, from above [m]."""
+        level = self.points[:, :2] - self.points[:, :2].mean(axis=0)
+        angles = np.arange(0.0, np.pi, np.pi / 12.0)
+        along = level @ np.stack([np.cos(angles), np.sin(angles)])
+        low, high = np.percentile(along, [0.5, 99.5], axis=0)
+        return float((high - low).max())
+
+    def cells(
+        self, count: int
+    ) -> tuple[Float[np.ndarray, "count count"], Float[np.ndarray, "count count"]]:
+        """The share of each cell of the picture that shows cloth, and its height over the table [m].
+
+        Args:
+            count: cells along each side; the picture's pixels are a multiple of it.
+        """
+        side = self.depth.shape[0] // count
+        blocks = (count, side, count, side)
+        covered = self.seen.reshape(blocks).mean(axis=(1, 3))
+        top = np.where(self.seen, self.camera.position[2] - self.table_m - self.depth, 0.0)
+        height_m = top.reshape(blocks).mean(axis=(1, 3)) / np.maximum(covered, 1e-9)
+        return covered, height_m
+
+    @cached_property
+    def _nearest_free(self) -> Int[np.ndarray, "2 height width"]:
+        """Row and column of the nearest free pixel of each."""
+        return distance_transform_edt(~self.free, return_distances=False, return_indices=True)
+
+    @cached_property
+    def _top_m(self) -> Float[np.ndarray, "height width"]:
+        """Height of the cloth at each pixel [m], or at the nearest where it was measured."""
+        rows, columns = distance_transform_edt(
+            ~self.seen, return_distances=False, return_indices=True
+        )
+        return self.camera.position[2] - self.depth[rows, columns]
+
+    def confined(
+        self, vertices: Float[np.ndarray, "vertices 3"]
+    ) -> Float[np.ndarray, "vertices 3"]:
+        """The nearest places [m] in which cloth may lie: in a free pixel, below what was seen."""
+        camera = self.camera
+        away = camera.position[2] - vertices[:, 2]
+        column = (vertices[:, 0] - camera.position[0]) / away * camera.fx + camera.cx
+        row = (camera.position[1] - vertices[:, 1]) / away * camera.fy + camera.cy
+        height, width = self.depth.shape
+        at_row = np.clip(np.rint(row), 0, height - 1).astype(np.intp)
+        at_column = np.clip(np.rint(column), 0, width - 1).astype(np.intp)
+        to_row, to_column = self._nearest_free[:, at_row, at_column]
+        outside = ~self.free[at_row, at_column]
+        moved = vertices.copy()
+        scale = away / camera.fx
+        moved[:, 0] += np.where(outside, (to_column - column) * scale, 0.0)
+        moved[:, 1] -= np.where(outside, (to_row - row) * scale, 0.0)
+        np.minimum(moved[:, 2], self._top_m[at_row, at_column], out=moved[:, 2])
+        np.maximum(moved[:, 2], self.table_m, out=moved[:, 2])
+        return moved
+
+
+def _unknown(
+    camera: Camera, picture: DepthInput, table_m: float
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels of the virtual camera in which the sensor could not have seen cloth on the table."""
+    shape = camera.height, camera.width
+    to_table = np.full(shape, camera.position[2] - table_m)
+    if not (to_table > 0.0).all():
+        return np.zeros(shape, bool)
+    pixels, depth = picture.camera.project(camera.back_project(to_table))
+    columns, rows = np.rint(pixels).T
+    inside = (depth > 0) & (rows >= 0) & (rows < picture.camera.height)
+    inside &= (columns >= 0) & (columns < picture.camera.width)
+    at = rows[inside].astype(np.intp), columns[inside].astype(np.intp)
+    measured = picture.depth_m[at]
+    # Straight enough from above for the ray to the table to say how high something stands.
+    tall = (measured > 0) & (measured < depth[inside] * (1.0 - TALL_M / camera.position[2]))
+    unknown = ~inside
+    unknown[inside] = tall & ~picture.mask[at]
+    whole = unknown.reshape(shape).astype(np.uint8)
+    # A single pixel is noise.
+    return cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(bool)

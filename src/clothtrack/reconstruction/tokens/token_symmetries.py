@@ -1,0 +1,101 @@
+"""Symmetries of a garment by its outline: names of its tokens under which it looks the same."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+LABELLINGS = 8
+"""Most look-alike labellings that a garment has: a square's."""
+
+NEARLY_SQUARE = 0.85
+"""Sides whose ratio is above this look alike in a crumpled cloth: quarter turns are labellings."""
+
+ALIKE = 0.9
+"""Outlines whose intersection over union is above this look alike in a crumpled cloth."""
+
+SILHOUETTE_PIXELS = 96
+"""Pixels along each side of the pictures in which outlines are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layered:
+    """A flat mesh of one or two layers: side of each vertex, 0 on seams, and of each face."""
+
+    flat: Float[np.ndarray, "vertices 2"]
+    faces: Int[np.ndarray, "faces 3"]
+    side: Float[np.ndarray, " vertices"]
+    of_face: Float[np.ndarray, " faces"]
+
+
+def labellings(
+    layered: Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
+) -> tuple[Int[np.ndarray, "labellings tokens"], Bool[np.ndarray, " labellings"]]:
+    """Names under which the garment looks the same: a sheet's turns, a shirt's turning over.
+
+    A sheet looks alike from both sides; of what is sewn, a mirror image shows the other layer. A
+    symmetry is one of the outline: what it makes of a layer must cover the layer that it becomes.
+    """
+    extent = np.ptp(layered.flat, axis=0)
+    single = not layered.side.any()
+    layers = [_filled(layered.flat, layered.faces[layered.of_face == k]) for k in (1.0, -1.0)]
+    if single:
+        layers = [_filled(layered.flat, layered.faces)] * 2
+    signs = [(-1, -1), (1, -1), (-1, 1)]
+    turns = [(False, one) for one in signs]
+    if single and extent.min() > NEARLY_SQUARE * extent.max():
+        turns += [(True, one) for one in [(1, 1), *signs]]
+    unit = extent if single else np.ones(2)
+    rows = [np.arange(len(places))]
+    for swapped, sign in turns:
+        over = not single and sign[0] * sign[1] < 0
+        shape = (layers[0].T if swapped else layers[0])[:: sign[1], :: sign[0]]
+        other = layers[1] if over else layers[0]
+        if (shape & other).sum() < ALIKE * (shape | other).sum():
+            continue
+        moved = (places / unit)[:, ::-1] if swapped else places / unit
+        rows.append(named(moved * sign, -sides if over else sides, places / unit, sides))
+    filled = rows + [rows[0]] * (LABELLINGS - len(rows))
+    return np.array(filled), np.arange(LABELLINGS) < len(rows)
+
+
+def mirrored(
+    layered: Layered, places: Float[np.ndarray, "tokens 2"], sides: Float[np.ndarray, " tokens"]
+) -> Int[np.ndarray, " tokens"]:
+    """The name of each token in the mirror image of the garment.
+
+    A mirrored sheet is the same sheet from below, so that an outline without that symmetry keeps
+    its names.
+    """
+    if not layered.side.any():
+        shape = _filled(layered.flat, layered.faces)
+        if (shape & shape[:, ::-1]).sum() < ALIKE * (shape | shape[:, ::-1]).sum():
+            return np.arange(len(places))
+    return named(places * (-1.0, 1.0), sides, places, sides)
+
+
+def _filled(
+    flat: Float[np.ndarray, "vertices 2"], faces: Int[np.ndarray, "faces 3"]
+) -> Bool[np.ndarray, "rows columns"]:
+    """The silhouette of a flat layer, the garment's extent stretched to a square of pixels."""
+    unit = (flat - flat.min(axis=0)) / np.ptp(flat, axis=0)
+    corners = np.rint(unit * (SILHOUETTE_PIXELS - 1)).astype(np.int32)
+    picture = np.zeros((SILHOUETTE_PIXELS, SILHOUETTE_PIXELS), np.uint8)
+    for triangle in corners[faces]:
+        cv2.fillConvexPoly(picture, triangle, 1)
+    return picture.astype(bool)
+
+
+def named(
+    places: Float[np.ndarray, "asked 2"],
+    sides: Float[np.ndarray, " asked"],
+    tokens: Float[np.ndarray, "tokens 2"],
+    token_sides: Float[np.ndarray, " tokens"],
+) -> Int[np.ndarray, " asked"]:
+    """The nearest token of the same layer."""
+    far = 10.0 * float(np.ptp(tokens, axis=0).max())
+    tree = cKDTree(np.column_stack([tokens, far * token_sides]))
+    _, nearest = tree.query(np.column_stack([places, far * sides]))
+    return nearest
