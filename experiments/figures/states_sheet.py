@@ -18,11 +18,10 @@ from shared.figures import say, write_png
 from shared.reconstruction_pictures import Picture
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.geometry import quiet_warp
-from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.data.state_store import StateShard, open_states, read_shard
-from clothtrack.recordings.recording import Table
+from clothtrack.geometry import Camera, ClothMesh, quiet_warp
+from clothtrack.reconstruction import open_states, read_shard
+from clothtrack.reconstruction.data.state_store import StateShard
+from clothtrack.recordings import Table
 from clothtrack.report.lettering import caption
 from clothtrack.report.shading import Shader, ShadingConfig
 

@@ -254,7 +254,7 @@ def reconstruct(
             the table's plane is fitted to the depth.
         force: replace the mesh file that is there.
         device: where to compute.
-        json: machine-readable.
+        json: machine-readable, with the garment's size, cut and turn, and the runners-up.
     """
     require_learning()
     from clothtrack.front.learning import reconstructed
@@ -279,6 +279,9 @@ def reconstruct(
     summary += f"{1e3 * report['cloud_to_mesh_m']:.1f} mm from the cloud"
     if report["expected_error_m"] is not None:
         summary += f", expected error {1e3 * report['expected_error_m']:.0f} mm"
+    if network.choices and size is None and template is None and picture.size_m is None:
+        width, length = network.choices[0].size_m
+        summary += f", taken for {width:.2f} x {length:.2f} m"
     if network.scale != 1.0:
         summary += f", seen as if {network.scale:g} times as large"
     say_result(summary, report, json=json)

@@ -76,9 +76,9 @@ def simulate(
             output, garment, states, seed=seed, config=recipe, processes=workers,
             progress=progress, share=share, executor=executor,
         )  # fmt: skip
-        card, garments = store.folder / "README.md", len(store.shards)
-        report = {"states": store.folder, "card": card, "garments": garments}
-        say_result(f"{card}   ({garments} garments)", report, json=json)
+        report = {"states": store.folder, "card": store.folder / "README.md"}
+        report["garments"] = len(store.shards)
+        say_result("{card}   ({garments} garments)".format(**report), report, json=json)
         return 0
     if garment == "trousers":
         complain("trousers are not recorded; add --states, or give a towel or a tshirt")
@@ -87,18 +87,9 @@ def simulate(
     if actions is not None:
         settings = (f"actions={actions}", *settings)
     folders = ct.simulate(
-        output,
-        garment,
-        count,
-        seed=seed,
-        template=template,
-        garment_seed=garment_seed,
-        settings=settings,
-        workers=workers,
-        progress=progress,
-        share=share,
-        executor=executor,
-    )
+        output, garment, count, seed=seed, template=template, garment_seed=garment_seed,
+        settings=settings, workers=workers, progress=progress, share=share, executor=executor,
+    )  # fmt: skip
     say_result("\n".join(map(str, folders)), folders, json=json)
     return 0 if len(folders) == len(share.of(range(count))) else 1
 

@@ -45,6 +45,9 @@ OTHER_SIZES = (0.75, 0.55, 0.4, 1.35)
 """By what a garment that the network does not know so large, or so small, is multiplied."""
 
 
+RUNNERS_UP = 3
+"""Choices of the search that are reported after the best one."""
+
 SEEN_MOBILITY = 0.1
 """Mobility of a vertex that is seen when a fine-tuned mesh is taken apart: what is seen is where it
 was measured, and what is hidden was guessed."""
@@ -366,4 +369,19 @@ def figures_of(result: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> d
         "expected_error_m": result.expected_error_m,
         "trusted": not reason,
         "why_not": reason,
+        "garment": _named(result.choices[:1]),
+        "runners_up": _named(result.choices[1 : 1 + RUNNERS_UP]),
     }
+
+
+def _named(choices: "tuple[Choice, ...]") -> list[dict[str, Any]]:
+    """Garments and turns of the picture that were tried, ready for JSON; less is a better score."""
+    return [
+        {
+            "cut": one.cut,
+            "size_m": list(one.size_m),
+            "turn_deg": one.turn_deg,
+            "score": one.explanation.score,
+        }
+        for one in choices
+    ]

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial import cKDTree
 
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.layer_order import LayerOrder
+from clothtrack.reconstruction.normal_matrix import NormalMatrix
 from clothtrack.reconstruction.seen_cloth import SeenCloth
 from clothtrack.reconstruction.template_fit import SeenPoints, smoothness_matrix
 
@@ -112,7 +112,7 @@ class IsometricFit:
         signs = np.tile([1.0, -1.0], len(edges))
         self._along = sparse.coo_array((signs, ends), (len(edges), count)).tocsr()
         self._bends = smoothness_matrix(rest)
-        self._system = _System(self._along, self._bends, rest.faces)
+        self._system = NormalMatrix(self._along, self._bends, rest.faces)
         self._lengths = rest.edge_lengths[:, None]
         self._crease_m = CREASE * float(self._lengths.mean())
         self.layers = LayerOrder(rest)
@@ -131,6 +131,7 @@ class IsometricFit:
             guide: what the network says.
             cloth: what was seen.
             edges: weight of the edges' lengths in each round.
+            layered: keep layers that lie on each other in their order.
         """
         names = _Names.of(guide, self.rest)
         sure = np.minimum((SURE * guide.size_m / np.maximum(guide.spread_m, 1e-9)) ** 2, 1.0)
@@ -343,56 +344,6 @@ class _Names:
             for axis in range(3)
         ])  # fmt: skip
         return _Part(corners, wanted)
-
-
-class _System:
-    """The normal equations of one mesh: one pattern of entries, factorized again and again."""
-
-    def __init__(
-        self, along: sparse.csr_array, bends: sparse.csr_array, faces: Int[np.ndarray, "faces 3"]
-    ) -> None:
-        count = along.shape[1]
-        parts = [(along.T @ along).tocoo(), (bends.T @ bends).tocoo()]
-        rows = np.concatenate([*(part.row for part in parts), np.arange(count)])
-        columns = np.concatenate([*(part.col for part in parts), np.arange(count)])
-        keys = np.unique(columns.astype(np.int64) * count + rows)
-        self._count = count
-        self._indices = (keys % count).astype(np.int32)
-        self._starts = np.searchsorted(keys, np.arange(count + 1) * np.int64(count))
-        self._starts = self._starts.astype(np.int32)
-        self._lengths, self._bending = (
-            self._spread(keys, part.row, part.col, part.data) for part in parts
-        )
-        self._diagonal = np.searchsorted(keys, np.arange(count) * np.int64(count + 1))
-        pairs = faces[:, np.repeat(np.arange(3), 3)], faces[:, np.tile(np.arange(3), 3)]
-        self._of_faces = np.searchsorted(keys, pairs[1].astype(np.int64) * count + pairs[0])
-
-    def _spread(
-        self, keys: np.ndarray, rows: np.ndarray, columns: np.ndarray, values: np.ndarray
-    ) -> Float[np.ndarray, " entries"]:
-        place = np.searchsorted(keys, columns.astype(np.int64) * self._count + rows)
-        return np.bincount(place, values, len(keys))
-
-    def factorized(
-        self,
-        edge: float,
-        bend: float,
-        diagonal: Float[np.ndarray, " vertices"],
-        corners: Float[np.ndarray, "faces 9"] | None = None,
-    ) -> SuperLU:
-        """The factors of the sum of all parts with these weights."""
-        entries = edge * self._lengths + bend * self._bending
-        if corners is not None:
-            entries += np.bincount(self._of_faces.ravel(), corners.ravel(), len(entries))
-        entries[self._diagonal] += diagonal
-        matrix = sparse.csc_array(
-            (entries, self._indices, self._starts), (self._count, self._count)
-        )
-        # Symmetric and positive definite: no pivots off the diagonal.
-        return splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )  # fmt: skip
 
 
 def _pulls(

@@ -1,4 +1,4 @@
-"""One picture of a cloth as a fit asks about it: from straight above, where it may lie and how high.
+"""One picture of a cloth as a fit asks about it: from above, where it may lie and how high.
 
 Everything is kept at the few thousand pixels of the network's own picture: a fit asks hundreds of
 times.
@@ -21,7 +21,7 @@ CLOSED_PIXELS = 2
 """Gaps in the mask up to twice as wide [pixels] are cloth that was not measured."""
 
 TALL_M = 0.015
-"""What was measured beside the mask and stands so high over the table [m] hides what is under it."""
+"""What stands so high over the table beside the mask [m] hides what is under it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class SeenCloth:
     def cells(
         self, count: int
     ) -> tuple[Float[np.ndarray, "count count"], Float[np.ndarray, "count count"]]:
-        """The share of each cell of the picture that shows cloth, and its height over the table [m].
+        """The share of each cell that shows cloth, and its height over the table [m].
 
         Args:
             count: cells along each side; the picture's pixels are a multiple of it.
