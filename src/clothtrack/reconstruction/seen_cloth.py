@@ -52,7 +52,7 @@ class SeenCloth:
         seen = view.depth > 0
         # A border of free pixels, so that closing does not open the mask at the picture's border.
         wide = np.pad(seen, CLOSED_PIXELS)
-        closed = binary_closing(wide, iterations=CLOSED_PIXELS)
+        closed = np.asarray(binary_closing(wide, iterations=CLOSED_PIXELS), bool)
         inner = slice(CLOSED_PIXELS, -CLOSED_PIXELS)
         free = closed[inner, inner] | seen | _unknown(view.camera, picture, table_m)
         return cls(view.camera, view.depth, free, table_m)
@@ -107,14 +107,12 @@ class SeenCloth:
     @cached_property
     def _nearest_free(self) -> Int[np.ndarray, "2 height width"]:
         """Row and column of the nearest free pixel of each."""
-        return distance_transform_edt(~self.free, return_distances=False, return_indices=True)
+        return _nearest(self.free)
 
     @cached_property
     def _top_m(self) -> Float[np.ndarray, "height width"]:
         """Height of the cloth at each pixel [m], or at the nearest where it was measured."""
-        rows, columns = distance_transform_edt(
-            ~self.seen, return_distances=False, return_indices=True
-        )
+        rows, columns = _nearest(self.seen)
         return self.camera.position[2] - self.depth[rows, columns]
 
     def confined(
@@ -137,6 +135,12 @@ class SeenCloth:
         np.minimum(moved[:, 2], self._top_m[at_row, at_column], out=moved[:, 2])
         np.maximum(moved[:, 2], self.table_m, out=moved[:, 2])
         return moved
+
+
+def _nearest(marked: Bool[np.ndarray, "height width"]) -> Int[np.ndarray, "2 height width"]:
+    """Return row and column of the marked pixel that is nearest to each pixel."""
+    found = distance_transform_edt(~marked, return_distances=False, return_indices=True)
+    return np.asarray(found)
 
 
 def _unknown(
