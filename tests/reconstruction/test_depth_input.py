@@ -15,7 +15,7 @@ import clothtrack
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError, InvalidResultError
 from clothtrack.reconstruction.availability import SHIPPED
-from clothtrack.reconstruction.depth_input import from_picture
+from clothtrack.reconstruction.depth_input import from_depth, from_picture
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.model_loading import load_model
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
@@ -168,3 +168,10 @@ def test_weights_of_another_preset_are_refused(picture, tmp_path, capsys):
     assert cli.main([*words, "--output", str(tmp_path / "mesh.obj")]) == 1
     assert "another preset" in capsys.readouterr().err
     assert not (tmp_path / "mesh.obj").exists()
+
+
+def test_a_thin_flat_cloth_without_a_mask_needs_one():
+    depth = np.full((240, 320), 1.0)
+    depth[75:165, 100:220] -= 0.001
+    with pytest.raises(InvalidRecordingError, match=r"thin flat cloth needs one: --mask FILE"):
+        from_depth(depth, "thin.png")

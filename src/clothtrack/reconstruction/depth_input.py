@@ -19,10 +19,11 @@ from clothtrack.geometry.table_plane import (
 )
 from clothtrack.reconstruction.data.cloud_picture import cloud_picture
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
+from clothtrack.reconstruction.data.view import LEAST_PIXELS
 from clothtrack.recordings.pictures import read_depth, read_mask
 from clothtrack.recordings.point_cloud import cloth_measured
 from clothtrack.recordings.recording import Table
-from clothtrack.recordings.segmentation import HeightSegmenter
+from clothtrack.recordings.segmentation import LOWEST_M, HeightSegmenter
 from clothtrack.recordings.store import read_recording
 
 USUAL_FOCAL = 0.94
@@ -209,9 +210,15 @@ def from_depth(
     camera = replace(camera, world_from_camera=pose)
     table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
     cloth = HeightSegmenter()(None, depth, camera, table) if marked is None else marked
+    measured = cloth_measured(depth, cloth, camera)
+    if marked is None and int(measured.sum()) < LEAST_PIXELS:
+        raise InvalidRecordingError(
+            f"{name}: nothing stands out of the table by more than {1e3 * LOWEST_M:.0f} mm, where "
+            "no mask says what is cloth; thin flat cloth needs one: --mask FILE"
+        )
     return DepthInput(
         depth,
-        cloth_measured(depth, cloth, camera),
+        measured,
         camera,
         table,
         table_source="assumed" if fitted is None else "fitted",
