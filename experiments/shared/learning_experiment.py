@@ -29,6 +29,7 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files import with_settings
 from clothtrack.geometry import quiet_warp
 from clothtrack.reconstruction import LearningConfig, MeshReconstructor, open_states
+from clothtrack.reconstruction.data.garment_draws import GarmentRanges
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
@@ -59,7 +60,10 @@ SMOKE_SETTINGS = (
     "examples.volume_queries=64",
 )  # fmt: skip
 SMOKE_STATES = StatesConfig(
-    vertex_count=120, episodes=2, crumpling=CrumplingConfig(states=2, rest_limit_s=0.3)
+    vertex_count=120,
+    episodes=2,
+    crumpling=CrumplingConfig(states=2, rest_limit_s=0.3),
+    garments=GarmentRanges(towel_side_m=(0.22, 0.34)),
 )
 SMOKE_TOWELS = 3
 """Filmed in a smoke run: all but the last to learn from, the last held out."""

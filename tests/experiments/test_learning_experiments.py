@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("torch", reason="the extra [learn] brings it")
 
-from figures import real_reconstruction, reconstruction_figure
+from figures import real_reconstruction, reconstruction_figure, states_sheet
 from shared import learning_columns, learning_experiment, tables
 from shared.bench_runs import read_rows, trajectories
 from shared.learning_labels import (
@@ -30,6 +30,8 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation import Truth, material_map, material_points
 from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction.canonical_frame import conventional
+from clothtrack.reconstruction.data.recipes import CrumplingConfig
+from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.template_fit import SeenPoints
 from clothtrack.recordings import read_recording
 
@@ -105,6 +107,20 @@ def test_ten_states_are_drawn(bench, tmp_path, capsys):
     assert picture.shape == (reconstruction_figure.HEIGHT + 22, width, 3)
     assert np.ptp(picture[22:, -reconstruction_figure.WIDTH :], axis=(0, 1)).max() > 60
     assert "1 states" in capsys.readouterr().out
+
+
+def test_a_sheet_of_states_is_drawn(tmp_path, capsys):
+    config = StatesConfig(
+        vertex_count=120, episodes=2, crumpling=CrumplingConfig(states=2, rest_limit_s=0.2)
+    )
+    generate_states(tmp_path / "towels", "towel", 4, config=config)
+    image = tmp_path / "sheet.png"
+    words = ["--states", str(tmp_path / "towels"), "--count", "4", "--columns", "3"]
+    assert states_sheet.main([*words, "--image", str(image)]) == 0
+    tile = states_sheet.TILE
+    assert cv2.imread(str(image)).shape == (2 * (tile + states_sheet.LETTERS), 3 * tile, 3)
+    assert "kB" in capsys.readouterr().out
+    assert states_sheet.main(["--states", str(tmp_path), "--image", str(image)]) == 1
 
 
 def test_states_come_evenly_from_all(bench):

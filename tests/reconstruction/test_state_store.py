@@ -11,6 +11,7 @@ import pytest
 from clothtrack.errors import InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.state_store import (
+    VERSION,
     StateShard,
     open_states,
     read_list,
@@ -47,6 +48,16 @@ def path(tmp_path: Path) -> Path:
 
 def chunk_of(path: Path, array: str) -> Path:
     return max((path / array / "c").rglob("*"), key=lambda one: one.is_file())
+
+
+def test_the_recipes_of_earlier_states_are_still_known(tmp_path: Path) -> None:
+    earlier = (
+        "flat", "fold", "drop", "lift", "held", "push", "pick_and_place", "release", "imported",
+        "fold",
+    )  # fmt: skip
+    write_shard(replace(make(states=10), recipes=earlier), tmp_path / "0000.zarr")
+    assert read_shard(tmp_path / "0000.zarr").recipes == earlier
+    assert VERSION == 1
 
 
 def test_what_is_written_is_read(path: Path) -> None:

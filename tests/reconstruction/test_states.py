@@ -21,7 +21,12 @@ from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data import states
 from clothtrack.reconstruction.data.crumpling import Crumpler
-from clothtrack.reconstruction.data.garment_draws import draw_garment
+from clothtrack.reconstruction.data.folding import NEAT
+from clothtrack.reconstruction.data.garment_draws import (
+    ClothRanges,
+    GarmentRanges,
+    draw_garment,
+)
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import open_states, read_shard, shard_path
 from clothtrack.reconstruction.data.states import (
@@ -144,6 +149,51 @@ def test_states_of_another_kind_are_not_mixed_in(copy: Path) -> None:
     with pytest.raises(InvalidConfigError, match=r"states\.json"):
         generate_states(copy, "towel", 8, seed=3, config=TINY)
     assert bytes_of(copy) == before
+
+
+def test_at_least_two_in_five_states_are_neat_folds() -> None:
+    config = StatesConfig(vertex_count=500, episodes=10)
+    for kind in ("towel", "trousers"):
+        recipes = [one for k in range(3) for one in make_shard(kind, k, 1, config).recipes]
+        assert np.mean([recipe in NEAT for recipe in recipes]) > 0.4
+        assert len(set(recipes) & set(NEAT)) >= 5
+
+
+def test_a_pressed_stack_stays_one_until_the_end() -> None:
+    following = {"fold_half": 0.3, "fold_top": 0.3, "fold_corner": 0.2, "pick_and_place": 0.2}
+    config = CrumplingConfig(shares={"fold_half": 1.0}, after_fold=following, pressed=1.0)
+    mesh = garment("towel", vertex_count=400, pattern="random")
+    crumpler = Crumpler(
+        mesh, config, SolverConfig(edge_contact=False, damping=4.0), thickness_m=0.001
+    )
+    softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
+    for seed in range(4):
+        states = list(crumpler.episode(softness, np.random.default_rng(seed)))
+        assert len(states) == 5 or states[-1].exploded
+        assert all(state.recipe in NEAT for state in states)
+        layers = 1.0 / projected_area(states[0].positions, mesh.faces)
+        assert layers * projected_area(mesh.vertices, mesh.faces) == pytest.approx(1.9, abs=0.2)
+
+
+def test_thin_cloth_that_lies_flat_is_as_low_as_it_is_thin() -> None:
+    for thickness_m in (0.0006, 0.004):
+        cloth = ClothRanges(thickness_m=(thickness_m, thickness_m))
+        crumpling = only("flat", wrinkled=0.0)
+        config = StatesConfig(vertex_count=150, episodes=2, cloth=cloth, crumpling=crumpling)
+        shard = make_shard("towel", 0, 2, config)
+        assert np.median(shard.positions[..., 2]) == pytest.approx(0.5 * thickness_m, rel=0.05)
+
+
+def test_garments_of_every_cut_are_drawn() -> None:
+    robes = GarmentRanges(robes=1.0, open_robes=1.0)
+    assert np.ptp(draw_garment("tshirt", robes, 300, np.random.default_rng(0)).vertices[:, 1]) > 0.7
+    for kind, low, high in (("towel", 0.2, 2.0), ("tshirt", 0.3, 2.5), ("trousers", 0.2, 1.5)):
+        sizes = []
+        for number in range(12):
+            rng = np.random.default_rng(number)
+            mesh = draw_garment(kind, GarmentRanges(), 150, rng)
+            sizes.append(np.ptp(mesh.vertices[:, :2], axis=0).max())
+        assert low <= min(sizes) < max(sizes) <= high
 
 
 def test_the_card_tells_what_lies_there(made: Path) -> None:
@@ -320,18 +370,27 @@ def test_an_interrupt_between_two_shards_ends_the_workers(tmp_path: Path) -> Non
     assert 1 <= len(open_states(tmp_path).shards) < 20
 
 
-def test_the_verb_makes_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["simulate", str(tmp_path), "--garment", "tshirt", "--states", "3", "--seed", "5"]
+@pytest.mark.parametrize("kind", ["tshirt", "trousers"])
+def test_the_verb_makes_states(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["simulate", str(tmp_path), "--garment", kind, "--states", "3", "--seed", "5"]
     sizes = ["vertex_count=150", "episodes=2", "crumpling.states=2", "crumpling.rest_limit_s=0.2"]
     assert cli.main([*words, *(word for one in sizes for word in ("--set", one))]) == 0
     card, told = capsys.readouterr().out.split(maxsplit=1)
     assert Path(card) == tmp_path / "README.md"
     assert "1 garments" in told
     found = open_states(tmp_path)
-    assert (found.kind, found.document["seed"]) == ("tshirt", 5)
+    assert (found.kind, found.document["seed"]) == (kind, 5)
     (shard,) = (read_shard(path) for path in found.shards)
     assert shard.positions.shape == (4, shard.mesh.vertex_count, 3)
     assert 100 < shard.mesh.vertex_count < 200
+
+
+def test_trousers_are_not_filmed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["simulate", str(tmp_path / "out"), "--garment", "trousers"]) == 2
+    assert "--states" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("words", [["--trajectories", "1"], ["--actions", "3"]])

@@ -1,11 +1,14 @@
 """Garments: one piece of cloth with the right openings, even triangles, shared material points."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import garment, towel, tshirt
+from clothtrack.simulation.garments import garment, shirt, towel, tshirt
+from clothtrack.simulation.outlines import ShirtOutline, draw_robe, draw_shirt, draw_sweater
 
 
 def boundary_loops(faces: np.ndarray) -> int:
@@ -48,6 +51,23 @@ def smallest_angle_deg(mesh: ClothMesh) -> float:
         cosine = (u * v).sum(axis=1) / np.linalg.norm(u, axis=1) / np.linalg.norm(v, axis=1)
         smallest = min(smallest, float(np.degrees(np.arccos(cosine.max()))))
     return smallest
+
+
+@pytest.mark.parametrize("draw", [draw_shirt, draw_sweater, draw_robe])
+def test_an_open_front_joins_hem_and_neck(
+    draw: Callable[[np.random.Generator], ShirtOutline],
+) -> None:
+    outline = draw(np.random.default_rng(3))
+    closed = shirt(outline, 0.7, vertex_count=800)
+    opened = shirt(outline, 0.7, vertex_count=800, open_front=True)
+    assert components(opened) == 1
+    assert boundary_loops(closed.faces) == 4
+    assert boundary_loops(opened.faces) == 3
+    assert euler_characteristic(opened) == 2 - 3
+    np.testing.assert_allclose(np.ptp(opened.vertices, axis=0), np.ptp(closed.vertices, axis=0))
+    middle = opened.vertices[np.abs(opened.vertices[:, 0]) < 1e-9]
+    assert (middle[:, 2] > 0.0).sum() >= 10
+    assert smallest_angle_deg(opened) > 15.0
 
 
 @pytest.mark.parametrize("seed", range(3))

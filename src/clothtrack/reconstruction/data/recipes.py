@@ -57,9 +57,9 @@ class CrumplingConfig:
     states: int = 5
     shares: dict[str, float] = field(
         default_factory=lambda: {
-            "flat": 0.09, "fold": 0.09, "fold_half": 0.19, "fold_corner": 0.13, "fold_strips": 0.1,
-            "fold_sleeves": 0.13, "roll": 0.03, "drop": 0.09, "lift": 0.02, "held": 0.05,
-            "push": 0.02, "pick_and_place": 0.06,
+            "flat": 0.08, "fold": 0.1, "fold_half": 0.2, "fold_corner": 0.14, "fold_strips": 0.1,
+            "fold_sleeves": 0.14, "roll": 0.03, "drop": 0.08, "lift": 0.015, "held": 0.045,
+            "push": 0.015, "pick_and_place": 0.055,
         }
     )  # fmt: skip
     after_fold: dict[str, float] = field(
@@ -73,7 +73,7 @@ class CrumplingConfig:
         default_factory=lambda: {"pick_and_place": 0.7, "held": 0.2, "push": 0.1}
     )
     turned_over: float = 0.5
-    pressed: float = 0.7
+    pressed: float = 0.75
     loft_m: tuple[float, float] = (0.0003, 0.006)
     smoothed: float = 0.3
     wrinkled: float = 0.7
