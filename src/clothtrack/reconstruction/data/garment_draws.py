@@ -39,7 +39,7 @@ class GarmentRanges:
     """
 
     towel_side_m: tuple[float, float] = (0.2, 2.0)
-    towel_aspect: tuple[float, float] = (0.4, 1.0)
+    towel_aspect: tuple[float, float] = (0.5, 1.0)
     square: float = 0.3
     shirt_length_m: tuple[float, float] = (0.3, 0.85)
     long_sleeves: float = 0.35
