@@ -11,7 +11,6 @@ import numpy as np
 
 from shared import fuzz_inputs, fuzz_words
 from shared.damage import LONG
-from shared.proof_stage import small_network
 from shared.trial import CRASHED, MOST_CPU_S, MOST_MEMORY, Limits, Trial, run
 
 KINDS = {
@@ -62,7 +61,7 @@ def case(number: int, seed: int, stage: Path, box: Path) -> dict:
         return made
 
     # What a verb changes on purpose lies in the case's own input.
-    trial = run(words, place, before=small_network, limits=Limits(folder=place))
+    trial = run(words, place, limits=Limits(folder=place))
     made = place / "words.json"
     said = json.loads(made.read_text()) if made.exists() else ["(the case was not made)"]
     row = {"kind": kind, "verb": said[0], "outcome": outcome(trial, said[0]),

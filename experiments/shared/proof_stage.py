@@ -21,6 +21,7 @@ TRAINING = (
     "tokens.epochs=2", "tokens.batch_size=2", "tokens.held_out_share=0.5", "tokens.save_steps=1",
     "tokens.log_steps=1", "tokens.decay=cosine",
 )  # fmt: skip
+SMALL_NETWORK = ("tokens.width=16", "tokens.layers=1", "tokens.image_size=32")
 ROLL_OUTS = (
     "roll_outs.vertex_count=150", "roll_outs.starts=1", "roll_outs.actions=4",
     "roll_outs.coarse.spacing_m=0.035", "roll_outs.motion.speed=0.8",
@@ -37,14 +38,6 @@ def settings(*changes: str) -> list[str]:
     return [word for change in changes for word in ("--set", change)]
 
 
-def small_network() -> None:
-    """In a child: the token network gets small."""
-    from clothtrack.reconstruction.tokens import token_network
-
-    usual = token_network.TokenNetworkConfig
-    token_network.TokenNetworkConfig = lambda: usual(width=16, layers=1, image_size=32)
-
-
 def small_garments() -> None:
     """In a child: what robots and benchmark film is the small towel."""
     from clothtrack.files import with_settings
@@ -59,12 +52,6 @@ def small_garments() -> None:
         for n in range(2)
     ]
     bench.trajectories = lambda *_, **__: two
-
-
-def small_all() -> None:
-    """In a child: networks and garments get small."""
-    small_network()
-    small_garments()
 
 
 def makers() -> object:
@@ -98,8 +85,8 @@ def prepared(folder: Path) -> Path:
         (folder / "states" / "README.md", ["simulate", folder / "states", "--states", 8,
                                            *settings(*STATES)], None),
         (folder / "network" / "model.safetensors",
-         ["pretrain", folder / "states", "--output", folder / "network", *settings(*TRAINING)],
-         small_network),
+         ["pretrain", folder / "states", "--output", folder / "network",
+          *settings(*TRAINING, *SMALL_NETWORK)], None),
         (folder / "episodes" / "towel_0003.html",
          ["flatten", folder / "episodes", "--policy", "heuristic", "--actions", 1, "--seed", 3],
          small_garments),

@@ -9,11 +9,12 @@ from clothtrack.recordings import shipped_recording
 from shared.proof_stage import (
     FAST,
     ROLL_OUTS,
+    SMALL_NETWORK,
     STATES,
     TOWEL,
     TRAINING,
     settings,
-    small_all,
+    small_garments,
 )
 
 
@@ -45,7 +46,7 @@ class Verb:
             shutil.copytree(stage / self.copied[0], out / self.copied[1])
 
 
-before = small_all
+before = small_garments
 """Called in the child before each of these verbs."""
 
 
@@ -84,7 +85,7 @@ VERBS = (
         "train-dynamics", o, "--garment", "towel", "--roll-outs", 6, "--only-roll-outs",
         *settings(*ROLL_OUTS)]),
     Verb("pretrain", lambda s, o: [
-        "pretrain", s / "states", "--output", o, *settings(*TRAINING)]),
+        "pretrain", s / "states", "--output", o, *settings(*TRAINING, *SMALL_NETWORK)]),
     Verb("finetune", lambda s, o: [
         "finetune", s / "network" / "model.safetensors", s / "labels", "--output", o,
         *settings(*TRAINING)]),
