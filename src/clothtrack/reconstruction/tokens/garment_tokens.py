@@ -33,6 +33,7 @@ FEATURES = 7
 """Numbers that a token is told by: `GarmentTokens.features`."""
 
 _RECTANGLE_FILL = 0.97
+_PANEL = 1e-6
 _REGULAR = 0.02
 _CENTRED = 1e3
 
@@ -237,6 +238,8 @@ def _of_two_layers(
     """Points of the front and their mirror images, and the same of the back."""
     half = flat[(side >= 0) & (flat[:, 0] >= 0.0)]
     half = half[_far_apart(half, TOKENS // 4)]
+    # Of an open front each panel gets its own tokens along the opening.
+    half = np.maximum(half, (_PANEL * np.ptp(flat, axis=0).max(), -np.inf))
     front = np.concatenate([half, half * (-1.0, 1.0)])
     sides = np.repeat([1.0, -1.0], TOKENS // 2)
     return np.concatenate([front, front]), sides
