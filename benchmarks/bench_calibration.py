@@ -17,24 +17,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from bench_tracking import TimedEyes
 from results import provenance, write_json
-from staged_fold import FILMED, TABLE, shirt, staged
+from staged_fold import FILMED, shirt, staged
 
-from clothtrack.geometry import VisibilityCheck, quiet_warp
+from clothtrack.geometry import quiet_warp
 from clothtrack.recordings import Recording
-from clothtrack.simulation import ClothSolver
-from clothtrack.tracking import mode
-from clothtrack.tracking.calibration import CalibrationConfig, calibrate
-from clothtrack.tracking.open_loop import OpenLoopScore
-from clothtrack.tracking.picking import find_grasps
-from clothtrack.tracking.tracker import VISIBILITY_TOLERANCE_M, VISIBILITY_WIDTH
+from clothtrack.tracking import Components, RunConfig, SearchConfig
+from clothtrack.tracking.configuration import PAPER_AXES
 
-METHODS = ("grid", "halving", "descent")
+METHODS = ("grid", "descent")
 SMALL_AXES: Mapping[str, tuple[float, ...]] = {
     "bend_compliance": (0.1, 1.0, 10.0),
     "table_friction": (0.2, 0.5, 1.0),
@@ -46,29 +41,23 @@ def searched(
     recording: Recording, vertex_count: int, method: str, axes: Mapping[str, tuple[float, ...]]
 ) -> dict[str, object]:
     """One row: one calibration of one action, kernels compiled before."""
-    mesh, base = shirt(vertex_count), mode("default")
-    config = replace(base, calibration=CalibrationConfig(method=method, axes=axes))
-    solver_config = replace(config.solver, table=TABLE)
-    state = ClothSolver(mesh, solver_config).save()
-    action = recording.actions[0]
-    cloth = mesh.with_vertices(state.positions[0])
-    grasps = find_grasps(recording, action, cloth)
-    cameras = tuple(camera.resized(VISIBILITY_WIDTH) for camera in recording.cameras)
-    visible = VisibilityCheck(mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M)
+    config = RunConfig(search=SearchConfig(method=method, axes=axes))
+    eyes = TimedEyes(recording)
+    components = Components(recording, shirt(vertex_count), config, eyes)
+    mesh, action = components.mesh, recording.actions[0]
+    state = components.simulator(velocity_kept=1.0).solver.save()
     start = time.process_time()
-    open_loop = OpenLoopScore(
-        recording, mesh, replace(config, solver=solver_config), TimedEyes(recording), visible
-    )
-    score = open_loop.of(state, action, grasps)
-    chosen, record = calibrate(score, dict(config.parameters), config.calibration)
+    search = components.open_loop_calibration()(action, state, config.cloth.theta(held_layers=0))
+    (candidate,) = search
+    record = search.calibration
     return {
         "vertices": mesh.vertex_count,
         "method": method,
-        "combinations": config.calibration.size,
+        "combinations": int(np.prod([len(values) for values in axes.values()])),
         "roll_outs": record.roll_outs,
         "seconds": time.process_time() - start,
         "chamfer_m2": float(np.min(record.scores)),
-        "chosen": {name: chosen[name] for name in axes},
+        "chosen": {name: getattr(candidate.theta, name) for name in axes},
     }
 
 
@@ -95,7 +84,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="1,000 vertices, 27 combinations")
     options = parser.parse_args()
     quiet_warp()
-    full = CalibrationConfig().axes
+    full = PAPER_AXES
     sizes = {1000: SMALL_AXES} if options.quick else {1000: full, 4000: SMALL_AXES}
     rows = []
     with tempfile.TemporaryDirectory(prefix="bench-calibration-") as folder:

@@ -29,18 +29,15 @@ from clothtrack.files.work_folder import WorkFolder
 from clothtrack.files.work_status import work_status
 from clothtrack.geometry import quiet_warp
 from clothtrack.recordings import Recording, observe
-from clothtrack.tracking import Tracker, TrackerConfig, mode
-from clothtrack.tracking.calibration import CalibrationConfig
+from clothtrack.tracking import RunConfig, SearchConfig, Tracker
 
 AXES = {"table_friction": (0.3, 1.0, 3.0)}
 """Candidates where there are some: three, each tracked to the end of the action."""
 
 
-def configured(*, candidates: bool) -> TrackerConfig:
-    """The default mode, with few candidates or none."""
-    config = mode("default")
-    searched = replace(config.calibration, axes=AXES)
-    return replace(config, calibration=searched if candidates else CalibrationConfig(method="none"))
+def configured(*, candidates: bool) -> RunConfig:
+    """Return the default mode, with few candidates or none."""
+    return RunConfig(search=SearchConfig(axes=AXES) if candidates else SearchConfig(method="none"))
 
 
 def shortened(recording: Recording, steps: int) -> Recording:

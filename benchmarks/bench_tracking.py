@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,15 @@ from staged_fold import FILMED_VERTICES, FRAME_RATE, STEPS, shirt, staged
 
 from clothtrack.geometry import ClothMesh, one_way, quiet_warp
 from clothtrack.recordings import Frame, Observation, Recording, observe
-from clothtrack.tracking import TrackedTrajectory, Tracker, TrackerConfig, mode
-from clothtrack.tracking.calibration import CalibrationConfig
+from clothtrack.tracking import (
+    Assembled,
+    Components,
+    RunConfig,
+    SearchConfig,
+    TrackedTrajectory,
+    Tracker,
+)
+from clothtrack.tracking.methods import default
 
 RECORDED_S = STEPS / FRAME_RATE
 SOLVERS = ("adam", "icp")
@@ -50,17 +58,15 @@ class TimedEyes:
         return self._seen[frame.index]
 
 
-def configured(solver: str) -> TrackerConfig:
-    """The default mode without calibration; with Adam in place of icp, 400 steps of it."""
-    config = replace(mode("default"), calibration=CalibrationConfig(method="none"))
-    if solver == config.alignment.solver:
-        return config
-    adam = {"solver": solver, "iterations": 400}
-    return replace(
-        config,
-        alignment=replace(config.alignment, **adam),
-        final_alignment=replace(config.final_alignment, **adam),
-    )
+def one_pass(components: Components, solver: str) -> Assembled:
+    """Return the default method; with Adam in place of Gauss-Newton, 400 steps of it."""
+    assembled = default(components)
+    method, aligner = assembled.method, assembled.method.align
+    if solver == aligner.alignment.solver:
+        return assembled
+    aligner = replace(aligner, alignment=replace(aligner.alignment, solver=solver, iterations=400))
+    last = replace(method.align_last, align=aligner)
+    return replace(assembled, method=replace(method, align=aligner, align_last=last))
 
 
 def tracked(
@@ -69,7 +75,8 @@ def tracked(
     """CPU seconds by part, and the result, of one recording tracked once."""
     eyes = TimedEyes(recording)
     start = time.process_time()
-    tracker = Tracker(recording, mesh, configured(solver), eyes)
+    config = RunConfig(search=SearchConfig(method="none"))
+    tracker = Tracker(recording, mesh, config, eyes, assemble=partial(one_pass, solver=solver))
     built = time.process_time()
     result = tracker.track()
     total = time.process_time() - built

@@ -32,7 +32,7 @@ ERROR = Column("error", "error_all_mm")
 KINDS = {"towel": "towel", "tshirt": "T-shirt"}
 GROUPS = {"visible": OUTSIDE, "hidden": HIDDEN, "swapped": INSIDE}
 METHOD_NAMES = {
-    "full_held_paper": "paper",
+    "paper": "paper",
     "no_pseudo_action": "no pseudo-action",
     "no_dynamics_initialisation": "no dyn. init",
     "no_action_conditioning": "no action",

@@ -63,7 +63,7 @@ JOINED = "default_and_simulated"
 """Labels of the default tracker and the control's pictures, learned from together."""
 MODES = {
     "open_loop": ("open_loop", False),
-    "paper": ("full_held_paper", False),
+    "paper": ("paper", False),
     "default": ("default", False),
     "weighted": ("default", True),
 }

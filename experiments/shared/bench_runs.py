@@ -29,6 +29,7 @@ from clothtrack.geometry import ClothMesh
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import RunConfig, TrackedTrajectory, Tracker, find_initial_state
 from clothtrack.tracking.pipeline import counted_settings, observer, provenance
+from shared.ablations import ALL
 from shared.bench_measures import ROW_FORMAT, Row, finite, measure
 from shared.first_meshes import resampled, with_first_mesh_error
 
@@ -65,7 +66,8 @@ class Variant:
 
     Attributes:
         name: as the tables call it.
-        config: the tracker and what feeds it.
+        config: the settings.
+        method: name of a method of `shared.ablations`; that of the settings' mode when empty.
         vertex_count: resample the first mesh to about so many vertices; None leaves it.
         first_mesh_error: factor on the first mesh's deviation from the truth. Anything but 1 is a
             control that reads the truth of the first frame, and no result.
@@ -74,6 +76,7 @@ class Variant:
 
     name: str
     config: RunConfig = field(default_factory=RunConfig)
+    method: str = ""
     vertex_count: int | None = None
     first_mesh_error: float = 1.0
     peer: PeerConfig | None = None
@@ -236,7 +239,7 @@ def prepared(recording: Recording, truth: Truth, variant: Variant) -> Recording:
 def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTrajectory:
     """Follow the cloth through a recording as the variant says."""
     config = variant.config
-    cloud = observer(recording, config.cloud_spacing_m, color=config.tracker.uses_color)
+    cloud = observer(recording, config.cloud_spacing_m, color=config.color)
     first = find_initial_state(
         recording, cloud(recording.frames[0]), config.initial_state, device=device
     )
@@ -244,8 +247,9 @@ def track(recording: Recording, variant: Variant, *, device: str) -> TrackedTraj
         tracked = follow(recording, first.mesh, cloud, variant.peer, device=device)
     else:
         tracker = Tracker(
-            recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
-        )
+            recording, first.mesh, config, cloud, start=first.positions,
+            assemble=ALL[variant.method or config.mode], device=device,
+        )  # fmt: skip
         tracked = tracker.track()
     stored = {"peer": asdict(variant.peer)} if variant.peer is not None else asdict(config)
     return replace(tracked, config=stored, provenance=provenance(recording, config, device))

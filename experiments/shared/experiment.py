@@ -24,9 +24,10 @@ from clothtrack.files import finished_in_workers
 from clothtrack.files.ray_executor import RayExecutor
 from clothtrack.files.shared_work import Executor
 from clothtrack.geometry import quiet_warp
-from clothtrack.tracking import RunConfig, TrackerConfig, mode
+from clothtrack.tracking import MODES, RunConfig
 from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate
 from shared import tables
+from shared.ablations import settings_of
 from shared.bench_measures import Row
 from shared.bench_runs import (
     Task,
@@ -79,14 +80,23 @@ class Setup:
         """The trajectories of the chosen split, or of another one."""
         return trajectories(self.bench, split or self.split, self.limit)
 
-    def variant(self, name: str, tracker: TrackerConfig | str, **changes: object) -> Variant:
-        """A variant from a mode's name or a configuration; small enough in a smoke run."""
-        config = mode(tracker) if isinstance(tracker, str) else tracker
+    def variant(
+        self, name: str, config: RunConfig | str = "default", method: str = "", **changes: object
+    ) -> Variant:
+        """Return a variant; small enough in a smoke run.
+
+        Args:
+            name: as the tables call it.
+            config: settings, or the name of a mode or of one of the paper's ablations.
+            method: name of a method of `shared.ablations`; that of the settings' mode by default.
+            changes: to other fields of the variant.
+        """
+        if isinstance(config, str):
+            method = method or ("" if config in MODES else config)
+            config = settings_of(config)
         if self.smoke:
             config = _short(config)
-        return replace(
-            Variant(name, RunConfig(tracker=config), vertex_count=self.vertices), **changes
-        )
+        return replace(Variant(name, config, method, vertex_count=self.vertices), **changes)
 
     def filmed(self, label: str, config: EpisodeConfig | None = None) -> list[Trajectory]:
         """Trajectories filmed for this experiment alone, half of them towels; made where missing.
@@ -207,13 +217,12 @@ def _only(runs: Sequence[Run], names: Sequence[str]) -> list[Run]:
     return [(trajectory, variant) for trajectory, variant in runs if variant.name in wanted]
 
 
-def _short(config: TrackerConfig) -> TrackerConfig:
+def _short(config: RunConfig) -> RunConfig:
     return replace(
         config,
-        solver=replace(config.solver, substep_s=SMOKE_SUBSTEP_S),
-        calibration=replace(config.calibration, axes=SMOKE_AXES),
-        alignment=replace(config.alignment, iterations=30),
-        final_alignment=replace(config.final_alignment, iterations=30),
+        cloth=replace(config.cloth, substep_s=SMOKE_SUBSTEP_S),
+        search=replace(config.search, axes=SMOKE_AXES),
+        objective=replace(config.objective, iterations=30),
     )
 
 

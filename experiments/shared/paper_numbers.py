@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 PAPER: Mapping[str, Mapping[str, float]] = {
     "table1": {
-        "full_held_paper": 1.13,
+        "paper": 1.13,
         "no_pseudo_action": 1.62,
         "no_dynamics_initialisation": 1.40,
         "no_action_conditioning": 3.72,

@@ -28,7 +28,7 @@ ROLL_OUTS = (
     "roll_outs.motion.rest_s=0.1", "roll_outs.states.crumpling.states=1",
     "roll_outs.states.crumpling.rest_limit_s=0.2",
 )  # fmt: skip
-FAST = ("tracker.calibration.method=none", "tracker.final_alignment.iterations=40")
+FAST = ("search.method=none",)
 
 MAKERS = Path(__file__).parents[2] / "tests" / "importing" / "makers.py"
 

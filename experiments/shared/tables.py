@@ -86,7 +86,7 @@ TITLES = {
     **FLATTENING_TITLES,
 }
 REFERENCES: Mapping[str, tuple[str, ...]] = {
-    "table1": ("full_held_paper",),
+    "table1": ("paper",),
     "default_ablations": ("default",),
     "calibration": ("paper, online", "default, online"),
     "final_alignment": ("best, with TTO2",),

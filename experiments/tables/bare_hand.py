@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--films", type=int, default=len(FILMS), help="only the first ones")
     options = parser.parse_args(arguments)
     quiet_warp()
-    settings = ("tracker.calibration.method=none",) if options.smoke else ()
+    settings = ("search.method=none",) if options.smoke else ()
     rows = []
     for kind, seed in FILMS[: 1 if options.smoke else options.films]:
         film = filmed(options.out, kind, seed, smoke=options.smoke)

@@ -23,7 +23,7 @@ from shared.bench_runs import BENCH_FILE, Trajectory, Variant
 from shared.experiment import Run, Setup, run_experiment
 from shared.held_out import parted, require_apart
 
-from clothtrack.tracking import RunConfig, TrackerConfig, mode
+from clothtrack.tracking import RunConfig, mode
 from clothtrack.world.flex import CONTACT_RADIUS_M
 
 FRICTION = {"table_friction": "table_friction", "particle_friction": "cloth_friction"}
@@ -31,7 +31,7 @@ FRICTION = {"table_friction": "table_friction", "particle_friction": "cloth_fric
 
 FITTED_ON = "dev"
 
-METHODS = {"paper": "full_held_paper", "default": "default"}
+METHODS = {"paper": "paper", "default": "default"}
 
 
 def plan(setup: Setup) -> list[Run]:
@@ -76,19 +76,19 @@ def chosen(setup: Setup) -> tuple[list[Trajectory], list[Trajectory]]:
 def controls(setup: Setup, trajectory: Trajectory) -> list[Variant]:
     """The default with the true friction, and with the true thickness."""
     default, fabric = mode("default"), true_fabric(trajectory)
-    kept = {axis: v for axis, v in default.calibration.axes.items() if axis not in FRICTION}
+    kept = {axis: v for axis, v in default.search.axes.items() if axis not in FRICTION}
     friction = {name: fabric[true_name] for name, true_name in FRICTION.items()}
     known_friction = replace(
         default,
-        parameters={**default.parameters, **friction},
-        calibration=replace(default.calibration, axes=kept),
+        cloth=replace(default.cloth, **friction),
+        search=replace(default.search, axes=kept),
     )
     thickness_m = 2.0 * fabric.get("contact_radius_m", CONTACT_RADIUS_M)
-    known_thickness = replace(default, solver=replace(default.solver, thickness_m=thickness_m))
+    known_thickness = replace(default, cloth=replace(default.cloth, thickness_m=thickness_m))
     control = setup.variant("default, true friction", known_friction)
     if setup.smoke:
         # The short calibration of a smoke run searches friction, which is given here.
-        control = replace(control, config=RunConfig(tracker=fixed(known_friction, {})))
+        control = replace(control, config=fixed(known_friction, {}))
     return [control, setup.variant("default, true thickness", known_thickness)]
 
 
@@ -98,12 +98,14 @@ def true_fabric(trajectory: Trajectory) -> dict[str, float]:
         return json.loads(str(truth["fabric"]))
 
 
-def fixed(config: TrackerConfig, parameters: dict[str, float]) -> TrackerConfig:
-    """The configuration with these parameters and no search."""
+def fixed(config: RunConfig, parameters: dict[str, float]) -> RunConfig:
+    """Return the settings with these parameters of the cloth and no search.
+
+    How many layers a picker takes is no property of the cloth: it stays what the mode begins with.
+    """
+    cloth = {name: value for name, value in parameters.items() if hasattr(config.cloth, name)}
     return replace(
-        config,
-        parameters={**config.parameters, **parameters},
-        calibration=replace(config.calibration, method="none"),
+        config, cloth=replace(config.cloth, **cloth), search=replace(config.search, method="none")
     )
 
 

@@ -16,12 +16,12 @@ from dataclasses import replace
 import _path  # noqa: F401
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking import TrackerConfig, mode
+from clothtrack.tracking import RunConfig, mode
 
 
 def plan(setup: Setup) -> list[Run]:
     """Two methods, with and without what keeps the correction smooth."""
-    paper, default = mode("full_held_paper"), mode("default")
+    paper, default = mode("paper"), mode("default")
     variants = [
         setup.variant("paper, with rigidity", paper),
         setup.variant("paper, without rigidity", weighted(paper, rigidity_weight=0.0)),
@@ -35,9 +35,9 @@ def plan(setup: Setup) -> list[Run]:
     return [(each, variant) for each in setup.trajectories() for variant in variants]
 
 
-def weighted(config: TrackerConfig, **weights: float) -> TrackerConfig:
-    """The configuration with these weights in the objective of both alignments."""
-    return replace(config, alignment=replace(config.alignment, **weights))
+def weighted(config: RunConfig, **weights: float) -> RunConfig:
+    """Return the settings with these weights in the objective of both alignments."""
+    return replace(config, objective=replace(config.objective, **weights))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

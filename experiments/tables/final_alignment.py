@@ -13,24 +13,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import _path  # noqa: F401
+from shared.ablations import RANKS
 from shared.experiment import Run, Setup, run_experiment
 
 from clothtrack.tracking import mode
 
-RANKS = {"best": 0.0, "50 %": 0.5, "90 %": 0.9}
-
 
 def plan(setup: Setup) -> list[Run]:
-    """Three ranks, with and without TTO2."""
-    paper = mode("full_held_paper")
-    grid = replace(paper.calibration, method="grid")
+    """Return three ranks, with and without TTO2."""
+    paper = mode("paper")
+    grid = replace(paper, search=replace(paper.search, method="grid"))
     variants = [
-        setup.variant(
-            f"{label}, {'with' if aligned else 'without'} TTO2",
-            replace(paper, calibration=replace(grid, rank=rank), use_final_alignment=aligned),
-        )
-        for aligned in (True, False)
-        for label, rank in RANKS.items()
+        setup.variant(f"{label}, {end} TTO2", grid, f"ranked_{label}_{end}_TTO2")
+        for end in ("with", "without")
+        for label in RANKS
     ]
     return [(each, variant) for each in setup.trajectories() for variant in variants]
 

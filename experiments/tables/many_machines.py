@@ -186,7 +186,7 @@ def row(name: str, many: list[Command], world: Path, out: Path, *, kills: int, s
     tracked, labels, start = out / "tracked", out / "labels", time.monotonic()
     tracked.mkdir(parents=True, exist_ok=True)
     track = ("track", *map(str, folders), "--output", str(tracked), "--set",
-             "tracker.calibration.method=none")  # fmt: skip
+             "search.method=none")  # fmt: skip
     label = ("label", *(str(tracked / f"{folder.name}.zarr") for folder in folders),
              "--recordings", str(world / "recordings"), "--output", str(labels))  # fmt: skip
     seen, still = [], 0

@@ -39,7 +39,7 @@ from clothtrack.files import with_settings
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import quiet_warp, visible_vertices
 from clothtrack.planning import EpisodeStore, Estimate, PerceptionConfig
-from clothtrack.planning.perception import Look, TrackerPerception
+from clothtrack.planning.perception import ONE_CANDIDATE, Look, TrackerPerception
 from clothtrack.recordings import Recording, observe, read_recording, reversed_recording
 from clothtrack.tracking import Tracker
 
@@ -99,7 +99,7 @@ def believed(folder: Path, kind: str, config: PerceptionConfig, device: str) -> 
     recording = read_recording(runs / "recordings" / name)
     truth = Truth.load(runs / "truth" / f"{name}.npz")
     networks = [store.estimates(step)[0] for step in range(len(store.steps))]
-    behind, behind_cpu_s = hindsight(recording, networks[-1], truth.frames, config, device)
+    behind, behind_cpu_s = hindsight(recording, networks[-1], truth.frames, device)
     carried = networks[0]
     for number, network in enumerate(networks):
         beliefs: dict[str, tuple[Estimate, float | None]] = {NETWORK: (network, None)}
@@ -137,7 +137,6 @@ def hindsight(
     recording: Recording,
     last: Estimate,
     frames: np.ndarray,
-    config: PerceptionConfig,
     device: str,
 ) -> tuple[list[Estimate], float]:
     """The last belief tracked backwards: one per frame that is asked for, and CPU time [s]."""
@@ -145,7 +144,7 @@ def hindsight(
         backwards = reversed_recording(recording, Path(folder) / recording.name)
         cpu = time.process_time()
         tracked = Tracker(
-            backwards, last.flat, config.tracker, partial(observe, backwards),
+            backwards, last.flat, ONE_CANDIDATE, partial(observe, backwards),
             start=last.positions, device=device,
         ).track()  # fmt: skip
     positions = tracked.positions[::-1][frames].astype(np.float64)
@@ -177,7 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--limit", type=int, help="episodes, at most")
     parser.add_argument(
         "--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
-        help="of the perception, such as tracker.solver.bend_limit=0.55",
+        help="of the perception, such as vertex_count=500",
     )  # fmt: skip
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     options = parser.parse_args(arguments)

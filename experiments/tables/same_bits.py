@@ -22,15 +22,7 @@ import numpy as np
 import zarr
 from shared.figures import say
 
-MODES = (
-    "default",
-    "full_held_paper",
-    "open_loop",
-    "no_pseudo_action",
-    "no_dynamics_initialisation",
-    "no_action_conditioning",
-    "no_final_alignment",
-)
+MODES = ("default", "paper", "open_loop")
 RUN = "import sys; from clothtrack.cli import main; sys.exit(main())"
 
 

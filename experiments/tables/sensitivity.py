@@ -21,13 +21,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import _path  # noqa: F401
+from shared.ablations import EXPLOSION_M_S
 from shared.experiment import Run, Setup, run_experiment
 
-from clothtrack.tracking import RunConfig, TrackerConfig, mode
+from clothtrack.tracking import RunConfig, mode
 from tables.collision import weighted
 
 RIGIDITY = (0.0, 1.0, 10.0, 100.0)
-EXPLOSION_M_S = (0.3, 1.0, 3.0, 10.0)
 VERTICES = (500, 1000, 2000, 4000)
 THICKNESS_MM = (1.0, 2.0, 3.0, 5.0)
 CLOUD_MM = (2.0, 4.0, 8.0, 16.0)
@@ -52,16 +52,15 @@ def plan(setup: Setup, axes: Sequence[str] = AXES) -> list[Run]:
     return runs
 
 
-def _variants(setup: Setup, default: TrackerConfig, axis: str) -> list:
-    solver = default.solver
+def _variants(setup: Setup, default: RunConfig, axis: str) -> list:
     if axis == "rigidity":
         return [
             setup.variant(f"rigidity={value:g}", weighted(default, rigidity_weight=value))
-            for value in _with(RIGIDITY, default.alignment.rigidity_weight)
+            for value in _with(RIGIDITY, default.objective.rigidity_weight)
         ]
     if axis == "explosion":
         return [
-            setup.variant(f"explosion={value:g} m/s", exploding_at(default, value))
+            setup.variant(f"explosion={value:g} m/s", default, f"exploding_at_{value:g}")
             for value in EXPLOSION_M_S
         ]
     if axis == "vertices":
@@ -71,9 +70,9 @@ def _variants(setup: Setup, default: TrackerConfig, axis: str) -> list:
         return [
             setup.variant(
                 f"thickness={value:g} mm",
-                replace(default, solver=replace(solver, thickness_m=1e-3 * value)),
+                replace(default, cloth=replace(default.cloth, thickness_m=1e-3 * value)),
             )
-            for value in _with(THICKNESS_MM, 1e3 * solver.thickness_m)
+            for value in _with(THICKNESS_MM, 1e3 * default.cloth.thickness_m)
         ]
     if axis == "cloud":
         return [
@@ -86,18 +85,10 @@ def _variants(setup: Setup, default: TrackerConfig, axis: str) -> list:
     ]
 
 
-def exploding_at(config: TrackerConfig, speed: float) -> TrackerConfig:
-    """The configuration whose line search knows one threshold [m/s], whatever the picker does."""
-    search = replace(
-        config.line_search, explosion_speed=speed, explosion_ratio=0.0, prediction_ratio=0.0
+def _thinned(setup: Setup, config: RunConfig, spacing_mm: float):
+    return setup.variant(
+        f"cloud={spacing_mm:g} mm", replace(config, cloud_spacing_m=1e-3 * spacing_mm)
     )
-    return replace(config, line_search=search)
-
-
-def _thinned(setup: Setup, config: TrackerConfig, spacing_mm: float):
-    variant = setup.variant(f"cloud={spacing_mm:g} mm", config)
-    run = RunConfig(tracker=variant.config.tracker, cloud_spacing_m=1e-3 * spacing_mm)
-    return replace(variant, config=run)
 
 
 def _noise(setup: Setup) -> list[Run]:

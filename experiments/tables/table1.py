@@ -21,11 +21,11 @@ METHODS = (
     "no_dynamics_initialisation",
     "no_action_conditioning",
     "no_final_alignment",
-    "full_held_paper",
+    "paper",
     "open_loop",
     "default",
 )
-FROM_NETWORK = ("full_held_paper", "default")
+FROM_NETWORK = ("paper", "default")
 """Begun with the first mesh that the network makes of the first picture, too, as in the paper."""
 
 

@@ -24,7 +24,7 @@ BEFORE = "before"
 CONTROL = "control: old cloth"
 TRACKED = {
     "labels: open loop": ("open_loop", False),
-    "labels: the paper's mode": ("full_held_paper", False),
+    "labels: the paper's mode": ("paper", False),
     "labels: default": ("default", False),
     "labels: default, weighted": ("default", True),
 }

@@ -21,7 +21,7 @@ from shared.figures import say
 from shared.paper_numbers import PAPER
 from shared.tables import CHAMFER_LAST, ERROR, HIDDEN, Column, about, table
 
-OURS, PAPERS = "default", "full_held_paper"
+OURS, PAPERS = "default", "paper"
 
 
 @dataclass(frozen=True)

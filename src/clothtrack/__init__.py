@@ -42,8 +42,7 @@ if TYPE_CHECKING:
     from clothtrack.recordings.segmentation import ColorSegmenter
     from clothtrack.recordings.shipped import shipped_recording
     from clothtrack.recordings.store import RecordingWriter, read_recording
-    from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
-    from clothtrack.tracking.pipeline import RunConfig
+    from clothtrack.tracking.configuration import MODES, RunConfig, mode
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
@@ -67,7 +66,6 @@ __all__ = [
     "SimulationDivergedError",
     "StorageError",
     "Table",
-    "TrackerConfig",
     "Truth",
     "Verification",
     "__version__",

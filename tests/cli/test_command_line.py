@@ -192,10 +192,10 @@ def test_without_the_extra_all_but_learning_works_and_learning_says_what_it_need
 
 def test_track_lists_what_can_be_set_without_tracking(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    words = ["track", "--show-settings", "--set", "tracker.line_search.trials=3"]
+    words = ["track", "--show-settings", "--set", "search.sweeps=3"]
     assert cli.main(words) == 0
     listed = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("tracker.line_search.trials=3    ") for line in listed)
+    assert any(line.startswith("search.sweeps=3    ") for line in listed)
     assert not list(tmp_path.iterdir())
 
 

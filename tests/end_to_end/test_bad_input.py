@@ -182,7 +182,7 @@ def test_a_bad_recording_does_not_stop_the_good_ones(towels, tmp_path, capsys):
     bad, good = tmp_path / "bad", towels / "recordings" / "towel_0002"
     shutil.copytree(towels / "recordings" / "towel_0001", bad)
     missing_picture(bad)
-    words = ["--output", str(tmp_path / "out"), "--set", "tracker.calibration.method=none"]
+    words = ["--output", str(tmp_path / "out"), "--set", "search.method=none"]
     assert cli.main(["track", str(bad), str(good), *words]) == 1
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"towel_0002.zarr", ".work"}
     assert str(bad) in capsys.readouterr().err
@@ -194,7 +194,7 @@ def test_a_frame_without_cloth_in_the_middle_is_named(towels, tmp_path, capsys):
     for name in ("color", "depth"):
         picture = cv2.imread(str(folder / name / "000005.png"), cv2.IMREAD_UNCHANGED)
         cv2.imwrite(str(folder / name / "000005.png"), np.full_like(picture, picture.max()))
-    words = ["--output", str(tmp_path / "out"), "--set", "tracker.calibration.method=none"]
+    words = ["--output", str(tmp_path / "out"), "--set", "search.method=none"]
     assert cli.main(["track", str(folder), *words]) == 1
     told = capsys.readouterr().err
     assert "no cloth is found in frame 5" in told

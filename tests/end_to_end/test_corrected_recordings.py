@@ -10,7 +10,7 @@ from clothtrack.cli import command_line as cli
 from clothtrack.files import with_settings
 from clothtrack.tracking import RunConfig, TrackedTrajectory, track_recordings
 
-FAST = ("--set", "tracker.calibration.method=none")
+FAST = ("--set", "search.method=none")
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_a_corrected_recording_is_tracked_again(tracked, capsys):
     before = TrackedTrajectory.load(result)
 
     correct_the_path(recording)
-    assert cli.main([*words, "--set", "tracker.attachment_strength=0.5"]) == 1
+    assert cli.main([*words, "--set", "cloth.thickness_m=0.002"]) == 1
     assert "other settings" in capsys.readouterr().err
     assert cli.main(words) == 0
     assert capsys.readouterr().out.startswith(f"{result}   (recording changed, tracked again)\n")

@@ -20,7 +20,7 @@ def results(towels, tmp_path_factory) -> Path:
     recordings = [str(towels / "recordings" / name) for name in NAMES]
     for mode in ("default", "open_loop"):
         words = ["track", *recordings, "--output", str(out / mode), "--mode", mode]
-        assert cli.main([*words, "--set", "tracker.calibration.method=none"]) == 0
+        assert cli.main([*words, "--set", "search.method=none"]) == 0
     return out
 
 
@@ -72,7 +72,7 @@ def test_evaluation_names_the_method_and_its_floor(towels, results, capsys):
 def test_tracking_is_a_function_of_its_input(towels, results, tmp_path):
     folder = towels / "recordings" / NAMES[0]
     words = ["track", str(folder), "--output", str(tmp_path)]
-    assert cli.main([*words, "--set", "tracker.calibration.method=none"]) == 0
+    assert cli.main([*words, "--set", "search.method=none"]) == 0
     again = TrackedTrajectory.load(tmp_path / f"{NAMES[0]}.zarr")
     before = TrackedTrajectory.load(results / "default" / f"{NAMES[0]}.zarr")
     np.testing.assert_array_equal(again.positions, before.positions)
@@ -113,7 +113,7 @@ def test_the_page_is_one_file(towels, results, tmp_path, capsys):
 def test_a_finished_result_of_other_settings_is_not_taken_for_ours(towels, results, capsys):
     folder = towels / "recordings" / NAMES[0]
     words = ["track", str(folder), "--output", str(results / "default")]
-    assert cli.main([*words, "--set", "tracker.attachment_strength=0.5"]) == 1
+    assert cli.main([*words, "--set", "cloth.thickness_m=0.002"]) == 1
     told = capsys.readouterr().err
     assert "other settings" in told
     assert told.count("\n") == 1

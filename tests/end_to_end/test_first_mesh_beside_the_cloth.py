@@ -11,7 +11,7 @@ from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.tracking import TrackedTrajectory
 
-FAST = ("--set", "tracker.calibration.method=none")
+FAST = ("--set", "search.method=none")
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_it_goes_on_when_told_to_and_is_rejected_in_the_end(recordings, tmp_path
 
 def test_the_function_stops_as_the_verb_does(recordings):
     wrong, right = recordings
-    fast = ("tracker.calibration.method=none",)
+    fast = ("search.method=none",)
     with pytest.raises(InvalidRecordingError, match="from the cloud of frame 0"):
         ct.track(wrong, settings=fast)
     run = ct.track(right, settings=fast)

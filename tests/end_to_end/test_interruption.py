@@ -14,7 +14,7 @@ import pytest
 from clothtrack.cli import command_line as cli
 from clothtrack.tracking import TrackedTrajectory
 
-FAST = ("--set", "tracker.calibration.method=none")
+FAST = ("--set", "search.method=none")
 # As the process that a terminal starts, whatever the shell above the tests has set.
 MAIN = (
     "import signal, sys\n"

@@ -16,7 +16,7 @@ import pytest
 from clothtrack import reconstruction
 from clothtrack.cli import command_line as cli
 
-FAST = ("--set", "tracker.calibration.method=none")
+FAST = ("--set", "search.method=none")
 TINY = (
     "size_m=[0.2, 0.2]",
     "vertex_count=120",

@@ -152,9 +152,9 @@ def test_a_trajectory_of_another_recording_is_refused(recording, truth):
 
 @pytest.mark.parametrize("name", MODES)
 def test_a_stored_configuration_names_its_mode(name):
-    stored = json.loads(json.dumps(asdict(RunConfig(tracker=mode(name)))))
+    stored = json.loads(json.dumps(asdict(mode(name))))
     assert method_name(stored) == name
-    stored["tracker"]["attachment_strength"] = 0.123
+    stored["objective"]["length_weight"] = 0.123
     assert method_name(stored) == "custom"
 
 

@@ -43,7 +43,7 @@ def test_drift_is_read_from_the_longest_trajectories_there_are():
 
 
 def test_slip_is_what_a_rigid_motion_takes_away():
-    rows = {"table1": [row("full_held_paper")], "model_free": [row("the same, blind to the tool")]}
+    rows = {"table1": [row("paper")], "model_free": [row("the same, blind to the tool")]}
     assert shape_or_place(rows) == [("paper", 2.0, 4.0)]
 
 

@@ -23,11 +23,11 @@ def rows():
     both = []
     for recording, paper, ours in (("towel_0", 10.0, 4.0), ("towel_1", 14.0, 16.0)):
         for action in (1, 2):
-            both.append(row("full_held_paper", recording, action, paper + action))
+            both.append(row("paper", recording, action, paper + action))
             both.append(row("default", recording, action, ours + action))
             both += [
                 row(name, recording, action, 50.0, stage="before", chamfer=1e-4 * action)
-                for name in ("full_held_paper", "default")
+                for name in ("paper", "default")
             ]
     return both
 
@@ -51,21 +51,19 @@ def test_the_paper_measures_the_last_action_before_the_final_alignment(rows):
 
 
 def test_mean_deviation_median_and_count_stand_beside_the_papers_number(rows):
-    cells = line_of(tables.means("table1", rows, ["full_held_paper", "default"]), "full_held_paper")
-    assert cells[:3] == ["full_held_paper", "1.13", "2"]
+    cells = line_of(tables.means("table1", rows, ["paper", "default"]), "paper")
+    assert cells[:3] == ["paper", "1.13", "2"]
     assert f"13.5 ± {np.std([11.5, 15.5], ddof=1):.1f}" in cells
-    assert "-" in line_of(tables.means("table1", rows, ["full_held_paper", "default"]), "default")
+    assert "-" in line_of(tables.means("table1", rows, ["paper", "default"]), "default")
 
 
 def test_pairs_are_formed_on_the_recordings_that_both_have(rows):
     kept = [each for each in rows if (each["variant"], each["recording"]) != ("default", "towel_1")]
-    gaps = tables.differences(rows, "default", "full_held_paper", tables.ERROR)
+    gaps = tables.differences(rows, "default", "paper", tables.ERROR)
     assert sorted(gaps) == [pytest.approx(-6.0), pytest.approx(2.0)]
-    only = tables.differences(kept, "default", "full_held_paper", tables.ERROR)
+    only = tables.differences(kept, "default", "paper", tables.ERROR)
     assert only == pytest.approx([-6.0])
-    cells = line_of(
-        tables.pairs(rows, ["full_held_paper", "default"], "full_held_paper"), "default"
-    )
+    cells = line_of(tables.pairs(rows, ["paper", "default"], "paper"), "default")
     assert cells[-2:] == ["-2.0 ± 4.0", "1 of 2"]
 
 
@@ -102,7 +100,7 @@ def test_every_experiment_of_the_paper_has_columns_and_a_title():
 
 
 def test_of_several_references_each_is_paired_with_its_own(rows):
-    names = {"full_held_paper": "paper, online", "default": "default, offline"}
+    names = {"paper": "paper, online", "default": "default, offline"}
     own = [{**each, "variant": names[each["variant"]]} for each in rows]
     own += [{**each, "variant": "default, online"} for each in rows if each["variant"] == "default"]
     text = tables.markdown("calibration", own)

@@ -20,8 +20,8 @@ def rows():
     return [
         *(row("default", "towel_0", action, 1.2 * action) for action in (1, 2, 3)),
         *(row("default", "towel_0", a, 9.0, stage="before") for a in (1, 2, 3)),
-        *(row("full_held_paper", "towel_0", action, 12.0) for action in (1, 2, 3)),
-        row("full_held_paper", "towel_0", 3, 12.0, stage="before", chamfer_pc_m2=2e-5),
+        *(row("paper", "towel_0", action, 12.0) for action in (1, 2, 3)),
+        row("paper", "towel_0", 3, 12.0, stage="before", chamfer_pc_m2=2e-5),
         row("no_final_alignment", "towel_0", 3, 12.0, stage="before", chamfer_pc_m2=1e-5),
     ]
 
@@ -65,8 +65,8 @@ def test_a_failure_counts(rows):
 
 def test_the_order_is_the_papers_or_not(rows, tmp_path, capsys):
     assert targets.order(rows) == (
-        ["full_held_paper", "no_final_alignment"],
-        ["no_final_alignment", "full_held_paper"],
+        ["paper", "no_final_alignment"],
+        ["no_final_alignment", "paper"],
     )
     write_rows(rows, tmp_path / "table1.jsonl")
     assert targets.main(["--rows", str(tmp_path)]) == 0

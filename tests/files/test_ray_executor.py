@@ -28,7 +28,7 @@ TINY = (
     "--set", "sensor.width=80", "--set", "sensor.height=60", "--set", "sensor.focal=75",
     "--set", "actions=1",
 )  # fmt: skip
-FAST = ("--set", "tracker.calibration.method=none")
+FAST = ("--set", "search.method=none")
 
 
 def run(work, items, processes=2, **options):

@@ -27,7 +27,7 @@ def attributes(title):
 @pytest.fixture(scope="module")
 def calibrated(recording):
     """A run with a final alignment and candidates, so that no array is empty."""
-    settings = "tracker.alignment.iterations=1", "tracker.calibration.enough=0"
+    settings = "objective.iterations=1", "search.stop_score=0"
     return ct.track(recording, settings=settings)
 
 

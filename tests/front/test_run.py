@@ -92,25 +92,25 @@ def test_an_unknown_part_of_the_algorithm_is_named_with_those_that_there_are(rec
         ct.track(recording, aline=None)
 
 
-def test_a_part_that_is_given_replaces_that_of_the_tracker(recording, monkeypatch):
+def test_a_function_that_is_given_replaces_that_of_the_method(recording, monkeypatch):
     @dataclass(frozen=True)
-    class Parts:
+    class Method:
         align: object = "the usual one"
         dynamics: object = "the usual ones"
 
     class FakeTracker:
         def __init__(self, *arguments, **options):
-            self.parts = Parts()
+            self.method = Method()
 
         def track(self, progress, watch):
-            told.append(self.parts)
+            told.append(self.method)
             raise ct.SimulationDivergedError("far enough")
 
     told = []
     monkeypatch.setattr(pipeline, "Tracker", FakeTracker)
     with pytest.raises(ct.SimulationDivergedError):
         ct.track(recording, align="mine")
-    assert told == [Parts(align="mine")]
+    assert told == [Method(align="mine")]
 
 
 def test_a_configuration_and_a_mode_contradict_each_other(recording):

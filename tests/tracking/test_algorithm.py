@@ -1,4 +1,4 @@
-"""Algorithm 1 with parts of a few lines: what it asks of each, and in which order."""
+"""Algorithm 1 with functions of a few lines: what it asks of each, and in which order."""
 
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -8,18 +8,24 @@ import pytest
 
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
-from clothtrack.simulation.dynamics import PickerAction
+from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.tracking.algorithm import track
-from clothtrack.tracking.calibrator import uncalibrated
-from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.ensemble import chosen_candidate
+from clothtrack.tracking.calibration import Uncalibrated
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.feature_anchors import no_anchors
 from clothtrack.tracking.final_alignment import no_final_alignment
-from clothtrack.tracking.picture_marks import no_marks
+from clothtrack.tracking.protocols import Candidate, Corrected, Correction, Method
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Corrected, Correction, Parts, exact
+from clothtrack.tracking.search import SearchConfig
+from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
 from clothtrack.tracking.tracker import Tracker
-from clothtrack.tracking.visible_alignment import no_alignment
+from clothtrack.tracking.visible_alignment import no_alignment, only_at
+
+
+def drift(meters: float) -> Theta:
+    """Parameters of a cloth whose table friction is its drift [m per frame]."""
+    return Theta(0.0, 0.0, meters, 0.0, 0)
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,7 @@ class Cloth:
     positions: np.ndarray
     started_at: np.ndarray | None = None
     highest_speed: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    exact: bool = True
 
     @property
     def state(self):
@@ -47,14 +54,19 @@ class Nothing:
         return False
 
     def identity(self, theta):
-        return tuple(theta.values())
+        return (theta,)
 
 
-def drifting(theta):
-    def dyn(state, action, pseudo_action=None):
-        return Cloth(state.positions + [theta["drift_m"], 0, 0], state.positions)
+class Drifting:
+    """Dynamics that do nothing but drift."""
 
-    return dyn
+    def __init__(self, theta):
+        self.drift_m = theta.table_friction
+
+    def __call__(self, state, action, pseudo_action=None):
+        return Cloth(state.positions + [self.drift_m, 0, 0], state.positions)
+
+    predict = __call__
 
 
 def to_the_origin(predicted, observation):
@@ -69,33 +81,50 @@ def half(dyn, state, action, predicted, correction):
 
 
 @pytest.fixture
-def parts(recording):
-    return Parts(
+def method(recording):
+    return Method(
         observe=partial(observe, recording),
-        pick=lambda action, state, theta: Nothing(),
-        calibrate=uncalibrated,
-        dynamics=drifting,
-        predict=exact,
+        calibrate=Uncalibrated(lambda action, state, theta: Nothing()),
+        dynamics=Drifting,
         align=to_the_origin,
         line_search=half,
-        combine=chosen_candidate,
         align_last=no_final_alignment,
-        mark=no_marks,
+        anchor=no_anchors,
     )
 
 
-def tracked(recording: Recording, parts: Parts, theta=None, watch=None):
+class Several:
+    """A search through three drifts, which chooses one."""
+
+    def __init__(self, chosen):
+        self.chosen, self.told = chosen, {}
+
+    def __iter__(self):
+        for meters in (3.0, 2.0, 5.0):
+            yield Candidate(drift(meters), Nothing())
+            # Each candidate is told before the next is asked.
+            assert list(self.told)[-1] == meters
+
+    def tell(self, tracked):
+        self.told[tracked.candidate.theta.table_friction] = tracked
+
+    def result(self):
+        best = self.told[self.chosen]
+        return best, best.state, Calibration.none()
+
+
+def tracked(recording: Recording, method: Method, theta=None, watch=None):
     mesh = recording.cloth.template
     start = Cloth(np.zeros((1, len(mesh.vertices), 3)))
     recorder = Recorder(recording, mesh, start, lambda each: np.ones(len(each), bool), watch=watch)
-    track(recording, start, theta or {"drift_m": 1.0}, parts, recorder)
+    track(recording, start, theta or drift(1.0), recorder.timed(method), recorder)
     return recorder.trajectory()
 
 
-def test_every_frame_is_predicted_then_corrected(recording, parts):
+def test_every_frame_is_predicted_then_corrected(recording, method):
     """x_{t+1} = (x_t + 1) / 2: the drift of a frame and half of the way back."""
     (action,) = recording.actions
-    result = tracked(recording, parts)
+    result = tracked(recording, method)
     at = np.arange(len(recording.frames))
     expected = 1.0 - 0.5 ** np.clip(at - action.first_frame, 0, action.last_frame)
     np.testing.assert_allclose(result.positions[:, 0, 0], expected, rtol=1e-6)
@@ -105,7 +134,7 @@ def test_every_frame_is_predicted_then_corrected(recording, parts):
     assert np.isnan(result.steps.loss_after[action.first_frame])
 
 
-def test_who_watches_is_shown_every_mesh_as_it_is_found(recording, parts):
+def test_who_watches_is_shown_every_mesh_as_it_is_found(recording, method):
     shown = []
 
     def watch(recording, mesh, frame, positions):
@@ -113,24 +142,24 @@ def test_who_watches_is_shown_every_mesh_as_it_is_found(recording, parts):
         shown.append((frame.index, positions[0, 0]))
 
     (action,) = recording.actions
-    result = tracked(recording, parts, watch=watch)
+    result = tracked(recording, method, watch=watch)
     within = range(action.first_frame + 1, action.last_frame + 1)
     assert [frame for frame, _ in shown] == [0, *within, action.last_frame]
     found = [result.positions[frame, 0, 0] for frame, _ in shown]
     np.testing.assert_array_equal([place for _, place in shown], found)
 
 
-def test_without_a_correction_the_dynamics_go_on_alone(recording, parts):
-    result = tracked(recording, replace(parts, align=no_alignment))
+def test_without_a_correction_the_dynamics_go_on_alone(recording, method):
+    result = tracked(recording, replace(method, align=no_alignment))
     (action,) = recording.actions
     steps = action.last_frame - action.first_frame
     np.testing.assert_allclose(result.positions[-1, :, 0], steps)
     assert not result.steps.trials.any()
 
 
-def test_the_final_alignment_is_what_the_next_action_starts_from(recording, parts):
+def test_the_final_alignment_is_what_the_next_action_starts_from(recording, method):
     lifted = replace(
-        parts,
+        method,
         align_last=lambda state, theta, cloud, held: (
             Cloth(state.positions + [0, 0, 7]),
             (2.0, 1.0),
@@ -142,75 +171,65 @@ def test_the_final_alignment_is_what_the_next_action_starts_from(recording, part
     assert tuple(action.final_alignment_losses) == (2.0, 1.0)
 
 
-def test_a_candidate_is_followed_once_and_the_others_leave_nothing(recording, parts):
-    passes = []
-
-    def dynamics(theta):
-        passes.append(theta["drift_m"])
-        return drifting(theta)
-
-    def smallest(action, state, theta, follow_with):
-        ends = {drift: follow_with({"drift_m": drift}) for drift in (3.0, 2.0, 5.0, 2.0)}
-        best = min(ends, key=lambda drift: ends[drift].positions[-1].max())
-        return {"drift_m": best}, Calibration.none()
-
-    result = tracked(recording, replace(parts, dynamics=dynamics, calibrate=smallest))
-    assert passes == [3.0, 2.0, 5.0]
-    assert result.actions[0].parameters == {"drift_m": 2.0}
-    alone = tracked(recording, parts, {"drift_m": 2.0})
+def test_every_candidate_is_tracked_from_the_same_state_and_the_others_leave_nothing(
+    recording, method
+):
+    search = Several(chosen=2.0)
+    result = tracked(recording, replace(method, calibrate=lambda *_: search))
+    assert list(search.told) == [3.0, 2.0, 5.0]
+    assert result.actions[0].parameters["table_friction"] == 2.0
+    alone = tracked(recording, method, drift(2.0))
     np.testing.assert_array_equal(result.positions, alone.positions)
+    ends = [one.positions[-1, 0, 0] for one in search.told.values()]
+    assert ends[1] < ends[0] < ends[2]
 
 
-def test_only_the_chosen_candidate_is_aligned_last_with_its_own_theta(recording, parts):
+def test_only_the_chosen_candidate_is_aligned_last_with_its_own_theta(recording, method):
     aligned = []
 
     def align_last(state, theta, cloud, held):
-        aligned.append((theta["drift_m"], state.positions[0, 0, 0], held))
+        aligned.append((theta.table_friction, state.positions[0, 0, 0], held))
         return state, (2.0, 1.0)
 
-    def second(action, state, theta, follow_with):
-        for drift in (3.0, 2.0, 5.0):
-            follow_with({"drift_m": drift})
-        return {"drift_m": 2.0}, Calibration.none()
-
-    exchanged = replace(parts, calibrate=second, align_last=align_last)
+    exchanged = replace(method, calibrate=lambda *_: Several(2.0), align_last=align_last)
     (action,) = tracked(recording, exchanged).actions
     end = action.positions_before_final_alignment[0, 0]
     assert aligned == [(2.0, end, False)]
 
 
-def test_an_ablation_is_a_part_that_is_exchanged(recording):
-    """An aligner that never corrects, handed in, is the mode without pseudo-actions."""
-    config = TrackerConfig()
-    config = replace(config, calibration=replace(config.calibration, method="none"))
+ONE_CANDIDATE = RunConfig(search=SearchConfig(method="none"))
 
-    def tracker(config):
-        return Tracker(recording, recording.cloth.template, config, partial(observe, recording))
 
-    mine = tracker(config)
-    mine.parts = replace(mine.parts, align=lambda predicted, observation: None)
-    ablation = tracker(replace(config, use_pseudo_action=False))
+def tracker(recording: Recording) -> Tracker:
+    return Tracker(recording, recording.cloth.template, ONE_CANDIDATE, partial(observe, recording))
+
+
+def test_an_ablation_is_a_function_that_is_exchanged(recording):
+    """An aligner that never corrects, handed in, leaves the dynamics alone inside an action."""
+    mine, ablation = tracker(recording), tracker(recording)
+    mine.method = replace(mine.method, align=lambda predicted, observation: None)
+    seen = only_at({recording.actions[0].last_frame}, partial(observe, recording), recording)
+    ablation.method = replace(ablation.method, align=no_alignment, observe=seen)
     np.testing.assert_array_equal(mine.track().positions, ablation.track().positions)
-    assert not np.array_equal(mine.track().positions, tracker(config).track().positions)
+    assert not np.array_equal(mine.track().positions, tracker(recording).track().positions)
 
 
 def test_dynamics_that_are_handed_in_make_their_own_predictions(recording):
-    config = TrackerConfig()
-    config = replace(config, calibration=replace(config.calibration, method="none"))
-    tracker = Tracker(recording, recording.cloth.template, config, partial(observe, recording))
-    ours, predicted = tracker.parts.dynamics, []
+    whole, predicted = tracker(recording), []
+    ours = whole.method.dynamics
 
-    def dynamics(theta):
-        dyn = ours(theta)
+    class Mine:
+        def __init__(self, theta):
+            self.dyn = ours(theta)
 
-        def mine(state, action, pseudo_action=None):
-            if pseudo_action is None:
-                predicted.append(action)
-            return dyn(state, action, pseudo_action)
+        def __call__(self, state, action, pseudo_action=None):
+            return self.dyn(state, action, pseudo_action)
 
-        return mine
+        def predict(self, state, action):
+            predicted.append(action)
+            return self.dyn(state, action)
 
-    tracker.parts = replace(tracker.parts, dynamics=dynamics)
-    tracker.track()
+    whole.method = replace(whole.method, dynamics=Mine)
+    whole.track()
     (action,) = recording.actions
-    assert len(predicted) >= action.last_frame - action.first_frame
+    assert len(predicted) == action.last_frame - action.first_frame

@@ -1,150 +1,97 @@
-"""Grid, halving and descent against a known score whose optimum is on the grid."""
+"""Candidates that are tracked: each once, and the one whose outline fits is taken."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError
-from clothtrack.tracking.calibration import CalibrationConfig, calibrate, ranked
-from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.theta import PARAMETERS
+from clothtrack.tracking import algorithm
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.ensemble import best_candidate
+from clothtrack.tracking.methods import Assembled, Components, default
+from clothtrack.tracking.pipeline import track_recording
+from clothtrack.tracking.search import SearchConfig
 
-START = {**TrackerConfig().parameters, "table_friction": 1.0, "particle_friction": 1.0}
-BEST = {"bend_compliance": 1e-2, "table_friction": 3.0, "particle_friction": 0.3}
-COLUMNS = [PARAMETERS.index(name) for name in BEST]
-
-
-def bowl(candidates: np.ndarray, share: float) -> np.ndarray:
-    """Separable, convex in the logarithms; short prefixes see the same valley, only flatter."""
-    distance = np.log(candidates[:, COLUMNS]) - np.log(list(BEST.values()))
-    return 1e-4 + share * 1e-4 * (distance**2).sum(axis=1)
-
-
-@pytest.mark.parametrize("method", ["grid", "halving", "descent"])
-def test_finds_the_optimum_of_a_bowl(method: str) -> None:
-    config = CalibrationConfig(method=method)
-    chosen, record = calibrate(bowl, START, config)
-    assert {name: chosen[name] for name in BEST} == BEST
-    assert record.scores[record.best] == record.scores.min() == pytest.approx(1e-4)
-    assert len(record.scores) == len(record.candidates)
-    if method != "grid":
-        assert record.roll_outs < 0.7 * config.size
-
-
-def test_the_grid_tries_every_combination_once() -> None:
-    config = CalibrationConfig(method="grid")
-    _, record = calibrate(bowl, START, config)
-    assert len(record.scores) == config.size == record.roll_outs
-    assert len(np.unique(record.candidates, axis=0)) == config.size
-
-
-def test_none_keeps_the_start() -> None:
-    chosen, record = calibrate(bowl, START, CalibrationConfig(method="none"))
-    assert chosen == START
-    assert record.best == -1
-    assert record.roll_outs == 0
-
-
-def test_parameters_off_the_axes_reach_the_score_unchanged() -> None:
-    start = {**START, "grasp_offset_z_m": -0.02}
-
-    def score(candidates: np.ndarray, _: float) -> np.ndarray:
-        assert (candidates[:, PARAMETERS.index("grasp_offset_z_m")] == -0.02).all()
-        return np.zeros(len(candidates))
-
-    calibrate(score, start, CalibrationConfig(method="grid"))
-
-
-def test_an_exploded_candidate_is_the_worst_one() -> None:
-    config = replace(CalibrationConfig(method="grid"), axes={"table_friction": (0.1, 0.2, 0.3)})
-    scores = iter([np.array([np.nan, 2.0, np.inf])])
-    chosen, record = calibrate(lambda *_: next(scores), START, config)
-    assert chosen["table_friction"] == 0.2
-    assert np.isinf(record.scores[[0, 2]]).all()
-
-
-def test_descent_starts_at_the_previous_optimum() -> None:
-    first = []
-
-    def score(candidates: np.ndarray, share: float) -> np.ndarray:
-        first.append(candidates[:, PARAMETERS.index("table_friction")].copy())
-        return bowl(candidates, share)
-
-    calibrate(score, {**START, "table_friction": 2.9}, CalibrationConfig(method="descent"))
-    assert (first[0] == 3.0).all()
-
-
-def test_descent_ends_as_soon_as_it_is_near_enough() -> None:
-    config, ended = CalibrationConfig(method="descent"), []
-    start_score = bowl(np.array([[START[name] for name in PARAMETERS]]), 1.0)[0]
-    for enough in (1.01 * start_score, 0.99 * start_score, 1.01e-4, 0.99e-4, 0.0):
-        chosen, record = calibrate(bowl, START, replace(config, enough=enough))
-        ended.append((len(record.scores), chosen))
-        if enough > 1e-4:
-            assert record.scores[record.best] <= enough
-    tried, chosen = zip(*ended, strict=True)
-    assert (tried[0], chosen[0]) == (1, START)
-    assert 1 < tried[1] < tried[2] < tried[3] == tried[4]
-    assert chosen[2] == chosen[3] == chosen[4]
-
-
-@pytest.mark.parametrize(("share", "friction"), [(0.95, 1.0), (0.85, 3.0)])
-def test_descent_leaves_a_candidate_only_for_a_clearly_better_one(share, friction) -> None:
-    def score(candidates: np.ndarray, _: float) -> np.ndarray:
-        return np.where(candidates[:, PARAMETERS.index("table_friction")] == 3.0, share, 1.0)
-
-    config = CalibrationConfig(axes={"table_friction": (1.0, 3.0)}, clearly=0.1)
-    chosen, record = calibrate(score, START, config)
-    assert chosen["table_friction"] == friction
-    assert record.candidates[record.best] == [friction]
-    assert len(record.scores) == 2
-
-
-def test_an_uncertain_grasp_adds_its_offset_to_the_search() -> None:
-    config = CalibrationConfig()
-    assert config.with_grasp_offset(0.0) is config
-    wider = config.with_grasp_offset(0.02)
-    assert wider.axes["grasp_offset_z_m"] == pytest.approx((-0.02, -0.01, 0.0, 0.01, 0.02))
-    assert wider.size == config.size * 5
-
-
-def test_without_anything_to_score_the_start_is_kept() -> None:
-    chosen, record = calibrate(None, START, CalibrationConfig())
-    assert chosen == START
-    assert record.method == "none"
-
-
-def test_unknown_and_empty_axes_are_refused() -> None:
-    with pytest.raises(InvalidConfigError, match="table_friction"):
-        CalibrationConfig(axes={"stickiness": (1.0,)})
-    with pytest.raises(InvalidConfigError, match="no value"):
-        CalibrationConfig(axes={"table_friction": ()})
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "told"),
-    [
-        ("method", "annealing", "none, grid, halving, descent"),
-        ("judge", "truth", "open_loop, tracking"),
-        ("sweeps", 0, "at least 1"),
-        ("rank", 1.5, "from 0 to 1"),
-    ],
+AXES = {"held_layers": (1, 2), "bend_compliance": (0.1, 10.0)}
+CONFIG = RunConfig(
+    cloth=replace(RunConfig().cloth, substep_s=3.3e-3),
+    search=SearchConfig(axes=AXES, sweeps=1, stop_score=0.0),
 )
-def test_settings_that_no_search_can_have_are_refused(field, value, told) -> None:
-    # The type checks of the tests would refuse a wrong word before the configuration itself does.
-    config = CalibrationConfig()
-    object.__setattr__(config, field, value)
-    with pytest.raises(InvalidConfigError, match=f"{field} is .*{told}"):
-        config.__post_init__()
 
 
-@pytest.mark.parametrize(("rank", "score"), [(0.0, 1.0), (0.5, 3.0), (0.9, 5.0), (1.0, 5.0)])
-def test_a_rank_is_a_share_of_the_candidates_that_score_better(rank: float, score: float) -> None:
-    scores = np.array([5.0, 1.0, np.inf, 3.0, 2.0, 4.0])
-    assert scores[ranked(scores, rank)] == score
+def best_only(components: Components) -> Assembled:
+    """Ours, going on from the best candidate."""
+    assembled = default(components)
+    calibrate = replace(assembled.method.calibrate, combine=best_candidate)
+    return replace(assembled, method=replace(assembled.method, calibrate=calibrate))
 
 
-def test_layers_cannot_be_searched_open_loop() -> None:
-    with pytest.raises(InvalidConfigError, match=r"held_layers.*judge"):
-        CalibrationConfig(axes={"held_layers": (1.0, 2.0)})
+def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recording):
+    tracked = track_recording(recording, CONFIG, assemble=best_only)
+    (action,) = tracked.actions
+    found = action.calibration
+    assert (found.method, found.judge) == ("descent", "tracking")
+    assert len(found.scores) == 3
+    assert 0.0 < found.scores[found.best] < 0.2
+    # Clearly better, or where the search began.
+    assert found.scores[found.best] <= found.scores[0]
+    taken = dict(zip(found.names, found.candidates[found.best].tolist(), strict=True))
+    assert {name: action.parameters[name] for name in taken} == taken
+    # The candidates part where the picker has moved the cloth, and hardly elsewhere.
+    moved = np.linalg.norm(tracked.positions[-1] - tracked.positions[0], axis=1)
+    still, carried = moved < np.quantile(moved, 0.2), moved > np.quantile(moved, 0.8)
+    assert found.spread_m.shape == moved.shape
+    assert found.spread_m[carried].mean() > 1.2 * found.spread_m[still].mean() > 0.0
+
+    cloth = replace(CONFIG.cloth, bend_compliance=taken["bend_compliance"])
+    alone = replace(CONFIG, cloth=cloth, search=SearchConfig(method="none"))
+    again = track_recording(recording, alone)
+    np.testing.assert_array_equal(tracked.positions, again.positions)
+    np.testing.assert_array_equal(tracked.steps.loss_after, again.steps.loss_after)
+
+
+def test_where_one_layer_lies_no_second_one_is_tracked(recording, monkeypatch):
+    tracked = []
+    track_action = algorithm.track_action
+
+    def counted(*arguments, **named):
+        tracked.append(arguments)
+        return track_action(*arguments, **named)
+
+    monkeypatch.setattr(algorithm, "track_action", counted)
+    (action,) = track_recording(recording, CONFIG, assemble=best_only).actions
+    assert len(tracked) == len(AXES["bend_compliance"])
+    # The second layer shares the candidate of the first.
+    first, second = action.calibration.scores[:2]
+    assert first == second
+
+
+def test_a_search_goes_on_from_the_mean_of_its_candidates(recording):
+    mean = track_recording(recording, CONFIG)
+    best = track_recording(recording, CONFIG, assemble=best_only)
+    (one,), (other,) = mean.actions, best.actions
+    np.testing.assert_array_equal(one.calibration.scores, other.calibration.scores)
+    np.testing.assert_array_equal(
+        one.positions_before_final_alignment, other.positions_before_final_alignment
+    )
+    assert not np.array_equal(mean.positions[-1], best.positions[-1])
+
+
+@pytest.mark.parametrize("method", ["grid", "descent"])
+def test_the_papers_calibration_rolls_out_and_tracks_one_candidate(recording, method, monkeypatch):
+    tracked = []
+    track_action = algorithm.track_action
+    monkeypatch.setattr(
+        algorithm,
+        "track_action",
+        lambda *args, **named: tracked.append(args) or track_action(*args, **named),
+    )
+    axes = {"bend_compliance": (0.1, 10.0), "table_friction": (0.3, 1.0)}
+    search = SearchConfig(method=method, axes=axes)
+    (action,) = track_recording(recording, replace(CONFIG, search=search)).actions
+    found = action.calibration
+    assert len(tracked) == 1
+    assert (found.method, found.judge) == (method, "open_loop")
+    assert len(found.scores) <= 4
+    assert found.scores[found.best] == found.scores.min()
+    assert found.spread_m.shape == (0,)

@@ -1,4 +1,4 @@
-"""Modes are values of one configuration, and contradictions are refused by name."""
+"""The settings of a run: values that cannot be are refused, and come back from a result."""
 
 import inspect
 import json
@@ -7,82 +7,70 @@ from dataclasses import asdict, replace
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.settings import from_plain
-from clothtrack.tracking.calibration import CalibrationConfig
-from clothtrack.tracking.configuration import MODES, FinalAlignmentConfig, TrackerConfig, mode
-from clothtrack.tracking.pipeline import RunConfig
+from clothtrack.files.settings import from_plain, settings_of
+from clothtrack.tracking.configuration import (
+    MODES,
+    ClothConfig,
+    ObjectiveConfig,
+    RunConfig,
+    mode,
+)
+from clothtrack.tracking.methods import METHODS
+from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import check_parameter
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
+    ("owner", "field", "value"),
     [
-        ("attachment_strength", 0.0),
-        ("attachment_strength", 1.5),
-        ("score_frames", 0),
-        ("parameters", {"stretch_compliance": 0.0}),
+        (ObjectiveConfig, "iterations", 0),
+        (ObjectiveConfig, "rigidity_weight", -1.0),
+        (ClothConfig, "thickness_m", 0.0),
+        (ClothConfig, "table_friction", -0.1),
+        (ClothConfig, "bend_compliance", float("inf")),
+        (RunConfig, "cloud_spacing_m", -0.001),
     ],
 )
-def test_contradictions_name_the_field(field: str, value: object) -> None:
-    with pytest.raises(InvalidConfigError, match=field):
-        replace(TrackerConfig(), **{field: value})
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("iterations", 0), ("rounds", 0), ("roll_s", -0.1)],
-)
-def test_a_final_alignment_that_cannot_be_is_refused(field: str, value: object) -> None:
-    with pytest.raises(InvalidConfigError, match=rf"final_alignment\.{field} is "):
-        FinalAlignmentConfig(**{field: value})
+def test_values_that_cannot_be_name_the_field(owner: type, field: str, value: object) -> None:
+    with pytest.raises(InvalidConfigError, match=rf"{field} is "):
+        owner(**{field: value})
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("held_layers", -1.0),
+        ("held_layers", -1),
         ("held_layers", 1.5),
         ("table_friction", -0.1),
         ("bend_compliance", float("inf")),
-        ("grasp_offset_x_m", float("nan")),
+        ("grasp_offset_z_m", float("nan")),
     ],
 )
-def test_values_that_a_parameter_cannot_take_are_refused_as_start_and_on_an_axis(
-    name: str, value: float
-) -> None:
-    start = {**TrackerConfig().parameters, name: value}
+def test_values_that_a_parameter_cannot_have_are_refused_on_an_axis(name, value) -> None:
     with pytest.raises(InvalidConfigError, match=f"{name} is {value}"):
-        TrackerConfig(parameters=start)
-    with pytest.raises(InvalidConfigError, match=f"{name} is {value}"):
-        CalibrationConfig(judge="tracking", axes={name: (1.0, value)})
+        SearchConfig(axes={name: (1.0, value)})
 
 
-def test_every_ablation_differs_from_the_paper_in_one_switch() -> None:
-    paper = vars(mode("full_held_paper"))
-    switches = {
-        "no_pseudo_action": {"use_pseudo_action"},
-        "no_dynamics_initialisation": {"use_dynamics_initialisation"},
-        "no_action_conditioning": {"use_action"},
-        "no_final_alignment": {"use_final_alignment"},
-        "open_loop": {"use_pseudo_action", "use_final_alignment"},
-    }
-    for name, expected in switches.items():
-        other = vars(MODES[name])
-        assert {key for key in paper if paper[key] != other[key]} == expected
+def test_every_mode_has_a_method_of_its_name() -> None:
+    assert {name: config.mode for name, config in MODES.items()} == {name: name for name in METHODS}
 
 
 def test_an_unknown_mode_lists_the_known_ones() -> None:
-    with pytest.raises(InvalidConfigError, match="full_held_paper"):
+    with pytest.raises(InvalidConfigError, match="default, paper, open_loop"):
         mode("best")
+
+
+def test_a_user_can_hold_the_settings_in_the_head() -> None:
+    assert len(list(settings_of(RunConfig()))) < 30
 
 
 @pytest.mark.parametrize("name", MODES)
 def test_settings_of_a_run_come_back_from_its_result(name: str) -> None:
-    config = RunConfig(tracker=MODES[name], seed=5)
+    config = replace(MODES[name], seed=5)
     plain = json.loads(json.dumps(asdict(config)))
     assert asdict(from_plain(RunConfig(), plain)) == asdict(config)
-    plain["tracker"]["score_frames"] = 0
-    with pytest.raises(InvalidConfigError, match="score_frames is 0"):
+    plain["cloud_spacing_m"] = -1.0
+    with pytest.raises(InvalidConfigError, match="cloud_spacing_m is -1"):
         from_plain(RunConfig(), plain)
     del plain["seed"]
     with pytest.raises(InvalidConfigError, match="'seed'"):

@@ -5,10 +5,10 @@ import pytest
 
 from clothtrack.simulation import towel
 from clothtrack.simulation.constraints import bend_constraints
-from clothtrack.tracking import TrackerConfig
-from clothtrack.tracking.theta import BEND_SPACING_M, cloth_parameters
+from clothtrack.tracking import RunConfig
+from clothtrack.tracking.theta import BEND_SPACING_M
 
-THETA = TrackerConfig().parameters
+THETA = RunConfig().cloth.theta()
 
 
 def bending_energy(spacing_m: float, radius_m: float) -> float:
@@ -19,7 +19,7 @@ def bending_energy(spacing_m: float, radius_m: float) -> float:
     pairs = bend_constraints(flat)
     ends = bent[pairs.pairs]
     shortened = pairs.lengths - np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    compliance = cloth_parameters(THETA, flat).bend_compliance
+    compliance = THETA.cloth_parameters(flat).bend_compliance
     return float(0.5 * np.sum(shortened**2) / compliance / 0.24**2)
 
 
@@ -32,9 +32,9 @@ def test_a_bent_cloth_stores_the_same_energy_whatever_its_mesh(radius_m: float) 
 
 def test_the_other_parameters_do_not_depend_on_the_mesh() -> None:
     mesh = towel(width_m=0.24, length_m=0.24, spacing_m=0.016)
-    made = cloth_parameters(THETA, mesh)
-    assert made.stretch_compliance == THETA["stretch_compliance"]
-    assert made.table_friction == THETA["table_friction"]
-    assert made.particle_friction == THETA["particle_friction"]
+    made = THETA.cloth_parameters(mesh)
+    assert made.stretch_compliance == THETA.stretch_compliance
+    assert made.table_friction == THETA.table_friction
+    assert made.particle_friction == THETA.particle_friction
     ratio = float(mesh.edge_lengths.mean()) / BEND_SPACING_M
-    assert made.bend_compliance == pytest.approx(THETA["bend_compliance"] * ratio**4)
+    assert made.bend_compliance == pytest.approx(THETA.bend_compliance * ratio**4)

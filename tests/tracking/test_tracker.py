@@ -10,21 +10,18 @@ from clothtrack.geometry.quality import crossing_edges, crossings
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording
 from clothtrack.tracking import final_alignment
-from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.pipeline import RunConfig, track_recording
-from clothtrack.tracking.tracker import Tracker
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.methods import Assembled, Components, default
+from clothtrack.tracking.pipeline import track_recording
+from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.visible_alignment import only_at
 
-
-@pytest.fixture
-def config() -> TrackerConfig:
-    """The default without a search, at the substep of a smoke run."""
-    base = TrackerConfig()
-    return replace(
-        base,
-        calibration=replace(base.calibration, method="none"),
-        solver=replace(base.solver, substep_s=3.3e-3),
-    )
+CONFIG = RunConfig(
+    color=False,
+    cloth=replace(RunConfig().cloth, substep_s=3.3e-3),
+    search=SearchConfig(method="none"),
+)
+"""The default without a search, at the substep of a smoke run; nothing is followed in color."""
 
 
 @pytest.fixture
@@ -42,17 +39,19 @@ def slides(monkeypatch) -> list:
     return made
 
 
-def without_color(config: TrackerConfig) -> TrackerConfig:
-    """Nothing is followed in the pictures."""
-    return replace(config, alignment=replace(config.alignment, marks_weight=0.0))
+def tracked(recording: Recording, **last):
+    """The recording, tracked with changes to the final alignment."""
+
+    def assemble(components):
+        assembled = default(components)
+        align_last = replace(assembled.method.align_last, **last)
+        return replace(assembled, method=replace(assembled.method, align_last=align_last))
+
+    return track_recording(recording, CONFIG, assemble=assemble if last else None)
 
 
-def tracked(recording: Recording, config: TrackerConfig):
-    return track_recording(recording, RunConfig(tracker=config))
-
-
-def test_a_cloth_that_nobody_holds_is_slid_before_the_final_alignment(recording, config, slides):
-    result = tracked(recording, without_color(config))
+def test_a_cloth_that_nobody_holds_is_slid_before_the_final_alignment(recording, slides):
+    result = tracked(recording)
     (action,) = result.actions
     _, (before, after) = slides
     np.testing.assert_array_equal(before, action.positions_before_final_alignment)
@@ -67,8 +66,8 @@ def _lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
 
 
-@pytest.mark.parametrize("why", ["held", "no table", "switched off", "no TTO2"])
-def test_a_cloth_that_must_not_slide_is_left_where_it_is(recording, config, slides, why):
+@pytest.mark.parametrize("why", ["held", "no table", "switched off"])
+def test_a_cloth_that_must_not_slide_is_left_where_it_is(recording, slides, why):
     if why == "held":
         last = recording.actions[-1].last_frame
         pickers = {
@@ -79,55 +78,58 @@ def test_a_cloth_that_must_not_slide_is_left_where_it_is(recording, config, slid
         assert any(p.closed_at(recording.frames[last].time_s) for p in pickers.values())
     elif why == "no table":
         recording = replace(recording, table=None)
-    elif why == "switched off":
-        config = replace(config, final_alignment=replace(config.final_alignment, slide=False))
-    else:
-        config = replace(config, use_final_alignment=False)
-    tracked(recording, without_color(config))
-    # Nobody holds the first mesh yet.
-    assert len(slides) == (why == "held")
+    tracked(recording, **({"slide": False} if why == "switched off" else {}))
+    # Nobody holds the first mesh yet; it is slid before anything is switched off.
+    assert len(slides) == (why != "no table")
 
 
-def test_the_first_mesh_is_aligned_to_its_cloud_before_anything_moves(recording, config, slides):
+def test_the_first_mesh_is_aligned_to_its_cloud_before_anything_moves(recording, slides):
     mesh = recording.cloth.template
     shift = np.array([0.004, -0.003, 0.0])
     beside = replace(
         recording,
         cloth=replace(recording.cloth, template=mesh.with_vertices(mesh.vertices + shift)),
     )
-    result = tracked(beside, config)
+    result = tracked(beside)
     np.testing.assert_allclose(slides[0][0], mesh.vertices + shift, atol=1e-6)
     off = np.linalg.norm(result.positions[0] - mesh.vertices, axis=1).mean()
     assert off < 0.4 * np.linalg.norm(shift)
     # Its rest lengths are those that it came with.
     np.testing.assert_array_equal(result.mesh.vertices, beside.cloth.template.vertices)
-    left = tracked(beside, replace(config, align_first_mesh=False))
+    left = track_recording(beside, CONFIG, assemble=as_it_comes)
     np.testing.assert_allclose(left.positions[0], mesh.vertices + shift, atol=1e-6)
 
 
-def test_a_first_mesh_of_which_the_cloud_shows_little_stays_where_it_is(recording, config, slides):
+def as_it_comes(components: Components) -> Assembled:
+    """Ours, with the first mesh as it comes."""
+    state = components.simulator(velocity_kept=0.0).solver.save()
+    return replace(default(components), state=state)
+
+
+def test_a_first_mesh_of_which_the_cloud_shows_little_stays_where_it_is(recording, slides):
     mesh = recording.cloth.template
     eyes = partial(observe, recording)
     cut = lambda frame: replace(eyes(frame), lowest_height_m=0.05)  # noqa: E731
-    tracker = Tracker(recording, mesh, config, cut)
-    np.testing.assert_allclose(tracker._state.positions[0], mesh.vertices, atol=1e-6)
+    start = default(Components(recording, mesh, CONFIG, cut)).state
+    np.testing.assert_allclose(start.positions[0], mesh.vertices, atol=1e-6)
     assert not slides
-    assert len(Tracker(recording, mesh, config, eyes)._state.positions) == len(slides) == 1
+    assert len(default(Components(recording, mesh, CONFIG, eyes)).state.positions) == 1
+    assert len(slides) == 1
 
 
 @pytest.mark.parametrize("attach_crossed", [False, True])
 def test_vertices_at_crossings_are_left_free_unless_the_paper_is_followed(
-    recording, config, attach_crossed
+    recording, attach_crossed
 ):
-    config = replace(config, attach_crossed=attach_crossed)
     mesh = recording.cloth.template
-    tracker = Tracker(recording, mesh, config, partial(observe, recording))
+    components = Components(recording, mesh, CONFIG, partial(observe, recording))
+    align = replace(default(components).method.align, uncrossed_only=not attach_crossed)
     crossing = dipping(mesh)
     edges, faces = crossing_edges(crossing, mesh.faces)
     crossed = np.unique(np.concatenate([edges.ravel(), faces.ravel()]))
     assert 10 < len(crossed) < 0.5 * len(crossing)
 
-    correction = tracker.parts.align.aligned(crossing, observe(recording, recording.frames[0]))
+    correction = align.aligned(crossing, observe(recording, recording.frames[0]))
     assert correction.attached[crossed].any() == attach_crossed
     assert correction.attached.sum() > 0.3 * len(correction.attached)
 
@@ -139,15 +141,16 @@ def dipping(mesh):
 
 
 @pytest.mark.parametrize("untangle", [False, True])
-def test_an_action_ends_with_a_cloth_that_is_taken_apart_if_asked(recording, config, untangle):
-    final = replace(config.final_alignment, untangle=untangle, slide=False)
+def test_an_action_ends_with_a_cloth_that_is_untangled_if_asked(recording, untangle):
     mesh = recording.cloth.template
-    config = replace(config, final_alignment=final, align_first_mesh=False)
-    tracker = Tracker(recording, mesh, config, partial(observe, recording), start=dipping(mesh))
-    nothing = only_at((), partial(observe, recording), recording)(recording.frames[0])
-    state = tracker._state
+    eyes = partial(observe, recording)
+    components = Components(recording, mesh, CONFIG, eyes, start=dipping(mesh))
+    assembled = as_it_comes(components)
+    align_last = replace(assembled.method.align_last, untangle=untangle, slide=False)
+    nothing = only_at((), eyes, recording)(recording.frames[0])
+    state = assembled.state
     assert crossings(state.positions[0], mesh.faces) > 20
-    last, _ = tracker.parts.align_last(state, config.parameters, nothing, False)
+    last, _ = align_last(state, CONFIG.cloth.theta(), nothing, False)
     if not untangle:
         np.testing.assert_array_equal(last.positions, state.positions)
         return

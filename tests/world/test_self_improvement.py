@@ -20,10 +20,8 @@ from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.calibration import CalibrationConfig
-from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.flat_fit import InitialStateConfig
-from clothtrack.tracking.pipeline import RunConfig
+from clothtrack.tracking.configuration import InitialStateConfig, RunConfig
+from clothtrack.tracking.search import SearchConfig
 from clothtrack.world import self_improvement
 from clothtrack.world.episodes import SMALL_WORLD
 from clothtrack.world.round_labels import EpisodeLabels
@@ -48,7 +46,6 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
     save_weights(
         weights, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
     )
-    tracker = replace(TrackerConfig(), calibration=CalibrationConfig(method="none"))
     config = ImprovementConfig(
         rounds=1,
         episodes=4,
@@ -59,7 +56,10 @@ def test_a_round_flattens_tracks_labels_and_tunes_and_is_not_done_twice(tmp_path
             actions=1,
         ),
         robot=SimulatedRobotConfig(episode=SMALL_WORLD),
-        track=RunConfig(tracker=tracker, initial_state=InitialStateConfig(vertex_count=200)),
+        track=RunConfig(
+            search=SearchConfig(method="none"),
+            initial_state=InitialStateConfig(vertex_count=200),
+        ),
         finetune=LEARNING,
     )
     curve = improve_rounds(weights, tmp_path / "out", "towel", config)

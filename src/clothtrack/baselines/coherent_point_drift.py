@@ -19,16 +19,16 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame, PickAndPlace, Recording, Table
-from clothtrack.simulation.dynamics import HeldMotion, PickerAction
+from clothtrack.simulation.picker_action import HeldMotion, PickerAction
 from clothtrack.simulation.state import Attachment
 from clothtrack.tracking.algorithm import track
-from clothtrack.tracking.calibrator import uncalibrated
-from clothtrack.tracking.ensemble import chosen_candidate
+from clothtrack.tracking.calibration import Uncalibrated
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.feature_anchors import no_anchors
 from clothtrack.tracking.final_alignment import no_final_alignment
-from clothtrack.tracking.picking import HeldCloth, find_grasps, without_motion
-from clothtrack.tracking.picture_marks import no_marks
+from clothtrack.tracking.picking import HeldCloth, StillCloth, find_grasps
+from clothtrack.tracking.protocols import Corrected, Correction, Dynamics, Method
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import Corrected, Correction, Dyn, Parts, exact
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -43,6 +43,7 @@ class Vertices:
 
     positions: Float[np.ndarray, "1 vertices 3"]
     highest_speed: Float[np.ndarray, " 1"] = field(default_factory=lambda: np.zeros(1))
+    exact: bool = True
 
     @property
     def state(self) -> "Vertices":
@@ -120,21 +121,18 @@ def follow(
         moved = drifted(vertices, seen, observation.points, config)
         return Correction(vertices, moved - vertices, seen, (np.nan, np.nan))
 
-    take_hold = partial(_pick, recording=recording, mesh=mesh)
-    parts = Parts(
+    hold = _Tool if config.use_tool else StillCloth
+    method = Method(
         observe=observe,
-        pick=take_hold if config.use_tool else without_motion(take_hold),
-        calibrate=uncalibrated,
-        dynamics=_still,
-        predict=exact,
+        calibrate=Uncalibrated(partial(_pick, recording=recording, mesh=mesh, hold=hold)),
+        dynamics=lambda _: _Still(),
         align=align,
         line_search=Projection(mesh, config, recording.table),
-        combine=chosen_candidate,
         align_last=no_final_alignment,
-        mark=no_marks,
+        anchor=no_anchors,
     )
     recorder = Recorder(recording, mesh, start, visible)
-    track(recording, start, {}, parts, recorder)
+    track(recording, start, RunConfig().cloth.theta(), recorder.timed(method), recorder)
     return recorder.trajectory()
 
 
@@ -195,7 +193,7 @@ class Projection:
 
     def __call__(
         self,
-        dyn: Dyn,  # noqa: ARG002
+        dyn: Dynamics,  # noqa: ARG002
         state: Vertices,  # noqa: ARG002
         action: PickerAction,
         predicted: Vertices,  # noqa: ARG002
@@ -216,17 +214,19 @@ class Projection:
         return Corrected(Vertices(vertices[None]))
 
 
-def _still(theta: Theta) -> Dyn:  # noqa: ARG001
+class _Still:
     """Frozen dynamics: without a correction the cloth stays where it is."""
 
-    def dyn(
+    def __call__(
+        self,
         state: Vertices,
-        action: PickerAction,  # noqa: ARG001
-        pseudo_action: Attachment | None = None,  # noqa: ARG001
+        action: PickerAction,  # noqa: ARG002
+        pseudo_action: Attachment | None = None,  # noqa: ARG002
     ) -> Vertices:
         return state
 
-    return dyn
+    def predict(self, state: Vertices, action: PickerAction) -> Vertices:  # noqa: ARG002
+        return state
 
 
 class _Tool(HeldCloth):
@@ -249,10 +249,11 @@ def _pick(
     *,
     recording: Recording,
     mesh: ClothMesh,
+    hold: type[HeldCloth],
 ) -> HeldCloth:
-    """What the tool holds."""
+    """Return what the tool holds."""
     grasps = find_grasps(recording, action, mesh.with_vertices(state.positions[0]))
-    return _Tool(grasps, np.zeros(3))
+    return hold(grasps, np.zeros(3))
 
 
 class EdgeLengths:

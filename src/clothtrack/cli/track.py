@@ -32,17 +32,9 @@ if TYPE_CHECKING:
     from clothtrack.evaluation.verdict import Verdict
     from clothtrack.files.shared_work import Executor, Share
     from clothtrack.tracking.pipeline import Outcome
-    from clothtrack.tracking.seams import Watch
+    from clothtrack.tracking.protocols import Watch
 
-Mode = Literal[
-    "default",
-    "full_held_paper",
-    "open_loop",
-    "no_pseudo_action",
-    "no_dynamics_initialisation",
-    "no_action_conditioning",
-    "no_final_alignment",
-]
+Mode = Literal["default", "paper", "open_loop"]
 
 
 def demo(
@@ -58,7 +50,7 @@ def demo(
     Args:
         recording: name of a shipped recording; the first one by default.
         output: folder for the tracked trajectory and the report.
-        mode: the tracker's default, the paper's method, or an ablation of it.
+        mode: our default, the paper's method, or its dynamics alone.
         device: where to compute.
         json: machine-readable.
     """
@@ -110,12 +102,12 @@ def track(
         output: folder that gets one NAME.zarr per recording; those that are there are skipped,
             so that an interrupted run goes on when it is started again. One whose recording has
             changed since is tracked again.
-        mode: the tracker's default, the paper's method, or an ablation of it.
+        mode: our default, the paper's method, or its dynamics alone.
         template: the garment's own mesh (`clothtrack garment`), laid on the flat cloth of the first
             frame; the recording's, or a fit, by default.
         weights: of the network that makes the first mesh of a recording without a template; the
             ones that come with clothtrack by default, and without any a flat garment is fitted.
-        settings: changes to the mode, such as tracker.alignment.iterations=50, or
+        settings: changes to the mode, such as search.method=none, or
             initial_state.source=template (network, flat).
         show_settings: list them all with their values and do nothing else.
         workers: processes; each tracks one recording at a time.

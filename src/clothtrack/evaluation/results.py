@@ -171,12 +171,14 @@ def observed_chamfer(
 
 
 def method_name(config: Mapping[str, Any]) -> str:
-    """The named mode that a stored run configuration is, or "custom"."""
-    stored = json.dumps(config.get("tracker", config), sort_keys=True, default=str)
-    for name, mode in MODES.items():
-        if json.dumps(asdict(mode), sort_keys=True, default=str) == stored:
-            return name
-    return "custom"
+    """Return the named mode whose settings a stored run has, but for seed and first mesh."""
+
+    def method(settings: Mapping[str, Any]) -> str:
+        own = {key: settings.get(key) for key in ("mode", "color", "cloth", "search", "objective")}
+        return json.dumps(own, sort_keys=True, default=str)
+
+    names = (name for name, mode in MODES.items() if method(asdict(mode)) == method(config))
+    return next(names, "custom")
 
 
 def _reference(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,9 @@ from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder, warn_of_age
-from clothtrack.tracking.configuration import mode as tracker_mode
-from clothtrack.tracking.pipeline import Progress, RunConfig, track_recording
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.configuration import mode as settings_of_mode
+from clothtrack.tracking.pipeline import Progress, track_recording
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 
@@ -154,15 +155,15 @@ def track(
     Args:
         recording: a folder with recording.json, or a recording that was read.
         config: the whole configuration; that of `mode` by default.
-        mode: one of `MODES`: our default, the paper's method, or an ablation of it.
-        settings: changes to the configuration, such as "tracker.alignment.iterations=50".
+        mode: one of `MODES`: our default, the paper's method, or the dynamics alone.
+        settings: changes to the configuration, such as "search.method=none".
         device: "cpu" or "cuda:0".
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame with its place in the work, and how much of the work is
             done and in all.
         force: track although the first mesh lies more than 2 cm (rms) from its cloud.
-        **parts: replacements for parts of Algorithm 1: observe, pick, calibrate, dynamics,
-            predict, align, line_search, combine, align_last, mark.
+        **parts: replacements for functions of Algorithm 1 (`clothtrack.tracking.Method`): observe,
+            calibrate, dynamics, align, line_search, align_last, anchor.
 
     Raises:
         InvalidRecordingError: the recording cannot be used, or the first mesh lies beside its
@@ -173,8 +174,7 @@ def track(
     require_device(device)
     if config is not None and mode != "default":
         raise InvalidConfigError(
-            f"both a config and mode={mode!r} were given; leave one out, or give "
-            f"RunConfig(tracker=mode({mode!r}))"
+            f"both a config and mode={mode!r} were given; leave one out, or give mode({mode!r})"
         )
     whole = with_settings(config, settings) if config else run_config(mode, settings)
     source = _read(recording)
@@ -191,7 +191,7 @@ def run_config(mode: str = "default", settings: Sequence[str] = (), *, seed: int
     Raises:
         InvalidConfigError: unknown mode or setting.
     """
-    return with_settings(RunConfig(tracker=tracker_mode(mode), seed=seed), settings)
+    return with_settings(replace(settings_of_mode(mode), seed=seed), settings)
 
 
 def load(path: Path | str, recording: Recording | Path | str | None = None) -> Run:

@@ -6,7 +6,7 @@ cloth by whoever has a simulated robot, and everything that it leads to is label
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, runtime_checkable
 
@@ -22,8 +22,8 @@ from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
-from clothtrack.tracking.calibration import CalibrationConfig
-from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -45,9 +45,8 @@ that is shown the end alone loses it."""
 TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
 
 
-def _one_pass() -> TrackerConfig:
-    """The default tracker without a search: a decision must not wait for one."""
-    return replace(TrackerConfig(), calibration=CalibrationConfig(method="none"))
+ONE_CANDIDATE = RunConfig(search=SearchConfig(method="none"))
+"""The default tracker without a search: a decision must not wait for one."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,6 @@ class PerceptionConfig(Checked):
         vertex_count: of the network's mesh, about.
         lost_m: a tracked mesh that is farther from its cloud than this is lost, and the cloth is
             perceived anew (root mean square, cloud to mesh) [m].
-        tracker: Algorithm 1.
     """
 
     name: PerceptionName = "network"
@@ -78,7 +76,6 @@ class PerceptionConfig(Checked):
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_count: int = 1000
     lost_m: Positive = LOOSE_FIT_M
-    tracker: TrackerConfig = field(default_factory=_one_pass)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +224,7 @@ class TrackerPerception:
             tracker = Tracker(
                 recording,
                 start.flat,
-                self._config.tracker,
+                ONE_CANDIDATE,
                 lambda frame: observe(recording, frame),
                 start=start.positions,
                 device=self._device,

@@ -26,7 +26,7 @@ from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.template_fit import CLOTH, SeenPoints
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.dynamics import ClothDynamics, DynamicsConfig
+from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
@@ -206,7 +206,7 @@ class Refiner:
         flat = rest.with_vertices(above + point + (0.0, 0.0, _LIFT_M))
         solver = ClothSolver(flat, self._solver_config, parameters=CLOTH, device=device)
         solver.step(SETTLE_IN_S)
-        return ClothDynamics(solver, DynamicsConfig(velocity_kept=0.0))
+        return ClothDynamics(solver, velocity_kept=0.0)
 
     def _carried_out(
         self,

@@ -83,7 +83,7 @@ class LiveTracking:
         frame: Frame,
         positions: Float[np.ndarray, "vertices 3"],
     ) -> None:
-        """Take the newest mesh (`clothtrack.tracking.seams.Watch`)."""
+        """Take the newest mesh (`clothtrack.tracking.protocols.Watch`)."""
         with self._lock:
             if self._newest is None or mesh is not self._newest.mesh:
                 # Another cloth is another page.

@@ -1,9 +1,10 @@
 """The parameters of an action in words: unit, relation to the default, what a larger one does."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from html import escape
 
-from clothtrack.tracking.configuration import TrackerConfig
+from clothtrack.tracking.configuration import RunConfig
 
 MEANINGS: Mapping[str, tuple[str, str]] = {
     "stretch_compliance": ("m/N", "How far an edge gives to a pull; 0: it does not stretch."),
@@ -11,8 +12,6 @@ MEANINGS: Mapping[str, tuple[str, str]] = {
     "table_friction": ("", "Coulomb coefficient of cloth on table; larger slides less."),
     "particle_friction": ("", "Coulomb coefficient of cloth on cloth; larger slides less."),
     "held_layers": ("layers", "How many layers the picker took; 0: whatever was nearest."),
-    "grasp_offset_x_m": ("m", "Where the picker holds the cloth beside its tip, along x."),
-    "grasp_offset_y_m": ("m", "Where the picker holds the cloth beside its tip, along y."),
     "grasp_offset_z_m": ("m", "Where the picker holds the cloth over its tip."),
 }
 """Unit and explanation of each of `clothtrack.tracking.theta.PARAMETERS`."""
@@ -30,7 +29,7 @@ def parameter_head(name: str) -> str:
 
 def parameter_table(parameters: Mapping[str, float]) -> str:
     """Each parameter that was used, with its relation to the tracker's default."""
-    defaults = TrackerConfig().parameters
+    defaults = asdict(RunConfig().cloth.theta())
     rows = "".join(
         f'<tr>{parameter_head(name)}<td title="{escape(MEANINGS.get(name, ("", ""))[1])}">'
         f'{value:.4g}</td><td class="note">{_compared(value, defaults.get(name))}</td></tr>'

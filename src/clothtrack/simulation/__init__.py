@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.simulation.dynamics import ClothDynamics, DynamicsConfig, HeldMotion, RollOut
+    from clothtrack.simulation.dynamics import ClothDynamics, RollOut
     from clothtrack.simulation.garments import garment, towel, tshirt
     from clothtrack.simulation.parameters import ClothParameters, SolverConfig
     from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, plan_action
     from clothtrack.simulation.picker import grasp_vertices
+    from clothtrack.simulation.picker_action import HeldMotion, PickerAction
     from clothtrack.simulation.solver import ClothSolver
     from clothtrack.simulation.state import Attachment, ClothState
     from clothtrack.simulation.untangling import Untangling, untangled
@@ -23,8 +24,8 @@ __all__ = [
     "ClothParameters",
     "ClothSolver",
     "ClothState",
-    "DynamicsConfig",
     "HeldMotion",
+    "PickerAction",
     "PlannedAction",
     "RollOut",
     "SolverConfig",

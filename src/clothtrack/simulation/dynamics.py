@@ -1,12 +1,12 @@
 """dyn(x, a): what the cloth does while a picker moves, the dynamics of the tracker."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32
 
-from clothtrack.files.bounds import Checked, Count
+from clothtrack.simulation.picker_action import HeldMotion, PickerAction
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState, pull_rate, pull_strength
 
@@ -18,86 +18,22 @@ LONGEST_STEP_S = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class HeldMotion:
-    """The path of held vertices during a roll-out.
-
-    Attributes:
-        vertices: which vertices are held.
-        waypoints: where they are to be [m], at times equally spaced over the roll-out, the first
-            at its start; with an environments axis when the ways differ.
-    """
-
-    vertices: Int[np.ndarray, " held"]
-    waypoints: Float[np.ndarray, "knots held 3"] | Float[np.ndarray, "environments knots held 3"]
-
-    def at(self, share: float) -> Float[np.ndarray, "environments held 3"]:
-        """Where the vertices are after this share of the roll-out (0 to 1), linear between."""
-        points = np.asarray(self.waypoints, dtype=np.float64)
-        if points.ndim == 3:
-            points = points[None]
-        place = share * (points.shape[1] - 1)
-        knot = min(int(place), max(points.shape[1] - 2, 0))
-        after = min(knot + 1, points.shape[1] - 1)
-        blend = place - knot
-        return (1.0 - blend) * points[:, knot] + blend * points[:, after]
-
-    @property
-    def longest_path_m(self) -> float:
-        """Way of a vertex that keeps the pace of the fastest leg throughout [m]."""
-        points = np.asarray(self.waypoints, dtype=np.float64)
-        if points.size == 0 or points.shape[-3] < 2:
-            return 0.0
-        legs = np.linalg.norm(np.diff(points, axis=-3), axis=-1)
-        return float(legs.max()) * legs.shape[-2]
-
-
-@dataclass(frozen=True, eq=False)
-class PickerAction:
-    """a_t: what the pickers do between two frames.
-
-    Attributes:
-        motion: the held vertices and their path; None holds none.
-        duration_s: time between the frames [s].
-        speed: of the fastest picker that holds cloth [m/s].
-    """
-
-    motion: HeldMotion | None
-    duration_s: float
-    speed: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
 class RollOut:
     """What a roll-out ends with.
 
     Attributes:
-        state: the state, to go on from.
+        state: the state to continue from.
         positions: the vertices [m].
         highest_speed: highest speed of a free vertex on the way, before the limit [m/s].
         started_at: the vertices before it [m].
+        exact: whether it was rolled with the substeps of the solver, and not with longer ones.
     """
 
     state: ClothState
     positions: Float32[np.ndarray, "environments vertices 3"]
     highest_speed: Float[np.ndarray, " environments"]
     started_at: Float32[np.ndarray, "environments vertices 3"]
-
-
-@dataclass(frozen=True)
-class DynamicsConfig(Checked):
-    """How exact a prediction is, and what a roll-out keeps of the motion.
-
-    Attributes:
-        velocity_kept: after a pseudo-action every vertex gets this share of its mean velocity over
-            the roll-out, (x_new - x_old) / duration; the velocity of the last substep would hold
-            the energy of the pull. Less than 1 also keeps the noise of the observation from
-            becoming momentum.
-        prediction_coarseness: substeps of a prediction, which only an alignment starts from, are so
-            many times as long as those of the roll-out that stands.
-    """
-
-    velocity_kept: float = 1.0
-    prediction_coarseness: Count = 1
+    exact: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +42,17 @@ class ClothDynamics:
 
     Attributes:
         solver: steps the cloth; its own state is overwritten by every roll-out.
-        config: what is kept of the motion.
+        velocity_kept: after a pseudo-action every vertex gets this share of its mean velocity over
+            the roll-out, (x_new - x_old) / duration; the velocity of the last substep would hold
+            the energy of the pull. Less than 1 also keeps the noise of the observation from
+            becoming momentum.
+        prediction_coarseness: substeps of a prediction, which only an alignment starts from, are so
+            many times as long as those of the roll-out that stands.
     """
 
     solver: ClothSolver
-    config: DynamicsConfig = field(default_factory=DynamicsConfig)
+    velocity_kept: float = 1.0
+    prediction_coarseness: int = 1
 
     def roll_out(
         self,
@@ -148,19 +90,19 @@ class ClothDynamics:
             highest = np.maximum(highest, speed)
         positions = solver.positions
         if pseudo is not None:
-            solver.set_velocities(self.config.velocity_kept / duration_s * (positions - before))
-        return RollOut(solver.save(), positions, highest, before)
+            solver.set_velocities(self.velocity_kept / duration_s * (positions - before))
+        return RollOut(solver.save(), positions, highest, before, exact=coarseness == 1)
 
     def __call__(
         self, state: ClothState, action: PickerAction, pseudo_action: Attachment | None = None
     ) -> RollOut:
-        """dyn(x, a) and dyn(x, a, a~) of Algorithm 1."""
+        """Return dyn(x, a) or dyn(x, a, a~) of Algorithm 1."""
         return self.roll_out(state, action.motion, action.duration_s, pseudo_action)
 
     def predict(self, state: ClothState, action: PickerAction) -> RollOut:
-        """dyn(x, a), as coarse as configured: to align, not to go on from."""
+        """Return dyn(x, a) as coarse as configured: to align, not to continue from."""
         return self.roll_out(
-            state, action.motion, action.duration_s, coarseness=self.config.prediction_coarseness
+            state, action.motion, action.duration_s, coarseness=self.prediction_coarseness
         )
 
     def _steps(

@@ -1,33 +1,40 @@
-"""The contribution of the paper: calibration, alignment, line search, Algorithm 1."""
+"""Algorithm 1 of the paper: calibration, alignment, line search."""
 
 from typing import TYPE_CHECKING
 
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.tracking.configuration import MODES, TrackerConfig, mode
+    from clothtrack.tracking.configuration import (
+        MODES,
+        ClothConfig,
+        InitialStateConfig,
+        ObjectiveConfig,
+        RunConfig,
+        mode,
+    )
     from clothtrack.tracking.initial_state import find_initial_state
+    from clothtrack.tracking.methods import METHODS, Assembled, Components
     from clothtrack.tracking.pipeline import (
         Outcome,
-        RunConfig,
         result_path,
         track_recording,
         track_recordings,
     )
-    from clothtrack.tracking.seams import (
-        Aligner,
-        AlignLast,
-        Calibrate,
+    from clothtrack.tracking.protocols import (
+        Candidate,
         Corrected,
         Correction,
-        Dyn,
         Dynamics,
         Grasps,
-        LineSearch,
-        Parts,
-        Pick,
+        Method,
         Prediction,
+        Search,
+        State,
+        TrackedCandidate,
     )
+    from clothtrack.tracking.search import SearchConfig
+    from clothtrack.tracking.theta import Theta
     from clothtrack.tracking.tracked_trajectory import (
         Calibration,
         StepRecords,
@@ -39,27 +46,32 @@ else:
     __getattr__, __dir__ = lazy_names(__name__)
 
 __all__ = [
+    "METHODS",
     "MODES",
-    "AlignLast",
-    "Aligner",
-    "Calibrate",
+    "Assembled",
     "Calibration",
+    "Candidate",
+    "ClothConfig",
+    "Components",
     "Corrected",
     "Correction",
-    "Dyn",
     "Dynamics",
     "Grasps",
-    "LineSearch",
+    "InitialStateConfig",
+    "Method",
+    "ObjectiveConfig",
     "Outcome",
-    "Parts",
-    "Pick",
     "Prediction",
     "RunConfig",
+    "Search",
+    "SearchConfig",
+    "State",
     "StepRecords",
+    "Theta",
     "TrackedAction",
+    "TrackedCandidate",
     "TrackedTrajectory",
     "Tracker",
-    "TrackerConfig",
     "find_initial_state",
     "mode",
     "result_path",

@@ -1,11 +1,11 @@
-"""Algorithm 1 of the paper: the full mesh at every observation, from dynamics and cloud together.
+"""Algorithm 1 of the paper: the full mesh at every observation, from dynamics and point clouds.
 
-Read it with the paper open (arXiv 2302.09502, Sec. III-B). Every part is handed in
-(`tracking/seams.py`): an ablation is another function in its place, and nothing here asks which.
+Read it beside the paper (arXiv 2302.09502, Sec. III-B). Every function is handed in as part of a
+`Method` (`tracking/protocols.py`). An ablation is another function in its place.
 
     paper                          here
     x_t                            state
-    theta                          theta: stiffness and frictions of the cloth, by name
+    theta                          theta: stiffness and frictions of the cloth
     a_t                            picker_action
     x'_{t+1} = dyn(x_t, a_t)       predicted
     delta x_corr                   correction (TTO1)
@@ -15,88 +15,93 @@ Read it with the paper open (arXiv 2302.09502, Sec. III-B). Every part is handed
 Nothing here can see the truth: the inputs are a recording and the cloth at its first frame.
 """
 
-from collections.abc import Callable
 from itertools import pairwise
 
+from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import PickAndPlace, Recording
+from clothtrack.simulation.picker_action import PickerAction
+from clothtrack.tracking.protocols import (
+    Candidate,
+    Corrected,
+    Correction,
+    Dynamics,
+    Method,
+    State,
+    TrackedCandidate,
+)
 from clothtrack.tracking.recorder import Recorder
-from clothtrack.tracking.seams import FollowedAction, Grasps, Parts, State, Theta
+from clothtrack.tracking.theta import Theta
 
 
 def track(
-    recording: Recording, state: State, theta: Theta, parts: Parts, recorder: Recorder
+    recording: Recording, state: State, theta: Theta, method: Method, recorder: Recorder
 ) -> None:
-    """Track the cloth through every action of a recording; the recorder keeps what comes of it.
+    """Track the cloth through every action of a recording.
 
     Args:
         recording: frames, pick-and-places and the paths of the pickers.
         state: the cloth at the first frame.
         theta: its parameters before any calibration.
-        parts: the functions that the algorithm is made of.
-        recorder: keeps the passes that are chosen; the other candidates leave nothing.
+        method: the functions that the algorithm is made of.
+        recorder: keeps the chosen candidate of each action.
     """
     for action in recording.actions:  # Algorithm 1, line 2
-        parts.mark(state, parts.observe(recording.frames[action.first_frame]))  # not in the paper
-        follow_with = _each_once(recording, action, state, parts, recorder)
-        theta, calibration = parts.calibrate(action, state, theta, follow_with)  # Sec. III-B.1
-        followed = follow_with(theta)
-        theta, last = followed.theta, recording.frames[action.last_frame]
-        held = followed.grasps.closed_at(last.time_s)
-        state = parts.combine(followed.state, theta, calibration)  # not in the paper
-        state, losses = parts.align_last(state, theta, parts.observe(last), held)  # TTO2
-        recorder.keep(followed, state, losses, calibration)
+        first, last = recording.frames[action.first_frame], recording.frames[action.last_frame]
+        method.anchor(state, method.observe(first))  # not in the paper
+        search = method.calibrate(action, state, theta)
+        for candidate in search:  # Sec. III-B.1; the paper's yields one
+            search.tell(
+                track_action(recording, action, state, candidate, method=method, recorder=recorder)
+            )
+        best, state, calibration = search.result()
+        theta, held = best.candidate.theta, best.candidate.grasps.closed_at(last.time_s)
+        state, losses = method.align_last(state, theta, method.observe(last), held)  # TTO2
+        recorder.keep(best, state, losses, calibration)
 
 
-def follow(
+def track_action(
     recording: Recording,
     action: PickAndPlace,
     state: State,
-    theta: Theta,
+    candidate: Candidate,
     *,
-    grasps: Grasps,
-    parts: Parts,
+    method: Method,
     recorder: Recorder,
-) -> FollowedAction:
-    """Follow one pick-and-place to its last frame with one choice of parameters.
+) -> TrackedCandidate:
+    """Track one pick-and-place to its last frame with one candidate: lines 4 to 8.
 
     Args:
         recording: frames with their times.
         action: the pick-and-place.
         state: the cloth at its first frame.
-        theta: the cloth's parameters.
-        grasps: what the pickers hold.
-        parts: the functions that the algorithm is made of.
+        candidate: the cloth's parameters, and what the pickers hold.
+        method: the functions that the algorithm is made of.
         recorder: notes what happens at every frame.
     """
-    notes, parts = recorder.begin(action, parts)
-    dyn = parts.dynamics(theta)
-    predict, observe, align, line_search = (
-        parts.predict, parts.observe, parts.align, parts.line_search,
-    )  # fmt: skip
-    frames = recording.frames[action.first_frame : action.last_frame + 1]
-    for before, frame in pairwise(frames):
-        picker_action = grasps.action(before.time_s, frame.time_s)
-        predicted = predict(dyn, state, picker_action)  # x'_{t+1} = dyn(x_t, a_t)
-        correction = align(predicted, observe(frame))  # TTO1, Sec. III-B.2
-        corrected = line_search(dyn, state, picker_action, predicted, correction)  # Sec. III-B.3
+    notes, dyn = recorder.begin(action, candidate), method.dynamics(candidate.theta)
+    for before, frame in pairwise(recording.frames[action.first_frame : action.last_frame + 1]):
+        picker_action = candidate.grasps.action(before.time_s, frame.time_s)
+        corrected, correction = track_frame(
+            dyn, state, picker_action, method.observe(frame), method
+        )
         notes.step(frame, correction, corrected)
-        state = corrected.state  # x_{t+1} = dyn(x_t, a_t, a~_t)
-    return notes.finished(theta, grasps, state)
+        state = corrected.state
+    return notes.finished(state)
 
 
-def _each_once(
-    recording: Recording, action: PickAndPlace, state: State, parts: Parts, recorder: Recorder
-) -> Callable[[Theta], FollowedAction]:
-    """`follow` as a function of theta; candidates that come to the same pass share it."""
-    passes: dict[tuple[object, ...], FollowedAction] = {}
+def track_frame(
+    dyn: Dynamics, state: State, picker_action: PickerAction, seen: Observation, method: Method
+) -> tuple[Corrected, Correction | None]:
+    """Track the cloth from one frame to the next.
 
-    def follow_with(theta: Theta) -> FollowedAction:
-        grasps = parts.pick(action, state, theta)
-        key = grasps.identity(theta)
-        if key not in passes:
-            passes[key] = follow(
-                recording, action, state, theta, grasps=grasps, parts=parts, recorder=recorder
-            )
-        return passes[key]
-
-    return follow_with
+    Args:
+        dyn: the dynamics with the candidate's parameters.
+        state: the cloth before, x_t.
+        picker_action: what the pickers do in between, a_t.
+        seen: the cloud after, P_{t+1}.
+        method: TTO1 and the line search.
+    """
+    predicted = dyn.predict(state, picker_action)  # x'_{t+1} = dyn(x_t, a_t)
+    correction = method.align(predicted, seen)  # TTO1, Sec. III-B.2
+    # x_{t+1} = dyn(x_t, a_t, a~_t), Sec. III-B.3
+    return method.line_search(dyn, state, picker_action, predicted, correction), correction

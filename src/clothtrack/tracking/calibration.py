@@ -1,249 +1,266 @@
-"""Which cloth is this? Parameters of the simulator from one recorded action (Sec. III-B.1).
+"""Calibrates theta, action by action: the properties of the cloth, and what the picker holds.
 
-Every candidate is rolled out open loop, with the picker but without pseudo-actions, and its
-visible vertices are compared with the observed cloud at the end of the action. Candidates run as
-environments of one batch. The full grid is the paper's; successive halving and coordinate descent
-reach the same Chamfer distance within a few percent for a fraction of the roll-outs.
+`Uncalibrated` yields theta as it is. `OpenLoopCalibration` is the paper's: candidates are rolled
+out without any correction and compared with the last cloud, and the best one is tracked (paper,
+Sec. III-B.1). `TrackingCalibration` is ours: every candidate is tracked to the end of the action,
+corrections included, and judged by its outline. Its scores follow the true error far better.
 """
 
-import itertools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Checked, Count, NotNegative, Share
-from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
+from clothtrack.alignment.silhouette import silhouette_gap
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import PickAndPlace, Recording
+from clothtrack.tracking.ensemble import Combine, best_candidate, ensemble_spread
+from clothtrack.tracking.open_loop import OpenLoopScore
+from clothtrack.tracking.picking import HeldCloth
+from clothtrack.tracking.protocols import (
+    Candidate,
+    Grasps,
+    Observe,
+    Search,
+    State,
+    TrackedCandidate,
+)
+from clothtrack.tracking.search import (
+    Axes,
+    Proposal,
+    Scores,
+    SearchConfig,
+    Values,
+    coordinate_descent,
+    grid,
+)
+from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
 
-Method = Literal["none", "grid", "halving", "descent"]
-Judge = Literal["open_loop", "tracking"]
+logger = logging.getLogger(__name__)
 
-Score = Callable[
-    [Float[np.ndarray, "candidates parameters"], float], Float[np.ndarray, " candidates"]
-]
-"""Chamfer [m^2] of candidates, columns as PARAMETERS, rolled through a share of the action."""
+MIN_IMPROVEMENT = 0.1
+"""A candidate is left only for one whose score is lower by this share."""
 
-Candidate = tuple[float, ...]
-"""A value for each searched parameter, in the order of the axes."""
+SCORED_FRAMES = 3
+"""Frames of an action at which the outline is compared, evenly spaced and ending with the last."""
 
-OFFSET_STEPS = 5
-"""Heights of the grasp to try, spread over the uncertainty that the recording states; without one
-the offset is not searched."""
-
-BATCH = 36
-"""Most environments in one batch: it bounds the memory of a search, however many candidates."""
-
-HALVING_RATIO = 3
-"""One in so many candidates survives a rung of successive halving, as is usual for it."""
+Pick = Callable[[PickAndPlace, State, Theta], Grasps]
+"""Return what the pickers take hold of, from where the cloth lies when the action starts."""
 
 
-def _default_axes() -> dict[str, tuple[float, ...]]:
-    return {
-        "bend_compliance": (1e-2, 1.0, 100.0),
-        "table_friction": (0.3, 1.0, 3.0),
-        "particle_friction": (0.3, 1.0),
-    }
-
-
-@dataclass(frozen=True)
-class CalibrationConfig(Checked):
-    """What is searched, and how.
+class OneCandidate:
+    """A search that has been decided before anything is tracked.
 
     Attributes:
-        method: "none", "grid" (the paper's), "halving" (successive halving on prefixes of the
-            action) or "descent" (coordinate descent from the previous action's optimum).
-        judge: "open_loop" (the paper's): how near an uncorrected roll-out comes to the clouds; or
-            "tracking": how well the outline of the mesh fits when the whole action is tracked
-            with the candidate. The second follows the true error far better and costs a
-            tracking pass per candidate.
-        axes: values to try for each searched parameter; the others keep the tracker's value.
-            The paper searches stiffness (5), table friction (6) and particle friction (6): 180
-            combinations printed, 125 stated.
-        rank: share of the candidates that score better than the one that is taken: 0 takes the
-            best; anything else asks how much tracking makes up for a bad calibration.
-        sweeps: most passes over the axes in coordinate descent.
-        enough: coordinate descent ends as soon as its best scores no worse than this; judged by
-            tracking, 0.03 leaves most easy actions at one pass. 0: never.
-        clearly: coordinate descent leaves a candidate only for one whose score is lower by this
-            share of it. What differs less is chance, and would be carried on to the next action.
+        calibration: the record of how the candidate was found.
     """
 
-    method: Method = "descent"
-    judge: Judge = "open_loop"
-    axes: Mapping[str, tuple[float, ...]] = field(default_factory=_default_axes)
-    rank: Share = 0.0
-    sweeps: Count = 2
-    enough: NotNegative = 0.0
-    clearly: Share = 0.0
+    def __init__(self, candidate: Candidate, calibration: Calibration) -> None:
+        """Take the candidate, and the record of how it was found."""
+        self._candidate, self.calibration = candidate, calibration
+        self._tracked: TrackedCandidate | None = None
 
-    def __post_init__(self) -> None:
-        """Refuse axes that are empty and values that cannot be meant.
+    def __iter__(self) -> Iterator[Candidate]:
+        """Yield the candidate."""
+        yield self._candidate
 
-        Raises:
-            InvalidConfigError: with the field, its value and the limit.
-        """
-        super().__post_init__()
-        self._check_axes()
+    def tell(self, tracked: TrackedCandidate) -> None:
+        """Take the tracked candidate."""
+        self._tracked = tracked
 
-    def _check_axes(self) -> None:
-        for name, values in self.axes.items():
-            if name not in PARAMETERS:
-                raise InvalidConfigError(
-                    f"calibration: unknown parameter {name!r}; known are {', '.join(PARAMETERS)}"
-                )
-            if not values:
-                raise InvalidConfigError(f"calibration: axis {name!r} has no value to try")
-            for value in values:
-                check_parameter(name, value)
-        if self.judge == "open_loop" and "held_layers" in self.axes:
-            raise InvalidConfigError(
-                "calibration: held_layers cannot be searched open loop; set judge to 'tracking'"
-            )
-
-    def with_grasp_offset(self, uncertainty_m: float) -> "CalibrationConfig":
-        """The same search, with the height of the grasp within this distance [m] of the tip.
-
-        Open-loop roll-outs cannot tell a sideways offset from friction and stiffness: searching it
-        too made tracking worse.
-        """
-        if uncertainty_m <= 0.0 or self.method == "none":
-            return self
-        values = tuple(np.linspace(-uncertainty_m, uncertainty_m, OFFSET_STEPS).tolist())
-        # The offset matters most: descent meets it before the properties of the cloth.
-        return replace(self, axes={"grasp_offset_z_m": values, **self.axes})
-
-    @property
-    def size(self) -> int:
-        """Number of combinations in the full grid."""
-        return int(np.prod([len(values) for values in self.axes.values()]))
-
-    @property
-    def passes(self) -> int:
-        """Passes over an action to reckon with: the chosen one, or a first sweep of the search."""
-        if self.method == "none" or self.judge == "open_loop":
-            return 1
-        if self.method == "descent":
-            return 1 + sum(len(values) - 1 for values in self.axes.values())
-        return self.size
+    def result(self) -> tuple[TrackedCandidate, State, Calibration]:
+        """Return it, the state that it ends with, and the record."""
+        assert self._tracked is not None
+        return self._tracked, self._tracked.state, self.calibration
 
 
-def calibrate(
-    score: Score | None, start: Theta, config: CalibrationConfig
-) -> tuple[dict[str, float], Calibration]:
-    """Find the parameters whose open-loop roll-out ends nearest to the last cloud.
+@dataclass(frozen=True, eq=False)
+class Uncalibrated:
+    """Keep theta as it is.
 
-    Args:
-        score: rolls candidates out and returns their Chamfer distance [m^2]; None keeps the start.
-        start: value of every parameter before the search; the previous action's optimum.
-        config: axes and method.
-
-    Returns:
-        The chosen value of every parameter, and the record of all candidates.
+    Attributes:
+        pick: what the pickers hold.
     """
-    if score is None or config.method == "none":
-        return dict(start), Calibration.none()
-    names = tuple(config.axes)
-    counted = _Counted(score, start, names)
-    reached = None
-    if names:
-        search = {"grid": _grid, "halving": _halving, "descent": _descent}[config.method]
-        reached = search(counted, config)
-    candidates = np.array(list(counted.scores), float).reshape(len(counted.scores), len(names))
-    scores = np.array(list(counted.scores.values()), float)
-    best = ranked(scores, config.rank) if len(scores) else -1
-    if reached is not None and config.rank == 0.0:
-        best = list(counted.scores).index(reached)
-    chosen = dict(start)
-    if best >= 0:
-        chosen |= dict(zip(names, candidates[best].tolist(), strict=True))
-    return chosen, Calibration(
-        config.method, names, candidates, scores, best, counted.roll_outs, config.judge
-    )
+
+    pick: Pick
+
+    def __call__(self, action: PickAndPlace, state: State, theta: Theta) -> Search:
+        """Return a search that yields theta alone."""
+        return OneCandidate(Candidate(theta, self.pick(action, state, theta)), Calibration.none())
 
 
-def ranked(scores: Float[np.ndarray, " candidates"], rank: float) -> int:
-    """The candidate that a share `rank` of the other finite ones outscores; 0 is the best."""
-    order = np.argsort(scores, kind="stable")
-    last = max(0, int(np.isfinite(scores).sum()) - 1)
-    return int(order[round(rank * last)])
+@dataclass(frozen=True, eq=False)
+class OpenLoopCalibration:
+    """The paper's calibration.
+
+    Attributes:
+        pick: what the pickers hold.
+        config: what is searched.
+        score: rolls candidates out.
+        propose: which candidates to try, from the axes and the previous action's theta; grid or
+            coordinate descent by default, as the configuration says.
+    """
+
+    pick: Callable[[PickAndPlace, State, Theta], HeldCloth]
+    config: SearchConfig
+    score: OpenLoopScore
+    propose: Callable[[Axes, Theta], Proposal] | None = None
+
+    def __call__(self, action: PickAndPlace, state: State, theta: Theta) -> Search:
+        """Search the parameters of an action; return a search that yields the best one alone."""
+        held = self.pick(action, state, theta)
+        axes = self.config.axes
+        if not axes or not _moves(held):
+            return Uncalibrated(self.pick)(action, state, theta)
+        scores = Scores(axes)
+        if self.propose is not None:
+            proposal = self.propose(axes, theta)
+        elif self.config.method == "grid":
+            proposal = grid(axes)
+        else:
+            proposal = coordinate_descent(axes, theta, sweeps=self.config.sweeps)
+        asked = next(proposal)
+        while True:
+            missing = scores.missing(asked)
+            thetas = [scores.theta(theta, values) for values in missing]
+            for values, score in zip(missing, self.score(state, action, held, thetas), strict=True):
+                scores.add(values, score)
+            try:
+                asked = proposal.send([scores[values] for values in asked])
+            except StopIteration as end:
+                chosen: Values = end.value
+                break
+        found = scores.theta(theta, chosen)
+        logger.info("frames %d-%d: %s", action.first_frame, action.last_frame, found)
+        record = scores.record(self.config.method, "open_loop", chosen)
+        return OneCandidate(Candidate(found, self.pick(action, state, found)), record)
 
 
-class _Counted:
-    """Scores by candidate, each rolled out once; counts what was spent."""
+@dataclass(frozen=True, eq=False)
+class TrackingCalibration:
+    """Our calibration: every candidate is tracked.
 
-    def __init__(self, score: Score, start: Mapping[str, float], names: tuple[str, ...]) -> None:
-        self._score, self._start, self._names = score, start, names
-        self.scores: dict[tuple[float, ...], float] = {}
-        self.roll_outs = 0.0
+    Attributes:
+        pick: what the pickers hold.
+        config: what is searched.
+        score: how badly a tracked candidate fits, from 0; lower is better.
+        combine: where the candidates end together.
+    """
 
-    def __call__(
-        self, candidates: Sequence[tuple[float, ...]], share: float | int = 1.0
-    ) -> np.ndarray:
-        fresh = [c for c in dict.fromkeys(candidates) if share < 1.0 or c not in self.scores]
-        results = {}
-        for first in range(0, len(fresh), BATCH):
-            part = fresh[first : first + BATCH]
-            values = self._score(self._complete(part), share)
-            # An exploded candidate is the worst one, not an error.
-            values = np.where(np.isfinite(values), values, np.inf)
-            results |= dict(zip(part, values.tolist(), strict=True))
-            self.roll_outs += share * len(part)
-        if share >= 1.0:
-            self.scores |= results
-            results = self.scores
-        return np.array([results[c] for c in candidates])
+    pick: Callable[[PickAndPlace, State, Theta], HeldCloth]
+    config: SearchConfig
+    score: Callable[[TrackedCandidate], float]
+    combine: Combine = best_candidate
 
-    def start_on(self, axes: Mapping[str, tuple[float, ...]]) -> tuple[float, ...]:
-        """The axis values nearest to the start (in ratio where both are positive)."""
-        return tuple(_nearest(values, self._start[name]) for name, values in axes.items())
+    def __call__(self, action: PickAndPlace, state: State, theta: Theta) -> Search:
+        """Begin the search for the parameters of an action."""
+        axes = self.config.axes
+        if not axes or not _moves(self.pick(action, state, theta)):
+            return Uncalibrated(self.pick)(action, state, theta)
+        proposal = coordinate_descent(
+            axes, theta, sweeps=self.config.sweeps, stop_score=self.config.stop_score,
+            min_improvement=MIN_IMPROVEMENT,
+        )  # fmt: skip
+        scores = Scores(axes)
 
-    def _complete(self, candidates: Sequence[tuple[float, ...]]) -> np.ndarray:
-        rows = np.tile([self._start[name] for name in PARAMETERS], (len(candidates), 1))
-        rows[:, [PARAMETERS.index(name) for name in self._names]] = candidates
-        return rows
+        def candidate(values: Values) -> Candidate:
+            found = scores.theta(theta, values)
+            return Candidate(found, self.pick(action, state, found))
 
-
-def _nearest(values: tuple[float, ...], wanted: float) -> float:
-    if wanted > 0 and min(values) > 0:
-        return min(values, key=lambda value: abs(np.log(value / wanted)))
-    return min(values, key=lambda value: abs(value - wanted))
+        return _TrackingSearch(self, proposal, scores, candidate)
 
 
-def _grid(score: _Counted, config: CalibrationConfig) -> None:
-    score(list(itertools.product(*config.axes.values())))
+class _TrackingSearch:
+    """The search of one action."""
+
+    def __init__(
+        self,
+        calibration: TrackingCalibration,
+        proposal: Proposal,
+        scores: Scores,
+        candidate: Callable[[Values], Candidate],
+    ) -> None:
+        self._calibration, self._proposal = calibration, proposal
+        self._scores, self._candidate = scores, candidate
+        self._tracked: dict[tuple[object, ...], tuple[TrackedCandidate, float]] = {}
+        self._keys: dict[Values, tuple[object, ...]] = {}
+        self._chosen: Values = ()
+
+    def __iter__(self) -> Iterator[Candidate]:
+        """Yield candidates; those with the same grasp and cloth as a tracked one share it."""
+        scores = self._scores
+        asked = next(self._proposal)
+        while True:
+            for values in scores.missing(asked):
+                candidate = self._candidate(values)
+                key = candidate.grasps.identity(candidate.theta)
+                if key not in self._tracked:
+                    yield candidate
+                self._keys[values] = key
+                scores.add(values, self._tracked[key][1])
+            try:
+                asked = self._proposal.send([scores[values] for values in asked])
+            except StopIteration as end:
+                self._chosen = end.value
+                return
+
+    def tell(self, tracked: TrackedCandidate) -> None:
+        """Score a tracked candidate."""
+        key = tracked.candidate.grasps.identity(tracked.candidate.theta)
+        self._tracked[key] = tracked, self._calibration.score(tracked)
+
+    def result(self) -> tuple[TrackedCandidate, State, Calibration]:
+        """Return the best candidate, where all of them end together, and the record."""
+        best, _ = self._tracked[self._keys[self._chosen]]
+        tracked, scores = zip(*self._tracked.values(), strict=True)
+        ends = [one.positions[-1] for one in tracked]
+        logger.info(
+            "frames %d-%d: %s of %d candidates",
+            best.action.first_frame, best.action.last_frame, best.candidate.theta, len(ends),
+        )  # fmt: skip
+        state = self._calibration.combine(best, ends, scores)
+        record = self._scores.record(
+            "descent", "tracking", self._chosen, spread_m=ensemble_spread(ends)
+        )
+        return best, state, record
 
 
-def _halving(score: _Counted, config: CalibrationConfig) -> None:
-    candidates = list(itertools.product(*config.axes.values()))
-    rungs = max(0, int(np.log(len(candidates)) / np.log(HALVING_RATIO)) - 1)
-    for rung in range(rungs, -1, -1):
-        scores = score(candidates, HALVING_RATIO**-rung)
-        keep = max(1, len(candidates) // HALVING_RATIO)
-        candidates = [candidates[i] for i in np.argsort(scores, kind="stable")[:keep]]
+def _moves(held: HeldCloth) -> bool:
+    """Return whether anything is moved: otherwise a roll-out says nothing about the cloth."""
+    return any(grasp.moves for grasp in held.grasps)
 
 
-def _descent(score: _Counted, config: CalibrationConfig) -> Candidate:
-    """The candidate that no other on its axes is clearly better than."""
-    best = score.start_on(config.axes)
-    for _ in range(config.sweeps):
-        before = best
-        for column, values in enumerate(config.axes.values()):
-            if config.enough > 0.0 and score([best])[0] <= config.enough:
-                return best
-            line = [(*best[:column], value, *best[column + 1 :]) for value in values]
-            best = _clearly_best(line, score(line), best, config.clearly)
-        if best == before:
-            break
-    return best
+@dataclass(frozen=True, eq=False)
+class OutlineGap:
+    """Score a tracked candidate by how badly it covers the cloth in the pictures (0 to 1).
 
+    It is measured before TTO2, which would hide at the outline what is wrong inside.
 
-def _clearly_best(
-    line: list[Candidate], scores: Float[np.ndarray, " line"], now: Candidate, clearly: float
-) -> Candidate:
-    lowest = int(np.argmin(scores))
-    better = scores[lowest] <= (1.0 - clearly) * scores[line.index(now)]
-    return line[lowest] if better else now
+    Attributes:
+        recording: frames of the action.
+        mesh: topology.
+        observe: cloud of a frame.
+        device: "cpu" or "cuda:0".
+    """
+
+    recording: Recording
+    mesh: ClothMesh
+    observe: Observe
+    device: str = "cpu"
+
+    def __call__(self, tracked: TrackedCandidate) -> float:
+        """Return the mean of 1 - IoU over `SCORED_FRAMES` frames; infinite if it diverged."""
+        if not np.isfinite(tracked.positions).all():
+            return np.inf
+        count = len(tracked.positions)
+        frames = self.recording.frames[tracked.action.first_frame + 1 :]
+        places = range(count - 1, -1, -max(1, count // SCORED_FRAMES))[:SCORED_FRAMES]
+        gaps: list[float] = []
+        for place in places:
+            vertices: Float[np.ndarray, "vertices 3"] = tracked.positions[place].astype(np.float64)
+            seen = self.observe(frames[place])
+            gaps.append(silhouette_gap(self.mesh, vertices, seen, device=self.device))
+        return float(np.mean(gaps))

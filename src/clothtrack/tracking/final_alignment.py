@@ -1,7 +1,8 @@
 """TTO2: at the end of an action the mesh is aligned to the cloud once more, and left at rest."""
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -13,9 +14,8 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.state import Attachment, ClothState
 from clothtrack.simulation.untangling import Untangler
-from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.seams import Correction, State
-from clothtrack.tracking.theta import Theta, cloth_parameters
+from clothtrack.tracking.protocols import Correction, State
+from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.visible_alignment import VisibleAlignment
 
 logger = logging.getLogger(__name__)
@@ -25,43 +25,49 @@ FINAL_STRENGTH = 1.0 - 1e-5
 stretch and table still win over the observation."""
 
 SEEN_MOBILITY = 0.1
-"""Mobility of a vertex that is seen when the cloth is taken apart: it is where it was measured."""
+"""Mobility of a visible vertex when the cloth is untangled: it is where it was measured."""
 
 
+@dataclass(frozen=True, eq=False)
 class FinalAlignment:
     """Slides a cloth that nobody holds to its outline, then aligns its visible vertices.
 
-    Where the cloth passes through itself it is taken apart, before and after.
+    Where the cloth passes through itself it is untangled, before and after.
+
+    Attributes:
+        recording: its name for messages, and its table.
+        mesh: the flat first mesh.
+        align: aligns visible vertices.
+        dynamics: carries a correction out.
+        slide: slide and turn a free cloth on its table as a whole until its outline fits: nearest
+            points alone hold a slipped cloth where it is.
+        untangle: remove crossings before and after.
+        rounds: how often the alignment is computed and applied; each round starts from what the
+            dynamics made of the last.
+        roll_s: time over which the dynamics carry out a correction [s]: short, so that gravity has
+            no say, but layers keep their sides. 0 displaces the vertices at once, through whatever
+            is in the way (the paper).
+        device: "cpu" or "cuda:0".
     """
 
-    def __init__(
-        self,
-        recording: Recording,
-        mesh: ClothMesh,
-        config: TrackerConfig,
-        align: VisibleAlignment,
-        dynamics: ClothDynamics,
-        *,
-        device: str = "cpu",
-    ) -> None:
-        """Take what all actions share.
+    recording: Recording
+    mesh: ClothMesh
+    align: VisibleAlignment
+    dynamics: ClothDynamics
+    slide: bool = True
+    untangle: bool = True
+    rounds: int = 2
+    roll_s: float = 0.1
+    device: str = "cpu"
 
-        Args:
-            recording: its name for messages, and its table.
-            mesh: the flat first mesh.
-            config: rounds, slide, and how a correction is carried out.
-            align: aligns visible vertices with the settings of the final alignment.
-            dynamics: carries a correction out.
-            device: "cpu" or "cuda:0".
-        """
-        self._name, self._table, self._mesh = recording.name, recording.table, mesh
-        self._config, self._align, self._dynamics = config.final_alignment, align, dynamics
-        self._untangle, self._device = Untangler(mesh, device=device), device
+    @cached_property
+    def _untangler(self) -> Untangler:
+        return Untangler(self.mesh, device=self.device)
 
     def __call__(
         self, state: ClothState, theta: Theta, observation: Observation, held: bool
     ) -> tuple[ClothState, tuple[float, float]]:
-        """The state that the next action starts from: aligned, at rest, contacts remembered.
+        """Return the state that the next action starts from: aligned, at rest, contacts kept.
 
         Args:
             state: the cloth at the last frame of an action.
@@ -72,61 +78,64 @@ class FinalAlignment:
         Returns:
             The state, and the objective [m^2] before and after; NaN where there was no cloud.
         """
-        self._dynamics.solver.set_parameters(cloth_parameters(theta, self._dynamics.solver.mesh))
-        if self._config.slide and not held:
+        self.dynamics.solver.set_parameters(theta.cloth_parameters(self.dynamics.solver.mesh))
+        if self.slide and not held:
             state = self._slid(state, observation)
-        state = self._taken_apart(state)
+        state = self._untangled(state)
         losses = (np.nan, np.nan)
-        for _ in range(self._config.rounds):
-            correction = self._align.aligned(state.positions[0], observation)
+        for _ in range(self.rounds):
+            correction = self.align.aligned(state.positions[0], observation)
             if correction is None:
                 break
             first = correction.losses[0] if np.isnan(losses[0]) else losses[0]
             losses = (first, correction.losses[1])
             state = self._corrected(state, correction)
-        return self._taken_apart(state), losses
+        return self._untangled(state), losses
 
     def _slid(self, state: ClothState, observation: Observation) -> ClothState:
-        """The cloth slid over the table as a whole until its outline fits; at rest."""
+        """Return the cloth slid over the table as a whole until its outline fits, at rest."""
         positions = state.positions[0]
-        if self._table is None or not np.isfinite(positions).all():
+        if self.recording.table is None or not np.isfinite(positions).all():
             return state
         moved = slide_to_outline(
-            self._mesh, positions.astype(np.float64), observation, self._table, device=self._device
+            self.mesh,
+            positions.astype(np.float64),
+            observation,
+            self.recording.table,
+            device=self.device,
         )
         return self._at_rest(state, moved)
 
     def _corrected(self, state: ClothState, correction: Correction) -> ClothState:
-        """The state after a correction: rolled there, or displaced at once; at rest."""
-        config = self._config
+        """Return the state after a correction, rolled there or displaced at once, at rest."""
         targets = state.positions + correction.displacement[None]
-        if config.roll_s == 0.0:
+        if self.roll_s == 0.0:
             return self._at_rest(state, targets)
         strength = np.where(correction.attached, FINAL_STRENGTH, 0.0).astype(np.float32)
         pull = Attachment(targets.astype(np.float32), strength[None])
-        return rolled_to(self._dynamics, state, pull, config.roll_s, self._name)
+        return rolled_to(self.dynamics, state, pull, self.roll_s, self.recording.name)
 
-    def _taken_apart(self, state: ClothState) -> ClothState:
-        """The state without passages through itself, as far as they can be undone; at rest.
+    def _untangled(self, state: ClothState) -> ClothState:
+        """Return the state without crossings, as far as they can be undone, at rest.
 
-        Contact must not remember sides that a passage had exchanged.
+        Contact must not remember sides that a crossing had exchanged.
         """
         positions = state.positions[0]
-        if not self._config.untangle or not np.isfinite(positions).all():
+        if not self.untangle or not np.isfinite(positions).all():
             return state
-        mobility = np.where(self._align.sees(positions), SEEN_MOBILITY, 1.0)
-        apart = self._untangle(positions, mobility=mobility, table=self._table)
+        mobility = np.where(self.align.visible(positions), SEEN_MOBILITY, 1.0)
+        apart = self._untangler(positions, mobility=mobility, table=self.recording.table)
         moved = (apart.positions != positions).any(axis=1)
         if not moved.any():
             return state
-        memory = state.contacts.without(moved, self._mesh.faces)
+        memory = state.contacts.without(moved, self.mesh.faces)
         return self._at_rest(replace(state, contacts=memory), apart.positions)
 
     def _at_rest(
         self, state: ClothState, vertices: Float[np.ndarray, "*environments vertices 3"]
     ) -> ClothState:
-        """The state with its vertices placed here [m], through whatever is in the way."""
-        solver = self._dynamics.solver
+        """Return the state with its vertices placed here [m], through whatever is in the way."""
+        solver = self.dynamics.solver
         solver.restore(state)
         solver.place(vertices)
         solver.set_velocities(np.zeros_like(state.velocities))
@@ -136,12 +145,12 @@ class FinalAlignment:
 def rolled_to(
     dynamics: ClothDynamics, state: ClothState, pull: Attachment, roll_s: float, name: str
 ) -> ClothState:
-    """The cloth pulled somewhere by the dynamics, so that layers keep their sides; left at rest.
+    """Pull the cloth to a target by the dynamics, so that layers keep their sides.
 
     Args:
         dynamics: with the cloth's parameters.
         state: where it starts; and where it stays if the roll-out diverges.
-        pull: what is wanted where.
+        pull: targets.
         roll_s: how long it may take [s].
         name: of the recording, for messages.
     """
@@ -160,5 +169,5 @@ def no_final_alignment(
     observation: Observation,  # noqa: ARG001
     held: bool,  # noqa: ARG001
 ) -> tuple[State, tuple[float, float]]:
-    """The ablation without TTO2: the cloth stays as the last frame left it."""
+    """Return the state as it is: the ablation without TTO2."""
     return state, (np.nan, np.nan)

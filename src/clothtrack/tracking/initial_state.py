@@ -1,7 +1,7 @@
-"""What tracking starts from: the recording's template, the network's mesh, or the flat fit.
+"""The initial state of tracking: the recording's template, the flat fit, or the network's mesh.
 
-Only the recording is asked, never a truth. PyTorch is imported when the network is used, and not
-before.
+It is made of the recording alone, never of a truth. PyTorch is imported when the network is used,
+and not before.
 """
 
 import logging
@@ -18,15 +18,21 @@ from clothtrack.files.extras import install_command
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import missing_modules, shipped_weights
 from clothtrack.reconstruction.first_mesh import front_up, laid_flat
+from clothtrack.reconstruction.flat_fit import FITTED_KINDS, flat_fit
 from clothtrack.reconstruction.from_picture import network_mesh
+from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
-from clothtrack.tracking.flat_fit import FITTED_KINDS, InitialStateConfig, flat_fit
+from clothtrack.tracking.configuration import InitialStateConfig
 
 logger = logging.getLogger(__name__)
+
+FLAT_MISFIT_M = 0.01
+"""Where outlines disagree more than this (root mean square) [m] the cloth is not flat, or of
+another kind: the network is asked, or a warning given."""
 
 LEVEL_DEG = 10.0
 """The network looks along the world's z: it is not asked about a table that tilts more [deg]."""
@@ -55,7 +61,7 @@ def find_initial_state(
     segmenter: Segmenter | None = None,
     device: str = "cpu",
 ) -> InitialState:
-    """The cloth that tracking starts from.
+    """Return the cloth that tracking starts from.
 
     Args:
         recording: template, kind, table, cameras and the first depth picture.
@@ -89,8 +95,8 @@ def find_initial_state(
     weights = None if config.source == "flat" else _weights(recording, config)
     if weights is None or not (config.source == "network" or config.weights):
         # A cloth that lies flat needs no guess: its outline says where all of it is.
-        flat = flat_fit(recording, observation, config)
-        lies_flat = flat.misfit_m <= config.doubtful_m
+        flat = flat_fit(recording, observation, vertex_count=config.vertex_count)
+        lies_flat = flat.misfit_m <= FLAT_MISFIT_M
         if lies_flat or weights is None:
             if not lies_flat:
                 _doubt(recording, flat.misfit_m)
@@ -111,8 +117,8 @@ def _from_file(
     """The garment's own mesh, laid flat on the first cloud."""
     path = Path(config.template)
     _refuse_held_vertices(recording, f"the template is {path}")
-    fit = flat_fit(recording, observation, config)
-    if fit.misfit_m > config.doubtful_m:
+    fit = flat_fit(recording, observation, template=config.template)
+    if fit.misfit_m > FLAT_MISFIT_M:
         logger.warning(
             "%s: the template %s does not match the first cloud, outlines differ by %.1f mm; "
             "flatten the cloth, its front up, or make its template again: clothtrack garment",
@@ -208,7 +214,7 @@ def _from_network(
         size_m=recording.cloth.size_m,
         template=read_template(Path(config.template)) if config.template else None,
         vertex_count=config.vertex_count,
-        refinement=config.refinement if config.refined else None,
+        refinement=RefinementConfig() if config.refined else None,
         observation=observation,
         device=device,
     )

@@ -11,11 +11,10 @@ from scipy.sparse.csgraph import connected_components
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
-from clothtrack.simulation.dynamics import HeldMotion, PickerAction
 from clothtrack.simulation.picker import grasp_vertices
+from clothtrack.simulation.picker_action import HeldMotion, PickerAction
 from clothtrack.simulation.state import ClothState
-from clothtrack.tracking.seams import Grasps, Pick, State
-from clothtrack.tracking.theta import Theta, grasp_offset
+from clothtrack.tracking.theta import Theta
 
 logger = logging.getLogger(__name__)
 
@@ -118,21 +117,20 @@ class HeldCloth:
     offset: Float[np.ndarray, " 3"]
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
-        """a_t: what the closed pickers do between two times [s]."""
+        """Return a_t: what the closed pickers do between two times [s]."""
         motion = held_motion(self.grasps, start_s, end_s, self.offset)
         return PickerAction(motion, end_s - start_s, picker_speed(self.grasps, start_s, end_s))
 
     def closed_at(self, time_s: float) -> bool:
-        """Whether any of them holds cloth at this time [s]."""
+        """Return whether any of them holds cloth at this time [s]."""
         return any(grasp.path.closed_at(time_s) for grasp in self.grasps)
 
     def identity(self, theta: Theta) -> tuple[object, ...]:
-        """Equal for choices of theta that come to the same hold of the same cloth.
+        """Return a key that is equal for parameters with the same grasp of the same cloth.
 
         Where one layer lies under the tip, there is no second one to hold.
         """
-        others = {**theta, "held_layers": 0.0}
-        return tuple(self.held_vertices.values()), *others.values()
+        return tuple(self.held_vertices.values()), replace(theta, held_layers=0)
 
     @property
     def held_vertices(self) -> dict[str, tuple[int, ...]]:
@@ -148,7 +146,7 @@ def pick(
     recording: Recording,
     mesh: ClothMesh,
 ) -> HeldCloth:
-    """What the pickers of an action take hold of, from where the cloth lies when it starts.
+    """Return what the pickers of an action take hold of, from where the cloth lies at its start.
 
     Args:
         action: the pick-and-place.
@@ -158,31 +156,17 @@ def pick(
         mesh: the cloth's topology.
     """
     cloth = mesh.with_vertices(state.positions[0].astype(np.float64))
-    layers = int(theta["held_layers"])
-    grasps = find_grasps(recording, action, cloth, layers)
-    return HeldCloth(grasps, grasp_offset(theta))
+    grasps = find_grasps(recording, action, cloth, theta.held_layers)
+    return HeldCloth(grasps, np.array([0.0, 0.0, theta.grasp_offset_z_m]))
 
 
-def without_motion(take_hold: Pick) -> Pick:
-    """The ablation without action conditioning: the dynamics do not learn what pickers do."""
-
-    def held_still(action: PickAndPlace, state: State, theta: Theta) -> Grasps:
-        return _Unmoved(take_hold(action, state, theta))
-
-    return held_still
-
-
-class _Unmoved:
-    """Grasps whose motion nobody is told; where a picker is stays known."""
-
-    def __init__(self, grasps: Grasps) -> None:
-        self._grasps = grasps
-        self.closed_at, self.identity = grasps.closed_at, grasps.identity
-        self.held_vertices = grasps.held_vertices
+@dataclass(frozen=True, eq=False)
+class StillCloth(HeldCloth):
+    """The same grasps without their motion: the ablation without action conditioning."""
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
-        """No motion, for the same time and at the same speed."""
-        return replace(self._grasps.action(start_s, end_s), motion=None)
+        """Return no motion, for the same time and at the same speed."""
+        return replace(super().action(start_s, end_s), motion=None)
 
 
 def layers_under(

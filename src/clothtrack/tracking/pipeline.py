@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -31,10 +31,10 @@ from clothtrack.recordings.point_following import PointFollower
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.flat_fit import InitialStateConfig
+from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.initial_state import InitialState, find_initial_state
-from clothtrack.tracking.seams import Parts, Watch
+from clothtrack.tracking.methods import Assembled, Components
+from clothtrack.tracking.protocols import Method, Watch
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.tracking.tracker import Tracker
 
@@ -44,25 +44,8 @@ CLOUDS_KEPT = 256
 """Most clouds in memory, however long an action is: some 100 MB with pictures of 640 x 480. What a
 search needs again and is not among them is read and segmented once more."""
 
-PARTS = tuple(part.name for part in fields(Parts))
-"""The parts of Algorithm 1 that a caller may replace (`tracking.seams.Parts`)."""
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """Everything that a tracking run depends on; it is stored with every result.
-
-    Attributes:
-        tracker: Algorithm 1 and all that it uses.
-        initial_state: where the mesh that it starts from comes from.
-        cloud_spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
-        seed: stored with the result; nothing in tracking draws random numbers so far.
-    """
-
-    tracker: TrackerConfig = field(default_factory=TrackerConfig)
-    initial_state: InitialStateConfig = field(default_factory=InitialStateConfig)
-    cloud_spacing_m: float = 0.004
-    seed: int = 0
+PARTS = tuple(part.name for part in fields(Method))
+"""The functions of Algorithm 1 that a caller may replace (`tracking.protocols.Method`)."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +108,7 @@ def track_recording(
     segmenter: Segmenter | None = None,
     progress: Progress | None = None,
     parts: Mapping[str, Any] | None = None,
+    assemble: Callable[[Components], Assembled] | None = None,
     force: bool = True,
     watch: Watch | None = None,
 ) -> TrackedTrajectory:
@@ -136,12 +120,13 @@ def track_recording(
         device: "cpu" or "cuda:0".
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame.
-        parts: replacements for parts of Algorithm 1, by their names in `PARTS`.
+        parts: replacements for functions of Algorithm 1, by their names in `PARTS`.
+        assemble: makes the method; that of `config.mode` by default.
         force: track although the first mesh lies beside its cloud.
         watch: is shown every mesh.
 
     Raises:
-        InvalidConfigError: Algorithm 1 has no part of that name.
+        InvalidConfigError: Algorithm 1 has no function of that name.
         InvalidRecordingError: the first mesh lies beside its cloud, and `force` is not set.
     """
     for name in (parts := parts or {}):
@@ -151,7 +136,7 @@ def track_recording(
             )
     clock = time.process_time()
     stamp = provenance(recording, config, device)
-    cloud = observer(recording, config.cloud_spacing_m, segmenter, color=config.tracker.uses_color)
+    cloud = observer(recording, config.cloud_spacing_m, segmenter, color=config.color)
     if progress is not None:
         progress(f"{recording.name}: first mesh", 0, 0)
     first = find_initial_state(
@@ -165,12 +150,14 @@ def track_recording(
     if not force and gap_m is not None and gap_m > LARGEST_GAP_M:
         raise _far_first_mesh(recording, first, gap_m)
     tracker = Tracker(
-        recording, first.mesh, config.tracker, cloud, start=first.positions, device=device
-    )
+        recording, first.mesh, config, cloud, start=first.positions, assemble=assemble,
+        device=device,
+    )  # fmt: skip
     if parts:
-        tracker.parts = replace(tracker.parts, **parts)
-    if parts or segmenter is not None:
-        stamp["replaced_parts"] = sorted([*parts, *(["segmenter"] if segmenter else [])])
+        tracker.method = replace(tracker.method, **parts)
+    replaced = [*parts, *(["segmenter"] if segmenter else []), *(["method"] if assemble else [])]
+    if replaced:
+        stamp["replaced_parts"] = sorted(replaced)
     tracked = tracker.track(progress, watch)
     stamp |= {
         "initial_state": dict(first.origin),

@@ -1,8 +1,8 @@
-"""Keeps what Algorithm 1 does: positions, losses and CPU times of the passes that are chosen."""
+"""Records what Algorithm 1 does: positions, losses and CPU times of the chosen candidates."""
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from functools import wraps
 from typing import Any
 
@@ -12,16 +12,20 @@ from jaxtyping import Bool, Float
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
-from clothtrack.tracking.seams import (
+from clothtrack.simulation.picker_action import PickerAction
+from clothtrack.simulation.state import Attachment
+from clothtrack.tracking.protocols import (
+    Candidate,
     Corrected,
     Correction,
-    FollowedAction,
-    Grasps,
-    Parts,
+    Dynamics,
+    Method,
+    Prediction,
     State,
-    Theta,
+    TrackedCandidate,
     Watch,
 )
+from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import (
     Calibration,
     StepRecords,
@@ -44,7 +48,7 @@ class Recorder:
         *,
         progress: Progress | None = None,
         watch: Watch | None = None,
-        passes: int = 1,
+        candidates: int = 1,
     ) -> None:
         """Begin a trajectory that stays where it starts.
 
@@ -54,28 +58,27 @@ class Recorder:
             state: the cloth at the first frame.
             visible: which vertices some camera sees.
             progress: called after every frame.
-            watch: is shown the first mesh now, and each that comes.
-            passes: passes over an action to reckon with, to tell how much there is to do.
+            watch: called with the first mesh now, and with every later one.
+            candidates: to expect for each action, for the progress.
         """
         self._recording, self._mesh, self._visible = recording, mesh, visible
-        self._progress, self._most, self._passes = progress, passes, 0
+        self._progress, self._expected, self._begun = progress, candidates, 0
         self._positions = np.repeat(
             np.asarray(state.positions, np.float32), len(recording.frames), axis=0
         )
         self._records = StepRecords.empty(len(recording.frames))
         self._actions: list[TrackedAction] = []
-        self._watch = watch
+        self._watch, self._clocks = watch, Clocks()
         self._show(recording.frames[0], self._positions[0])
 
-    def begin(self, action: PickAndPlace, parts: Parts) -> "tuple[Pass, Parts]":
-        """Begin a pass over an action.
+    def timed(self, method: Method) -> Method:
+        """Return the same method with clocks around prediction, alignment and line search."""
+        return self._clocks.around(method)
 
-        Returns:
-            What notes the pass, and the parts with clocks around them.
-        """
-        self._passes += 1
-        notes = Pass(self._recording, action, self._tell)
-        return notes, notes.timed(parts)
+    def begin(self, action: PickAndPlace, candidate: Candidate) -> "CandidateNotes":
+        """Begin the notes of one candidate."""
+        self._begun += 1
+        return CandidateNotes(self._recording, action, candidate, self._clocks, self._tell)
 
     def _show(self, frame: Frame, positions: Float[np.ndarray, "vertices 3"]) -> None:
         if self._watch is not None:
@@ -84,15 +87,14 @@ class Recorder:
     def _tell(
         self, action: PickAndPlace, frame: Frame, positions: Float[np.ndarray, "vertices 3"]
     ) -> None:
-        """Show the mesh, and tell which frame of which candidate of which action is done."""
+        """Show the mesh, and report the frame, candidate and action that are done."""
         self._show(frame, positions)
         if self._progress is None:
             return
         spans = [one.last_frame - one.first_frame for one in self._recording.actions]
-        number, most, tried = len(self._actions), self._most, self._passes
+        number, most, tried = len(self._actions), self._expected, self._begun
         place, span = frame.index - action.first_frame, spans[number]
-        # A search that goes on after what was reckoned with waits there: no share steps back, and
-        # none is whole before the last candidate is.
+        # If the search exceeds the estimate, hold progress so that it never decreases.
         within = min((tried - 1) * span + place, most * span - (most > 1))
         of = f"/{most}" if tried <= most else ""
         candidate = f", candidate {tried}{of}" if max(tried, most) > 1 else ""
@@ -105,42 +107,42 @@ class Recorder:
 
     def keep(
         self,
-        followed: FollowedAction,
+        best: TrackedCandidate,
         state: State,
         losses: tuple[float, float],
         calibration: Calibration,
     ) -> None:
-        """Keep the pass that was chosen, with its final alignment.
+        """Keep the chosen candidate with its final alignment.
 
         Args:
-            followed: the pass.
+            best: the candidate.
             state: the cloth after TTO2; the frames that follow start from there.
             losses: objective of TTO2 [m^2], before and after.
             calibration: the candidates that were tried.
         """
-        action = followed.action
+        action = best.action
         within = slice(action.first_frame + 1, action.last_frame + 1)
         end = np.asarray(state.positions[0], np.float32)
-        self._positions[within] = followed.positions
+        self._positions[within] = best.positions
         self._positions[action.last_frame :] = end
         self._show(self._recording.frames[action.last_frame], end)
-        self._records.adopt(followed.records, within)
-        self._passes = 0
+        self._records.adopt(best.records, within)
+        self._begun = 0
         self._actions.append(
             TrackedAction(
                 first_frame=action.first_frame,
                 last_frame=action.last_frame,
-                positions_before_final_alignment=followed.positions[-1],
+                positions_before_final_alignment=best.positions[-1],
                 positions_after_final_alignment=end,
                 final_alignment_losses=np.array(losses),
-                parameters=dict(followed.theta),
+                parameters={k: float(v) for k, v in asdict(best.candidate.theta).items()},
                 calibration=calibration,
-                held_vertices=followed.grasps.held_vertices,
+                held_vertices=best.candidate.grasps.held_vertices,
             )
         )
 
     def trajectory(self) -> TrackedTrajectory:
-        """All that was kept."""
+        """Return everything that was kept."""
         frames = self._recording.frames
         return TrackedTrajectory(
             name=self._recording.name,
@@ -154,30 +156,23 @@ class Recorder:
         )
 
 
-class Pass:
-    """Notes of one pass over one action."""
+class CandidateNotes:
+    """What happens while one candidate is tracked."""
 
     def __init__(
         self,
         recording: Recording,
         action: PickAndPlace,
+        candidate: Candidate,
+        clocks: "Clocks",
         tell: Callable[[PickAndPlace, Frame, Float[np.ndarray, "vertices 3"]], None],
     ) -> None:
-        """Begin with empty records; `tell` hears of every frame and its mesh."""
-        self._action, self._tell = action, tell
+        """Begin with empty records; `tell` is called with every frame and its mesh."""
+        self._action, self._candidate = action, candidate
+        self._clocks, self._tell = clocks, tell
         self._records = StepRecords.empty(len(recording.frames))
         self._positions: list[np.ndarray] = []
-        self._clocks = dict.fromkeys(("predict_s", "align_s", "correct_s"), 0.0)
-        self._running = False
-
-    def timed(self, parts: Parts) -> Parts:
-        """The same parts, with clocks around prediction, alignment and line search."""
-        return replace(
-            parts,
-            predict=self._clocked("predict_s", parts.predict),
-            align=self._clocked("align_s", parts.align),
-            line_search=self._clocked("correct_s", parts.line_search),
-        )
+        clocks.reset()
 
     def step(
         self,
@@ -186,38 +181,78 @@ class Pass:
         corrected: Corrected,
     ) -> None:
         """Note what happened at one frame."""
-        records, at = self._records, frame.index
-        records.predict_s[at] = self._clocks["predict_s"]
+        records, at, clocks = self._records, frame.index, self._clocks
+        records.predict_s[at] = clocks.predict_s
         records.highest_speed[at] = corrected.prediction.highest_speed.max()
         if correction is not None:
-            records.align_s[at] = self._clocks["align_s"]
-            records.correct_s[at] = self._clocks["correct_s"]
+            records.align_s[at] = clocks.align_s
+            records.correct_s[at] = clocks.correct_s
             records.loss_before[at], records.loss_after[at] = correction.losses
             records.trials[at] = corrected.trials
             records.correction_scale[at] = corrected.scale
             records.gave_up[at] = corrected.gave_up
-        self._clocks = dict.fromkeys(self._clocks, 0.0)
+        clocks.reset()
         self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
         self._tell(self._action, frame, self._positions[-1])
 
-    def finished(self, theta: Theta, grasps: Grasps, state: State) -> FollowedAction:
-        """The whole pass, and the cloth that it ends with."""
-        return FollowedAction(
-            self._action, theta, grasps, np.stack(self._positions), state, self._records
+    def finished(self, state: State) -> TrackedCandidate:
+        """Return the tracked candidate with the state that it ends with."""
+        return TrackedCandidate(
+            self._action, self._candidate, np.stack(self._positions), state, self._records
         )
 
-    def _clocked(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The same function, its CPU time added up; calls within a clocked call are that one's."""
 
+class Clocks:
+    """CPU time [s] since the last reset.
+
+    Attributes:
+        predict_s: of predictions.
+        align_s: of TTO1 with its visibility.
+        correct_s: of the line search.
+    """
+
+    def __init__(self) -> None:
+        """Begin at 0."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Set every clock to 0."""
+        self.predict_s = self.align_s = self.correct_s = 0.0
+
+    def around(self, method: Method) -> Method:
+        """Return the same method with clocks around prediction, alignment and line search."""
+
+        def dynamics(theta: Theta) -> Dynamics:
+            dyn = method.dynamics(theta)
+            return _TimedDynamics(dyn, self._timed("predict_s", dyn.predict))
+
+        return replace(
+            method,
+            dynamics=dynamics,
+            align=self._timed("align_s", method.align),
+            line_search=self._timed("correct_s", method.line_search),
+        )
+
+    def _timed(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(call)
-        def clocked(*arguments: Any) -> Any:
-            if self._running:
-                return call(*arguments)
-            self._running, clock = True, time.process_time()
+        def timed(*arguments: Any) -> Any:
+            start = time.process_time()
             try:
                 return call(*arguments)
             finally:
-                self._clocks[name] += time.process_time() - clock
-                self._running = False
+                setattr(self, name, getattr(self, name) + time.process_time() - start)
 
-        return clocked
+        return timed
+
+
+@dataclass(frozen=True, eq=False)
+class _TimedDynamics:
+    """Dynamics whose predictions are timed."""
+
+    dynamics: Dynamics
+    predict: Callable[..., Prediction]
+
+    def __call__(
+        self, state: State, action: PickerAction, pseudo_action: Attachment | None = None
+    ) -> Prediction:
+        return self.dynamics(state, action, pseudo_action)

@@ -17,7 +17,8 @@ from clothtrack.files.settings import from_plain
 from clothtrack.geometry.devices import require_device
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 from clothtrack.recordings.recording import Recording
-from clothtrack.tracking.pipeline import RunConfig, config_hash, track_recording
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.pipeline import config_hash, track_recording
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 

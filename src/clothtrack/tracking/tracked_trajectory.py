@@ -37,7 +37,7 @@ class Calibration:
     """How the cloth parameters of one action were found (paper, Sec. III-B.1).
 
     Attributes:
-        method: "none", "grid", "halving" or "descent".
+        method: "none", "grid" or "descent".
         names: the calibrated parameters, in the order of `candidates`' columns.
         candidates: every combination that was rolled out to the end.
         scores: of each candidate, lower is better: Chamfer distance [m^2] of an open-loop roll-out
@@ -48,7 +48,6 @@ class Calibration:
         spread_m: how far apart the tracked candidates end at each vertex, as their mean distance
             from their mean [m]; empty where fewer than two were tracked. They differ where the
             cloud does not decide.
-        mean_m: where they end in the mean, weighted by their scores [m]; likewise.
     """
 
     method: str
@@ -59,7 +58,6 @@ class Calibration:
     roll_outs: float
     judge: str = "open_loop"
     spread_m: Float[np.ndarray, " vertices"] = field(default_factory=lambda: np.zeros(0))
-    mean_m: Float[np.ndarray, "all_or_none 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def none(cls) -> "Calibration":
@@ -220,7 +218,6 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
         unit = "m^2" if action.calibration.judge == "open_loop" else "1"
         _put(part, "calibration_scores", action.calibration.scores, unit=unit)
         _put(part, "calibration_spread", action.calibration.spread_m.astype(np.float32), unit="m")
-        _put(part, "calibration_mean", action.calibration.mean_m.astype(np.float32), unit="m")
         part.attrs.update(
             {
                 "first_frame": action.first_frame,
@@ -323,8 +320,7 @@ def _read_action(
             calibration["best"],
             calibration["roll_outs"],
             calibration["judge"],
-            _take_ends(group, f"{place}/calibration_spread", mesh.vertex_count),
-            _take_ends(group, f"{place}/calibration_mean", mesh.vertex_count, 3),
+            _take_spread(group, f"{place}/calibration_spread", mesh.vertex_count),
         ),
         held_vertices={k: tuple(v) for k, v in attributes["held_vertices"].items()},
     )
@@ -339,12 +335,12 @@ def _take(group: zarr.Group, name: str, *shape: int) -> np.ndarray:
     return values
 
 
-def _take_ends(group: zarr.Group, name: str, vertices: int, *rest: int) -> np.ndarray:
-    """Empty where nothing was searched, and in what was written before it was kept."""
+def _take_spread(group: zarr.Group, name: str, vertices: int) -> np.ndarray:
+    """Return an empty array where nothing was searched, or before the spread was stored."""
     if name not in group:
-        return np.zeros((0, *rest))
+        return np.zeros(0)
     values = take_array(group, name)
-    return _take(group, name, vertices if values.size else 0, *rest).astype(np.float64)
+    return _take(group, name, vertices if values.size else 0).astype(np.float64)
 
 
 def _take_positions(group: zarr.Group, name: str, *counts: int) -> np.ndarray:

@@ -1,7 +1,8 @@
 """TTO1: the visible vertices of a predicted mesh are aligned to the cloud of its frame."""
 
 from collections.abc import Callable, Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,8 +15,7 @@ from clothtrack.geometry.quality import CrossingCheck
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
-from clothtrack.tracking.configuration import TrackerConfig
-from clothtrack.tracking.seams import Aligner, Correction, Observe, Prediction
+from clothtrack.tracking.protocols import Align, Correction, Observe, Prediction
 
 SUPPORT_M = 0.01
 """A vertex with a cloud point this near [m] counts as observed even where the sensor could not have
@@ -29,50 +29,51 @@ LEAST_POINTS_PER_VERTEX = 0.1
 prediction stands."""
 
 
+@dataclass(frozen=True, eq=False)
 class VisibleAlignment:
-    """Aligns what is visible, and says what a pseudo-action may take hold of."""
+    """Aligns what is visible, and says which vertices a pseudo-action attaches.
 
-    def __init__(
-        self,
-        mesh: ClothMesh,
-        config: TrackerConfig,
-        alignment: AlignmentConfig,
-        visible: VisibilityCheck,
-        *,
-        table: Table | None,
-        marks: Callable[[Float[np.ndarray, "vertices 3"], Observation], Marks | None],
-        device: str = "cpu",
-    ) -> None:
-        """Prepare topology and rest lengths once.
+    Attributes:
+        mesh: the flat first mesh.
+        alignment: objective and solver of the optimization.
+        visible: which vertices some camera sees.
+        table: the plane that the cloth cannot pass.
+        rest_height_m: height of a vertex over the table when the cloth lies on it [m].
+        anchors: where feature tracks want vertices.
+        observed_only: attach only vertices that the sensor could have contradicted; the paper
+            attaches every visible vertex.
+        uncrossed_only: leave vertices free where the predicted cloth passes through itself; the
+            paper attaches them. Contact undoes a crossing, but not against a pull.
+        device: "cpu" or "cuda:0".
+    """
 
-        Args:
-            mesh: the flat first mesh.
-            config: what counts as observed and what is attached.
-            alignment: objective and solver of the optimisation.
-            visible: which vertices some camera sees.
-            table: the plane that the cloth cannot pass.
-            marks: where followed points of the pictures want vertices.
-            device: "cpu" or "cuda:0".
-        """
-        self._config, self._visible, self._table = config, visible, table
-        self._crossings = CrossingCheck(mesh.faces)
-        self._marks = marks
-        self._aligner = CloudAligner(mesh, alignment, device=device)
+    mesh: ClothMesh
+    alignment: AlignmentConfig
+    visible: VisibilityCheck
+    table: Table | None
+    rest_height_m: float
+    anchors: Callable[[Float[np.ndarray, "vertices 3"], Observation], Marks | None]
+    observed_only: bool = True
+    uncrossed_only: bool = True
+    device: str = "cpu"
+
+    @cached_property
+    def _aligner(self) -> CloudAligner:
+        return CloudAligner(self.mesh, self.alignment, device=self.device)
+
+    @cached_property
+    def _crossings(self) -> CrossingCheck:
+        return CrossingCheck(self.mesh.faces)
 
     def __call__(self, predicted: Prediction, observation: Observation) -> Correction | None:
-        """How the predicted mesh has to move; None when there is too little cloud to tell."""
+        """Return how the predicted mesh has to move; None when there is too little cloud."""
         return self.aligned(predicted.positions[0], observation)
-
-    def sees(self, positions: Float[np.ndarray, "vertices 3"]) -> Bool[np.ndarray, " vertices"]:
-        """The vertices that some camera sees when they are there [m]."""
-        return self._visible(positions)
 
     def aligned(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
     ) -> Correction | None:
-        """How vertices [m] have to move to meet a cloud; None when there is too little of it."""
-        config = self._config
-        visible = self._visible(positions)
+        """Return how vertices [m] have to move to meet a cloud; None when there is too little."""
+        visible = self.visible(positions)
         points = within_reach(observation.points, positions[visible], CLOUD_REACH_M)
         if len(points) < LEAST_POINTS_PER_VERTEX * len(positions):
             return None
@@ -82,18 +83,18 @@ class VisibleAlignment:
             points,
             visible,
             trusted=observed,
-            table=self._table,
-            rest_height_m=config.solver.resting_height_m,
-            marks=self._marks(positions, observation),
+            table=self.table,
+            rest_height_m=self.rest_height_m,
+            marks=self.anchors(positions, observation),
         )
         attached = visible
-        if config.attach_observed_only:
-            # Where silence means nothing, a vertex is observed if it found points beside it.
+        if self.observed_only:
+            # In unobservable regions a visible vertex is observed only if a cloud point is near.
             unsure = np.flatnonzero(visible & ~observed)
             moved = positions[unsure] + alignment.corrections[unsure]
             attached = observed
             attached[unsure] = _supported(moved, points)
-        if not config.attach_crossed:
+        if self.uncrossed_only:
             attached = attached & ~self._at_crossings(positions)
         losses = float(alignment.losses[0]), float(alignment.losses[-1])
         return Correction(positions, alignment.corrections, attached, losses)
@@ -101,7 +102,7 @@ class VisibleAlignment:
     def _at_crossings(
         self, positions: Float[np.ndarray, "vertices 3"]
     ) -> Bool[np.ndarray, " vertices"]:
-        """Vertices of the edges and triangles that pass through each other."""
+        """Return the vertices of edges and triangles that pass through each other."""
         crossed = np.zeros(len(positions), dtype=bool)
         for part in self._crossings(positions):
             crossed[part] = True
@@ -109,24 +110,26 @@ class VisibleAlignment:
 
 
 def no_alignment(predicted: Prediction, observation: Observation) -> None:  # noqa: ARG001
-    """The ablation without pseudo-actions: no cloud is asked, every prediction stands."""
+    """Return None: the ablation without pseudo-actions, in which every prediction stands."""
     return
 
 
 def only_at(frames: Collection[int], observe: Observe, recording: Recording) -> Observe:
-    """See these frames alone: to read a picture that no part asks for costs a sixth of open loop.
+    """Observe only these frames; return an empty observation for all others.
+
+    Reading pictures that nothing uses costs a sixth of an open-loop run.
 
     Args:
         frames: indices of the frames that are observed.
         observe: the cloud of a frame.
-        recording: whose cameras see nothing at the others.
+        recording: its cameras.
     """
     nothing = Observation(np.zeros((0, 3)), recording.cameras, {}, None, np.zeros((0, 3)), 0.0)
     return lambda frame: observe(frame) if frame.index in frames else nothing
 
 
-def from_last_mesh(align: Aligner) -> Aligner:
-    """The ablation without dynamics initialisation: aligned is the mesh before the roll-out."""
+def from_last_mesh(align: Align) -> Align:
+    """Return the ablation without dynamics initialization: align the mesh before the roll-out."""
 
     def aligned(predicted: Prediction, observation: Observation) -> Correction | None:
         return align(replace(predicted, positions=predicted.started_at), observation)
@@ -137,7 +140,7 @@ def from_last_mesh(align: Aligner) -> Aligner:
 def _supported(
     vertices: Float[np.ndarray, "vertices 3"], points: Float[np.ndarray, "points 3"]
 ) -> Bool[np.ndarray, " vertices"]:
-    """Vertices with a cloud point beside them."""
+    """Return which vertices have a cloud point near them."""
     if not len(vertices):
         return np.zeros(0, dtype=bool)
     # Few vertices ask: most points are far from all of them, and need no place in a tree.

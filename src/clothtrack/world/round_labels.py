@@ -21,7 +21,8 @@ from clothtrack.recordings.reversal import reversed_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.template_file import read_template
 from clothtrack.tracking.artefacts import load_tracked
-from clothtrack.tracking.pipeline import Outcome, RunConfig, track_recordings
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.pipeline import Outcome, track_recordings
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording

@@ -35,7 +35,8 @@ from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episo
 from clothtrack.planning.flattening import improvement
 from clothtrack.reconstruction.data.state_store import LIST_FILE
 from clothtrack.simulation.garments import GarmentKind
-from clothtrack.tracking.pipeline import RunConfig, counted_settings
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.pipeline import counted_settings
 from clothtrack.world.one_garment import OneGarment
 from clothtrack.world.round_labels import (
     EpisodeLabels,

@@ -8,12 +8,13 @@ import pytest
 from clothtrack.errors import InvalidMeshError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.flat_fit import flat_fit
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.recordings.template_file import write_template
 from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
-from clothtrack.tracking.flat_fit import InitialStateConfig, flat_fit
+from clothtrack.tracking.initial_state import FLAT_MISFIT_M
 
 TABLE = Table(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0]))
 ABOVE = np.array([[1.0, 0, 0, 0], [0, -1.0, 0, 0], [0, 0, -1.0, 0.85], [0, 0, 0, 1.0]])
@@ -47,7 +48,7 @@ def laid_out(kind: str, size_m: tuple[float, float], angle: float) -> np.ndarray
 @pytest.mark.parametrize(("size_m", "angle"), [((0.30, 0.20), 0.4), ((0.25, 0.25), -1.0)])
 def test_a_towel_is_measured_within_one_percent(size_m: tuple[float, float], angle: float) -> None:
     points = laid_out("towel", size_m, angle)
-    mesh = flat_fit(recording(ClothDescription("towel")), cloud(points), InitialStateConfig()).mesh
+    mesh = flat_fit(recording(ClothDescription("towel")), cloud(points)).mesh
     sides = np.sort(np.ptp(mesh.canonical[:, :2], axis=0))
     np.testing.assert_allclose(sides, np.sort(size_m), rtol=0.01)
     np.testing.assert_allclose(mesh.vertices[:, :2].mean(axis=0), (0.05, -0.02), atol=1e-3)
@@ -58,7 +59,7 @@ def test_a_towel_is_measured_within_one_percent(size_m: tuple[float, float], ang
 def test_a_shirt_is_found_whichever_way_it_lies(angle: float) -> None:
     size_m = (0.46, 0.40)
     points = laid_out("tshirt", size_m, angle)
-    mesh = flat_fit(recording(ClothDescription("tshirt")), cloud(points), InitialStateConfig()).mesh
+    mesh = flat_fit(recording(ClothDescription("tshirt")), cloud(points)).mesh
     np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), size_m, rtol=0.01)
     # Every vertex, and so the neck, is where the shirt's own coordinates say.
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -71,24 +72,22 @@ def test_a_curled_corner_and_a_hole_do_not_shrink_a_towel() -> None:
     middle, from_corner = (0.05, -0.02), points[:, :2] - (0.20, 0.13)
     curled = from_corner.sum(axis=1) > -0.03
     hole = np.linalg.norm(points[:, :2] - middle, axis=1) < 0.03
-    mesh = flat_fit(
-        recording(ClothDescription("towel")), cloud(points[~curled & ~hole]), InitialStateConfig()
-    ).mesh
+    mesh = flat_fit(recording(ClothDescription("towel")), cloud(points[~curled & ~hole])).mesh
     np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), (0.30, 0.30), rtol=0.01)
 
 
 def test_the_misfit_tells_a_flat_cloth_from_a_folded_one() -> None:
-    points, config = laid_out("towel", (0.30, 0.20), 0.0), InitialStateConfig()
+    points = laid_out("towel", (0.30, 0.20), 0.0)
     folded = points[(points[:, 0] < 0.05) | (points[:, 1] < -0.02)]
     asked = recording(ClothDescription("towel"))
-    assert flat_fit(asked, cloud(points), config).misfit_m < 0.2 * config.doubtful_m
-    assert flat_fit(asked, cloud(folded), config).misfit_m > config.doubtful_m
+    assert flat_fit(asked, cloud(points)).misfit_m < 0.2 * FLAT_MISFIT_M
+    assert flat_fit(asked, cloud(folded)).misfit_m > FLAT_MISFIT_M
 
 
 def test_a_stated_size_is_not_fitted() -> None:
     cloth = ClothDescription("towel", size_m=(0.30, 0.20))
     points = laid_out("towel", (0.31, 0.21), 0.4)
-    mesh = flat_fit(recording(cloth), cloud(points), InitialStateConfig()).mesh
+    mesh = flat_fit(recording(cloth), cloud(points)).mesh
     np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), (0.30, 0.20), rtol=1e-6)
 
 
@@ -104,7 +103,7 @@ def test_says_what_is_missing(
     cloth: ClothDescription, table: Table | None, points: int, message: str
 ) -> None:
     with pytest.raises(InvalidRecordingError, match=message):
-        flat_fit(recording(cloth, table), cloud(np.zeros((points, 3))), InitialStateConfig())
+        flat_fit(recording(cloth, table), cloud(np.zeros((points, 3))))
 
 
 def test_a_template_in_millimetres_is_told(tmp_path: Path) -> None:
@@ -112,6 +111,5 @@ def test_a_template_in_millimetres_is_told(tmp_path: Path) -> None:
     file = tmp_path / "towel.npz"
     write_template(flat.with_vertices(1000.0 * flat.vertices), file)
     points = laid_out("towel", (0.3, 0.2), 0.4)
-    config = InitialStateConfig(template=str(file))
     with pytest.raises(InvalidMeshError, match=r"towel\.npz: .*150 m .* in metres"):
-        flat_fit(recording(ClothDescription("towel")), cloud(points), config)
+        flat_fit(recording(ClothDescription("towel")), cloud(points), template=str(file))

@@ -7,9 +7,8 @@ draw the edges inwards. Depth alone cannot tell a shirt's front from its back no
 towel from another: the front is taken to face up.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -19,9 +18,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidMeshError, InvalidRecordingError
-from clothtrack.files.bounds import Checked
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
 from clothtrack.recordings.template_file import read_template
@@ -40,38 +37,6 @@ FARTHEST_M = 10.0
 STARTS = 12
 """Directions that the fit is started from, equally spaced: one is within 15 degrees."""
 
-Source = Literal["auto", "template", "network", "flat"]
-"""Where a first mesh may come from."""
-
-
-@dataclass(frozen=True)
-class InitialStateConfig(Checked):
-    """Where the first mesh comes from, and how it is made when the recording has no template.
-
-    Attributes:
-        source: "template": the recording's own; "network": reconstructed from the first depth
-            picture, whether or not there is a template; "flat": a flat garment fitted to the first
-            cloud, likewise; "auto": the template, else the flat fit of a cloth that lies flat, else
-            the network where there are weights for the garment.
-        template: file of the garment's own mesh, lying flat (`clothtrack garment`), which is fitted
-            to the first cloud in place of a garment of the recording's kind, or told to the
-            network where the source is "network"; empty: none.
-        weights: file with the network's weights; empty: those that come with the package, if any.
-        refined: whether a network's mesh is fine-tuned to the first cloud.
-        refinement: how.
-        vertex_count: about how many vertices the mesh gets.
-        doubtful_m: where outlines disagree more than this (root mean square) [m] the cloth is not
-            flat, or of another kind: the network is asked, or a warning given.
-    """
-
-    vertex_count: int = 1000
-    doubtful_m: float = 0.01
-    source: Source = "auto"
-    template: str = ""
-    weights: str = ""
-    refined: bool = True
-    refinement: RefinementConfig = field(default_factory=RefinementConfig)
-
 
 @dataclass(frozen=True, eq=False)
 class FlatFit:
@@ -86,19 +51,23 @@ class FlatFit:
     misfit_m: float
 
 
-def flat_fit(recording: Recording, observation: Observation, config: InitialStateConfig) -> FlatFit:
-    """A flat garment fitted to the first cloud, whether or not the recording has a template.
+def flat_fit(
+    recording: Recording, observation: Observation, *, template: str = "", vertex_count: int = 1000
+) -> FlatFit:
+    """Fit a flat garment to a cloud, whether or not the recording has a template.
 
     Args:
         recording: says what the cloth is and where the table is.
         observation: the cloud of the first frame, flat cloth.
-        config: size of the mesh.
+        template: file of the garment's own mesh, lying flat; empty: a garment of the recording's
+            kind.
+        vertex_count: of a garment of the recording's kind, about.
 
     Raises:
         InvalidRecordingError: the kind has no outline, or table or cloud are missing.
         InvalidMeshError: the template is larger than any garment.
     """
-    if not config.template and recording.cloth.kind not in FITTED_KINDS:
+    if not template and recording.cloth.kind not in FITTED_KINDS:
         raise InvalidRecordingError(
             f"{recording.folder}: cloth.kind is {recording.cloth.kind!r} and there is no template; "
             f"give cloth.template, or a kind that can be fitted: {', '.join(FITTED_KINDS)}"
@@ -112,24 +81,25 @@ def flat_fit(recording: Recording, observation: Observation, config: InitialStat
             f"{recording.folder}: the first cloud has {len(observation.points)} points, a fit "
             "needs at least 100; check the mask of frame 0 with: clothtrack inspect"
         )
-    return _fitted(recording, recording.table, observation.points, config)
+    return _fitted(recording, recording.table, observation.points, template, vertex_count)
 
 
 def _fitted(
     recording: Recording,
     table: Table,
     points: Float[np.ndarray, "points 3"],
-    config: InitialStateConfig,
+    file: str,
+    vertex_count: int,
 ) -> FlatFit:
     axes = _plane_axes(table)
     covered = CoveredRegion((points - table.point) @ axes[:2].T, RIM_M)
     cloth = recording.cloth
-    if config.template:
-        template = read_template(Path(config.template))
+    if file:
+        template = read_template(Path(file))
         reach = float(np.abs(template.vertices[:, :2]).max())
         if reach > FARTHEST_M:
             raise InvalidMeshError(
-                f"{config.template}: a vertex lies {reach:.3g} m from the origin (at most "
+                f"{file}: a vertex lies {reach:.3g} m from the origin (at most "
                 f"{FARTHEST_M:g} m); write the template in metres, around the origin"
             )
         unit, size_m = outline_of(template), (1.0, 1.0)
@@ -145,7 +115,7 @@ def _fitted(
     if template is None:
         width, length = size_m or np.exp(best.x[3:])
         size_m = (float(width), float(length))
-        mesh = garment(cloth.kind, vertex_count=config.vertex_count, size_m=size_m)
+        mesh = garment(cloth.kind, vertex_count=vertex_count, size_m=size_m)
     else:
         mesh = template
     placed = mesh.vertices.astype(np.float64).copy()
@@ -213,7 +183,7 @@ class CoveredRegion:
 
 
 def unit_outline(kind: str) -> Float[np.ndarray, "corners 2"]:
-    """The silhouette of a flat garment of 1 m x 1 m [m], counter-clockwise, evenly sampled.
+    """Return the silhouette of a flat garment of 1 m x 1 m [m], counter-clockwise, evenly sampled.
 
     Garments grow along x and y in proportion, so that this is the outline of every size.
     """
@@ -221,7 +191,7 @@ def unit_outline(kind: str) -> Float[np.ndarray, "corners 2"]:
 
 
 def outline_of(flat: ClothMesh) -> Float[np.ndarray, "corners 2"]:
-    """The silhouette of a flat garment that lies around the origin [m], as `unit_outline`."""
+    """Return the silhouette of a flat garment around the origin [m], as `unit_outline`."""
     pixels = 2000
     half = float(np.abs(flat.vertices[:, :2]).max()) + 0.05
     corners = np.rint((flat.vertices[:, :2] + half) * pixels).astype(np.int32)

@@ -1,6 +1,7 @@
-"""Colour as a second witness: which material points are followed from picture to picture?
+"""Anchor the mesh with feature tracks of the color pictures.
 
-They are bound to the cloth where an action begins, and say from then on where these points are.
+Points that optical flow follows from picture to picture are bound to the cloth where an action
+begins. From then on they say where these material points are.
 """
 
 import logging
@@ -13,7 +14,7 @@ from clothtrack.alignment.aligner import Marks
 from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation
-from clothtrack.tracking.seams import State
+from clothtrack.tracking.protocols import State
 
 logger = logging.getLogger(__name__)
 
@@ -25,8 +26,8 @@ DOUBT_M = 0.02
 weight): it is followed wrongly, or bound wrongly."""
 
 
-class PictureMarks:
-    """Binds followed points to a cloth, and says where they want its vertices."""
+class FeatureAnchors:
+    """Binds feature tracks to a cloth, and says where they want its vertices."""
 
     def __init__(
         self,
@@ -66,7 +67,7 @@ class PictureMarks:
     def __call__(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
     ) -> Marks | None:
-        """Where the followed points want vertices that are here now [m]; None without any."""
+        """Return where the feature tracks want vertices that are here now [m]; None without any."""
         numbers, bound = observation.followed.numbers, self._bound
         known = np.array([number in bound for number in numbers.tolist()], dtype=bool)
         if not known.any():
@@ -84,6 +85,6 @@ class PictureMarks:
         return Marks(wanted, total)
 
 
-def no_marks(state: State, observation: Observation) -> None:  # noqa: ARG001
-    """Throw the colour away, as the paper does."""
+def no_anchors(state: State, observation: Observation) -> None:  # noqa: ARG001
+    """Ignore the color, as the paper does."""
     return

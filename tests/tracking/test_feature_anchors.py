@@ -7,7 +7,7 @@ import pytest
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import FollowedPoints, Observation
-from clothtrack.tracking.picture_marks import DOUBT_M, NEAR_M, PictureMarks
+from clothtrack.tracking.feature_anchors import DOUBT_M, NEAR_M, FeatureAnchors
 
 SQUARE = ClothMesh(
     np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]),
@@ -30,7 +30,7 @@ def seen(points, numbers=None):
 
 @pytest.fixture
 def marks():
-    return PictureMarks(SQUARE, lambda positions: np.ones(len(positions), bool))
+    return FeatureAnchors(SQUARE, lambda positions: np.ones(len(positions), bool))
 
 
 def bind(marks, observation, positions=SQUARE.vertices):
@@ -55,7 +55,7 @@ def test_nothing_followed_wants_nothing(marks):
 
 
 def test_what_lies_beside_the_mesh_or_on_hidden_cloth_is_not_bound():
-    hidden = PictureMarks(SQUARE, lambda positions: np.array([True, True, True, False]))
+    hidden = FeatureAnchors(SQUARE, lambda positions: np.array([True, True, True, False]))
     bind(hidden, seen([[0.02, 0.07, 0.0], [0.07, 0.02, 0.0], [0.07, 0.02, 1.5 * NEAR_M]]))
     wanted = hidden(SQUARE.vertices, seen([[0.02, 0.07, 0], [0.07, 0.02, 0], [0.07, 0.02, 0.01]]))
     assert wanted.weight.sum() == pytest.approx(1.0)

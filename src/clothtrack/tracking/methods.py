@@ -1,0 +1,279 @@
+"""The named methods: which functions Algorithm 1 is made of.
+
+`default` is ours and `paper` is the method as published. Each is written out in full, so that two
+of them can be read side by side. docs/method.md has the reason for every difference and its
+measured effect.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.alignment.aligner import AlignmentConfig
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import VisibilityCheck
+from clothtrack.reconstruction.refinement import SETTLE_IN_S
+from clothtrack.recordings.recording import PickAndPlace, Recording
+from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.solver import ClothSolver
+from clothtrack.simulation.state import ClothState
+from clothtrack.tracking.calibration import (
+    OpenLoopCalibration,
+    OutlineGap,
+    TrackingCalibration,
+    Uncalibrated,
+)
+from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.ensemble import MeanOfCandidates
+from clothtrack.tracking.feature_anchors import FeatureAnchors, no_anchors
+from clothtrack.tracking.final_alignment import FinalAlignment, no_final_alignment
+from clothtrack.tracking.line_search import PseudoActionSearch
+from clothtrack.tracking.open_loop import BATCH, OpenLoopScore
+from clothtrack.tracking.picking import HeldCloth, pick
+from clothtrack.tracking.protocols import Calibrate, Dynamics, Method, Observe, State
+from clothtrack.tracking.search import SearchConfig
+from clothtrack.tracking.theta import Theta
+from clothtrack.tracking.visible_alignment import VisibleAlignment, no_alignment, only_at
+
+SOFT = 0.999
+"""Strength of the default's pseudo-action: observed vertices are pulled inside the solver loop."""
+
+HELD = 1.0
+"""Strength of the paper's pseudo-action: visible vertices are placed at their targets."""
+
+PREDICTION_COARSENESS = 2
+"""Substeps of the default's predictions are so many times as long: what is aligned need not be
+exact, since the accepted roll-out is rolled again. It saves a tenth of the time."""
+
+ANCHOR_WEIGHT = 300.0
+"""A vertex to where feature tracks want it: each of them counts as so many cloud points."""
+
+ICP_TOLERANCE = 0.02
+"""Gauss-Newton ends when two iterations together lower the objective by a smaller share."""
+
+FLEX_SLEEP_SPEED = 0.02
+"""Supported vertices slower than this [m/s] stand still in the paper's simulator."""
+
+MIN_OBSERVED = 0.5
+"""Share of the visible vertices of a first mesh that the cloud must be able to contradict for the
+mesh to be aligned to it."""
+
+VISIBILITY_WIDTH = 320
+"""Width of the z-buffer that decides visibility [pixels]: its pixels are finer than the
+mesh's edges."""
+
+VISIBILITY_TOLERANCE_M = 0.003
+"""How far behind the z-buffer's surface a vertex still counts as visible [m]: less than
+the distance of two layers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """What the functions of a method share, for one recording and one cloth.
+
+    Attributes:
+        recording: what was recorded.
+        mesh: the flat cloth in the world [m]; its edges are the rest lengths.
+        config: the settings.
+        observe: cloud of a frame.
+        start: vertices at the first frame [m], if the cloth does not lie flat there.
+        device: "cpu" or "cuda:0".
+    """
+
+    recording: Recording
+    mesh: ClothMesh
+    config: RunConfig
+    observe: Observe
+    start: Float[np.ndarray, "vertices 3"] | None = None
+    device: str = "cpu"
+
+    @cached_property
+    def visible(self) -> VisibilityCheck:
+        """Which vertices some camera sees."""
+        cameras = tuple(camera.resized(VISIBILITY_WIDTH) for camera in self.recording.cameras)
+        return VisibilityCheck(
+            self.mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M, device=self.device
+        )
+
+    @cached_property
+    def search(self) -> SearchConfig:
+        """What is searched, with the uncertainty of the grasp that the recording states."""
+        return self.config.search.with_grasp_offset(self.recording.cloth.grasp_uncertainty_m)
+
+    @cached_property
+    def anchors(self) -> FeatureAnchors:
+        """Feature tracks that are bound to the cloth."""
+        return FeatureAnchors(self.mesh, self.visible)
+
+    def pick(self, action: PickAndPlace, state: ClothState, theta: Theta) -> HeldCloth:
+        """Return what the pickers take hold of."""
+        return pick(action, state, theta, recording=self.recording, mesh=self.mesh)
+
+    def simulator(
+        self, *, velocity_kept: float, prediction_coarseness: int = 1, sleep_speed: float = 0.0
+    ) -> ClothDynamics:
+        """Return the dynamics with the cloth at the first frame, at rest."""
+        config = self.config.cloth.solver(self.recording.table, sleep_speed=sleep_speed)
+        solver = ClothSolver(self.mesh, config, device=self.device)
+        if self.start is not None:
+            # Step once while flat so that contact stores which side of each triangle every vertex
+            # is on.
+            solver.step(SETTLE_IN_S)
+            solver.place(self.start)
+            solver.set_velocities(np.zeros_like(self.start))
+        return ClothDynamics(solver, velocity_kept, prediction_coarseness)
+
+    def dynamics(self, simulator: ClothDynamics) -> Callable[[Theta], Dynamics]:
+        """Return dyn as a function of theta."""
+
+        def with_parameters(theta: Theta) -> Dynamics:
+            simulator.solver.set_parameters(theta.cloth_parameters(self.mesh))
+            # Dynamics are only given the states that they made.
+            return cast(Dynamics, simulator)
+
+        return with_parameters
+
+    def aligner(self, alignment: AlignmentConfig, **attached: bool) -> VisibleAlignment:
+        """Return an alignment of the visible vertices.
+
+        Args:
+            alignment: objective and solver.
+            attached: what a pseudo-action attaches (`VisibleAlignment`).
+        """
+        return VisibleAlignment(
+            self.mesh, alignment, self.visible, table=self.recording.table,
+            rest_height_m=0.5 * self.config.cloth.thickness_m, anchors=self.anchors,
+            device=self.device, **attached,
+        )  # fmt: skip
+
+    def open_loop_calibration(self, *, sleep_speed: float = 0.0) -> Calibrate:
+        """Return the paper's calibration; `sleep_speed` as in `ClothConfig.solver` [m/s]."""
+        config = self.search
+        if config.method == "none":
+            return Uncalibrated(self.pick)
+        sizes = [len(values) for values in config.axes.values()]
+        widest = min(BATCH, int(np.prod(sizes))) if config.method == "grid" else max(sizes)
+        solver = self.config.cloth.solver(self.recording.table, sleep_speed=sleep_speed)
+        score = OpenLoopScore(
+            self.recording, self.mesh, solver, self.observe, self.visible, widest, self.device
+        )
+        return OpenLoopCalibration(self.pick, config, score)
+
+
+@dataclass(frozen=True, eq=False)
+class Assembled:
+    """A method that is ready to run.
+
+    Attributes:
+        method: its functions.
+        state: the cloth at the first frame.
+        theta: its parameters before any calibration.
+    """
+
+    method: Method
+    state: State
+    theta: Theta
+
+
+def default(components: Components) -> Assembled:
+    """Return our method."""
+    config, weights = components.config, components.config.objective
+    simulator = components.simulator(velocity_kept=0.0, prediction_coarseness=PREDICTION_COARSENESS)
+    gauss_newton = AlignmentConfig(
+        solver="icp", iterations=weights.iterations, icp_tolerance=ICP_TOLERANCE,
+        rigidity_weight=weights.rigidity_weight, two_way_weight=weights.two_way_weight,
+        length_weight=weights.length_weight, marks_weight=ANCHOR_WEIGHT if config.color else 0.0,
+    )  # fmt: skip
+    aligner = components.aligner(gauss_newton)
+    method = Method(
+        observe=components.observe,
+        calibrate=tracking_calibration(components, simulator),
+        dynamics=components.dynamics(simulator),
+        align=aligner,
+        line_search=PseudoActionSearch(SOFT),
+        align_last=FinalAlignment(
+            components.recording, components.mesh, aligner, simulator, device=components.device
+        ),
+        anchor=components.anchors.bind if config.color else no_anchors,
+    )
+    state = aligned_first(components, method, simulator.solver.save())
+    return Assembled(method, state, config.cloth.theta())
+
+
+def paper(components: Components) -> Assembled:
+    """Return the method as published, on our simulator."""
+    config, weights = components.config, components.config.objective
+    simulator = components.simulator(velocity_kept=1.0, sleep_speed=FLEX_SLEEP_SPEED)
+    adam = AlignmentConfig(
+        solver="adam", iterations=weights.iterations, rigidity_weight=weights.rigidity_weight,
+        two_way_weight=weights.two_way_weight, length_weight=weights.length_weight,
+        marks_weight=ANCHOR_WEIGHT if config.color else 0.0,
+    )  # fmt: skip
+    aligner = components.aligner(adam, observed_only=False, uncrossed_only=False)
+    method = Method(
+        observe=components.observe,
+        calibrate=components.open_loop_calibration(sleep_speed=FLEX_SLEEP_SPEED),
+        dynamics=components.dynamics(simulator),
+        align=aligner,
+        line_search=PseudoActionSearch(HELD),
+        align_last=FinalAlignment(
+            components.recording, components.mesh, aligner, simulator,
+            slide=False, untangle=False, rounds=1, roll_s=0.0, device=components.device,
+        ),
+        anchor=components.anchors.bind if config.color else no_anchors,
+    )  # fmt: skip
+    return Assembled(method, simulator.solver.save(), config.cloth.theta(held_layers=0))
+
+
+def open_loop(components: Components) -> Assembled:
+    """Return the calibrated dynamics alone."""
+    whole = paper(components)
+    recording = components.recording
+    ends = {action.last_frame for action in recording.actions}
+    method = replace(
+        whole.method,
+        observe=only_at(ends, components.observe, recording),
+        align=no_alignment,
+        align_last=no_final_alignment,
+    )
+    return replace(whole, method=method)
+
+
+METHODS: Mapping[str, Callable[[Components], Assembled]] = {
+    "default": default,
+    "paper": paper,
+    "open_loop": open_loop,
+}
+"""The method of each mode (`tracking.configuration.MODES`)."""
+
+
+def tracking_calibration(components: Components, simulator: ClothDynamics) -> Calibrate:
+    """Return the default's calibration; `search.method` may name the paper's."""
+    search = components.search
+    if search.method != "tracking":
+        return components.open_loop_calibration()
+    score = OutlineGap(components.recording, components.mesh, components.observe, components.device)
+    mean = MeanOfCandidates(simulator, components.recording.name)
+    return TrackingCalibration(components.pick, search, score, combine=mean)
+
+
+def aligned_first(components: Components, method: Method, state: State) -> State:
+    """Return the cloth at the first frame aligned to its cloud, if the cloud shows most of it.
+
+    The rest lengths stay those of the first mesh.
+    """
+    recording, positions = components.recording, state.positions[0]
+    observation, start_s = components.observe(recording.frames[0]), recording.frames[0].time_s
+    visible = components.visible(positions)
+    observed = visible & ~observation.unobservable(positions.astype(np.float64))
+    # Of a cloth below a cut a cloud shows a hand's breadth: the rest would slide after it.
+    if observed.sum() < MIN_OBSERVED * visible.sum():
+        return state
+    held = any(path.closed_at(start_s) for path in recording.picker_paths.values())
+    # A replay with a chosen theta must start alike, whatever was searched or given.
+    theta = RunConfig().cloth.theta()
+    return method.align_last(state, theta, observation, held)[0]

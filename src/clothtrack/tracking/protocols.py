@@ -1,0 +1,242 @@
+"""The interfaces of Algorithm 1: what it asks of each of the functions that it is made of.
+
+`clothtrack.tracking.methods` assembles them to a `Method`; docs/extending.md shows how to hand in
+one of your own.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
+from clothtrack.simulation.picker_action import PickerAction
+from clothtrack.simulation.state import Attachment
+from clothtrack.tracking.theta import Theta
+from clothtrack.tracking.tracked_trajectory import Calibration, StepRecords
+
+
+@runtime_checkable
+class State(Protocol):
+    """The cloth at one time, x_t: whatever the dynamics continue from."""
+
+    @property
+    def positions(self) -> Float[np.ndarray, "environments vertices 3"]:
+        """Vertices in the world [m]; Algorithm 1 has one environment."""
+        ...
+
+
+@runtime_checkable
+class Prediction(Protocol):
+    """The end of a roll-out of the dynamics."""
+
+    @property
+    def state(self) -> State:
+        """The state to continue from."""
+        ...
+
+    @property
+    def positions(self) -> Float[np.ndarray, "environments vertices 3"]:
+        """Vertices at the end [m]."""
+        ...
+
+    @property
+    def started_at(self) -> Float[np.ndarray, "environments vertices 3"]:
+        """Vertices at the start [m]."""
+        ...
+
+    @property
+    def highest_speed(self) -> Float[np.ndarray, " environments"]:
+        """Highest speed of a free vertex during the roll-out [m/s]."""
+        ...
+
+    @property
+    def exact(self) -> bool:
+        """Whether the state may be continued from; a coarse prediction is only aligned."""
+        ...
+
+
+@runtime_checkable
+class Dynamics(Protocol):
+    """dyn(x, a) and dyn(x, a, a~) for one choice of the cloth's parameters."""
+
+    def __call__(
+        self, state: State, action: PickerAction, pseudo_action: Attachment | None = None
+    ) -> Prediction:
+        """Roll the cloth out for the duration of an action.
+
+        Args:
+            state: the cloth before.
+            action: what the pickers do.
+            pseudo_action: targets of observed vertices at the end.
+        """
+        ...
+
+    def predict(self, state: State, action: PickerAction) -> Prediction:
+        """Return x'_{t+1} = dyn(x_t, a_t) for the alignment, coarse if that is faster."""
+        ...
+
+
+@runtime_checkable
+class Grasps(Protocol):
+    """What the pickers of an action hold."""
+
+    def action(self, start_s: float, end_s: float) -> PickerAction:
+        """Return a_t: what the pickers do between two times [s]."""
+        ...
+
+    def closed_at(self, time_s: float) -> bool:
+        """Return whether any picker still holds cloth at this time [s]."""
+        ...
+
+    def identity(self, theta: Theta) -> tuple[object, ...]:
+        """Return a key that is equal for parameters with the same grasp of the same cloth."""
+        ...
+
+    @property
+    def held_vertices(self) -> Mapping[str, tuple[int, ...]]:
+        """The vertices that each picker holds, by the picker's name."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One choice of parameters for an action.
+
+    Attributes:
+        theta: the parameters.
+        grasps: what the pickers hold.
+    """
+
+    theta: Theta
+    grasps: Grasps
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedCandidate:
+    """One action, tracked to its last frame with one candidate, before TTO2.
+
+    Attributes:
+        action: the pick-and-place.
+        candidate: parameters and grasps.
+        positions: vertices [m] at every frame after the action's first.
+        state: the cloth at the last frame.
+        records: what happened at each frame; those outside the action are empty.
+    """
+
+    action: PickAndPlace
+    candidate: Candidate
+    positions: Float32[np.ndarray, "frames vertices 3"]
+    state: State
+    records: StepRecords
+
+
+@runtime_checkable
+class Search(Protocol):
+    """The calibration of one action (paper, Sec. III-B.1), by ask and tell.
+
+    Iterating yields the candidates that are to be tracked; each is told before the next is asked.
+    """
+
+    def __iter__(self) -> Iterator[Candidate]:
+        """Yield candidates until the search ends; at least one."""
+        ...
+
+    def tell(self, tracked: TrackedCandidate) -> None:
+        """Take the tracked candidate that was yielded last."""
+        ...
+
+    def result(self) -> tuple[TrackedCandidate, State, Calibration]:
+        """Return the best candidate, the state to continue from, and the record of the search."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What the cloud says about a predicted mesh: delta x_corr (paper, Sec. III-B.2).
+
+    Attributes:
+        start: vertices that the alignment started from [m].
+        displacement: from there to where the cloud wants them [m].
+        attached: vertices that a pseudo-action attaches.
+        losses: objective [m^2] before and after.
+    """
+
+    start: Float[np.ndarray, "vertices 3"]
+    displacement: Float[np.ndarray, "vertices 3"]
+    attached: Bool[np.ndarray, " vertices"]
+    losses: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """The cloth after one frame.
+
+    Attributes:
+        prediction: the roll-out that was accepted.
+        scale: share of the correction that was applied; NaN without a correction, 0 when the line
+            search gave up.
+        trials: roll-outs spent on it.
+        gave_up: no share of the correction was stable; the prediction stands.
+    """
+
+    prediction: Prediction
+    scale: float = np.nan
+    trials: int = 0
+    gave_up: bool = False
+
+    @property
+    def state(self) -> State:
+        """The state to continue from."""
+        return self.prediction.state
+
+
+Observe = Callable[[Frame], Observation]
+"""Return the point cloud P_t of a frame."""
+
+Align = Callable[[Prediction, Observation], Correction | None]
+"""TTO1: return how a predicted mesh has to move to meet the cloud; None keeps the prediction."""
+
+LineSearch = Callable[[Dynamics, State, PickerAction, Prediction, Correction | None], Corrected]
+"""Roll the dynamics again with as much of the correction as they can take."""
+
+AlignLast = Callable[[State, Theta, Observation, bool], tuple[State, tuple[float, float]]]
+"""TTO2: return the cloth at the end of an action, at rest, and the objective [m^2] before and after
+(NaN where nothing was aligned). The last argument says whether a picker still holds it."""
+
+Calibrate = Callable[[PickAndPlace, State, Theta], Search]
+"""Begin the search for the parameters of an action; theta is the previous action's."""
+
+Anchor = Callable[[State, Observation], None]
+"""Bind the feature tracks that are seen in the pictures to material points (not in the paper)."""
+
+Watch = Callable[[Recording, ClothMesh, Frame, Float[np.ndarray, "vertices 3"]], None]
+"""Called with each mesh [m] as soon as it is known: the first one, those of every candidate frame
+by frame, and the one that the chosen candidate ends with."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """The functions that Algorithm 1 is made of; an ablation replaces one.
+
+    Attributes:
+        observe: point cloud of a frame.
+        calibrate: search for the parameters of an action.
+        dynamics: dyn, given theta.
+        align: TTO1.
+        line_search: roll-out with the pseudo-action.
+        align_last: TTO2.
+        anchor: feature tracks to material points, at the start of every action.
+    """
+
+    observe: Observe
+    calibrate: Calibrate
+    dynamics: Callable[[Theta], Dynamics]
+    align: Align
+    line_search: LineSearch
+    align_last: AlignLast
+    anchor: Anchor
