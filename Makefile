@@ -9,7 +9,7 @@
 #   make release   build what is released twice, compare, try it on every Python; bill of materials
 #   make check     lint, format, types, direction of imports
 #   make docs      the documentation as a site, to out/site
-#   make bench     quick forms of all benchmarks, to out/bench_*.json (docs/benchmarks.md)
+#   make bench     quick forms of all benchmarks, to out/bench_*.json (docs/speed.md)
 #
 # PYTHON=python3.12 make demo    chooses the interpreter (3.11 or newer)
 

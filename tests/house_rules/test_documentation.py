@@ -12,10 +12,12 @@ from clothtrack.cli import command_line as cli
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "experiments" / "README.md"]
+    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "experiments" / "README.md"]
 )
-PRESENT = [path for path in DOCUMENTS if path.name not in ("log.md", "CHANGELOG.md")]
-"""What is there today; the two others also name what is gone."""
+PRESENT = [
+    path for path in DOCUMENTS if path.parent.name != "notebook" and path.name != "CHANGELOG.md"
+]
+"""What is there today; the notebook and the changelog also name what is gone."""
 NAMED = re.compile(r"`((?:\w+/)*\w+\.py): ([\w.]+)`")
 LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)#?([^)\s]*)\)")
 COMMAND = re.compile(r"(?:^    (?:\S*/)?|`)clothtrack ([a-z][\w-]*)([^`\n]*)", re.MULTILINE)

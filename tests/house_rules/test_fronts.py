@@ -25,7 +25,7 @@ RESEARCH = [
     for path in sorted((ROOT / folder).rglob("*.py"))
 ]
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 IMPORT_LINE = re.compile(r"^ *(?:from clothtrack[\w.]* import|import clothtrack).*$", re.MULTILINE)
 
 

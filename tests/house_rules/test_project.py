@@ -66,7 +66,7 @@ def test_the_command_is_installed_with_the_package():
     assert {one.name for one in scripts} >= {"clothtrack"}
 
 
-@pytest.mark.parametrize("page", sorted(ROOT.glob("docs/*.md")), ids=str)
+@pytest.mark.parametrize("page", sorted(ROOT.glob("docs/**/*.md")), ids=str)
 def test_functions_named_in_the_docs_exist(page):
     """`room/module.py: name` in a page names something that the module defines."""
     for path, names in re.findall(r"`(\w+/\w+\.py): ([\w., ]+)`", page.read_text("utf-8")):

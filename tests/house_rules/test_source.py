@@ -14,7 +14,7 @@ SCRIPTS = sorted(
     for folder in ("tests", "examples", "experiments", "benchmarks")
     for path in (ROOT / folder).rglob("*.py")
 )
-PROSE = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "Makefile"])
+PROSE = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "Makefile"])
 BANNED_NAMES = {"utils", "util", "helpers", "common", "types", "misc", "core"}
 FILE_LIMIT = 450
 KERNEL_FILE_LIMIT = 600
