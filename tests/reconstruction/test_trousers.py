@@ -28,9 +28,14 @@ TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 
 
 @pytest.fixture(autouse=True)
-def _one_turn(monkeypatch):
-    """One turn of the picture says all that is asked here, in a quarter of the time."""
-    monkeypatch.setattr("clothtrack.reconstruction.search.ENOUGH", np.inf)
+def _short_search(monkeypatch):
+    """One turn of the picture and few sizes say all that is asked here."""
+    for name, value in {
+        "ENOUGH": np.inf,
+        "SCANNED_SIZES": (1.15,),
+        "STEPS": (0.2,),
+    }.items():
+        monkeypatch.setattr(f"clothtrack.reconstruction.search.{name}", value)
 
 
 @pytest.fixture(scope="module")
