@@ -19,12 +19,18 @@ from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 
-_spec = importlib.util.spec_from_file_location(
-    "line_stage", Path(__file__).with_name("line_stage.py")
-)
-line_stage = importlib.util.module_from_spec(_spec)
-sys.modules["line_stage"] = line_stage
-_spec.loader.exec_module(line_stage)
+
+def _beside(name):
+    """A module of this folder, which the tests here import by its name."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+line_stage = _beside("line_stage")
+_beside("seen_above")
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 

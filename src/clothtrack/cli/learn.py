@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from clothtrack.reconstruction.learning_config import LearningConfig
     from clothtrack.reconstruction.learning_outcome import LearningOutcome
 
-GarmentChoice = Literal["as recorded", "towel", "tshirt"]
+GarmentChoice = Literal["as recorded", "towel", "tshirt", "trousers"]
 
 
 def label(
@@ -239,7 +239,8 @@ def reconstruct(
         output: mesh file to write: .obj, .ply or .stl [m], table at z = 0 for a PNG; by default
             out/NAME.obj, after the picture or recording, with its frame if one is named.
         garment: what it is; must be said for a PNG, unless a template says so.
-        size: width and length of the flat garment [m]; several are tried where nobody says.
+        size: width and length of the flat garment [m]; several are tried where nobody says. Of
+            trousers it also says whether they are short.
         template: the flat garment itself, instead of a size.
         weights: model.safetensors; the ones that come with clothtrack by default.
         method: the garment's own mesh laid into the picture, or the surface of the predicted
@@ -281,7 +282,9 @@ def reconstruct(
         summary += f", expected error {1e3 * report['expected_error_m']:.0f} mm"
     if network.choices and size is None and template is None and picture.size_m is None:
         width, length = network.choices[0].size_m
-        summary += f", taken for {width:.2f} x {length:.2f} m"
+        # The name of a towel is that of the rectangle that the search began with.
+        cut = "" if picture.kind == "towel" else f"{network.choices[0].cut} of "
+        summary += f", taken for {cut}{width:.2f} x {length:.2f} m"
     if network.scale != 1.0:
         summary += f", seen as if {network.scale:g} times as large"
     say_result(summary, report, json=json)

@@ -88,7 +88,7 @@ def network_error_mm(
         model: the network; the published one says nothing and is not asked.
         recording: its folder.
         frame: of the recording.
-        kind: "towel" or "tshirt".
+        kind: "towel", "tshirt" or "trousers".
         template: the garment's own mesh; one of the recording's size when None.
         device: where to compute.
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +17,7 @@ from clothtrack.front.run import Run, recording_of
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import read_template
-from clothtrack.simulation.garments import GarmentKind
+from clothtrack.simulation.garments import ClothKind
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.depth_input import DepthInput
@@ -28,7 +28,7 @@ def label(
     run: Run,
     output: Path | str,
     *,
-    garment: GarmentKind | None = None,
+    garment: ClothKind | None = None,
     weighted: bool = True,
     flat_weight: float = 1.0,
     device: str = "cpu",
@@ -77,7 +77,7 @@ def label(
 
 def reconstruct(
     picture: Path | str | Float[np.ndarray, "height width"],
-    garment: GarmentKind | None = None,
+    garment: ClothKind | None = None,
     *,
     frame: int | None = None,
     size_m: tuple[float, float] | None = None,
@@ -123,7 +123,7 @@ def reconstruct(
 
 def reconstructed(
     picture: Path | str | Float[np.ndarray, "height width"],
-    garment: GarmentKind | None,
+    garment: ClothKind | None,
     *,
     frame: int | None,
     size_m: tuple[float, float] | None,
@@ -155,7 +155,7 @@ def reconstructed(
             shown = depth_input.from_depth(picture, named, **options)
         else:
             shown = depth_input.from_picture(Path(picture), **options)
-    if size_m is not None and not 0.0 < min(size_m) <= max(size_m) < float("inf"):
+    if size_m is not None and not all(0.0 < side < float("inf") for side in size_m):
         raise InvalidConfigError(
             f"the size is {size_m[0]:g} x {size_m[1]:g} m; give width and length in metres, above 0"
         )
@@ -183,20 +183,22 @@ def reconstructed(
     return network.mesh, network, replace(shown, kind=kind)
 
 
-def _kind_of(flat: ClothMesh | None) -> GarmentKind | None:
+def _kind_of(flat: ClothMesh | None) -> ClothKind | None:
     """What a template is: of two layers, or of one."""
     if flat is None or flat.canonical is None:
         return None
     return "tshirt" if np.ptp(flat.canonical[:, 2]) > 0.0 else "towel"
 
 
-def _kind(garment: str | None, source: str) -> GarmentKind:
-    if garment not in ("towel", "tshirt"):
-        raise InvalidConfigError(
-            f"{source}: what garment it shows is {garment or 'not said'}; add --garment towel or "
-            "--garment tshirt (in Python garment='towel' or garment='tshirt')"
-        )
-    return garment
+def _kind(garment: str | None, source: str) -> ClothKind:
+    for kind in get_args(ClothKind):
+        if kind == garment:
+            return kind
+    kinds = get_args(ClothKind)
+    raise InvalidConfigError(
+        f"{source}: what garment it shows is {garment or 'not said'}; add --garment with one of "
+        f"{', '.join(kinds)} (in Python garment={kinds[0]!r})"
+    )
 
 
 def _refuse(options: Mapping[str, object], why: str) -> None:

@@ -53,7 +53,9 @@ class ImportOptions:
     gripper_topic: str | None = None
     gripper_closed_below: float | None = None
     actions: tuple[str, ...] = ()
-    cloth: Annotated[Literal["towel", "tshirt", "other"], arg(aliases=["--kind"])] = "other"
+    cloth: Annotated[Literal["towel", "tshirt", "trousers", "other"], arg(aliases=["--kind"])] = (
+        "other"
+    )
     cloth_color: str | None = None
     camera_name: str = "camera"
     workers: int | None = None

@@ -136,6 +136,8 @@ def _missing(
         missing.append(
             "the cloth's kind: --cloth towel or tshirt, or cloth.kind in recording.json; any other "
             "garment needs a template (clothtrack garment)"
+            if cloth.kind == "other"
+            else f"a template: {cloth.kind} are tracked from one (clothtrack garment)"
         )
     if streams.color is not None and cloth.color is None:
         missing.append(

@@ -107,6 +107,30 @@ def cuts(kind: str, vertex_count: int) -> tuple[KnownGarment, ...]:
     return tuple(found)
 
 
+def sized(
+    kind: str, size_m: tuple[float, float], vertex_count: int, *, device: str = "cpu"
+) -> KnownGarment:
+    """Return a garment of a width and a length: of the kind's cuts the one of like proportions.
+
+    Args:
+        kind: "towel", "tshirt" or "trousers".
+        size_m: width and length of the flat garment [m].
+        vertex_count: of the mesh, about.
+        device: of what is drawn.
+    """
+    if kind != "trousers":
+        mesh = garment(kind, vertex_count=vertex_count, size_m=size_m)
+        return KnownGarment.of(mesh, kind, device=device)
+    nearest = min(cuts(kind, vertex_count), key=partial(_apart, size_m))
+    return replace(nearest.resized(*size_m), device=device)
+
+
+def _apart(size_m: tuple[float, float], cut: KnownGarment) -> float:
+    """Difference of the logarithms of width over length."""
+    asked, own = size_m[0] / size_m[1], cut.size_m[0] / cut.size_m[1]
+    return abs(float(np.log(asked / own)))
+
+
 def finer(coarse: KnownGarment, kind: str, vertex_count: int) -> KnownGarment:
     """The same garment with more vertices.
 

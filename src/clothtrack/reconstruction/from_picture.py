@@ -30,6 +30,7 @@ from clothtrack.simulation.garments import garment
 from clothtrack.simulation.untangling import Untangling, untangled
 
 if TYPE_CHECKING:
+    from clothtrack.reconstruction.cuts import KnownGarment
     from clothtrack.reconstruction.depth_input import DepthInput
     from clothtrack.reconstruction.model import MeshReconstructor, Method, Reconstruction
     from clothtrack.reconstruction.search import Choice
@@ -117,7 +118,7 @@ def network_mesh(
     Args:
         model: the network.
         picture: depth, mask, camera and table; world z up.
-        kind: "towel" or "tshirt".
+        kind: "towel" or "tshirt"; of the token network "trousers" too.
         method: "template" or "implicit" (`reconstruction.model: MeshReconstructor.reconstruct`);
             the token network knows the first one only.
         size_m: width and length of the garment when known [m]; else taken from the picture.
@@ -135,19 +136,25 @@ def network_mesh(
         InvalidConfigError: the networks are for another category, or make no mesh by this method.
         InvalidRecordingError: there is no cloth in the picture.
     """
+    from clothtrack.reconstruction.cuts import KnownGarment, sized
     from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 
-    if template is None and size_m is not None and method == "template":
-        template = garment(kind, vertex_count=vertex_count, size_m=size_m)
     shown = picture.turned(turn_rad)
     if isinstance(model, TokenReconstructor):
         _require_template_method(method)
+        known = None
+        if template is not None:
+            known = KnownGarment.of(template, device=device)
+        elif size_m is not None:
+            known = sized(kind, size_m, vertex_count, device=device)
         result = _searched(
-            model, shown, kind, template, vertex_count=vertex_count,
+            model, shown, kind, known, vertex_count=vertex_count,
             finish=refinement is not None, device=device,
         )  # fmt: skip
         back = result.reconstruction.turned(-turn_rad)
         return replace(result, reconstruction=back, mesh=back.mesh)
+    if template is None and size_m is not None and method == "template":
+        template = garment(kind, vertex_count=vertex_count, size_m=size_m)
     answer = _by_published_network(
         model, shown, kind, template, method=method, vertex_count=vertex_count
     )
@@ -213,7 +220,7 @@ def _require_template_method(method: str) -> None:
     if method != "template":
         raise InvalidConfigError(
             f"the token network makes no mesh by method {method!r}; take 'template', or name "
-            "weights of the published network"
+            "weights of the published network, which knows towels and T-shirts only"
         )
 
 
@@ -221,7 +228,7 @@ def _searched(
     model: "TokenReconstructor",
     picture: "DepthInput",
     kind: str,
-    template: ClothMesh | None,
+    known: "KnownGarment | None",
     *,
     vertex_count: int,
     finish: bool,
@@ -233,7 +240,10 @@ def _searched(
     from clothtrack.reconstruction.search import Search
 
     search = Search(model, picture, device=device)
-    best = search.best(kind, template, vertex_count=vertex_count)
+    if known is None:
+        best = search.best(kind, None, vertex_count=vertex_count)
+    else:
+        best = search.known(known)
     rest, answer, vertices, untangling = best.garment.mesh, best.answer, best.vertices, None
     if finish:
         untangling = finished(

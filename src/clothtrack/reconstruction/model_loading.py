@@ -17,7 +17,7 @@ def load_model(
     """The network for a kind of garment.
 
     Args:
-        kind: "towel" or "tshirt".
+        kind: "towel", "tshirt" or, of the token network alone, "trousers".
         path: weights of the token network, or of both stages of the published one; those that come
             with the package when None.
         device: where to compute.

@@ -82,7 +82,7 @@ class ClothDescription:
     """What is known of the cloth before tracking.
 
     Attributes:
-        kind: "towel", "tshirt" or "other".
+        kind: "towel", "tshirt", "trousers" or "other".
         color: a named colour for segmentation ("blue"), or None.
         size_m: side lengths (width, length) of the flat cloth [m] when measured.
         template: the first mesh, in the world frame, when the recording carries one.

@@ -29,6 +29,11 @@ from clothtrack.simulation.triangulation import (
 )
 
 GarmentKind = Literal["towel", "tshirt"]
+"""Garments that a width and a length describe."""
+
+ClothKind = Literal["towel", "tshirt", "trousers"]
+"""Garments of which states are made, and that are reconstructed from a picture."""
+
 TowelPattern = Literal["alternating", "regular", "random"]
 
 DEFAULT_SIZES_M: dict[str, tuple[float, float]] = {"towel": (0.3, 0.3), "tshirt": (0.5, 0.45)}

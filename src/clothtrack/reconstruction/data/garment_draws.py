@@ -1,12 +1,12 @@
 """What garments states are made of: how large, how cut, of what cloth."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import garment, shirt, trousers
+from clothtrack.simulation.garments import ClothKind, garment, shirt, trousers
 from clothtrack.simulation.outlines import draw_robe, draw_shirt, draw_sweater, draw_trousers
 from clothtrack.simulation.parameters import ClothParameters
 
@@ -14,11 +14,7 @@ BEND_LENGTH_M = 0.016
 """Length of an edge [m] for which a bend compliance is drawn. Between vertices that are farther
 apart the same cloth gives more, by the square of their distance."""
 
-
-DrawnKind = Literal["towel", "tshirt", "trousers"]
-"""Kinds of garments of which states are made."""
-
-KINDS: tuple[str, ...] = get_args(DrawnKind)
+KINDS: tuple[str, ...] = get_args(ClothKind)
 
 
 @dataclass(frozen=True)
@@ -82,7 +78,7 @@ class ClothRanges:
 
 
 def draw_garment(
-    kind: DrawnKind, ranges: GarmentRanges, vertex_count: int, rng: np.random.Generator
+    kind: ClothKind, ranges: GarmentRanges, vertex_count: int, rng: np.random.Generator
 ) -> ClothMesh:
     """Draw a flat garment of any size; a towel's width is its longer side.
 

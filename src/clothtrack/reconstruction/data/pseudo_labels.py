@@ -69,7 +69,7 @@ class LabelledRecording:
 
     Attributes:
         name: of the recording.
-        kind: "towel" or "tshirt".
+        kind: "towel", "tshirt" or "trousers".
         mesh: the first mesh: flat, with canonical coordinates [m].
         frames: which frames of the recording.
         pictures: of these, in the same order.
@@ -100,7 +100,7 @@ def label_recording(
         recording: what was tracked.
         mesh: the first mesh, with canonical coordinates.
         labels: tracked meshes and their worth.
-        kind: "towel" or "tshirt".
+        kind: "towel", "tshirt" or "trousers".
         cut_m: pixels further than this [m] from the tracked mesh have no label.
         segmenter: finds the cloth; the recording's own way by default.
         provenance: stored with them.

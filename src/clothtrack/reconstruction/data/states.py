@@ -34,7 +34,6 @@ from clothtrack.reconstruction.data.garment_draws import (
     BEND_LENGTH_M,
     KINDS,
     ClothRanges,
-    DrawnKind,
     GarmentRanges,
     draw_garment,
     draw_parameters,
@@ -53,6 +52,7 @@ from clothtrack.reconstruction.data.state_store import (
     write_shard,
 )
 from clothtrack.reconstruction.data.states_card import dataset_card
+from clothtrack.simulation.garments import ClothKind
 from clothtrack.simulation.parameters import SolverConfig
 
 logger = logging.getLogger(__name__)
@@ -151,7 +151,7 @@ class StatesConfig(Checked):
 
 def generate_states(
     out: Path,
-    kind: DrawnKind,
+    kind: ClothKind,
     states: int,
     *,
     seed: int = 0,
@@ -207,7 +207,7 @@ class _Making:
     """Make a shard, as `clothtrack.files.shared_work.Work`."""
 
     out: Path
-    kind: DrawnKind
+    kind: ClothKind
     seed: int
     config: StatesConfig
 
@@ -251,7 +251,7 @@ class _Making:
             write_list(self.out, document)
 
 
-def make_shard(kind: DrawnKind, number: int, seed: int, config: StatesConfig) -> StateShard:
+def make_shard(kind: ClothKind, number: int, seed: int, config: StatesConfig) -> StateShard:
     """Shard `number`: the states of one garment.
 
     An episode ends early when the cloth explodes or passes through itself too much; more
@@ -271,7 +271,7 @@ def make_shard(kind: DrawnKind, number: int, seed: int, config: StatesConfig) ->
 
 
 def _shard(
-    kind: DrawnKind, seed: int, config: StatesConfig, rng: np.random.Generator
+    kind: ClothKind, seed: int, config: StatesConfig, rng: np.random.Generator
 ) -> StateShard:
     """The states of the garment that is drawn next.
 
@@ -361,7 +361,7 @@ def _near_origin(
     return moved.astype(np.float32)
 
 
-def _document(out: Path, kind: DrawnKind, seed: int, config: StatesConfig) -> dict[str, Any]:
+def _document(out: Path, kind: ClothKind, seed: int, config: StatesConfig) -> dict[str, Any]:
     """The list of a folder, as found or new.
 
     Raises:

@@ -1,0 +1,110 @@
+"""A fit keeps lengths and layers: a cloth folded in half, by true and by blurred answers."""
+
+import numpy as np
+import pytest
+import seen_above as above
+
+from clothtrack.geometry.quality import crossings
+from clothtrack.reconstruction.isometric_fit import GAP_M, Guide, IsometricFit
+from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.simulation.garments import towel
+
+SIZE_M = (0.4, 0.3)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return towel(*SIZE_M, 0.0125)
+
+
+@pytest.fixture(scope="module")
+def fit(flat):
+    return IsometricFit(flat)
+
+
+@pytest.fixture(scope="module")
+def truth(flat):
+    return above.half_folded(flat, at_m=0.0)
+
+
+@pytest.fixture(scope="module")
+def cloth(flat, truth):
+    return above.seen_from_above(truth, flat.faces)
+
+
+@pytest.fixture(scope="module")
+def guide(flat, truth, cloth, fit):
+    """True correspondences of what is seen; places drawn towards their mean, as a network's are."""
+    upper = flat.canonical[:, 0] > 0.0
+    seen = SeenPoints(truth[upper], np.asarray(flat.canonical)[upper], np.ones(upper.sum()))
+    blurred = truth.copy()
+    blurred[:, :2] *= 0.8
+    blurred += np.random.default_rng(0).normal(0.0, (0.003, 0.003, 0.001), truth.shape)
+    return Guide(seen, blurred, np.full(len(truth), 0.02), max(SIZE_M))
+
+
+@pytest.fixture(scope="module")
+def laid(fit, guide, cloth):
+    return fit.lay(guide, cloth)
+
+
+def strain(flat, vertices):
+    ends = vertices[flat.edges]
+    return np.abs(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / flat.edge_lengths - 1.0)
+
+
+def test_a_cloth_folded_in_half_comes_out_as_two_flat_layers(flat, laid, truth):
+    assert strain(flat, laid).mean() < 0.01
+    x = flat.canonical[:, 0]
+    layers = [laid[x < -0.03], laid[x > 0.03]]
+    for layer in layers:
+        assert layer[:, 2].std() < GAP_M
+    assert layers[1][:, 2].mean() - layers[0][:, 2].mean() > 0.5 * GAP_M
+    assert np.linalg.norm(laid - truth, axis=1).mean() < 0.004
+    assert crossings(laid, flat.faces) <= 2
+
+
+def test_the_fit_repairs_what_it_was_told(flat, guide, laid, truth):
+    """Blurred places are short by a fifth and off by centimeters."""
+    assert strain(flat, guide.places).mean() > 0.15
+    off = np.linalg.norm(guide.places - truth, axis=1).mean()
+    assert np.linalg.norm(laid - truth, axis=1).mean() < 0.2 * off
+
+
+def test_all_of_it_lies_where_cloth_was_seen(laid, cloth):
+    np.testing.assert_allclose(cloth.confined(laid)[:, :2], laid[:, :2], atol=0.004)
+
+
+def test_a_quick_fit_is_as_long_as_it_should_be(flat, fit, guide, cloth):
+    quick = fit.lay(guide, cloth, (1.0, 3.0, 10.0), layered=False)
+    assert strain(flat, quick).mean() < 0.03
+
+
+def test_what_fits_is_polished_without_being_moved(flat, fit, truth, cloth):
+    polished = fit.polished(truth, cloth, max(SIZE_M))
+    crease = np.abs(flat.canonical[:, 0]) < 0.03
+    assert np.linalg.norm(polished - truth, axis=1)[~crease].max() < 0.004
+    assert strain(flat, polished).mean() < 0.01
+
+
+def test_layers_are_taken_apart_by_their_heights_alone(flat, fit, truth, rng):
+    pressed = truth * (1.0, 1.0, 0.0) + (0.0, 0.0, 0.001)
+    apart = fit.layered(pressed, truth[:, 2], 0.0)
+    np.testing.assert_array_equal(apart[:, :2], pressed[:, :2])
+    x = flat.canonical[:, 0]
+    assert apart[x > 0.03, 2].min() - apart[x < -0.03, 2].max() > 0.7 * GAP_M
+    assert apart[:, 2].min() >= 0.0
+    # The other order, if that is what is said.
+    under = fit.layered(pressed, -truth[:, 2], 0.0)
+    assert under[x < -0.03, 2].min() - under[x > 0.03, 2].max() > 0.7 * GAP_M
+
+
+def test_the_upper_layer_is_seen_and_the_lower_one_is_not(flat, fit, truth, cloth):
+    visible = fit.visible(truth, cloth)
+    # Rendered gaps of layers are a millimeter more than what counts as seen.
+    x, y = flat.canonical[:, :2].T
+    inner = (np.abs(y) < 0.12) & (np.abs(x) > 0.04) & (np.abs(x) < 0.18)
+    raised = truth + np.outer(x > 0.0, (0.0, 0.0, 0.003))
+    visible = fit.visible(raised, cloth)
+    assert visible[inner & (x > 0.0)].all()
+    assert not visible[inner & (x < 0.0)].any()

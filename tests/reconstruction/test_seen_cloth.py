@@ -1,0 +1,139 @@
+"""Where a picture lets a cloth lie: confined points, gaps, what is hidden, sizes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import seen_above as above
+
+from clothtrack.reconstruction.data.view import crop
+from clothtrack.reconstruction.seen_cloth import CLOSED_PIXELS, SeenCloth
+from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
+from clothtrack.simulation.garments import towel
+
+TOP_M = 0.01
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return towel(0.3, 0.2, 0.02)
+
+
+@pytest.fixture(scope="module")
+def cloth(flat):
+    """A flat rectangle a centimeter over the table."""
+    return above.seen_from_above(flat.vertices + (0.02, -0.03, TOP_M), flat.faces)
+
+
+@pytest.fixture(scope="module")
+def points():
+    rng = np.random.default_rng(0)
+    return np.column_stack([rng.uniform(-0.24, 0.24, (400, 2)), rng.uniform(0.0, TOP_M, 400)])
+
+
+def pixels_of(cloth, points):
+    pixels, _ = cloth.camera.project(points)
+    return np.rint(pixels).astype(int)
+
+
+def free_at(cloth, points):
+    column, row = pixels_of(cloth, points).T
+    return cloth.free[row, column]
+
+
+def test_points_inside_stay_and_points_outside_come_to_the_nearest_free_pixel(cloth, points):
+    confined = cloth.confined(points)
+    inside = free_at(cloth, points)
+    assert 50 < inside.sum() < 350
+    np.testing.assert_array_equal(confined[inside], points[inside])
+    rows, columns = np.nonzero(cloth.free)
+    for before, after in zip(points[~inside], confined[~inside], strict=True):
+        column, row = pixels_of(cloth, before[None])[0]
+        to_column, to_row = pixels_of(cloth, after[None])[0]
+        assert cloth.free[to_row, to_column]
+        nearest = np.hypot(rows - row, columns - column).min()
+        assert np.hypot(to_row - row, to_column - column) == pytest.approx(nearest)
+        assert after[2] == before[2]
+
+
+def test_confined_points_stay_where_they_are(cloth, points):
+    once = cloth.confined(points)
+    np.testing.assert_allclose(cloth.confined(once), once, atol=1e-12)
+
+
+def test_no_point_lies_under_the_table_or_over_what_was_seen(cloth, points):
+    inside = points[free_at(cloth, points)]
+    for height_m, expected in [(-0.02, 0.0), (0.004, 0.004), (TOP_M + 0.002, TOP_M)]:
+        confined = cloth.confined(inside * (1.0, 1.0, 0.0) + (0.0, 0.0, height_m))
+        near_rim = ~free_at(cloth, inside * (1.0, 1.0, 0.0) + (0.0, 0.0, height_m))
+        np.testing.assert_allclose(confined[~near_rim, 2], expected, atol=1e-7)
+        np.testing.assert_array_equal(confined[~near_rim, :2], inside[~near_rim, :2])
+
+
+def test_the_cloth_is_as_large_as_it_is(cloth):
+    # The camera stands 1 m over the table: what is a centimeter higher looks a percent larger.
+    assert cloth.extent_m == pytest.approx(np.sqrt(0.3 * 0.2), rel=0.03)
+    everywhere = cloth.camera.back_project(cloth.depth, cloth.seen)[:, :2]
+    angles = np.linspace(0.0, np.pi, 361)
+    along = everywhere @ np.stack([np.cos(angles), np.sin(angles)])
+    low, high = np.percentile(along, [0.5, 99.5], axis=0)
+    # Directions are asked 15 degrees apart: one of them is within half of that.
+    assert 0.985 * np.cos(np.radians(7.5)) * (high - low).max() < cloth.longest_m
+    assert cloth.longest_m < 1.01 * (high - low).max()
+
+
+def test_cells_hold_the_shares_and_heights_of_their_pixels(cloth):
+    covered, height_m = cloth.cells(16)
+    for row in range(16):
+        for column in range(16):
+            block = cloth.depth[8 * row : 8 * row + 8, 8 * column : 8 * column + 8]
+            shown = block > 0
+            assert covered[row, column] == shown.mean()
+            expected = (1.0 - block[shown]).mean() if shown.any() else 0.0
+            assert height_m[row, column] == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.fixture(scope="module")
+def picture(flat):
+    return above.picture_of(flat.vertices + (0.0, 0.0, 0.003), flat.faces)
+
+
+def seen(picture):
+    view = crop(picture.depth_m, picture.mask, picture.camera, TokenNetworkConfig())
+    return SeenCloth.of(view, picture, 0.0)
+
+
+def test_beside_a_cloth_on_a_bare_table_nothing_is_free(picture):
+    cloth = seen(picture)
+    assert cloth.free.sum() < 1.02 * cloth.seen.sum()
+    assert (cloth.free | ~cloth.seen).all()
+
+
+def test_a_gap_as_wide_as_noise_is_free_and_a_wider_one_is_not(picture):
+    whole = seen(picture)
+    pixel_m = 1.0 / whole.camera.fx * whole.camera.position[2]
+    for pixels, closed in [(2 * CLOSED_PIXELS - 1, True), (2 * CLOSED_PIXELS + 5, False)]:
+        half = round(0.5 * pixels * pixel_m / (0.7 / 400))
+        mask = picture.mask.copy()
+        mask[:, 200 - half : 200 + half] = False
+        cloth = seen(replace(picture, mask=mask))
+        middle = cloth.camera.width // 2
+        row = np.flatnonzero(cloth.seen.any(axis=1))[10]
+        assert not cloth.seen[row, middle]
+        assert cloth.free[row, middle] == closed
+
+
+def test_behind_a_tool_and_beyond_the_picture_cloth_may_lie(picture):
+    mask, depth = picture.mask.copy(), picture.depth_m.copy()
+    depth[100:180, 230:260], mask[100:180, 230:260] = 0.9, False
+    cloth = seen(replace(picture, mask=mask, depth_m=depth))
+    at = np.array([[(245 - 199.5) * 0.7 / 400, (199.5 - 140) * 0.7 / 400, 0.0]])
+    assert free_at(cloth, at).all()
+    # The same patch without anything that stands there is a hole in the cloth.
+    bare = seen(replace(picture, mask=mask))
+    assert not free_at(bare, at).any()
+    cut = slice(0, 200)
+    camera = replace(picture.camera, width=200)
+    half = replace(picture, mask=mask[:, cut], depth_m=depth[:, cut], camera=camera)
+    right = np.array([[0.01, 0.0, 0.0]])
+    assert free_at(seen(half), right).all()

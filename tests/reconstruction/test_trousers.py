@@ -1,0 +1,167 @@
+"""Trousers through the verb: from a PNG and from a recording, of known and unknown size."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import clothtrack as ct
+from clothtrack.cli import command_line as cli
+from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.reconstruction.availability import shipped_weights
+from clothtrack.reconstruction.cuts import cuts, sized
+from clothtrack.reconstruction.tokens.token_learning import KIND, PREFIX
+from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
+from clothtrack.reconstruction.training.checkpoint import save_weights
+from clothtrack.recordings import ClothDescription, RecordingWriter, Table
+from clothtrack.recordings.template_file import write_template
+from clothtrack.simulation.garments import trousers
+from clothtrack.simulation.outlines import TrousersOutline
+
+POSE = np.diag([1.0, -1.0, -1.0, 1.0])
+POSE[2, 3] = 1.0
+CAMERA = Camera("top", 320, 240, 300.0, 300.0, 159.5, 119.5, POSE)
+TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+
+
+@pytest.fixture(autouse=True)
+def _short_search(monkeypatch):
+    """One turn of the picture and few sizes say all that is asked here."""
+    for name, value in {
+        "ENOUGH": np.inf,
+        "SCANNED_SIZES": (1.15,),
+        "STEPS": (0.2,),
+    }.items():
+        monkeypatch.setattr(f"clothtrack.reconstruction.search.{name}", value)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return trousers(TrousersOutline(), 0.9, vertex_count=600)
+
+
+@pytest.fixture(scope="module")
+def size_m(flat):
+    width, length = np.ptp(flat.canonical[:, :2], axis=0)
+    return float(width), float(length)
+
+
+@pytest.fixture(scope="module")
+def drawn(flat):
+    """Depth [m] of the trousers, one leg folded over the other, and where they are."""
+    left = flat.vertices[:, 0] < 0.0
+    layer = 0.005 + 0.002 * np.sign(flat.canonical[:, 2])
+    level = flat.vertices[:, :2] * np.where(left, -1.0, 1.0)[:, None] ** (1, 0)
+    folded = np.column_stack([level, np.where(left, 0.02 - layer, layer)])
+    depth = Rasteriser(flat.faces, CAMERA).render(folded).depth
+    return np.where(np.isfinite(depth), depth, 1.0), np.isfinite(depth)
+
+
+@pytest.fixture(scope="module")
+def picture(drawn, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trousers")
+    depth, seen = drawn
+    cv2.imwrite(str(folder / "depth.png"), np.rint(1e4 * depth).astype(np.uint16))
+    cv2.imwrite(str(folder / "mask.png"), np.where(seen, 255, 0).astype(np.uint8))
+    return folder / "depth.png"
+
+
+@pytest.fixture(scope="module")
+def untrained(tmp_path_factory):
+    """Weights of a token network that is quickly asked."""
+    torch.manual_seed(0)
+    network = TokenNetwork(TokenNetworkConfig(width=16, layers=1, hypotheses=1))
+    tensors = {PREFIX + name: value for name, value in network.state_dict().items()}
+    path = tmp_path_factory.mktemp("weights") / "model.safetensors"
+    save_weights(path, tensors, network.config, kind=KIND)
+    return path
+
+
+def asked(picture, *words):
+    mask = picture.with_name("mask.png")
+    return ["reconstruct", str(picture), "--mask", str(mask), "--focal", "300",
+            "--depth-unit", "0.0001", "--no-refined", *map(str, words)]  # fmt: skip
+
+
+def vertices_of(mesh):
+    return mesh.read_text().count("\nv ") + mesh.read_text().startswith("v ")
+
+
+def test_trousers_of_known_size_with_the_shipped_weights(picture, size_m, tmp_path, capsys):
+    assert shipped_weights("trousers") is not None
+    mesh = tmp_path / "mesh.obj"
+    words = ["--garment", "trousers", "--size", *size_m, "--output", mesh, "--json"]
+    assert cli.main(asked(picture, *words)) == 0
+    said = json.loads(capsys.readouterr().out)
+    expected = sized("trousers", size_m, 1000).mesh.vertex_count
+    assert vertices_of(mesh) == said["vertices"] == expected
+    (chosen,) = said["garment"]
+    assert chosen["cut"] == "trousers"
+    np.testing.assert_allclose(chosen["size_m"], size_m, rtol=1e-6)
+
+
+def test_trousers_of_unknown_size_are_said_to_be_some_of_some_size(
+    picture, untrained, tmp_path, capsys
+):
+    mesh = tmp_path / "mesh.obj"
+    words = asked(picture, "--garment", "trousers", "--weights", untrained, "--output", mesh)
+    assert cli.main(words) == 0
+    said = capsys.readouterr().out
+    taken = said.partition(" taken for ")[2].split()
+    assert taken[0] in [cut.cut for cut in cuts("trousers", 400)]
+    assert 0.0 < float(taken[2]) < 3.0 > float(taken[4]) > 0.0
+    assert f"{vertices_of(mesh)} vertices" in said
+
+
+def test_a_template_says_how_the_trousers_are_cut(picture, flat, untrained, tmp_path, capsys):
+    template, mesh = tmp_path / "trousers.npz", tmp_path / "mesh.obj"
+    write_template(flat, template)
+    words = ["--garment", "trousers", "--template", template, "--weights", untrained]
+    assert cli.main(asked(picture, *words, "--output", mesh, "--json")) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert vertices_of(mesh) == said["vertices"] == flat.vertex_count
+    assert said["garment"][0]["cut"] == "template"
+
+
+def test_a_recording_says_that_it_shows_trousers(drawn, size_m, untrained, tmp_path):
+    depth, seen = drawn
+    cloth = ClothDescription("trousers", size_m=size_m)
+    folder = tmp_path / "recording"
+    with RecordingWriter(folder, [CAMERA], {"top": 0.0001}, table=TABLE, cloth=cloth) as film:
+        film.add_frame(0.0, depth={"top": depth}, mask={"top": seen})
+    mesh = ct.reconstruct(folder, weights=untrained, refined=False)
+    np.testing.assert_allclose(np.ptp(mesh.canonical[:, :2], axis=0), size_m, rtol=1e-6)
+    # Of two layers: a towel or a part of them would have none of these.
+    assert np.ptp(mesh.canonical[:, 2]) > 0.05 * size_m[0]
+
+
+@pytest.mark.parametrize("width_m", [0.35, 0.5, 0.7, 1.2])
+def test_the_width_over_the_length_says_whether_trousers_are_short(width_m):
+    long, short = (cut.size_m[0] / cut.size_m[1] for cut in cuts("trousers", 400))
+    found = sized("trousers", (width_m, 0.9), 400)
+    np.testing.assert_allclose(found.size_m, (width_m, 0.9), rtol=1e-6)
+    # The geometric mean is as far from either.
+    assert found.cut == ("trousers" if width_m / 0.9 < (long * short) ** 0.5 else "shorts")
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        (["--garment", "sofa"], "'sofa'"),
+        (["--garment", "trousers", "--size", "0.5"], "--size WIDTH LENGTH"),
+        (["--garment", "trousers", "--size", "0.5", "nan"], "the size is 0.5 x nan m"),
+        (["--garment", "trousers", "--method", "implicit"], "which knows towels and T-shirts only"),
+        ([], "one of towel, tshirt, trousers"),
+    ],
+)
+def test_what_cannot_be_is_one_line(picture, untrained, tmp_path, capsys, case):
+    words, line = case
+    mesh = tmp_path / "mesh.obj"
+    assert cli.main(asked(picture, *words, "--weights", untrained, "--output", mesh)) in (1, 2)
+    said = capsys.readouterr().err
+    assert line in said
+    assert said.count("\n") == 1
+    assert not mesh.exists()
