@@ -1,8 +1,6 @@
 """Rules about the project as a whole: direction of imports, change log, versions, references."""
 
 import re
-import subprocess
-import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -12,17 +10,6 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 VERSION = PROJECT["version"]
-
-
-def test_imports_go_one_way():
-    check = (
-        "from importlinter.cli import lint_imports; import sys; "
-        "sys.exit(lint_imports(no_cache=True))"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", check], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
 
 
 def test_the_change_log_has_room_for_the_next_change():
@@ -66,15 +53,19 @@ def test_the_command_is_installed_with_the_package():
     assert {one.name for one in scripts} >= {"clothtrack"}
 
 
-@pytest.mark.parametrize("page", sorted(ROOT.glob("docs/**/*.md")), ids=str)
-def test_functions_named_in_the_docs_exist(page):
-    """`room/module.py: name` in a page names something that the module defines."""
-    for path, names in re.findall(r"`(\w+/\w+\.py): ([\w., ]+)`", page.read_text("utf-8")):
-        module = ROOT / "src/clothtrack" / path
-        assert module.exists(), f"{page.name} names {path}"
-        source = module.read_text("utf-8")
-        for name in re.split(r"[., ]+", names):
-            assert re.search(rf"\b{name}\b", source), f"{page.name}: {path} has no {name}"
+def test_functions_named_in_the_docs_exist():
+    """`package/module.py: name` in a page names something that the module defines."""
+    wrong = []
+    for page in sorted(ROOT.glob("docs/**/*.md")):
+        for path, names in re.findall(r"`(\w+/\w+\.py): ([\w., ]+)`", page.read_text("utf-8")):
+            module = ROOT / "src/clothtrack" / path
+            source = module.read_text("utf-8") if module.exists() else ""
+            wrong += [
+                f"{page.name}: {path}: {name}"
+                for name in re.split(r"[., ]+", names)
+                if not re.search(rf"\b{name}\b", source)
+            ]
+    assert not wrong
 
 
 def test_nobody_is_told_to_install_a_name_that_no_registry_has():
