@@ -29,7 +29,7 @@ def parameter_head(name: str) -> str:
 
 def parameter_table(parameters: Mapping[str, float]) -> str:
     """Each parameter that was used, with its relation to the tracker's default."""
-    defaults = asdict(RunConfig().cloth.theta())
+    defaults = {name: float(value) for name, value in asdict(RunConfig().cloth.theta()).items()}
     rows = "".join(
         f'<tr>{parameter_head(name)}<td title="{escape(MEANINGS.get(name, ("", ""))[1])}">'
         f'{value:.4g}</td><td class="note">{_compared(value, defaults.get(name))}</td></tr>'
