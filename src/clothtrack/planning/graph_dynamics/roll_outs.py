@@ -254,7 +254,7 @@ def _rolled(
     cloth = PlannedCloth(coarsen.flat, coarse)
     flat_on_table = coarse * [1.0, 1.0, 0.0]
     seen = SeenCloth(coarse, None)
-    weights = pick_weights(flat_on_table, [(coarsen.flat, flat_on_table)])
+    weights = pick_weights(flat_on_table, coarsen.flat, flat_on_table)
     actions = sample_actions(seen, config.actions, config.space, rng, weights=weights)
     held = HeldPaths.of(cloth, [*actions, *[None] * (config.actions - len(actions))], config.motion)
     every = np.arange(config.actions)
