@@ -18,11 +18,12 @@ RETIRED = {
     "perception.views": 1,
     "perception.refinement": None,
     "perception.tracker": None,
-    "simulator.solver": None,
+    "solver": None,
+    "crumpling.action": None,
     "simulator.together": None,
 }
-"""Settings of `flatten` that folders begun by earlier versions name, and the value that this version
-goes on with. None: any; what it did was the same for everybody or is a constant now."""
+"""Settings that folders of earlier versions name, and the value that means what this
+version does. None: any; it is a constant now."""
 
 
 def as_plain(asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
 from clothtrack.reconstruction.data.folding import NEAT, NeatFolds
 from clothtrack.reconstruction.data.recipes import (
+    ACTION,
     REFERENCE_SIZE_M,
     CrumplingConfig,
     Recipe,
@@ -123,14 +124,13 @@ class Crumpler:
         self._size_m, self._scale = size, size / REFERENCE_SIZE_M
         self._pull_reach_m = PULL_REACH * size
         layers = 2 if np.ptp(mesh.vertices[:, 2]) == 0.0 else 4
-        action = config.action
         self._action = replace(
-            action,
-            distance_m=self._scaled(action.distance_m),
-            lift_m=self._scaled(action.lift_m),
-            grasp_radius_m=action.grasp_radius_m * self._scale,
-            speed=self._speed(action.speed),
-            reach_m=min(action.reach_m * self._scale, 0.65 * size),
+            ACTION,
+            distance_m=self._scaled(ACTION.distance_m),
+            lift_m=self._scaled(ACTION.lift_m),
+            grasp_radius_m=ACTION.grasp_radius_m * self._scale,
+            speed=self._speed(ACTION.speed),
+            reach_m=min(ACTION.reach_m * self._scale, 0.65 * size),
             release_height_m=0.002 + layers * solver.thickness_m,
         )
         self._attached: Attachment | None = None

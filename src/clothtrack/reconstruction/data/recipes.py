@@ -16,6 +16,9 @@ REFERENCE_SIZE_M = 0.4
 """Longer side of a garment for which lengths of `CrumplingConfig` hold as they are [m]; those of a
 larger garment grow with it, and speeds with the root of it, as free fall does."""
 
+ACTION = ActionConfig(speed=0.6, clear_held=True)
+"""Pick-and-places on a garment of that size; reach and release height follow the garment."""
+
 
 @dataclass(frozen=True)
 class CrumplingConfig:
@@ -45,7 +48,6 @@ class CrumplingConfig:
         folded, middle, pulled: shares of pick-and-places that take folded cloth with all its
             layers, cloth near the middle, and the outline to carry it outwards, as one who flattens
             a crumpled cloth; the others take mostly the outline, and carry it inwards.
-        action: pick-and-places; `reach_m` and the release height follow the garment.
         rest_speed: a cloth is at rest when no vertex covers more way than this in a tenth of a
             second [m/s].
         rest_limit_s: longest wait for that [s].
@@ -87,7 +89,6 @@ class CrumplingConfig:
     folded: float = 0.15
     middle: float = 0.15
     pulled: float = 0.35
-    action: ActionConfig = field(default_factory=lambda: ActionConfig(speed=0.6, clear_held=True))
     rest_speed: float = 0.1
     rest_limit_s: float = 0.8
     strain_limit: float = 0.05
