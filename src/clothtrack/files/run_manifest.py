@@ -20,6 +20,12 @@ RETIRED = {
     "perception.tracker": None,
     "solver": None,
     "crumpling.action": None,
+    "crumpling.smoothed": 0.3,
+    "crumpling.smoothing_m": 0.02,
+    "crumpling.hang_m": [0.03, 0.25],
+    "crumpling.hang_s": 0.1,
+    "crumpling.lift_speed": 1.2,
+    "crumpling.rest_speed": 0.1,
     "simulator.together": None,
 }
 """Settings that folders of earlier versions name, and the value that means what this
