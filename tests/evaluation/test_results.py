@@ -157,7 +157,7 @@ def test_a_stored_configuration_names_its_mode(name):
     assert method_name(stored) == "custom"
 
 
-def test_json_has_every_name_and_no_nan(recording, tmp_path):
+def test_json_has_every_name_and_no_nan(recording):
     result = evaluate(tracked(TRUE[1]), recording)
     (one,) = json.loads(as_json([result]))
     assert one["name"] == "fold"
