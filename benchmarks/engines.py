@@ -33,14 +33,12 @@ class Engine(Protocol):
 class Ours:
     """XPBD of this package."""
 
-    def __init__(self, mesh: ClothMesh, held: int, contact: str) -> None:
+    def __init__(self, mesh: ClothMesh, held: int) -> None:
         from clothtrack.recordings import Table
         from clothtrack.simulation import Attachment, ClothParameters, ClothSolver, SolverConfig
 
         table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-        config = SolverConfig(
-            contact=contact, thickness_m=CONTACT_M, area_density=AREA_DENSITY, table=table
-        )
+        config = SolverConfig(thickness_m=CONTACT_M, area_density=AREA_DENSITY, table=table)
         parameters = ClothParameters(table_friction=FRICTION, particle_friction=FRICTION)
         self._solver = ClothSolver(mesh, config, parameters=parameters)
         self._attachment = Attachment
@@ -205,7 +203,6 @@ class NewtonStyle3D(_Newton):
         return solver
 
 
-OURS = ("vertex-triangle", "particle")
 PEERS: Mapping[str, Callable[[ClothMesh, int], Engine]] = {
     "mujoco_flex": MuJoCoFlex,
     "newton_style3d": NewtonStyle3D,

@@ -40,8 +40,6 @@ TURN = """(() => {
   set('mode', '%s', 'change');
   set('gap', %s, 'input');
   set('opacity', %s, 'input');
-  const ghost = document.querySelector('[name=ghost]');
-  if (ghost !== null && ghost.checked) ghost.click();
   const bar = document.querySelector('#time');
   bar.value = bar.max;
   bar.dispatchEvent(new Event('input'));

@@ -58,9 +58,6 @@ NAME = "flattening"
 FIRST_SEED = 9000
 """Of the starts; the benchmark's seeds, and those that are learned from, lie below."""
 
-VIEWS = 3
-"""Directions from which the network is shown the cloth, in the row that asks what that is worth."""
-
 TRUTH = PerceptionConfig(name="truth")
 
 
@@ -115,7 +112,7 @@ def methods(options: argparse.Namespace) -> list[Method]:
         quick = SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1))
         base = FlattenConfig(
             actions=2, simulator=quick,
-            planner=PlannerConfig(candidates=10, finalists=3),
+            planner=PlannerConfig(candidates=10),
         )  # fmt: skip
     base = with_settings(base, options.settings)
     found = [
@@ -123,9 +120,6 @@ def methods(options: argparse.Namespace) -> list[Method]:
         Method("outwards", replace(base, policy="outwards")),
         Method("heuristic", replace(base, policy="heuristic")),
         Method("control: truth, simulator", replace(base, perception=TRUTH)),
-        Method(
-            "control: truth, simulator, 3 materials", replace(base, perception=TRUTH, materials=3)
-        ),
     ]
     learned = {"dynamics": "mesh", "dynamics_weights": str(options.dynamics or SHIPPED_WEIGHTS)}
     if not missing_modules():
@@ -141,16 +135,6 @@ def methods(options: argparse.Namespace) -> list[Method]:
         }
         found.append(Method(name, seen["network"]))
         found.append(Method(f"{name}, tracker", seen["tracker"]))
-        found.append(
-            Method(
-                f"{name}, {VIEWS} views",
-                replace(
-                    seen["network"],
-                    perception=replace(seen["network"].perception, views=VIEWS),
-                    planner=replace(base.planner, finalists=30),
-                ),
-            )
-        )
         found.append(Method(f"{name}, learned dynamics", replace(seen["network"], **learned)))
     if options.only:
         known = {one.name for one in found}

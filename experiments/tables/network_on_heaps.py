@@ -111,7 +111,7 @@ def run(task: Task) -> list[Row]:
             },
         }  # fmt: skip
         try:
-            (estimate,) = network.perceive(Look(read_recording(store.recording_path(step)), False))
+            estimate = network.perceive(Look(read_recording(store.recording_path(step)), False))
         except ClothTrackError as error:
             rows.append({**named, "error": str(error)})
             continue

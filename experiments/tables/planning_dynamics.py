@@ -40,10 +40,12 @@ from clothtrack.planning import (
     PlannerConfig,
     PlanningDynamics,
     SeenCloth,
+    SimulatorDynamics,
     coverage,
     dynamics_of,
 )
 from clothtrack.planning.coarse_cloth import Coarsener
+from clothtrack.planning.planning_dynamics import PLANNING_SOLVER
 
 NAME = "planning_dynamics"
 LEARNED = "learned mesh dynamics"
@@ -125,14 +127,12 @@ def _positions(worlds: Path, step: int) -> np.ndarray:
 
 def contenders(dynamics_weights: Path | None, device: str) -> Mapping[str, PlanningDynamics]:
     """What is compared."""
-    usual = FlattenConfig()
-    stiff = replace(usual.simulator, solver=replace(usual.simulator.solver, buckling=1.0))
-    asked = {
-        SIMULATOR: usual,
-        STRUTS: replace(usual, simulator=stiff),
-        LEARNED: replace(usual, dynamics="mesh", dynamics_weights=str(dynamics_weights or "")),
+    learned = FlattenConfig(dynamics="mesh", dynamics_weights=str(dynamics_weights or ""))
+    return {
+        SIMULATOR: SimulatorDynamics(device=device),
+        STRUTS: SimulatorDynamics(solver=replace(PLANNING_SOLVER, buckling=1.0), device=device),
+        LEARNED: dynamics_of(learned, device=device),
     }
-    return {name: dynamics_of(config, device=device)[0] for name, config in asked.items()}
 
 
 def predicted(
@@ -182,8 +182,8 @@ def _decisions(
     rows: dict[str, Row] = {}
     gains: dict[str, np.ndarray] = {}
     for name, dynamics in asked.items():
-        decision = Planner([dynamics], PlannerConfig(finalists=0)).decide(
-            [Hypothesis(flat, start, kind)], seen, np.random.default_rng(seed)
+        decision = Planner(dynamics).decide(
+            Hypothesis(flat, start, kind), seen, np.random.default_rng(seed)
         )
         gains[name] = decision.gains_m2
         rows[name] = {"decision_cpu_s": decision.cpu_s, "candidates": len(decision.candidates)}

@@ -38,10 +38,10 @@ from clothtrack.evaluation import Truth, chamfer_pc
 from clothtrack.files import with_settings
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import quiet_warp, visible_vertices
-from clothtrack.planning import EpisodeStore, Estimate, PerceptionConfig
+from clothtrack.planning import EpisodeStore, Estimate
 from clothtrack.planning.perception import ONE_CANDIDATE, Look, TrackerPerception
 from clothtrack.recordings import Recording, observe, read_recording, reversed_recording
-from clothtrack.tracking import Tracker
+from clothtrack.tracking import RunConfig, Tracker
 
 NAME = "planning_perception"
 NETWORK = "network"
@@ -57,10 +57,10 @@ class Remembered:
         """Remember it."""
         self._estimate = estimate
 
-    def perceive(self, look: Look) -> list[Estimate]:
+    def perceive(self, look: Look) -> Estimate:
         """What was believed of this picture then."""
         del look
-        return [self._estimate]
+        return self._estimate
 
 
 def episodes(out: Path, kind: str) -> list[Path]:
@@ -84,7 +84,7 @@ def episodes(out: Path, kind: str) -> list[Path]:
     return [found[name] for name in sorted(found)]
 
 
-def believed(folder: Path, kind: str, config: PerceptionConfig, device: str) -> Iterator[Row]:
+def believed(folder: Path, kind: str, config: RunConfig, device: str) -> Iterator[Row]:
     """One row per picture before, between and after the actions, and way to believe.
 
     Args:
@@ -98,8 +98,9 @@ def believed(folder: Path, kind: str, config: PerceptionConfig, device: str) -> 
     runs, name = folder.parents[1], folder.name
     recording = read_recording(runs / "recordings" / name)
     truth = Truth.load(runs / "truth" / f"{name}.npz")
-    networks = [store.estimates(step)[0] for step in range(len(store.steps))]
-    behind, behind_cpu_s = hindsight(recording, networks[-1], truth.frames, device)
+    found = [store.estimate(step) for step in range(len(store.steps))]
+    networks = [estimate for estimate in found if estimate is not None]
+    behind, behind_cpu_s = hindsight(recording, networks[-1], truth.frames, config, device)
     carried = networks[0]
     for number, network in enumerate(networks):
         beliefs: dict[str, tuple[Estimate, float | None]] = {NETWORK: (network, None)}
@@ -126,17 +127,18 @@ def believed(folder: Path, kind: str, config: PerceptionConfig, device: str) -> 
 
 
 def followed(
-    step: Recording, before: Estimate, network: Estimate, config: PerceptionConfig, device: str
+    step: Recording, before: Estimate, network: Estimate, config: RunConfig, device: str
 ) -> Estimate:
     """A belief carried through one action; the network's of its end where that fails."""
-    tracker = TrackerPerception(Remembered(network), config, device=device)
-    return tracker.perceive(Look(step, acted=True, before=[before]))[0]
+    perception = TrackerPerception(Remembered(network), tracker=config, device=device)
+    return perception.perceive(Look(step, acted=True, before=before))
 
 
 def hindsight(
     recording: Recording,
     last: Estimate,
     frames: np.ndarray,
+    config: RunConfig,
     device: str,
 ) -> tuple[list[Estimate], float]:
     """The last belief tracked backwards: one per frame that is asked for, and CPU time [s]."""
@@ -144,7 +146,7 @@ def hindsight(
         backwards = reversed_recording(recording, Path(folder) / recording.name)
         cpu = time.process_time()
         tracked = Tracker(
-            backwards, last.flat, ONE_CANDIDATE, partial(observe, backwards),
+            backwards, last.flat, config, partial(observe, backwards),
             start=last.positions, device=device,
         ).track()  # fmt: skip
     positions = tracked.positions[::-1][frames].astype(np.float64)
@@ -176,13 +178,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--limit", type=int, help="episodes, at most")
     parser.add_argument(
         "--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
-        help="of the perception, such as vertex_count=500",
+        help="of the tracker, such as objective.length_weight=100",
     )  # fmt: skip
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     options = parser.parse_args(arguments)
     quiet_warp()
     try:
-        config = with_settings(PerceptionConfig(name="tracker"), options.settings)
+        config = with_settings(ONE_CANDIDATE, options.settings)
         chosen = episodes(options.out, options.kind)[: options.limit]
         rows: list[Row] = []
         for number, folder in enumerate(chosen, start=1):

@@ -161,9 +161,7 @@ def agreement(states: PackedStates, network: TokenNetworkConfig, device: str) ->
     import torch
 
     exact = SensorConfig.perfect()
-    config = RenderConfig(
-        stereo=exact, structured_light=exact, time_of_flight=exact, mask_jitter=0.0
-    )
+    config = RenderConfig(sensors=(exact,) * 3, mask_jitter=0.0)
     chosen = torch.arange(min(len(states), COMPARED))
     here, there = (
         TokenPictures(states, network, rendering=config, device=one).batch(chosen, (0,))

@@ -28,7 +28,7 @@ def lazy_names(front: str) -> tuple[Callable[[str], object], Callable[[], list[s
         setattr(sys.modules[front], name, found)
         return found
 
-    return get, lambda: sorted({*vars(sys.modules[front]), *sys.modules[front].__all__})
+    return get, lambda: sorted(sys.modules[front].__all__)
 
 
 @cache

@@ -6,13 +6,12 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidResultError, StorageError
+from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.results import (
     STAGES,
     as_json,
     evaluate,
     method_name,
-    save_json,
     table,
 )
 from clothtrack.evaluation.truth import Truth
@@ -158,7 +157,7 @@ def test_a_stored_configuration_names_its_mode(name):
     assert method_name(stored) == "custom"
 
 
-def test_json_has_every_name_and_no_nan(recording, tmp_path):
+def test_json_has_every_name_and_no_nan(recording):
     result = evaluate(tracked(TRUE[1]), recording)
     (one,) = json.loads(as_json([result]))
     assert one["name"] == "fold"
@@ -174,15 +173,6 @@ def test_json_has_every_name_and_no_nan(recording, tmp_path):
     assert 0.0 < label["label_quality"] < 1.0
     assert label["expected_error_mm"] > 0.0
     assert "silhouette_gap" in label["evidence"]
-    save_json([result], tmp_path / "deep" / "rows.json")
-    assert json.loads((tmp_path / "deep" / "rows.json").read_text()) == [one]
-    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["rows.json"]
-
-
-def test_a_file_in_the_way_of_the_json_is_a_storage_error(recording, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="file"):
-        save_json([], tmp_path / "file" / "rows.json")
 
 
 def test_a_label_is_judged_alike_with_and_without_truth_and_worse_off_its_cloud(recording, truth):

@@ -95,7 +95,7 @@ class Known:
 
     def perceive(self, look):
         middle = look.observation().points.mean(axis=0)
-        return [Estimate(FLAT, FLAT.vertices + middle, "network")]
+        return Estimate(FLAT, FLAT.vertices + middle, "network")
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def cell(tmp_path, recorded, monkeypatch):
     monkeypatch.setitem(sys.modules, "franky", arm.module)
     monkeypatch.setattr(example, "open_realsense", lambda **_: Still(recording))
     monkeypatch.setattr(example, "perception_of", lambda *_: Known())
-    monkeypatch.setattr(example, "dynamics_of", lambda *_: [Outwards()])
+    monkeypatch.setattr(example, "dynamics_of", lambda *_: Outwards())
     told = json.loads((EXAMPLES / "franka_cell.json").read_text())
     box = {"x_m": [-0.4, 0.4], "y_m": [-0.4, 0.4], "z_m": [0.0, 0.5]}
     told |= {

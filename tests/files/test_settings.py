@@ -113,3 +113,14 @@ def test_what_json_cannot_read_is_a_text(text):
 def test_a_refusal_does_not_list_a_whole_group():
     with pytest.raises(InvalidConfigError, match=r'inner: "x" cannot replace Inner, which is a'):
         with_settings(Outer(), ["inner=x"])
+
+
+def test_a_tuple_of_groups_is_no_setting():
+    @dataclass(frozen=True)
+    class Sensors:
+        kinds: tuple[Inner, ...] = (Inner(), Inner())
+        share: float = 0.5
+
+    assert [one.name for one in settings_of(Sensors())] == ["share"]
+    with pytest.raises(InvalidConfigError, match="cannot replace tuple, which is a group"):
+        with_settings(Sensors(), ["kinds=[1, 2]"])

@@ -22,7 +22,7 @@ def test_every_name_of_a_front_is_there_and_listed_once(front):
     assert len(set(module.__all__)) == len(module.__all__)
     for name in module.__all__:
         assert getattr(module, name) is not None
-        assert name in dir(module)
+    assert dir(module) == sorted(module.__all__)
 
 
 @pytest.mark.parametrize("front", FRONTS)

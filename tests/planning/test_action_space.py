@@ -104,7 +104,7 @@ def test_a_hem_that_lies_on_other_cloth_is_an_edge_too():
     folded[over, 0] += 0.04  # the upper hem lies 4 cm inside the lower one
     folded[over, 2] = 0.004
     cloud = folded[over]
-    with_mesh = pick_weights(cloud, [(flat, folded)])
+    with_mesh = pick_weights(cloud, flat, folded)
     without = pick_weights(cloud)
     assert with_mesh.sum() == pytest.approx(1.0)
     hem = np.isclose(flat.vertices[over, 0], 0.1) & (np.abs(cloud[:, 1]) < 0.05)

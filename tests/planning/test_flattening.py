@@ -79,7 +79,7 @@ class Known:
     def perceive(self, look):
         self.looks.append(look)
         flat = FLAT.with_vertices(FLAT.vertices + [0.0, 0.0, 0.0015])
-        return [Estimate(flat, self.robot.vertices, "network")]
+        return Estimate(flat, self.robot.vertices, "network")
 
 
 class Stretch:
@@ -97,7 +97,7 @@ def paper(tmp_path, config=CONFIG, robot=None, **options):
     robot = robot or PaperRobot()
     scene = EpisodeScene(CLOTH, TABLE, flat_area(CLOTH))
     flattening = Flattening(
-        robot, scene, config, perception=Known(robot), dynamics=[Stretch()], **options
+        robot, scene, config, perception=Known(robot), dynamics=Stretch(), **options
     )
     return robot, flattening.run(tmp_path / "episode")
 
@@ -125,7 +125,7 @@ def test_progress_counts_what_is_done_for_every_action(tmp_path):
     robot = PaperRobot()
     flattening = Flattening(
         robot, EpisodeScene(CLOTH, TABLE, flat_area(CLOTH)), replace(CONFIG, actions=2),
-        perception=Known(robot), dynamics=[Stretch()],
+        perception=Known(robot), dynamics=Stretch(),
     )  # fmt: skip
     flattening.run(tmp_path / "episode", progress=lambda *words: told.append(words))
     assert told == [
@@ -190,7 +190,7 @@ def test_nothing_promising_ends_the_episode(tmp_path):
 
     robot = PaperRobot()
     scene = EpisodeScene(CLOTH, TABLE, flat_area(CLOTH))
-    flattening = Flattening(robot, scene, CONFIG, perception=Known(robot), dynamics=[Shrink()])
+    flattening = Flattening(robot, scene, CONFIG, perception=Known(robot), dynamics=Shrink())
     store = flattening.run(tmp_path / "episode")
     assert store.document["status"] == "nothing promises a gain"
     assert robot.done == 0
@@ -289,7 +289,6 @@ def test_settings_that_cannot_be_are_refused():
         )
     with pytest.raises(InvalidResultError, match="no such weights"):
         dynamics_of(FlattenConfig(dynamics="mesh", dynamics_weights="nowhere.safetensors"))
-    assert len(dynamics_of(FlattenConfig(materials=3))) == 3
     with pytest.raises(InvalidConfigError, match="planned"):
         Flattening(PaperRobot(), EpisodeScene(CLOTH, TABLE), FlattenConfig(), perception=None)
     assert flat_area(ClothDescription(kind="other")) is None

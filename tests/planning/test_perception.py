@@ -1,4 +1,4 @@
-"""The network's perception: one belief per view, each of the same cloth."""
+"""What the network and the tracker believe of the cloth."""
 
 from dataclasses import replace
 
@@ -45,19 +45,12 @@ def look(tmp_path):
     return Look(read_recording(folder), acted=False)
 
 
-@pytest.mark.parametrize("views", [1, 2, 4])
-def test_every_view_is_a_belief_of_the_same_cloth(look, views):
+def test_the_network_believes_in_the_cloth_that_is_seen(look):
     pytest.importorskip("torch")
-    perception = NetworkPerception("towel", replace(CONFIG, views=views))
-    beliefs = perception.perceive(look)
-    assert len(beliefs) == views
+    belief = NetworkPerception("towel", CONFIG).perceive(look)
+    assert belief.source == "network"
     cloud = look.observation().points
-    for one in beliefs:
-        assert one.source == "network"
-        assert np.median(distance_to_mesh(cloud, one.positions, one.flat.faces)) < 0.01
-    if views > 1:
-        # The network sees another picture, or all of this would be for nothing.
-        assert np.abs(beliefs[0].positions - beliefs[1].positions).max() > 1e-3
+    assert np.median(distance_to_mesh(cloud, belief.positions, belief.flat.faces)) < 0.01
 
 
 def test_the_belief_is_of_the_template_that_was_given(look, tmp_path):
@@ -65,16 +58,10 @@ def test_the_belief_is_of_the_template_that_was_given(look, tmp_path):
     cut = towel(*SIZE_M, 0.03)
     write_template(cut, tmp_path / "cut.npz")
     own = replace(CONFIG, template=str(tmp_path / "cut.npz"))
-    (belief,) = NetworkPerception("towel", own).perceive(look)
+    belief = NetworkPerception("towel", own).perceive(look)
     np.testing.assert_array_equal(belief.flat.faces, cut.faces)
     cloud = look.observation().points
     assert np.median(distance_to_mesh(cloud, belief.positions, cut.faces)) < 0.01
-
-
-@pytest.mark.parametrize("views", [0, 17])
-def test_no_view_and_too_many_are_refused(views):
-    with pytest.raises(InvalidConfigError, match=f"views is {views}; it must be from 1 to 16"):
-        PerceptionConfig(views=views)
 
 
 class Anew:
@@ -85,7 +72,7 @@ class Anew:
 
     def perceive(self, look):
         del look
-        return [self.estimate]
+        return self.estimate
 
 
 def acted(folder, picture_times_s):
@@ -107,23 +94,21 @@ def test_cloth_that_was_carried_unseen_is_perceived_anew(tmp_path, caplog):
     flat = towel(*SIZE_M, 0.03)
     lying = flat.vertices + [0.0, 0.0, 0.0015]
     fresh = Estimate(flat, lying + 0.01, "network")
-    perception = TrackerPerception(Anew(fresh), PerceptionConfig(name="tracker"))
-    before = [Estimate(flat, lying, "network")]
+    perception = TrackerPerception(Anew(fresh))
+    before = Estimate(flat, lying, "network")
 
     unseen = acted(tmp_path / "unseen", [0.0, 3.5, 4.0])
     assert unseen_path_m(unseen) == pytest.approx(0.2)
-    assert perception.perceive(Look(unseen, acted=True, before=before)) == [fresh]
+    assert perception.perceive(Look(unseen, acted=True, before=before)) is fresh
     assert "carried 0.20 m between two pictures (limit 0.06 m)" in caplog.text
 
     filmed = acted(tmp_path / "filmed", np.linspace(0.0, 4.0, 17))
     assert unseen_path_m(filmed) == pytest.approx(0.025)
     look = Look(filmed, acted=True, before=before)
-    config = PerceptionConfig(name="tracker", lost_m=1.0)
-    (tracked,) = TrackerPerception(Anew(fresh), config).perceive(look)
+    tracked = TrackerPerception(Anew(fresh), lost_m=1.0).perceive(look)
     assert tracked.source == "tracker"
 
-    strict = PerceptionConfig(name="tracker", lost_m=1e-4)
-    assert TrackerPerception(Anew(fresh), strict).perceive(look) == [fresh]
+    assert TrackerPerception(Anew(fresh), lost_m=1e-4).perceive(look) is fresh
     assert "mm from its cloud (limit 0 mm): perceived anew" in caplog.text
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.planning_dynamics import (
@@ -11,7 +10,6 @@ from clothtrack.planning.planning_dynamics import (
     MotionConfig,
     PlannedCloth,
     PlanningDynamics,
-    SimulatorConfig,
     SimulatorDynamics,
     held_vertex,
 )
@@ -94,10 +92,8 @@ def test_ways_end_at_the_place_and_wait_there():
 
 def test_batches_of_candidates_that_last_alike_change_nothing_but_the_wait(dynamics):
     asked = [INWARDS, None, ASIDE, MISSED]
-    apart = SimulatorDynamics(SimulatorConfig(together=1)).predict(LYING, asked)
+    apart = SimulatorDynamics(together=1).predict(LYING, asked)
     np.testing.assert_allclose(apart, dynamics.predict(LYING, asked), atol=2e-3)
-    with pytest.raises(InvalidConfigError, match="together"):
-        SimulatorConfig(together=0)
 
 
 def test_a_fine_cloth_says_which_layer_is_on_top():

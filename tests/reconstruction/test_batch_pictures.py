@@ -1,7 +1,5 @@
 """Pictures that PyTorch renders in batches are those that Warp and NumPy render one by one."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -25,7 +23,7 @@ from clothtrack.reconstruction.data.batch_sensor import (
 from clothtrack.reconstruction.data.batch_surface import on_mesh
 from clothtrack.reconstruction.data.batch_view import above
 from clothtrack.reconstruction.data.examples import LabelledPicture, faces_of_points
-from clothtrack.reconstruction.data.render_config import RenderConfig
+from clothtrack.reconstruction.data.render_config import SENSORS, RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.reconstruction.data.state_examples import render
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of
@@ -35,9 +33,7 @@ from clothtrack.simulation.garments import garment
 
 NETWORK = TokenNetworkConfig()
 EXACT = SensorConfig.perfect()
-PERFECT = RenderConfig(
-    stereo=EXACT, structured_light=EXACT, time_of_flight=EXACT, mask_jitter=0.0, tool=0.0, cut=0.0
-)
+PERFECT = RenderConfig(sensors=(EXACT,) * 3, mask_jitter=0.0, tool=0.0, cut=0.0)
 MESHES = {
     "towel": garment("towel", vertex_count=500, size_m=(0.5, 0.3), pattern="random"),
     "tshirt": garment("tshirt", vertex_count=900),
@@ -187,9 +183,8 @@ def stepped(shape=(120, 160)):
     return depth, facing
 
 
-@pytest.mark.parametrize("name", ["stereo", "structured_light", "time_of_flight"])
-def test_each_sensor_measures_as_badly_as_that_of_a_single_picture(name):
-    config = getattr(RenderConfig(), name)
+@pytest.mark.parametrize("config", SENSORS.values(), ids=SENSORS)
+def test_each_sensor_measures_as_badly_as_that_of_a_single_picture(config):
     depth, facing = stepped()
     wave = cv2.resize(
         np.random.default_rng(0).standard_normal((5, 6)).astype(np.float32), (160, 120)
@@ -197,11 +192,7 @@ def test_each_sensor_measures_as_badly_as_that_of_a_single_picture(name):
     expected = np.stack(
         [depth_noise(depth, facing, wave, config, np.random.default_rng(n)) for n in range(40)]
     )
-    kinds = replace(
-        RenderConfig(),
-        noise_range=(1.0, 1.0),
-        **dict.fromkeys(("stereo", "structured_light", "time_of_flight"), config),
-    )
+    kinds = RenderConfig(noise_range=(1.0, 1.0), sensors=(config,) * 3)
     box = torch.zeros(40, 3), torch.ones(40, 3)
     scenes = draw_scenes(*box, kinds, torch.Generator().manual_seed(0))
     repeated = [torch.from_numpy(one).expand(40, -1, -1) for one in (depth, facing, wave)]

@@ -61,7 +61,7 @@ def examples_of(folder, kind, *, count=4, turn=False):
     )
     exact = SensorConfig.perfect()
     filming = RenderConfig(
-        stereo=exact, structured_light=exact, time_of_flight=exact,
+        sensors=(exact,) * 3,
         mask_jitter=0.0, tool=0.0, cut=0.0,
     )  # fmt: skip
     return StateExamples([write_states(folder, kind, [shard], {})], TINY, config, rendering=filming)

@@ -21,9 +21,7 @@ from clothtrack.simulation.garments import garment
 
 NETWORK = NetworkConfig()
 EXACT = SensorConfig.perfect()
-PERFECT = RenderConfig(
-    stereo=EXACT, structured_light=EXACT, time_of_flight=EXACT, mask_jitter=0.0, tool=0.0, cut=0.0
-)
+PERFECT = RenderConfig(sensors=(EXACT,) * 3, mask_jitter=0.0, tool=0.0, cut=0.0)
 CONFIG = ExampleConfig(surface_queries=4096, winding=WindingConfig(pool=4096))
 
 

@@ -31,9 +31,7 @@ from clothtrack.simulation.garments import garment
 
 NETWORK = TokenNetworkConfig()
 EXACT = SensorConfig.perfect()
-PERFECT = RenderConfig(
-    stereo=EXACT, structured_light=EXACT, time_of_flight=EXACT, mask_jitter=0.0, tool=0.0, cut=0.0
-)
+PERFECT = RenderConfig(sensors=(EXACT,) * 3, mask_jitter=0.0, tool=0.0, cut=0.0)
 MESHES = [
     garment("towel", vertex_count=300, pattern="random"),
     garment("towel", vertex_count=500, size_m=(1.0, 0.6), pattern="random"),
@@ -281,13 +279,12 @@ def test_batches_are_statistically_those_of_single_states(states, shapes, tokens
 
 def test_a_state_that_nobody_sees_is_replaced_by_another_one(states):
     blind = SensorConfig.perfect(dropout=1.0)
-    kinds = dict.fromkeys(("stereo", "structured_light", "time_of_flight"), blind)
-    dark = replace(PERFECT, noise_range=(1.0, 1.0), **kinds)
+    dark = replace(PERFECT, noise_range=(1.0, 1.0), sensors=(blind,) * 3)
     batch = TokenPictures(states, NETWORK, rendering=dark).batch(torch.arange(4), (0,))
     assert not bool(batch.weight.any())
     for one in fields(TokenBatch):
         assert torch.isfinite(getattr(batch, one.name).float()).all(), one.name
-    half = replace(dark, stereo=EXACT)
+    half = replace(dark, sensors=(EXACT, blind, blind))
     batch = TokenPictures(states, NETWORK, rendering=half).batch(torch.arange(32), (1,))
     assert bool((batch.weight == 1.0).all())
     shown = (batch.height > 0.5 * EMPTY).flatten(1).any(1)

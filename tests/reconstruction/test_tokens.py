@@ -52,9 +52,7 @@ from clothtrack.simulation.triangulation import Span
 TINY = TokenNetworkConfig(width=16, layers=1)
 PERFECT = SensorConfig.perfect()
 EXACT = RenderConfig(
-    stereo=PERFECT,
-    structured_light=PERFECT,
-    time_of_flight=PERFECT,
+    sensors=(PERFECT,) * 3,
     mask_jitter=0.0,
     tool=0.0,
     cut=0.0,

@@ -216,21 +216,6 @@ def test_the_pointer_tells_vertex_layer_and_millimetres(opened):
         page.wait_for("document.querySelector('.hover').hidden")
 
 
-def test_a_second_run_is_a_ghost_and_a_colour(opened, tracked):
-    second = replace(tracked, positions=tracked.positions + np.float32((0.0, 0.0, 0.03)))
-    with opened(second=second) as page:
-        page.wait_for(READY)
-        both = scene_picture(page)
-        page.ask("void document.querySelector('[name=ghost]').click()")
-        alone = scene_picture(page)
-        assert (np.abs(both - alone).max(axis=2) > 10).mean() > 0.05
-        choose(page, "mode", "second")
-        assert "second run" in page.ask(
-            "document.querySelector('[name=mode]').selectedOptions[0].text"
-        )
-        assert page.complaints() == []
-
-
 def test_the_mesh_of_the_shown_frame_is_saved(opened, tracked, tmp_path):
     with opened() as page:
         page.wait_for(READY)

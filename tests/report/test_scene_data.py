@@ -5,7 +5,6 @@ import zlib
 import numpy as np
 
 from clothtrack.report.coloring import Coloring
-from clothtrack.report.ghost import Ghost
 from clothtrack.report.scene_data import RANK_STEPS, SceneContents, packed
 from clothtrack.report.viewpoint import look_at
 
@@ -78,15 +77,6 @@ def test_every_observed_point_keeps_its_colour(tracked, rng):
     far = np.abs(arrays["cloud"][:, 0]) > 3e-4
     np.testing.assert_array_equal(shown[far][:, 0] == 200, right[far])
     assert len(shown) == sum(map(len, clouds))
-
-
-def test_a_ghost_with_other_triangles_is_packed_beside_the_cloth(tracked):
-    other = Ghost("another", tracked.mesh.faces[:5], tracked.positions[:, :40] + np.float32(0.01),
-                  np.ones(len(tracked.frames), bool))  # fmt: skip
-    header, arrays = unpacked(contents(tracked, ghost=other))
-    np.testing.assert_allclose(arrays["ghost"], other.positions, atol=3.2e-5)
-    np.testing.assert_allclose(arrays["positions"], tracked.positions, atol=3.2e-5)
-    assert header["ghost"]["title"] == "another"
 
 
 def test_values_are_bytes_and_the_unknown_has_its_own(tracked):

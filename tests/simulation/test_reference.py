@@ -139,19 +139,3 @@ def test_vertex_triangle_contact(push_out_speed):
     oracle.substep(SUBSTEP_S, 1)
     np.testing.assert_allclose(solver.positions[0], oracle.positions, atol=2e-7)
     np.testing.assert_allclose(solver.velocities[0], oracle.velocities, atol=1e-3)
-
-
-def test_particle_contact():
-    mesh = two_layers(5, gap=0.004)
-    positions, velocities = shaken(mesh, seed=3)
-    settings = config(contact="particle", thickness_m=0.006, contact_depth_m=0.007)
-    solver = ClothSolver(mesh, settings, parameters=PARAMETERS)
-    solver.place(positions)
-    solver.set_velocities(velocities)
-    solver.step(SUBSTEP_S)
-    oracle = reference(mesh, settings, positions, velocities)
-    everyone = range(mesh.vertex_count)
-    oracle.neighbours = [[j for j in everyone if j != i] for i in everyone]
-    oracle.substep(SUBSTEP_S, 1)
-    np.testing.assert_allclose(solver.positions[0], oracle.positions, atol=2e-7)
-    np.testing.assert_allclose(solver.velocities[0], oracle.velocities, atol=1e-3)

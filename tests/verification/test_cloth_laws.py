@@ -109,11 +109,10 @@ def test_coulomb_threshold_on_a_tilted_table(friction):
         assert slopes[slope] == pytest.approx(max(expected, 0.0), rel=0.03, abs=1e-4)
 
 
-@pytest.mark.parametrize("contact", ["vertex-triangle", "particle"])
-def test_a_cloth_on_cloth_slides_by_particle_friction(contact):
+def test_a_cloth_on_cloth_slides_by_particle_friction():
     # Two layers in free flight, one faster than the other: without pressure nothing changes.
     mesh = two_layers(gap=0.004)
-    solver = ClothSolver(mesh, SolverConfig(contact=contact, gravity=(0.0, 0.0, 0.0), damping=0.0))
+    solver = ClothSolver(mesh, SolverConfig(gravity=(0.0, 0.0, 0.0), damping=0.0))
     velocities = np.zeros_like(mesh.vertices)
     velocities[mesh.vertex_count // 2 :, 0] = 0.1
     solver.set_velocities(velocities[None])
@@ -121,13 +120,12 @@ def test_a_cloth_on_cloth_slides_by_particle_friction(contact):
     np.testing.assert_allclose(solver.velocities[0], velocities, atol=1e-4)
 
 
-@pytest.mark.parametrize("contact", ["vertex-triangle", "particle"])
-def test_a_collision_conserves_momentum(contact):
+def test_a_collision_conserves_momentum():
     # One triangle falls on another; every vertex has the same number of touching pairs.
     corners = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.004, 0.009, 0]])
     faces = np.array([[0, 1, 2], [3, 4, 5]])
     mesh = ClothMesh(np.concatenate([corners, corners + 0.004 * UP]), faces)
-    config = SolverConfig(contact=contact, gravity=(0.0, 0.0, 0.0), damping=0.0)
+    config = SolverConfig(gravity=(0.0, 0.0, 0.0), damping=0.0)
     solver = ClothSolver(mesh, config)
     velocities = np.zeros((1, 6, 3))
     velocities[0, 3:, 2] = -0.3
@@ -218,10 +216,9 @@ def test_targets_inside_the_table_are_lifted():
     assert highest.max() == 0.0
 
 
-@pytest.mark.parametrize("contact", ["vertex-triangle", "particle"])
-def test_a_restored_state_replays_bit_for_bit(contact):
+def test_a_restored_state_replays_bit_for_bit():
     mesh = two_layers()
-    solver = ClothSolver(mesh, SolverConfig(table=FLOOR, contact=contact))
+    solver = ClothSolver(mesh, SolverConfig(table=FLOOR))
     held = HeldMotion(np.array([mesh.vertex_count // 2]), _lift(mesh))
     dynamics = ClothDynamics(solver)
     middle = dynamics.roll_out(solver.save(), held, 0.1).state
@@ -235,10 +232,9 @@ def test_a_restored_state_replays_bit_for_bit(contact):
         np.testing.assert_array_equal(replay.state.contacts.sides, first.state.contacts.sides)
 
 
-@pytest.mark.parametrize("contact", ["vertex-triangle", "particle"])
-def test_an_environment_of_a_batch_equals_a_single_run(contact):
+def test_an_environment_of_a_batch_equals_a_single_run():
     mesh = two_layers()
-    config = SolverConfig(table=FLOOR, contact=contact)
+    config = SolverConfig(table=FLOOR)
     materials = [ClothParameters(1e-4 * k, 3.0, 0.2 * k, 0.1 * k) for k in range(4)]
     batch = ClothSolver(mesh, config, parameters=materials, environments=4)
     lifts = np.stack([_lift(mesh, 0.02 + 0.005 * k) for k in range(4)])

@@ -80,7 +80,6 @@ def view(
     *,
     recordings: Path | None = None,
     truth: Path | None = None,
-    second: Path | None = None,
     html: Path | None = None,
     port: int | None = None,
     json: AsJson = False,
@@ -96,7 +95,6 @@ def view(
             STL file.
         recordings: for trajectories: the recording, or the folder in which recordings lie by name.
         truth: truth file, or the folder in which NAME.npz lie; colours the error against it.
-        second: NAME.zarr of another run of the same recording; shown beside the first.
         html: write one self-contained page here instead of serving; of a folder of trajectories,
             the index, with the reports beside it.
         port: of the local server, which listens on this machine only; any free one by default.
@@ -111,9 +109,7 @@ def view(
         return _serve_folder(trajectories, recordings, truth, port, opened)
     if trajectories:
         return _write_folder(trajectories, recordings, truth, html, json=json)
-    page = ct.view(
-        artefact, recordings, truth=truth, second=second, html=html, port=port, opened=opened
-    )
+    page = ct.view(artefact, recordings, truth=truth, html=html, port=port, opened=opened)
     if page is not None:
         say_result(str(page), {"page": page}, json=json)
     return 0

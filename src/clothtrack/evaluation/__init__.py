@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         cloth_measures,
         vertex_error_mm,
     )
-    from clothtrack.evaluation.results import Evaluation, Row, as_json, evaluate, save_json, table
+    from clothtrack.evaluation.results import Evaluation, Row, as_json, evaluate, table
     from clothtrack.evaluation.truth import Truth, material_map, material_points
     from clothtrack.evaluation.verdict import Verdict, trajectory_verdict
 else:
@@ -46,7 +46,6 @@ __all__ = [
     "pseudo_labels_of",
     "read_review",
     "review_path",
-    "save_json",
     "table",
     "trajectory_verdict",
     "vertex_error_mm",

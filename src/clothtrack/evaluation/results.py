@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from textwrap import wrap
 from typing import Any, Literal
 
@@ -26,7 +25,6 @@ from clothtrack.evaluation.metrics import (
 from clothtrack.evaluation.naming import Where, true_places
 from clothtrack.evaluation.truth import Truth, material_points
 from clothtrack.evaluation.verdict import verdict
-from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.visibility import visible_vertices
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording
@@ -285,16 +283,6 @@ def from_plain(document: Mapping[str, Any]) -> Evaluation:
         for one in document["labels"]
     ]
     return Evaluation(document["name"], tuple(rows), tuple(labels), document["provenance"])
-
-
-def save_json(evaluations: Sequence[Evaluation], path: Path) -> None:
-    """Write `as_json` to a file, whole or not at all.
-
-    Raises:
-        StorageError: when the disk refuses.
-    """
-    with atomic_file(path) as temporary:
-        temporary.write_text(as_json(evaluations) + "\n", encoding="utf-8")
 
 
 def summary(evaluations: Iterable[Evaluation]) -> str:

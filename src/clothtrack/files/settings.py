@@ -51,7 +51,7 @@ def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Set
         name = f"{group}.{key}" if group else str(key)
         if is_dataclass(value) or isinstance(value, Mapping):
             below.append((value, name, meanings.get(key, "")))
-        elif value is not None:  # None stands for what no text can say, such as a table
+        elif value is not None and not _is_group(value):  # no text can say a table or a sensor
             text = value if isinstance(value, str) else json.dumps(value)
             yield Setting(group, name, text, meanings.get(key, ""))
     for one in below:
@@ -151,16 +151,22 @@ def _of_same_type(old: Any, new: Any, name: str) -> Any:
         fits = isinstance(new, tuple)
     else:
         fits = old is None or isinstance(new, type(old))
-    if not fits or is_dataclass(old) or isinstance(old, Mapping):
+    if not fits or _is_group(old):
         raise InvalidConfigError(
             f"{name}: {json.dumps(new):.120} cannot replace {_shown(old)}, which is {_kind(old)}"
         )
     return new
 
 
+def _is_group(value: Any) -> bool:
+    """Whether a value is made of settings, and none itself."""
+    held = value if isinstance(value, tuple) else (value,)
+    return any(is_dataclass(one) or isinstance(one, Mapping) for one in held)
+
+
 def _shown(value: Any) -> str:
     """A value in a message; of a group, which may hold hundreds, its name."""
-    return type(value).__name__ if is_dataclass(value) else f"{value!r:.120}"
+    return type(value).__name__ if _is_group(value) else f"{value!r:.120}"
 
 
 _KINDS = {
@@ -171,6 +177,8 @@ _KINDS = {
 
 def _kind(value: Any) -> str:
     """What a value is, in words."""
+    if _is_group(value):
+        return "a group of settings"
     return _KINDS.get(type(value), "a group of settings")
 
 

@@ -145,7 +145,7 @@ def plan_flattening(
         perception=perception_of(source.cloth.kind, config.perception, device=device)
         if planned
         else None,
-        dynamics=dynamics_of(config, device=device) if planned else (),
+        dynamics=dynamics_of(config, device=device) if planned else None,
         propose=POLICIES.get(config.policy),
         seed=seed,
     )

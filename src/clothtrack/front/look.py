@@ -34,7 +34,6 @@ def view(
     recording: Recording | Path | str | None = None,
     *,
     truth: Truth | Path | str | None = None,
-    second: TrackedTrajectory | Path | str | None = None,
     html: Path | str | None = None,
     port: int | None = None,
     opened: Callable[[str], None] | None = None,
@@ -47,8 +46,7 @@ def view(
     Args:
         thing: it, or where it lies: NAME.zarr, a folder with recording.json, or a mesh file.
         recording: of a run, or the folder in which it lies by name; found as by `load` if left out.
-        truth: of a run, as for `evaluate`; colours the error against it, and shows it beside.
-        second: another run of the same recording, or where it lies; shown beside the first.
+        truth: of a run, as for `evaluate`; colours the error against it.
         html: write the page to this file instead of serving it; the file needs no network.
         port: of the local server, which listens on this machine only; any free one by default.
         opened: called with the page's address; by default standard error says it.
@@ -64,10 +62,8 @@ def view(
     if html is not None:
         require_file_name(Path(html))
     artefact, decisions = _opened(thing, recording), None
-    if not isinstance(artefact, TrackedTrajectory):
-        for name, given in (("--truth", truth), ("--second", second)):
-            if given is not None:
-                raise InvalidConfigError(f"{name}: {thing} is not tracked; leave it out")
+    if not isinstance(artefact, TrackedTrajectory) and truth is not None:
+        raise InvalidConfigError(f"--truth: {thing} is not tracked; leave it out")
     if isinstance(artefact, Recording):
         name, write = artefact.name, partial(write_recording_page, artefact)
     elif isinstance(artefact, ClothMesh):
@@ -78,10 +74,7 @@ def view(
         name = artefact.name
         source = recording_of(artefact, recording if artefact is thing else None)
         known, review = truth_of(artefact, truth), review_of(artefact)
-        other = TrackedTrajectory.load(Path(second)) if isinstance(second, Path | str) else second
-        write = partial(
-            page.write_report, artefact, source, truth=known, second=other, review=review
-        )
+        write = partial(page.write_report, artefact, source, truth=known, review=review)
         if (path := _review_file(artefact)) is not None:
             decisions = live.Decisions(review, path)
     if html is not None:

@@ -147,7 +147,8 @@ def edge_measure(
 
 def pick_weights(
     cloud: Float[np.ndarray, "points 3"],
-    hypotheses: Sequence[tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]] = (),
+    flat: ClothMesh | None = None,
+    positions: Float[np.ndarray, "vertices 3"] | None = None,
 ) -> Float[np.ndarray, " points"]:
     """How often each seen point is to be picked: edges of what is seen, and the garment's own.
 
@@ -156,19 +157,19 @@ def pick_weights(
 
     Args:
         cloud: points that are seen [m].
-        hypotheses: flat garment (its rest shape) and where its vertices may be now [m].
+        flat: the garment's rest shape; None: only edges of what is seen count.
+        positions: where its vertices are believed to be [m].
 
     Returns:
         Weights that sum to one.
     """
-    weights = edge_measure(cloud) ** 2
-    own = np.zeros(len(cloud))
-    for flat, positions in hypotheses:
+    weights = np.maximum(edge_measure(cloud) ** 2, LEAST_WEIGHT)
+    if flat is not None and positions is not None:
         spacing = float(np.median(flat.edge_lengths))
         at_rest = edge_measure(flat.vertices, max(EDGE_REACH_M, 2.0 * spacing)) ** 2
         gap, nearest = cKDTree(positions).query(cloud)
-        own += np.where(gap < max(ON_CLOTH_M, spacing), at_rest[nearest], 0.0) / len(hypotheses)
-    weights = np.maximum(np.maximum(weights, own), LEAST_WEIGHT)
+        own = np.where(gap < max(ON_CLOTH_M, spacing), at_rest[nearest], 0.0)
+        weights = np.maximum(weights, own)
     return weights / weights.sum()
 
 

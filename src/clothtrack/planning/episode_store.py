@@ -113,51 +113,42 @@ class EpisodeStore:
                 if path.name.startswith(".") or int(path.name) > step:
                     shutil.rmtree(path)
 
-    def add_estimates(self, step: int, estimates: Sequence[Estimate]) -> None:
+    def add_estimate(self, step: int, estimate: Estimate) -> None:
         """Write what was believed after a step, whole or not at all.
 
         Raises:
             StorageError: the disk refuses.
         """
-        path = self.folder / "estimates" / f"{step:02d}.npz"
-        arrays: dict[str, np.ndarray] = {
-            "sources": np.array([estimate.source for estimate in estimates])
+        arrays = {
+            "sources": np.array([estimate.source]),
+            "flat_0": estimate.flat.vertices,
+            "faces_0": estimate.flat.faces,
+            "positions_0": estimate.positions,
         }
-        for number, estimate in enumerate(estimates):
-            arrays[f"flat_{number}"] = estimate.flat.vertices
-            arrays[f"faces_{number}"] = estimate.flat.faces
-            arrays[f"positions_{number}"] = estimate.positions
-            if estimate.flat.canonical is not None:
-                arrays[f"canonical_{number}"] = estimate.flat.canonical
-        with atomic_file(path) as unfinished:
+        if estimate.flat.canonical is not None:
+            arrays["canonical_0"] = estimate.flat.canonical
+        with atomic_file(self.folder / "estimates" / f"{step:02d}.npz") as unfinished:
             np.savez_compressed(unfinished, **arrays)
 
-    def estimates(self, step: int) -> list[Estimate]:
-        """What was believed after a step; nothing where nothing was.
+    def estimate(self, step: int) -> Estimate | None:
+        """Return what was believed after a step; None where nothing was.
+
+        Of episodes that were planned from several beliefs, the first.
 
         Raises:
             InvalidResultError: the file is damaged.
         """
         path = self.folder / "estimates" / f"{step:02d}.npz"
         if not path.exists():
-            return []
+            return None
         try:
             with np.load(path, allow_pickle=False) as file:
-                return [
-                    Estimate(
-                        ClothMesh(
-                            file[f"flat_{number}"],
-                            file[f"faces_{number}"],
-                            file[name] if (name := f"canonical_{number}") in file.files else None,
-                        ),
-                        file[f"positions_{number}"],
-                        str(source),
-                    )
-                    for number, source in enumerate(file["sources"])
-                ]
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+                canonical = file["canonical_0"] if "canonical_0" in file.files else None
+                flat = ClothMesh(file["flat_0"], file["faces_0"], canonical)
+                return Estimate(flat, file["positions_0"], str(file["sources"][0]))
+        except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as error:
             raise InvalidResultError(
-                f"{path}: not the estimates of a step ({error}); remove the episode"
+                f"{path}: not the estimate of a step ({error}); remove the episode"
             ) from error
 
     def joined(self, out: Path, provenance: Mapping[str, Any]) -> Path:

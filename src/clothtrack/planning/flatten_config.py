@@ -1,12 +1,12 @@
 """How to flatten, as values, and what an episode is known by."""
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import content_hash
-from clothtrack.files.bounds import Bounds, Checked, Count
+from clothtrack.files.bounds import Bounds, Checked
 from clothtrack.files.extras import install_command
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
@@ -15,13 +15,10 @@ from clothtrack.planning.planning_dynamics import (
     PlanningDynamics,
     SimulatorConfig,
     SimulatorDynamics,
-    several_materials,
 )
 from clothtrack.reconstruction.availability import missing_modules, shipped_weights
 
 Policy = Literal["planned", "random", "outwards", "heuristic"]
-_OF_MATERIALS = 0xEF15
-"""Keeps the draws of this module apart from those of others with the same seed."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +31,6 @@ class FlattenConfig(Checked):
         perception: where the cloth is.
         dynamics: "simulator", or "mesh": the learned ones.
         dynamics_weights: file with the weights of the learned dynamics; "": those that come along.
-        materials: materials of the simulator that a gain is the mean over; 1: the usual one.
         simulator: the solver as dynamics.
         planner: how an action is chosen.
         actions: most actions of an episode (paper: 10).
@@ -44,7 +40,6 @@ class FlattenConfig(Checked):
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     dynamics: Literal["simulator", "mesh"] = "simulator"
     dynamics_weights: str = ""
-    materials: Count = 1
     simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     actions: Annotated[int, Bounds(least=1, most=1000)] = 10
@@ -75,7 +70,7 @@ def episode_identity(config: FlattenConfig, kind: str) -> dict[str, Any]:
     return {"config": settings, "weights_sha256": hashes}
 
 
-def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningDynamics]:
+def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> PlanningDynamics:
     """The dynamics that a configuration names; PyTorch is imported for the learned ones only.
 
     Raises:
@@ -92,7 +87,5 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> list[PlanningD
         from clothtrack.planning.graph_dynamics.mesh_dynamics import load_mesh_dynamics
 
         weights = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
-        return [load_mesh_dynamics(weights, device=device)]
-    materials = several_materials(config.simulator.parameters, config.materials, _OF_MATERIALS)
-    configs = [replace(config.simulator, parameters=material) for material in materials]
-    return [SimulatorDynamics(simulator, device=device) for simulator in configs]
+        return load_mesh_dynamics(weights, device=device)
+    return SimulatorDynamics(config.simulator, device=device)

@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace, SeenCloth
@@ -94,7 +94,7 @@ class Flattening:
         config: FlattenConfig,
         *,
         perception: Perception | None,
-        dynamics: Sequence[PlanningDynamics] = (),
+        dynamics: PlanningDynamics | None = None,
         propose: Propose | None = None,
         seed: int = 0,
         score: Callable[[], float] | None = None,
@@ -117,15 +117,18 @@ class Flattening:
             InvalidConfigError: planning is asked for without perception or dynamics, or another
                 policy that is not given.
         """
-        if config.policy == "planned" and (perception is None or not dynamics):
+        is_planned = config.policy == "planned"
+        if is_planned and (perception is None or dynamics is None):
             raise InvalidConfigError("policy is planned; it needs a perception and dynamics")
-        if config.policy != "planned" and propose is None:
+        if not is_planned and propose is None:
             raise InvalidConfigError(
                 f"policy is {config.policy}; hand in what it proposes (clothtrack.baselines)"
             )
         self._robot, self._scene, self._config = robot, scene, config
-        self._perception = perception if config.policy == "planned" else None
-        self._planner = Planner(dynamics, config.planner) if config.policy == "planned" else None
+        self._perception = perception if is_planned else None
+        self._planner = (
+            Planner(dynamics, config.planner) if is_planned and dynamics is not None else None
+        )
         self._propose = propose
         self._seed, self._score, self._checkpoint = seed, score, checkpoint
         self._progress: Progress | None = None
@@ -165,13 +168,13 @@ class Flattening:
             store.clear_after(done)
             if self._checkpoint is not None:
                 self._checkpoint.restore(done)
-            look = Look(read_recording(store.recording_path(done)), done > 0, store.estimates(done))
-            estimates = list(look.before)
+            estimate = store.estimate(done)
+            look = Look(read_recording(store.recording_path(done)), done > 0, estimate)
         else:
             store.clear_after(-1)
-            look, estimates = self._first_look(store)
+            look, estimate = self._first_look(store)
         while not store.finished:
-            look, estimates = self._advance(store, look, estimates, watch)
+            look, estimate = self._advance(store, look, estimate, watch)
         return store
 
     def _tell(self, actions: int, phase: str) -> None:
@@ -186,7 +189,7 @@ class Flattening:
             len(phases) * most + 1,
         )
 
-    def _first_look(self, store: EpisodeStore) -> tuple[Look, list[Estimate]]:
+    def _first_look(self, store: EpisodeStore) -> tuple[Look, Estimate | None]:
         """The cloth before any action."""
         self._tell(0, "look")
         self._robot.home()
@@ -195,12 +198,11 @@ class Flattening:
             table=self._scene.table,
         )  # fmt: skip
         look = Look(recording, acted=False)
-        estimates = self._finish_step(store, look, {"step": 0, "action": None})
-        return look, estimates
+        return look, self._finish_step(store, look, {"step": 0, "action": None})
 
     def _advance(
-        self, store: EpisodeStore, look: Look, estimates: list[Estimate], watch: Watch | None
-    ) -> tuple[Look, list[Estimate]]:
+        self, store: EpisodeStore, look: Look, estimate: Estimate | None, watch: Watch | None
+    ) -> tuple[Look, Estimate | None]:
         """Decide, act, look; or end the episode."""
         number = len(store.steps) - 1
         row = store.steps[number]
@@ -208,11 +210,11 @@ class Flattening:
         status = self._ended(store, row)
         if not status:
             self._tell(number, "plan")
-            decision = self._decide(look, estimates, number)
+            decision = self._decide(look, estimate, number)
             # Whoever promises nothing may have had bad luck with its candidates: look once more.
             for again in range(1, PATIENCE):
                 if decision.action is None:
-                    decision = self._decide(look, estimates, number, again)
+                    decision = self._decide(look, estimate, number, again)
             status = "" if decision.action is not None else "nothing promises a gain"
         if status:
             store.document["status"] = status
@@ -220,7 +222,7 @@ class Flattening:
         if watch is not None:
             watch(store, decision)
         if status or decision is None or decision.action is None:
-            return look, estimates
+            return look, estimate
         self._tell(number, "act")
         execution = self._robot.execute(decision.action)
         if not execution.error:
@@ -232,12 +234,12 @@ class Flattening:
             table=self._scene.table, execution=execution,
         )  # fmt: skip
         self._tell(number + 1, "look")
-        look = Look(recording, acted=True, before=estimates)
+        look = Look(recording, acted=True, before=estimate)
         row = _step_row(number + 1, decision, decision.action, execution)
         return look, self._finish_step(store, look, row)
 
     def _decide(
-        self, look: Look, estimates: Sequence[Estimate], number: int, again: int = 0
+        self, look: Look, estimate: Estimate | None, number: int, again: int = 0
     ) -> Decision:
         """The next action that the robot can carry out."""
         rng = np.random.default_rng([_OF_EPISODES, self._seed, number, again])
@@ -246,9 +248,12 @@ class Flattening:
             assert self._propose is not None  # __init__ refuses neither
             proposed = self._propose(seen, self._config.planner, rng)
             return Decision(self._reachable(proposed), 0.0)
-        kind = self._scene.cloth.kind
-        beliefs = [Hypothesis(estimate.flat, estimate.positions, kind) for estimate in estimates]
-        decision = self._planner.decide(beliefs, seen, rng)
+        if estimate is None:
+            raise InvalidResultError(
+                f"{look.recording.folder}: what was believed of it is missing; remove the episode"
+            )
+        belief = Hypothesis(estimate.flat, estimate.positions, self._scene.cloth.kind)
+        decision = self._planner.decide(belief, seen, rng)
         order = np.argsort(-decision.worth_m2, kind="stable")
         good = [k for k in order if decision.gains_m2[k] > 0.0]
         action = self._reachable([decision.candidates[k] for k in good])
@@ -267,26 +272,26 @@ class Flattening:
             logger.info("an action is not reachable: %s", reachability.reason)
         return None
 
-    def _finish_step(self, store: EpisodeStore, look: Look, row: dict[str, Any]) -> list[Estimate]:
+    def _finish_step(self, store: EpisodeStore, look: Look, row: dict[str, Any]) -> Estimate | None:
         """Perceive, measure, and write everything down; the step is finished then."""
         clock, cpu = time.perf_counter(), time.process_time()
-        estimates = [] if self._perception is None else self._perception.perceive(look)
+        estimate = None if self._perception is None else self._perception.perceive(look)
         row["perception_s"] = time.perf_counter() - clock
         row["perception_cpu_s"] = time.process_time() - cpu
-        row["sources"] = [estimate.source for estimate in estimates]
+        row["sources"] = [] if estimate is None else [estimate.source]
         flat = self._scene.flat_area_m2
-        if flat is None and estimates:
-            flat = projected_area(estimates[0].flat.vertices, estimates[0].flat.faces)
+        if flat is None and estimate is not None:
+            flat = projected_area(estimate.flat.vertices, estimate.flat.faces)
         row["seen_m2"] = seen_area(look.recording, look.frame)
         row["flat_m2"] = flat
         row["true_m2"] = None if self._score is None else self._score()
-        if estimates:
-            store.add_estimates(row["step"], estimates)
+        if estimate is not None:
+            store.add_estimate(row["step"], estimate)
         if self._checkpoint is not None:
             self._checkpoint.save(row["step"])
         store.steps.append(row)
         store.write()
-        return estimates
+        return estimate
 
     def _ended(self, store: EpisodeStore, row: dict[str, Any]) -> str:
         """Why the episode is over; empty when it is not."""

@@ -5,16 +5,16 @@ cloth by whoever has a simulated robot, and everything that it leads to is label
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
-from clothtrack.files.bounds import Bounds, Checked, Positive
+from clothtrack.files.bounds import Checked, Count, Positive
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, distance_from_cloud
 from clothtrack.reconstruction.refinement import RefinementConfig
@@ -26,27 +26,20 @@ from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.tracker import Tracker
 
-if TYPE_CHECKING:
-    from clothtrack.reconstruction.depth_input import DepthInput
-
 logger = logging.getLogger(__name__)
 
 PerceptionName = Literal["network", "tracker", "truth"]
 CONTROLS = ("truth",)
 """Perceptions that no camera can have: upper bounds, never results."""
 
-MOST_VIEWS = 16
-"""Each costs as much as the first."""
-
 LONGEST_PATH_M = 0.06
 """Cloth that was carried farther than this between two pictures is perceived anew [m]: a tracker
 that is shown the end alone loses it."""
 
-TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
-
-
 ONE_CANDIDATE = RunConfig(search=SearchConfig(method="none"))
 """The default tracker without a search: a decision must not wait for one."""
+
+TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
 
 
 @dataclass(frozen=True)
@@ -59,10 +52,7 @@ class PerceptionConfig(Checked):
         weights: file with the network's weights; empty: those that come with the package, if any.
         template: file of the garment's own template (`clothtrack garment`); empty: a garment of
             usual cut, in the size that the recording says.
-        views: from so many directions around the vertical the network is shown the cloth; what it
-            makes of each is a hypothesis, and where they differ it guessed.
         refined: fine-tune the network's mesh to the picture.
-        refinement: how.
         vertex_count: of the network's mesh, about.
         lost_m: a tracked mesh that is farther from its cloud than this is lost, and the cloth is
             perceived anew (root mean square, cloud to mesh) [m].
@@ -71,10 +61,8 @@ class PerceptionConfig(Checked):
     name: PerceptionName = "network"
     weights: str = ""
     template: str = ""
-    views: Annotated[int, Bounds(least=1, most=MOST_VIEWS)] = 1
     refined: bool = True
-    refinement: RefinementConfig = field(default_factory=RefinementConfig)
-    vertex_count: int = 1000
+    vertex_count: Count = 1000
     lost_m: Positive = LOOSE_FIT_M
 
 
@@ -100,12 +88,12 @@ class Look:
     Attributes:
         recording: of the latest action, or of the cloth before any.
         acted: whether there is an action in it.
-        before: what was believed before the action.
+        before: what was believed before the action, if anything was.
     """
 
     recording: Recording
     acted: bool
-    before: Sequence[Estimate] = ()
+    before: Estimate | None = None
 
     @property
     def frame(self) -> Frame:
@@ -121,13 +109,13 @@ class Look:
 class Perception(Protocol):
     """Finds the cloth."""
 
-    def perceive(self, look: Look) -> list[Estimate]:
-        """Where the cloth may be; one belief or several."""
+    def perceive(self, look: Look) -> Estimate:
+        """Return where the cloth is believed to be."""
         ...
 
 
 class NetworkPerception:
-    """The network's meshes of the latest picture, fine-tuned to it. Needs [learn] and weights."""
+    """The network's mesh of the latest picture, fine-tuned to it. Needs [learn] and weights."""
 
     def __init__(self, kind: str, config: PerceptionConfig, *, device: str = "cpu") -> None:
         """Load the networks.
@@ -142,58 +130,36 @@ class NetworkPerception:
         self._model: Any = load_model(kind, path, device=device)
         self._template = read_template(Path(config.template)) if config.template else None
 
-    def perceive(self, look: Look) -> list[Estimate]:
-        """One estimate per view, from the latest picture alone.
+    def perceive(self, look: Look) -> Estimate:
+        """Reconstruct the latest picture alone.
 
         Raises:
             InvalidRecordingError: there is no cloth in the picture, or no mesh comes of it.
         """
         from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
         from clothtrack.reconstruction.depth_input import DepthInput
-
-        recording = look.recording
-        depth, mask, camera = cloth_picture(recording, look.frame)
-        picture = DepthInput(depth, mask, camera, recording.table, self._kind)
-        views, observation = self._config.views, look.observation()
-        attempts = [
-            self._reconstructed(picture, 2.0 * np.pi * view / views, recording, observation)
-            for view in range(views)
-        ]
-        estimates = [estimate for estimate in attempts if isinstance(estimate, Estimate)]
-        if not estimates:
-            raise InvalidRecordingError(
-                f"{recording.folder}: the network makes no mesh of it ({attempts[0]}); flattening "
-                "needs a table and a mesh"
-            )
-        return estimates
-
-    def _reconstructed(
-        self,
-        picture: "DepthInput",
-        turn_rad: float,
-        recording: Recording,
-        observation: Observation,
-    ) -> Estimate | str:
-        """The mesh of one view, on the table; or why there is none."""
         from clothtrack.reconstruction.first_mesh import laid_flat
         from clothtrack.reconstruction.from_picture import network_mesh
 
-        config = self._config
+        config, recording = self._config, look.recording
+        depth, mask, camera = cloth_picture(recording, look.frame)
         result = network_mesh(
             self._model,
-            picture,
+            DepthInput(depth, mask, camera, recording.table, self._kind),
             self._kind,
             size_m=None if self._template is not None else recording.cloth.size_m,
             template=self._template,
             vertex_count=config.vertex_count,
-            turn_rad=turn_rad,
-            refinement=config.refinement if config.refined else None,
-            observation=observation,
+            refinement=RefinementConfig() if config.refined else None,
+            observation=look.observation(),
             device=self._device,
         )
         rest = result.reconstruction.rest
         if result.mesh is None or rest is None or recording.table is None:
-            return result.reconstruction.status
+            raise InvalidRecordingError(
+                f"{recording.folder}: the network makes no mesh of it "
+                f"({result.reconstruction.status}); flattening needs a table and a mesh"
+            )
         positions = result.mesh.vertices.astype(np.float64)
         flat = laid_flat(rest, positions, recording.table, RESTING_HEIGHT_M)
         return Estimate(flat, positions, "network")
@@ -202,16 +168,30 @@ class NetworkPerception:
 class TrackerPerception:
     """What was believed before the action, carried through it by Algorithm 1."""
 
-    def __init__(self, first: Perception, config: PerceptionConfig, *, device: str = "cpu") -> None:
-        """Remember who makes the first estimate, and whoever follows where tracking fails."""
-        self._first, self._config, self._device = first, config, device
+    def __init__(
+        self,
+        first: Perception,
+        *,
+        lost_m: float = LOOSE_FIT_M,
+        tracker: RunConfig = ONE_CANDIDATE,
+        device: str = "cpu",
+    ) -> None:
+        """Remember how to track, and who makes the first estimate and those where tracking fails.
 
-    def perceive(self, look: Look) -> list[Estimate]:
+        Args:
+            first: perceives anew.
+            lost_m: distance of a lost mesh from its cloud (`PerceptionConfig.lost_m`) [m].
+            tracker: Algorithm 1.
+            device: where to compute.
+        """
+        self._first, self._lost_m = first, lost_m
+        self._tracker, self._device = tracker, device
+
+    def perceive(self, look: Look) -> Estimate:
         """The tracked estimate; a fresh one before any action, or when nothing can be tracked."""
-        before = [estimate for estimate in look.before if estimate.source != "control: truth"]
-        if not look.acted or not before or not look.recording.actions:
+        recording, start = look.recording, look.before
+        if start is None or not look.acted or not recording.actions:
             return self._first.perceive(look)
-        recording, start = look.recording, before[0]
         path_m = unseen_path_m(recording)
         if path_m > LONGEST_PATH_M:
             logger.warning(
@@ -224,7 +204,7 @@ class TrackerPerception:
             tracker = Tracker(
                 recording,
                 start.flat,
-                ONE_CANDIDATE,
+                self._tracker,
                 lambda frame: observe(recording, frame),
                 start=start.positions,
                 device=self._device,
@@ -239,13 +219,13 @@ class TrackerPerception:
             return self._first.perceive(look)
         tracked_mesh = start.flat.with_vertices(positions)
         apart_m = distance_from_cloud(tracked_mesh, look.observation().points)
-        if apart_m > self._config.lost_m:
+        if apart_m > self._lost_m:
             logger.warning(
                 "%s: the tracked mesh is %.0f mm from its cloud (limit %.0f mm): perceived anew",
-                recording.folder, 1e3 * apart_m, 1e3 * self._config.lost_m,
+                recording.folder, 1e3 * apart_m, 1e3 * self._lost_m,
             )  # fmt: skip
             return self._first.perceive(look)
-        return [Estimate(start.flat, positions, "tracker")]
+        return Estimate(start.flat, positions, "tracker")
 
 
 def unseen_path_m(recording: Recording) -> float:
@@ -270,11 +250,11 @@ class ControlPerception:
         """Remember whom to ask; only a simulated robot can be."""
         self._true_cloth = true_cloth
 
-    def perceive(self, look: Look) -> list[Estimate]:
-        """The truth, labelled as a control."""
+    def perceive(self, look: Look) -> Estimate:
+        """Return the truth, labelled as a control."""
         del look
         flat, positions = self._true_cloth()
-        return [Estimate(flat, np.array(positions), "control: truth")]
+        return Estimate(flat, np.array(positions), "control: truth")
 
 
 def perception_of(
@@ -306,7 +286,7 @@ def perception_of(
     network = NetworkPerception(kind, config, device=device)
     if config.name == "network":
         return network
-    return TrackerPerception(network, config, device=device)
+    return TrackerPerception(network, lost_m=config.lost_m, device=device)
 
 
 def label_of(config: PerceptionConfig) -> Mapping[str, object]:

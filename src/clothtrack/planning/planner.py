@@ -1,8 +1,7 @@
 """Which pick-and-place comes next: try many in the dynamics, take the one that covers most.
 
-Random shooting as in the paper (Sec. IV-B.2): sample actions, roll each out, take the best. Two
-things are added: a preference for places off the cloth, and a mean over several hypotheses of mesh
-or material.
+Random shooting as in the paper (Sec. IV-B.2): sample actions, roll each out, take the best. A
+preference for places off the cloth is added.
 """
 
 import time
@@ -12,8 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError
-from clothtrack.files.bounds import Checked, Count, Natural, NotNegative
+from clothtrack.files.bounds import Checked, Count, NotNegative
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import (
     ActionSpace,
@@ -34,27 +32,22 @@ class PlannerConfig(Checked):
 
     Attributes:
         candidates: actions that are tried, beside doing nothing; 100 in the paper.
-        within_picture: cloth that the camera would not see does not count as covering.
         strip_m: a place farther off the cloth is preferred, as if a strip of cloth this wide came
             along to it [m]; 0: what the dynamics promise counts alone. They promise too much for
             places on the cloth and beside it (docs/flattening.md).
-        finalists: of several hypotheses and dynamics the first rates all candidates, and so many of
-            the most promising are rated by all. 0: all rate all.
         space: which actions are tried.
         coarse: the mesh that is rolled out.
     """
 
     candidates: Count = 100
-    within_picture: bool = True
     strip_m: NotNegative = 0.06
-    finalists: Natural = 10
     space: ActionSpace = field(default_factory=ActionSpace)
     coarse: CoarseConfig = field(default_factory=CoarseConfig)
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """One belief of where the cloth is.
+    """What is believed of the cloth.
 
     Attributes:
         flat: the garment at rest [m], with canonical coordinates.
@@ -93,50 +86,33 @@ class Decision:
 class Planner:
     """Chooses actions for one garment after another; coarse meshes are kept between decisions."""
 
-    def __init__(
-        self, dynamics: Sequence[PlanningDynamics], config: PlannerConfig | None = None
-    ) -> None:
+    def __init__(self, dynamics: PlanningDynamics, config: PlannerConfig | None = None) -> None:
         """Remember what to ask.
 
         Args:
-            dynamics: one, or several whose answers are averaged, such as the simulator with
-                several materials; with finalists the first alone chooses those.
+            dynamics: predict where the cloth ends.
             config: how to choose.
-
-        Raises:
-            InvalidConfigError: there are no dynamics.
         """
-        if not dynamics:
-            raise InvalidConfigError("no dynamics are given; a planner needs at least one")
         self.config = config or PlannerConfig()
-        self._dynamics = tuple(dynamics)
+        self._dynamics = dynamics
         self._coarse: list[tuple[ClothMesh, Coarsener]] = []
 
-    def decide(
-        self, hypotheses: Sequence[Hypothesis], seen: SeenCloth, rng: np.random.Generator
-    ) -> Decision:
+    def decide(self, hypothesis: Hypothesis, seen: SeenCloth, rng: np.random.Generator) -> Decision:
         """Choose the next action.
 
         Args:
-            hypotheses: where the cloth may be, the likeliest first; the gain is the mean over them.
+            hypothesis: where the cloth is believed to be.
             seen: what the camera sees of it: picks are there.
             rng: source of the candidates.
-
-        Raises:
-            InvalidConfigError: there is no hypothesis.
         """
-        if not hypotheses:
-            raise InvalidConfigError("no hypothesis of the cloth is given; reconstruct it first")
         clock, cpu = time.perf_counter(), time.process_time()
-        cloths = [self._coarsened(belief, seen.table_height_m) for belief in hypotheses]
-        beliefs = [(cloth.flat, np.asarray(cloth.positions)) for cloth in cloths]
+        cloth = self._coarsened(hypothesis, seen.table_height_m)
         tried = sample_actions(
             seen, self.config.candidates, self.config.space, rng,
-            weights=pick_weights(seen.cloud, beliefs),
+            weights=pick_weights(seen.cloud, cloth.flat, cloth.positions),
         )  # fmt: skip
-        strips = self.config.strip_m * off_cloth(seen, tried)
-        worth = self._worth(tried, strips, seen, cloths)
-        gains = worth - strips
+        gains = self._gains(tried, seen, cloth)
+        worth = gains + self.config.strip_m * off_cloth(seen, tried)
         # A strip says which action, never that there should be one.
         improving = np.where(gains > 0.0, worth, -np.inf)
         best = int(np.argmax(improving)) if len(gains) else -1
@@ -151,56 +127,15 @@ class Planner:
             cpu_s=time.process_time() - cpu,
         )
 
-    def _worth(
-        self,
-        tried: Sequence[PickPlace],
-        strips: Float[np.ndarray, " tried"],
-        seen: SeenCloth,
-        cloths: Sequence[PlannedCloth],
-    ) -> Float[np.ndarray, " tried"]:
-        """Gain and strip of each action [m^2].
-
-        With finalists, the first hypothesis and dynamics rate all actions, and all rate the most
-        promising. These promise too much as the first alone rates them: the best of many is partly
-        a chance error. The others rank behind them.
-        """
-        count = self.config.finalists
-        if not count:
-            return self._gains(tried, seen, cloths, self._dynamics) + strips
-        worth = self._gains(tried, seen, cloths[:1], self._dynamics[:1]) + strips
-        if len(cloths) * len(self._dynamics) == 1 or not tried:
-            return worth
-        best, others = np.split(np.argsort(-worth, kind="stable"), [count])
-        finalists = [tried[k] for k in best]
-        final = self._gains(finalists, seen, cloths, self._dynamics) + strips[best]
-        worth[best] = final
-        worth[others] = np.minimum(worth[others], np.nextafter(final.min(), -np.inf))
-        return worth
-
     def _gains(
-        self,
-        actions: Sequence[PickPlace],
-        seen: SeenCloth,
-        cloths: Sequence[PlannedCloth],
-        judges: Sequence[PlanningDynamics],
+        self, actions: Sequence[PickPlace], seen: SeenCloth, cloth: PlannedCloth
     ) -> Float[np.ndarray, " actions"]:
-        """Coverage that each action adds to doing nothing [m^2], over hypotheses and dynamics."""
+        """Return the coverage [m^2] that each action adds to doing nothing."""
         if not actions:
             return np.zeros(0)
-        camera = seen.camera if self.config.within_picture else None
-        rows = []
-        for cloth in cloths:
-            for dynamics in judges:
-                ends = dynamics.predict(cloth, [None, *actions])
-                areas = coverage(ends, cloth.flat.faces, camera)
-                still = areas[0] if np.isfinite(areas[0]) else areas[np.isfinite(areas)].min(
-                    initial=0.0
-                )  # fmt: skip
-                rows.append(areas[1:] - still)
-        gains = np.array(rows)
-        finite = np.isfinite(gains)
-        mean = np.where(finite, gains, 0.0).mean(axis=0)
-        return np.where(finite.all(axis=0), mean, -np.inf)
+        ends = self._dynamics.predict(cloth, [None, *actions])
+        areas = coverage(ends, cloth.flat.faces, seen.camera)
+        return areas[1:] - (areas[0] if np.isfinite(areas[0]) else 0.0)
 
     def _coarsened(self, belief: Hypothesis, table_height_m: float) -> PlannedCloth:
         """The coarse cloth of a hypothesis; the same flat garment gives the same mesh."""

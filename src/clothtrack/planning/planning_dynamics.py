@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothtrack.files.bounds import Checked, Count, Positive
+from clothtrack.files.bounds import Checked, Positive
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.recordings.recording import Table
@@ -158,26 +158,29 @@ class HeldPaths:
         )
 
 
-def _planning_solver() -> SolverConfig:
-    """Coarse cloth: no contact between edges, long substeps, and folds as sharp as they come.
+PLANNING_SOLVER = SolverConfig(
+    edge_contact=False,
+    substep_s=2.5e-3,
+    contact_margin_m=0.004,
+    contact_depth_m=0.01,
+    speed_limit=2.0,
+    damping=4.0,
+    bend_limit=0.1,
+    rebuild_s=0.025,
+    buckling=20.0,
+)
+"""How a coarse cloth moves: no contact between edges, long substeps, and sharp folds.
 
-    A bend pair that resists at half its rest length would spring every fold of such long edges
-    open: with 0.55 a folded corner moved by 8 cm on its own, with 0.1 by 3 cm. Edges that resist a
-    push as they do a pull would unfold what is crumpled between their ends: with `buckling` the
-    cloth ends 24 instead of 30 mm from where it should (docs/flattening.md). Contacts are searched
-    for every 25 ms, which takes 0.6 of the time of 10 ms and ranks actions as well.
-    """
-    return SolverConfig(
-        edge_contact=False,
-        substep_s=2.5e-3,
-        contact_margin_m=0.004,
-        contact_depth_m=0.01,
-        speed_limit=2.0,
-        damping=4.0,
-        bend_limit=0.1,
-        rebuild_s=0.025,
-        buckling=20.0,
-    )
+A bend pair that resists at half its rest length would spring every fold of such long edges
+open: with 0.55 a folded corner moved by 8 cm on its own, with 0.1 by 3 cm. Edges that resist a
+push as they do a pull would unfold what is crumpled between their ends: with `buckling` the
+cloth ends 24 instead of 30 mm from where it should (docs/flattening.md). Contacts are searched
+for every 25 ms, which takes 0.6 of the time of 10 ms and ranks actions as well.
+"""
+
+TOGETHER = 26
+"""About how many candidates the simulator rolls out at once, those that last alike: each batch
+takes as long as its longest."""
 
 
 @dataclass(frozen=True)
@@ -187,32 +190,12 @@ class SimulatorConfig(Checked):
     Attributes:
         motion: how actions are carried out.
         parameters: what the cloth is made of.
-        solver: how its motion is computed.
-        together: about how many candidates are rolled out at once, those that last alike: each
-            batch takes as long as its longest.
     """
 
     motion: MotionConfig = field(default_factory=MotionConfig)
     parameters: ClothParameters = field(
         default_factory=lambda: ClothParameters(stretch_compliance=3e-3, bend_compliance=30.0)
     )
-    solver: SolverConfig = field(default_factory=_planning_solver)
-    together: Count = 26
-
-
-def several_materials(usual: ClothParameters, count: int, seed: int) -> list[ClothParameters]:
-    """The usual material, and others drawn around it: what a cloth is made of is not known."""
-    rng = np.random.default_rng(seed)
-    drawn = [
-        ClothParameters(
-            stretch_compliance=usual.stretch_compliance,
-            bend_compliance=float(np.exp(rng.uniform(np.log(3.0), np.log(300.0)))),
-            table_friction=float(rng.uniform(0.3, 0.9)),
-            particle_friction=float(rng.uniform(0.25, 0.75)),
-        )
-        for _ in range(count - 1)
-    ]
-    return [usual, *drawn]
 
 
 class SimulatorDynamics:
@@ -221,9 +204,24 @@ class SimulatorDynamics:
     Solvers are kept for the mesh that was asked for last, so that a decision allocates nothing.
     """
 
-    def __init__(self, config: SimulatorConfig | None = None, *, device: str = "cpu") -> None:
-        """Remember how and where to compute."""
+    def __init__(
+        self,
+        config: SimulatorConfig | None = None,
+        *,
+        solver: SolverConfig = PLANNING_SOLVER,
+        together: int = TOGETHER,
+        device: str = "cpu",
+    ) -> None:
+        """Remember how and where to compute.
+
+        Args:
+            config: motion and material.
+            solver: how the coarse cloth moves; its table is that of the cloth.
+            together: about how many candidates are rolled out at once.
+            device: where to compute.
+        """
         self.config = config or SimulatorConfig()
+        self._settings, self._together = solver, together
         self._device = device
         self._mesh: ClothMesh | None = None
         self._table_height_m = 0.0
@@ -239,7 +237,7 @@ class SimulatorDynamics:
         rested = replace(cloth, positions=start.positions[0].astype(np.float64))
         held = HeldPaths.of(rested, actions, self.config.motion)
         ends = np.zeros((len(actions), cloth.flat.vertex_count, 3))
-        for group in held.batches(self.config.together):
+        for group in held.batches(self._together):
             ends[group] = self._rolled(cloth, start, held.of_candidates(group))
         return ends
 
@@ -264,7 +262,7 @@ class SimulatorDynamics:
         solver, fresh = self._solver(cloth, 1)
         solver.restore(fresh)
         placed = np.array(cloth.positions, dtype=np.float64)
-        low = cloth.table_height_m + self.config.solver.resting_height_m
+        low = cloth.table_height_m + self._settings.resting_height_m
         placed[:, 2] = np.maximum(placed[:, 2], low)
         solver.place(placed)
         solver.set_velocities(np.zeros_like(placed))
@@ -278,7 +276,7 @@ class SimulatorDynamics:
         if environments not in self._solvers:
             height = cloth.table_height_m
             table = Table(np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]))
-            config = SolverConfig(**{**vars(self.config.solver), "table": table})
+            config = SolverConfig(**{**vars(self._settings), "table": table})
             laid = cloth.flat.vertices.astype(np.float64)
             laid[:, 2] += height + config.resting_height_m - laid[:, 2].min()
             solver = ClothSolver(

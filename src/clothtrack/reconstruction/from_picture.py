@@ -107,7 +107,6 @@ def network_mesh(
     size_m: tuple[float, float] | None = None,
     template: ClothMesh | None = None,
     vertex_count: int = 1000,
-    turn_rad: float = 0.0,
     refinement: RefinementConfig | None = None,
     observation: Observation | None = None,
     untangle: bool = False,
@@ -124,8 +123,6 @@ def network_mesh(
         size_m: width and length of the garment when known [m]; else taken from the picture.
         template: the flat garment itself, canonical coordinates filled; instead of `size_m`.
         vertex_count: of a template that is made here, about.
-        turn_rad: the world is turned by it about the vertical before the network sees it, and back
-            again: another picture of the same cloth.
         refinement: how to fine-tune the mesh; None leaves it as the network makes it.
         observation: what it is fine-tuned against; the picture's own points when None.
         untangle: take the mesh apart where it passes through itself, before it is fine-tuned and
@@ -139,7 +136,6 @@ def network_mesh(
     from clothtrack.reconstruction.cuts import KnownGarment, sized
     from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 
-    shown = picture.turned(turn_rad)
     if isinstance(model, TokenReconstructor):
         _require_template_method(method)
         known = None
@@ -147,18 +143,16 @@ def network_mesh(
             known = KnownGarment.of(template, device=device)
         elif size_m is not None:
             known = sized(kind, size_m, vertex_count, device=device)
-        result = _searched(
-            model, shown, kind, known, vertex_count=vertex_count,
+        return _searched(
+            model, picture, kind, known, vertex_count=vertex_count,
             finish=refinement is not None, device=device,
         )  # fmt: skip
-        back = result.reconstruction.turned(-turn_rad)
-        return replace(result, reconstruction=back, mesh=back.mesh)
     if template is None and size_m is not None and method == "template":
         template = garment(kind, vertex_count=vertex_count, size_m=size_m)
     answer = _by_published_network(
-        model, shown, kind, template, method=method, vertex_count=vertex_count
+        model, picture, kind, template, method=method, vertex_count=vertex_count
     )
-    reconstruction = answer.reconstruction.turned(-turn_rad)
+    reconstruction = answer.reconstruction
     result = NetworkMesh(reconstruction.mesh, reconstruction, scale=answer.scale)
     if reconstruction.mesh is None:
         return result

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Float32
 from torch import Tensor, nn
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
-from clothtrack.geometry.camera import Camera, about_vertical
+from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import Alignment
 from clothtrack.reconstruction.canonical_frame import CanonicalFrame, canonical_frame, conventional
@@ -71,16 +71,6 @@ class Reconstruction:
             self.confidence,
             self.seen.scaled(factor),
             None if self.rest is None else self.rest.scaled(factor),
-        )
-
-    def turned(self, angle_rad: float) -> "Reconstruction":
-        """The same in a world that is turned about the vertical through its origin."""
-        mesh = self.mesh
-        if mesh is not None:
-            turned = mesh.vertices @ about_vertical(angle_rad).T
-            mesh = mesh.with_vertices(turned.astype(mesh.vertices.dtype))
-        return replace(
-            self, mesh=mesh, camera=self.camera.turned(angle_rad), seen=self.seen.turned(angle_rad)
         )
 
 

@@ -76,7 +76,7 @@ def pretrain(
         "states": len(examples),
         "sets": [one.identity for one in states],
         "examples": asdict(config.examples),
-        "rendering": _plain(asdict(config.rendering)),
+        "rendering": config.rendering.as_dict(),
     }
     weights = None if start is None else load_weights(start)
     if weights is not None:

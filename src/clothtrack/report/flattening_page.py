@@ -180,8 +180,8 @@ def _card(store: EpisodeStore, number: int, coming: PickPlace | None) -> str:
     row = store.steps[number]
     stills = [(_picture(store, number, coming), "What the camera saw, and the next action")]
     recording = read_recording(store.recording_path(number))
-    beliefs = store.estimates(number)
-    stills.extend((_belief(one, recording), f"Believed: {one.source}") for one in beliefs)
+    if (belief := store.estimate(number)) is not None:
+        stills.append((_belief(belief, recording), f"Believed: {belief.source}"))
     pictures = "".join(
         f'<figure><img alt="{escape(words)}" src="{jpeg_uri(image)}">'
         f"<figcaption>{escape(words)}</figcaption></figure>"

@@ -20,7 +20,6 @@ from clothtrack.report.curves import chart_html
 from clothtrack.report.document import write_document
 from clothtrack.report.evidence import Observer, evidence_of, observed, thinned
 from clothtrack.report.film_colors import cloud_colors, vertex_colors
-from clothtrack.report.ghost import Ghost, run_differences, second_ghost, true_ghost
 from clothtrack.report.label_cards import review_card, verdict_strip
 from clothtrack.report.layers import Layers
 from clothtrack.report.measures import charts, edge_strains
@@ -73,7 +72,6 @@ def write_report(
     config: ReportConfig | None = None,
     observer: Observer = observed,
     truth: Truth | None = None,
-    second: TrackedTrajectory | None = None,
     review: LabelReview | None = None,
 ) -> Path:
     """Write the page of one tracked trajectory and return its path.
@@ -85,29 +83,22 @@ def write_report(
         config: how much goes into it.
         observer: looks at a frame; by default as the recording says.
         truth: the true meshes; only with them can the cloth be coloured by its error.
-        second: another run of the same recording, shown beside the first unless there is a truth.
         review: decisions about labels so far.
 
     Raises:
-        InvalidResultError: the truth is of another garment or another recording, or the second
-            run of another recording.
+        InvalidResultError: the truth is of another garment or another recording.
         StorageError: when the disk refuses; what was at `path` before is untouched then.
     """
     config = config or ReportConfig()
     overlay = Overlay(tracked, recording, config=config.overlay, observer=observer)
     evidence = evidence_of(tracked, recording, observer)
     judged = judged_or_none(tracked, recording)
-    colors = list(colorings(tracked, evidence.clouds, judged, truth))
-    ghost = None if truth is None else true_ghost(tracked, truth)
-    if second is not None:
-        other = second_ghost(tracked, second)
-        colors += run_differences(tracked, other)
-        ghost = ghost or other
+    colors = colorings(tracked, evidence.clouds, judged, truth)
     actions = [(action.first_frame, action.last_frame) for action in tracked.actions]
     upper = stage(
         [
             _video_card(tracked, overlay, config),
-            scene_card(_contents(overlay, evidence.clouds, colors, ghost, config)),
+            scene_card(_contents(overlay, evidence.clouds, colors, config)),
         ],
         tracked.frames.tolist(),
         tracked.time_s.tolist(),
@@ -168,7 +159,6 @@ def _contents(
     overlay: Overlay,
     clouds: Sequence[Float[np.ndarray, "_ 3"]],
     colors: Sequence[Coloring],
-    ghost: Ghost | None,
     config: ReportConfig,
 ) -> SceneContents:
     tracked, recording = overlay.tracked, overlay.recording
@@ -196,7 +186,6 @@ def _contents(
         views=[one for one in overlay.views if one.camera.name in cameras],
         cloud_colors=cloud_colors(recording, [overlay.frame(step) for step in steps], points),
         film=vertex_colors(tracked, recording),
-        ghost=None if ghost is None else ghost.at(steps),
     )
 
 

@@ -24,8 +24,6 @@ TABLE = (0.902, 0.886, 0.859)
 """The table."""
 INK = (0.149, 0.157, 0.180)
 """Text and lines."""
-GHOST = (0.545, 0.435, 0.659)
-"""Another cloth beside the tracked one: the truth, or a second run."""
 UNKNOWN = (0.620, 0.612, 0.596)
 """Where a value is not known."""
 

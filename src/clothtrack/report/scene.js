@@ -15,7 +15,7 @@ async function openScene(card) {
   const { header, arrays, points } = scene, palette = header.palette;
   const programs = Object.fromEntries(Object.entries({ cloth: CLOTH, lines: LINES, ribbon: RIBBON, dots: DOTS, table: TABLE, above: ABOVE, shade: SHADE })
     .map(([name, sources]) => [name, program(gl, sources)]));
-  const cloth = clothOf(scene), ghost = ghostOf(scene), buffers = {};
+  const cloth = clothOf(scene), buffers = {};
   const fill = (name, data, target = gl.ARRAY_BUFFER) => {
     buffers[name] ??= gl.createBuffer();
     gl.bindBuffer(target, buffers[name]);
@@ -24,7 +24,7 @@ async function openScene(card) {
   fill("square", new Float32Array([-1, -1, 0, 1, -1, 0, -1, 1, 0, 1, 1, 0]));
   fill("edges", cloth.edges, gl.ELEMENT_ARRAY_BUFFER);
   fill("solid.film", cloth.solid.film);
-  const state = { step: 0, mode: "sides", opacity: 1, gap: 0, cloud: true, lines: false, path: true, ghost: true, hovered: null };
+  const state = { step: 0, mode: "sides", opacity: 1, gap: 0, cloud: true, lines: false, path: true, hovered: null };
   const shift = () => V.scale(header.along, state.gap);
   let waiting = false, held = "", shaded = "", solidRims = 0, kept = null;
   const changed = () => {
@@ -54,10 +54,6 @@ async function openScene(card) {
     if (header.counts.length) {
       fill("cloud", points("cloud", starts[state.step], header.counts[state.step]));
       fill("cloud.tint", tintsOf(scene, starts[state.step], header.counts[state.step]));
-    }
-    if (ghost) {
-      ghost.move(state.step);
-      for (const name of ["positions", "normals"]) fill(`ghost.${name}`, ghost.solid[name]);
     }
   }
 
@@ -95,7 +91,6 @@ async function openScene(card) {
     const looked = { ...view.look(width, height), width, height, ratio };
     if (header.table) drawTable(looked);
     if (cloth.faces.length) drawCloth(looked);
-    if (ghost && state.ghost && header.ghost.known[state.step]) drawGhost(looked);
     drawPoints(looked);
     if (state.path) drawRibbons(looked);
     Object.assign(canvas.dataset, { step: state.step, mode: state.mode, camera: view.camera() ?? "free", ms: (performance.now() - began).toFixed(1) });
@@ -145,22 +140,6 @@ async function openScene(card) {
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffers.edges);
       gl.drawElements(gl.LINES, cloth.edges.length, gl.UNSIGNED_INT, 0);
     }
-    gl.depthMask(true);
-  }
-
-  function drawGhost({ eye, clip }) {
-    const painted = programs.cloth, same = ghost.faces.length === cloth.faces.length;
-    painted.use();
-    painted.set({
-      clip, along: header.along, gap: same ? state.gap : 0, ...light.uniforms(), eye, lamp: LAMP, opacity: 0.5,
-      mode: 0, half_thickness: 0, outside: palette.ghost, inside: palette.ghost,
-    });
-    painted.feed("position", buffers["ghost.positions"], 3);
-    painted.feed("normal", buffers["ghost.normals"], 3);
-    painted.feed("rank", same ? buffers["solid.ranks"] : 0);
-    for (const [name, value] of [["film", [0, 0, 0]], ["value", 255], ["seen", 1], ["side", 1]]) painted.feed(name, value);
-    gl.depthMask(false);
-    gl.drawArrays(gl.TRIANGLES, 0, ghost.faces.length);
     gl.depthMask(true);
   }
 

@@ -18,10 +18,8 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import PickerPath, Table
 from clothtrack.report.coloring import Coloring
 from clothtrack.report.film_colors import PALETTE_SIZE, few_colors
-from clothtrack.report.ghost import Ghost
 from clothtrack.report.overlay import View
 from clothtrack.report.palette import (
-    GHOST,
     HEAT,
     HIDDEN,
     INK,
@@ -80,7 +78,6 @@ class SceneContents:
         views: of the recording's cameras: the parts of their pictures that the page shows.
         cloud_colors: RGB of each observed point; none where there is no colour picture.
         film: RGB of each vertex as the film shows it.
-        ghost: another cloth, to compare with.
     """
 
     frames: Int[np.ndarray, " frames"]
@@ -99,7 +96,6 @@ class SceneContents:
     views: Sequence[View] = ()
     cloud_colors: Sequence[UInt8[np.ndarray, "_ 3"]] = ()
     film: UInt8[np.ndarray, "vertices 3"] | None = None
-    ghost: Ghost | None = None
 
 
 def packed(scene: SceneContents) -> tuple[str, str]:
@@ -107,8 +103,7 @@ def packed(scene: SceneContents) -> tuple[str, str]:
     # In this order neighbours follow each other, and what follows looks alike: it packs better.
     orders = [np.lexsort((p[:, 1], np.floor(p[:, 0] / STRIP_M))) for p in scene.clouds]
     clouds = [points[order] for points, order in zip(scene.clouds, orders, strict=True)]
-    others = [] if scene.ghost is None else [scene.ghost.positions.reshape(-1, 3)]
-    everything = np.concatenate([scene.positions.reshape(-1, 3), *clouds, *others])
+    everything = np.concatenate([scene.positions.reshape(-1, 3), *clouds])
     if not len(everything):
         everything = np.zeros((1, 3))
     low, high = (f(everything, axis=0).astype(np.float64) for f in (np.min, np.max))
@@ -131,9 +126,6 @@ def packed(scene: SceneContents) -> tuple[str, str]:
     if scene.film is not None:
         pack.plain("film", scene.film)
     colors = _cloud_colors(scene, orders, pack)
-    if scene.ghost is not None:
-        pack.differences("ghost", integers(scene.ghost.positions))
-        pack.plain("ghost faces", scene.ghost.faces.astype("<u4"))
     header = {
         **_facts(scene),
         "cloudColors": colors,
@@ -214,9 +206,6 @@ def _facts(scene: SceneContents) -> dict[str, Any]:
         "fieldOfView": float(2 * np.arctan(0.5 * eye.height / eye.fy)),
         "times": np.round(scene.time_s, 4).tolist(),
         "views": [_view(one) for one in scene.views],
-        "ghost": None
-        if scene.ghost is None
-        else {"title": scene.ghost.title, "known": scene.ghost.known.tolist()},
         "thickness": THICKNESS_M,
         "up": scene.up.tolist(),
         "along": scene.along.tolist(),
@@ -238,7 +227,6 @@ def _facts(scene: SceneContents) -> dict[str, Any]:
             "table": TABLE,
             "ink": INK,
             "unknown": UNKNOWN,
-            "ghost": GHOST,
             "heat": HEAT.tolist(),
         },
     }

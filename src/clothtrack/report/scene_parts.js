@@ -1,15 +1,4 @@
-// What stands around the cloth: another cloth, the pickers' paths, the cameras, the light from above.
-
-// Another cloth to compare with, which knows its positions only.
-function ghostOf({ header, arrays, points }) {
-  if (!header.ghost) return null;
-  const count = arrays.ghost.length / 3 / header.frames.length;
-  return clothOf({
-    header: { ...header, vertices: count },
-    arrays: { faces: arrays["ghost faces"], ranks: new Uint8Array(count * header.frames.length) },
-    points: (_, first, many, into) => points("ghost", first, many, into),
-  });
-}
+// What stands around the cloth: the pickers' paths, the cameras, the light from above.
 
 // Points of the cloth at a dozen of the frames; observed points where there is no cloth.
 function pointsOfAll({ header, points }, starts) {

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from clothtrack.report.coloring import Coloring
-from clothtrack.report.palette import GHOST, HEAT, HIDDEN, INSIDE, OUTSIDE, UNKNOWN, hexadecimal
+from clothtrack.report.palette import HEAT, HIDDEN, INSIDE, OUTSIDE, UNKNOWN, hexadecimal
 from clothtrack.report.scene_data import SceneContents, packed
 
 LARGEST_GAP_M = 0.04
@@ -193,9 +193,6 @@ def _switches(contents: SceneContents, options: str) -> str:
     if contents.pickers and len(contents.frames) > 1:
         words = "The way of the tip: red while it holds, faint where it goes later"
         parts.append(_check("path", "picker's path", words))
-    if contents.ghost is not None:
-        words = "Another cloth to compare with, translucent"
-        parts.append(_check("ghost", contents.ghost.title, words) + swatch(GHOST, ""))
     if cloth:
         parts.append(_check("lines", "mesh lines", "The edges of the triangles", checked=False))
     parts.append(

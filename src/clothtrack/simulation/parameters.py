@@ -51,8 +51,7 @@ class SolverConfig(Checked):
 
     Attributes:
         contact: "vertex-triangle" remembers on which side of a triangle a vertex is and holds thin
-            layers at any spacing; "particle" is about half as dear but needs a spacing near the
-            thickness; "none" lets layers pass.
+            layers at any spacing; "none" lets layers pass.
         thickness_m: distance that layers keep [m]; a vertex rests half of it above the table.
         substep_s: longest substep [s]; contacts and the table are solved once per substep.
         area_density: mass per area [kg/m^2].
@@ -74,7 +73,7 @@ class SolverConfig(Checked):
             the stretch compliance: an edge that does not stretch is a strut whatever this says.
     """
 
-    contact: Literal["vertex-triangle", "particle", "none"] = "vertex-triangle"
+    contact: Literal["vertex-triangle", "none"] = "vertex-triangle"
     thickness_m: Positive = THICKNESS_M
     substep_s: Positive = 1.1e-3
     area_density: Positive = 0.2

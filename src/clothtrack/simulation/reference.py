@@ -36,7 +36,6 @@ class ReferenceCloth:
         pull: rate at which a soft vertex approaches its goal [1/s]; 0 is free, -1 held.
         goals: where attached vertices go [m].
         pairs: candidates of contact, per vertex: (triangle + 1) x side and the distance kept [m].
-        neighbours: candidates of particle contact, per vertex.
     """
 
     mesh: ClothMesh
@@ -47,7 +46,6 @@ class ReferenceCloth:
     pull: Float[np.ndarray, " vertices"]
     goals: Float[np.ndarray, "vertices 3"]
     pairs: list[list[tuple[int, float]]] | None = None
-    neighbours: list[list[int]] | None = None
 
     def substep(self, substep_s: float, substeps_left: int) -> None:
         """Advance by one substep [s], of which `substeps_left` remain in the step."""
@@ -91,8 +89,6 @@ class ReferenceCloth:
     def _contact(self, positions, start, inverse, substep_s):
         if self.pairs is not None:
             return _triangle_contact(self, positions, start, inverse, substep_s)
-        if self.neighbours is not None:
-            return _particle_contact(self, positions, start, inverse)
         return np.zeros_like(positions), np.zeros_like(positions)
 
     def _finish(self, positions, velocities, start, inverse, *, moves, stops, substep_s) -> None:
@@ -177,28 +173,3 @@ def _triangle_contact(cloth: ReferenceCloth, positions, start, inverse, substep_
                 active[index] += abs(share)
     scale = (inverse / np.maximum(active, 1.0))[:, None]
     return scale * total, scale * stopped
-
-
-def _particle_contact(cloth: ReferenceCloth, positions, start, inverse):
-    total, stopped = np.zeros_like(positions), np.zeros_like(positions)
-    for vertex, others in enumerate(cloth.neighbours):
-        touching = 0
-        for other in others:
-            across = positions[vertex] - positions[other]
-            distance = np.linalg.norm(across)
-            at_rest = np.linalg.norm(cloth.mesh.vertices[vertex] - cloth.mesh.vertices[other])
-            depth = min(cloth.config.thickness_m, at_rest) - distance
-            if depth <= 0.0 or inverse[vertex] == 0.0:
-                continue
-            normal = across / distance
-            slip = positions[vertex] - start[vertex] - positions[other] + start[other]
-            nearing = -slip @ normal
-            slip = slip + nearing * normal
-            cut = _cut(slip, cloth.parameters.particle_friction * depth) * slip
-            share = inverse[vertex] / (inverse[vertex] + inverse[other])
-            total[vertex] += share * (depth * normal - cut)
-            stopped[vertex] += share * (np.clip(nearing, 0.0, depth) * normal - cut)
-            touching += 1
-        total[vertex] /= max(touching, 1)
-        stopped[vertex] /= max(touching, 1)
-    return total, stopped

@@ -18,11 +18,7 @@ from clothtrack.simulation.constraints import (
     bend_constraints,
     stretch_constraints,
 )
-from clothtrack.simulation.contacts import (
-    Contact,
-    NoContact,
-    ParticleContact,
-)
+from clothtrack.simulation.contacts import Contact, NoContact
 from clothtrack.simulation.parameters import ELASTIC_SUBSTEPS, ClothParameters, SolverConfig
 from clothtrack.simulation.state import Attachment, ClothState, ContactMemory, pull_rate
 from clothtrack.simulation.triangle_contact import TriangleContact
@@ -112,8 +108,6 @@ class ClothSolver:
     def _make_contact(self) -> Contact:
         if self.config.contact == "vertex-triangle":
             return TriangleContact(self.mesh, self._buffers, self.config, self._material[3])
-        if self.config.contact == "particle":
-            return ParticleContact(self._buffers, self.config, self._material[3])
         return NoContact(self._buffers)
 
     # State

@@ -9,8 +9,7 @@ The truth is apart, as everywhere: no tracking code takes it.
 """
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +76,7 @@ class EpisodeParts:
     """
 
     perception: Perception | None = None
-    dynamics: Sequence[PlanningDynamics] = field(default_factory=tuple)
+    dynamics: PlanningDynamics | None = None
     starts: Path | None = None
     propose: Propose | None = None
 

@@ -36,10 +36,9 @@ from clothtrack.reconstruction.data.garment_draws import (
     draw_parameters,
 )
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
-from clothtrack.reconstruction.data.states import StatesConfig
+from clothtrack.reconstruction.data.states import FAST_CONTACT, StatesConfig
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
-from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
 
@@ -220,7 +219,7 @@ def make_roll_outs(
     fine = draw_garment(kind, states.garments, states.vertex_count, rng)
     coarsen = Coarsener(fine, kind, config.coarse)
     table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    solver_config = SolverConfig(**{**vars(states.solver), "table": table})
+    solver_config = replace(FAST_CONTACT, table=table)
     crumpler = Crumpler(fine, states.crumpling, solver_config)
     parts: list[tuple[np.ndarray, HeldPaths]] = []
     while len(parts) < config.starts:
@@ -236,8 +235,8 @@ def make_roll_outs(
             parts.append(_rolled(solver, coarsen, state.positions, config, rng))
         if len(parts) == begun and rng.random() < 0.05:
             raise SimulationDivergedError(
-                f"roll-outs of shard {number}: crumpled cloth explodes again and again; use a "
-                "shorter states.solver.substep_s"
+                f"roll-outs of shard {number}: crumpled cloth explodes again and again; "
+                "narrow the ranges of states.cloth"
             )
     return _joined(parts, coarsen.flat, config)
 
@@ -254,7 +253,7 @@ def _rolled(
     cloth = PlannedCloth(coarsen.flat, coarse)
     flat_on_table = coarse * [1.0, 1.0, 0.0]
     seen = SeenCloth(coarse, None)
-    weights = pick_weights(flat_on_table, [(coarsen.flat, flat_on_table)])
+    weights = pick_weights(flat_on_table, coarsen.flat, flat_on_table)
     actions = sample_actions(seen, config.actions, config.space, rng, weights=weights)
     held = HeldPaths.of(cloth, [*actions, *[None] * (config.actions - len(actions))], config.motion)
     every = np.arange(config.actions)
@@ -297,8 +296,8 @@ def _joined(
     sound = np.isfinite(positions).all(axis=(1, 2, 3))
     if sound.sum() < 0.5 * len(sound):
         raise SimulationDivergedError(
-            f"only {int(sound.sum())} of {len(sound)} roll-outs stayed finite; use a shorter "
-            "states.solver.substep_s"
+            f"only {int(sound.sum())} of {len(sound)} roll-outs stayed finite; narrow the "
+            "ranges of states.cloth"
         )
     return RollOutShard(
         mesh, positions[sound], held[sound], np.where(held[sound] < 0, 0, steps[sound]),

@@ -172,7 +172,7 @@ def _positions(
 
 def _sensors(config: RenderConfig, even: _Even) -> dict[str, Float[Tensor, " batch"]]:
     """Sensors on a better or a worse day, of three kinds."""
-    kinds = (config.stereo, config.structured_light, config.time_of_flight)
+    kinds = config.sensors
     scale = even.between(*config.noise_range).float()
     kind = torch.floor(len(kinds) * even()).long()
 

@@ -16,6 +16,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
 from clothtrack.reconstruction.data.folding import NEAT, NeatFolds
 from clothtrack.reconstruction.data.recipes import (
+    ACTION,
     REFERENCE_SIZE_M,
     CrumplingConfig,
     Recipe,
@@ -35,6 +36,24 @@ from clothtrack.simulation.state import Attachment
 
 STEP_S = 0.025
 """Length of a step of the solver while the cloth is moved [s]."""
+
+SMOOTHED = 0.3
+"""Share of soft folds at which a hand smooths the cloth afterwards."""
+
+SMOOTHING_M = 0.02
+"""How far a hand that laid a garment of `REFERENCE_SIZE_M` flat may have pulled it last [m]."""
+
+HANG_M = (0.03, 0.25)
+"""Distance of such a hanging garment from the table before it is dropped [m], least and largest."""
+
+HANG_S = 0.1
+"""How long it hangs [s]."""
+
+LIFT_SPEED = 1.2
+"""Speed at which a vertex of such a garment is lifted [m/s]."""
+
+REST_SPEED = 0.1
+"""A cloth is at rest when no vertex covers more way than this in `WINDOW_STEPS` [m/s]."""
 
 PULL_REACH = 0.7
 """No pull leads farther from where the garment lay flat than this, over its longer side."""
@@ -123,14 +142,13 @@ class Crumpler:
         self._size_m, self._scale = size, size / REFERENCE_SIZE_M
         self._pull_reach_m = PULL_REACH * size
         layers = 2 if np.ptp(mesh.vertices[:, 2]) == 0.0 else 4
-        action = config.action
         self._action = replace(
-            action,
-            distance_m=self._scaled(action.distance_m),
-            lift_m=self._scaled(action.lift_m),
-            grasp_radius_m=action.grasp_radius_m * self._scale,
-            speed=self._speed(action.speed),
-            reach_m=min(action.reach_m * self._scale, 0.65 * size),
+            ACTION,
+            distance_m=self._scaled(ACTION.distance_m),
+            lift_m=self._scaled(ACTION.lift_m),
+            grasp_radius_m=ACTION.grasp_radius_m * self._scale,
+            speed=self._speed(ACTION.speed),
+            reach_m=min(ACTION.reach_m * self._scale, 0.65 * size),
             release_height_m=0.002 + layers * solver.thickness_m,
         )
         self._attached: Attachment | None = None
@@ -219,7 +237,7 @@ class Crumpler:
     def _flat(self, rng: np.random.Generator) -> None:
         """Pull at one vertex a little, as a hand does that smooths the cloth."""
         vertex = int(rng.integers(self.mesh.vertex_count))
-        way = _aside(rng.uniform(0.0, self.config.smoothing_m * self._scale), rng)
+        way = _aside(rng.uniform(0.0, SMOOTHING_M * self._scale), rng)
         self._carry(np.array([vertex]), way * np.linspace(0.0, 1.0, 5)[1:, None])
 
     def _lift(self, rng: np.random.Generator) -> None:
@@ -230,7 +248,7 @@ class Crumpler:
     def _drop(self, rng: np.random.Generator) -> None:
         """Lift one vertex until the cloth hangs clear of the table, and let it go."""
         vertex = int(rng.integers(self.mesh.vertex_count))
-        clear_m = rng.uniform(*self._scaled(self.config.hang_m))
+        clear_m = rng.uniform(*self._scaled(HANG_M))
         self._raise(vertex, self._hanging_m(vertex) + clear_m, rng)
 
     def _held(self, rng: np.random.Generator) -> None:
@@ -267,7 +285,7 @@ class Crumpler:
             return recipe, CrumpledState(recipe, points.astype(np.float32), 0.0, exploded)
         self._stack = None
         self._solver.place(points)
-        if rng.random() < self.config.smoothed:
+        if rng.random() < SMOOTHED:
             self._flat(rng)
         return recipe, self._rest(recipe)
 
@@ -325,9 +343,9 @@ class Crumpler:
         config = self.config
         drift_m = rng.uniform(0.0, config.drift_m * self._scale)
         way = _aside(drift_m, rng) + [0.0, 0.0, height_m]
-        speed = self._speed(config.lift_speed)
+        speed = self._speed(LIFT_SPEED)
         steps = max(2, round(float(np.linalg.norm(way)) / speed / STEP_S))
-        still = np.ones(round(config.hang_s / STEP_S))
+        still = np.ones(round(HANG_S / STEP_S))
         share = np.concatenate([np.linspace(0.0, 1.0, steps + 1)[1:], still])
         return self._carry(np.atleast_1d(vertices), way * share[:, None])
 
@@ -381,7 +399,7 @@ class Crumpler:
                 return CrumpledState(recipe, after, np.inf, exploded=True)
             speed = float(np.linalg.norm(after - before, axis=1).max()) / window_s
             before = after
-            if speed < config.rest_speed:
+            if speed < REST_SPEED:
                 break
         return CrumpledState(recipe, before, speed, exploded=self._exploded(before))
 

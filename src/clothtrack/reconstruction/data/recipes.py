@@ -16,6 +16,9 @@ REFERENCE_SIZE_M = 0.4
 """Longer side of a garment for which lengths of `CrumplingConfig` hold as they are [m]; those of a
 larger garment grow with it, and speeds with the root of it, as free fall does."""
 
+ACTION = ActionConfig(speed=0.6, clear_held=True)
+"""Pick-and-places on a garment of that size; reach and release height follow the garment."""
+
 
 @dataclass(frozen=True)
 class CrumplingConfig:
@@ -33,22 +36,14 @@ class CrumplingConfig:
             lets go, which makes them soft.
         loft_m: how much farther layers are apart at the creases of a pressed stack [m]; its
             logarithm is drawn evenly. Hands do not iron.
-        smoothed: share of soft folds at which a hand smooths the cloth afterwards.
         wrinkled: share of flat and folded states that have fine wrinkles.
-        smoothing_m: how far a hand that laid the cloth flat may have pulled it last [m].
         lift_m: how high a vertex is lifted when the cloth stays on the table in part [m].
-        hang_m: distance of the hanging cloth from the table before it is dropped [m].
-        lift_speed: speed at which a vertex is lifted [m/s].
-        hang_s: how long it hangs [s].
         drift_m: how far aside it is let go [m].
         two_pickers: share of pick-and-places with a second gripper that moves alike.
         folded, middle, pulled: shares of pick-and-places that take folded cloth with all its
             layers, cloth near the middle, and the outline to carry it outwards, as one who flattens
             a crumpled cloth; the others take mostly the outline, and carry it inwards.
-        action: pick-and-places; `reach_m` and the release height follow the garment.
-        rest_speed: a cloth is at rest when no vertex covers more way than this in a tenth of a
-            second [m/s].
-        rest_limit_s: longest wait for that [s].
+        rest_limit_s: longest wait until a cloth is at rest [s].
         strain_limit: a state whose edges changed length by more than this share, in the mean, has
             exploded, as has one of which a vertex lies under the table.
         folded_strain_limit: the same for pressed stacks, whose creases take up most of it.
@@ -75,20 +70,13 @@ class CrumplingConfig:
     turned_over: float = 0.5
     pressed: float = 0.75
     loft_m: tuple[float, float] = (0.0003, 0.006)
-    smoothed: float = 0.3
     wrinkled: float = 0.7
-    smoothing_m: float = 0.02
     lift_m: tuple[float, float] = (0.08, 0.25)
-    hang_m: tuple[float, float] = (0.03, 0.25)
-    lift_speed: float = 1.2
-    hang_s: float = 0.1
     drift_m: float = 0.1
     two_pickers: float = 0.3
     folded: float = 0.15
     middle: float = 0.15
     pulled: float = 0.35
-    action: ActionConfig = field(default_factory=lambda: ActionConfig(speed=0.6, clear_held=True))
-    rest_speed: float = 0.1
     rest_limit_s: float = 0.8
     strain_limit: float = 0.05
     folded_strain_limit: float = 0.06

@@ -320,8 +320,7 @@ def _wave(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray,
 def _sensor(config: RenderConfig, rng: np.random.Generator) -> SensorConfig:
     """The sensor on a better or a worse day."""
     scale = rng.uniform(*config.noise_range)
-    kinds = (config.stereo, config.structured_light, config.time_of_flight)
-    mean = kinds[int(rng.integers(len(kinds)))]
+    mean = config.sensors[int(rng.integers(len(config.sensors)))]
     return replace(
         mean,
         white_m=scale * mean.white_m,

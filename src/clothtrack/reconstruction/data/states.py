@@ -78,20 +78,19 @@ THICKEST = 0.015
 """Largest thickness of cloth over the garment's size."""
 
 
-def _fast_contact() -> SolverConfig:
-    """The solver for whole crumpled cloths: no contact between edges, frequent searches.
+FAST_CONTACT = SolverConfig(
+    edge_contact=False,
+    rebuild_s=0.0033,
+    contact_margin_m=0.004,
+    contact_depth_m=0.01,
+    speed_limit=2.0,
+    damping=4.0,
+)
+"""The solver for whole crumpled cloths; thickness and density are those of each cloth.
 
-    Contact between edges costs five times as much on crumpled cloth. Searching thrice as often, a
-    wider margin and a lower speed limit keep crossings to a few per 1,000 edges without it.
-    """
-    return SolverConfig(
-        edge_contact=False,
-        rebuild_s=0.0033,
-        contact_margin_m=0.004,
-        contact_depth_m=0.01,
-        speed_limit=2.0,
-        damping=4.0,
-    )
+Contact between edges costs five times as much on crumpled cloth. Searching thrice as often, a
+wider margin and a lower speed limit keep crossings to a few per 1,000 edges without it.
+"""
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,6 @@ class StatesConfig(Checked):
         crumpling: the episodes.
         garments: how large they are, and how they are cut.
         cloth: what they are made of.
-        solver: how their motion is computed; thickness and density are those of `cloth`.
     """
 
     vertex_count: Count = 1000
@@ -120,7 +118,6 @@ class StatesConfig(Checked):
     crumpling: CrumplingConfig = field(default_factory=CrumplingConfig)
     garments: GarmentRanges = field(default_factory=GarmentRanges)
     cloth: ClothRanges = field(default_factory=ClothRanges)
-    solver: SolverConfig = field(default_factory=_fast_contact)
 
     def __post_init__(self) -> None:
         """Refuse what cannot be made.
@@ -285,7 +282,7 @@ def _shard(
     contact = float(rng.uniform(*config.cloth.contact_m))
     contact = max(thickness, contact * max(1.0, math.sqrt(size_m / REFERENCE_SIZE_M)))
     density = float(rng.uniform(*config.cloth.area_density))
-    solver = _with_cloth(config.solver, min(THICKEST_M, contact), density)
+    solver = replace(FAST_CONTACT, thickness_m=min(THICKEST_M, contact), area_density=density)
     crumpler = Crumpler(mesh, config.crumpling, solver, thickness_m=thickness)
     flat_area = projected_area(mesh.vertices, mesh.faces)
     taken: list[CrumpledState] = []
@@ -341,11 +338,6 @@ def _sound_states(
         f"only {found} of {wanted} states of a {len(crumpler.mesh.vertices)}-vertex garment were "
         "sound; use a shorter solver.substep_s, a thicker cloth or a higher crossings_limit"
     )
-
-
-def _with_cloth(solver: SolverConfig, thickness_m: float, area_density: float) -> SolverConfig:
-    values = {**vars(solver), "thickness_m": thickness_m, "area_density": area_density}
-    return SolverConfig(**values)
 
 
 def _near_origin(

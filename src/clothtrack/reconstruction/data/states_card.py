@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from clothtrack.reconstruction.data.crumpling import REST_SPEED
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
 
 BINS = np.linspace(0.0, 1.1, 12)
@@ -70,7 +71,8 @@ def _soundness(shards: list[StateShard], document: Mapping[str, Any]) -> str:
     speed, strain = _measure(shards, "speed"), _measure(shards, "strain")
     if not len(speed):
         return ""
-    limit = document["config"]["crumpling"]["rest_speed"]
+    # States of earlier versions say their own.
+    limit = document["config"]["crumpling"].get("rest_speed", REST_SPEED)
     edges = np.repeat(
         [len(shard.mesh.edges) for shard in shards], [len(shard.positions) for shard in shards]
     )

@@ -5,7 +5,6 @@ states; a whole batch is rendered at once, on the device, when it is put togethe
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +106,7 @@ def pretrain_packed(
     data: dict[str, Any] = {
         "states": len(states),
         "sets": [provenance for _, provenance in read],
-        "rendering": as_plain(asdict(cameras)),
+        "rendering": cameras.as_dict(),
         "asked": asked,
     }
     weights = None

@@ -1,7 +1,6 @@
 """Trains the token network: on simulated states, from nothing or further, and on pseudo-labels."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +63,7 @@ def pretrain_tokens(
     data: dict[str, Any] = {
         "states": len(examples),
         "sets": [one.identity for one in states],
-        "rendering": as_plain(asdict(config.rendering)),
+        "rendering": config.rendering.as_dict(),
     }
     weights = None
     if start is not None:
