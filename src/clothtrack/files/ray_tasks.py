@@ -6,6 +6,7 @@ It needs the extra [ray], which is imported when the first item is worked on.
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -23,6 +24,9 @@ LOCAL = "local"
 
 CANCEL_S = 10.0
 """Time for canceled tasks to end [s]."""
+
+ANSWER_S = 5.0
+"""Time for a cluster to accept a connection [s]; Ray itself tries, and logs, for two minutes."""
 
 
 def finished_by_ray(
@@ -109,8 +113,11 @@ def _connected(address: str, workers: int) -> Any:
     try:
         with _own_sigterm():
             if not ray.is_initialized():
+                host, _, port = address.removeprefix("ray://").rpartition(":")
+                if host and port.isdigit():
+                    socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
                 ray.init(address, logging_level=logging.ERROR, **options)
-    except (ConnectionError, RuntimeError, ValueError) as error:
+    except (OSError, OverflowError, RuntimeError, ValueError) as error:
         raise InvalidConfigError(
             f"Ray at {address!r} does not answer ({_first_line(error)}); give the address of a "
             f"running cluster, or {LOCAL} to start Ray on this machine"
