@@ -1,6 +1,7 @@
 """The verbs of the command line that act: flattening, its learned dynamics, and getting better."""
 
 import json as json_module
+from collections.abc import Iterable
 from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -112,29 +113,29 @@ def flatten(
     parts = episode_parts(garment, config, device=device, garment_seed=garment_seed, output=output)
     write = complain if json else say  # The result on stdout stays JSON alone.
     opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
-    rows = []
     with opened if live else nullcontext() as watch:
         flattened = flatten_many(
             output, garment, config, range(seed, seed + episodes), garment_seed=garment_seed,
             device=device, parts=parts, watch=watch, workers=workers, ray=ray, progress=progress,
         )  # fmt: skip
         with closing(flattened):
-            for row in flattened:
-                rows.append(row)
-                if not json:
-                    say(_episode_in_words(row))
-    if json:
-        say(json_module.dumps(rows, indent=2))
+            _say_episodes(flattened, json=json)
     return 0
 
 
-def _episode_in_words(row: dict[str, Any]) -> str:
-    """Summarize an episode in a line."""
-    control = "   CONTROL" if row["control"] else ""
-    return (
-        f"{row['report']}   improvement {row['improvement'][-1]:.2f} after {row['actions']} "
-        f"actions; {row['status']}{control}"
-    )
+def _say_episodes(episodes: Iterable[dict[str, Any]], *, json: bool) -> None:
+    """Write a line per episode as it ends, or one JSON document at the end."""
+    rows = []
+    for row in episodes:
+        rows.append(row)
+        control = "   CONTROL" if row["control"] else ""
+        if not json:
+            say(
+                f"{row['report']}   improvement {row['improvement'][-1]:.2f} after "
+                f"{row['actions']} actions; {row['status']}{control}"
+            )
+    if json:
+        say(json_module.dumps(rows, indent=2))
 
 
 def _excluded(
