@@ -21,7 +21,6 @@ from clothtrack.cli.options import (
 )
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.output_lock import locked_output
 from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
@@ -180,6 +179,7 @@ def train_dynamics(
         seed: of roll-outs, weights and order.
         json: machine-readable.
     """
+    from clothtrack.files.output_lock import locked_output
     from clothtrack.files.settings import with_settings
     from clothtrack.planning.graph_dynamics.roll_outs import (
         RollOutConfig,

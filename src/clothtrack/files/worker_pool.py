@@ -100,7 +100,8 @@ def _finished_in_pool(
                 if not jobs:
                     break
                 done, _ = wait(jobs, return_when=FIRST_COMPLETED)
-                for job in done:
+                # What is finished is not under way, though another worker died meanwhile.
+                for job in sorted(done, key=lambda job: job.exception() is not None):
                     result = job.result()
                     del jobs[job]
                     yield result
