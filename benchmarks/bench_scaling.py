@@ -3,14 +3,13 @@
 The T-shirt of staged_fold.py is tracked at several numbers of vertices: in default mode without
 calibration, with half of its frames, and with candidates. CPU time of the process
 (`time.process_time`), after a run that compiles; memory is the highest of the process; bytes and
-files are those of the saved trajectory. Then the memory of the work is asked about many made-up
-items: what `status` and the start of a run take, and the look for leftovers before each item.
+files are those of the saved trajectory. Then a folder with many made-up results is looked at as the
+start of a run does: for leftovers.
 
     python benchmarks/bench_scaling.py --json out/bench_scaling.json [--quick]
 """
 
 import argparse
-import json
 import resource
 import sys
 import tempfile
@@ -25,8 +24,6 @@ from results import provenance, write_json
 from staged_fold import SIZE_M, STEPS, shirt, staged
 
 from clothtrack.files.atomic_write import clear_leftovers
-from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.work_status import work_status
 from clothtrack.geometry import quiet_warp
 from clothtrack.recordings import Recording, observe
 from clothtrack.tracking import RunConfig, SearchConfig, Tracker
@@ -93,33 +90,17 @@ def fitted(rows: list[dict]) -> dict[str, float]:
 
 
 def of_many(count: int, folder: Path) -> dict:
-    """What the memory of the work takes with so many items, all done but one in a hundred."""
+    """What a folder of so many results takes: to be looked through for leftovers, and listed."""
     out = folder / f"items_{count}"
-    work = WorkFolder(out, "track")
-    names = [f"towel_{number:07d}" for number in range(count)]
-    results = {name: out / f"{name}.zarr" for name in names}
-    ask_s = timed(lambda: work.ask("track recordings/*", results))
-    (work.folder / "items").mkdir()
-    note = json.dumps({"status": "done", "seconds": 9.5, "host": "node", "pid": 1, "ended": 1.0})
-    for name in names[: count - count // 100]:
-        (work.folder / "items" / f"{name}.json").write_text(note)
-        results[name].touch()
-    left_s = timed(lambda: [clear_leftovers(results[n], claimed=True) for n in names[:5]]) / 5
+    out.mkdir()
+    results = [out / f"towel_{number:07d}.zarr" for number in range(count)]
+    for result in results:
+        result.touch()
     return {
         "items": count,
-        "ask_s": ask_s,
-        "asked_bytes": sum(path.stat().st_size for path in (work.folder / "asked").iterdir()),
-        "status_s": timed(lambda: work_status(out)),
-        "claim_s": timed(partial(_claim, work)) / 20,
-        "leftovers_s": left_s,
+        "leftovers_s": timed(lambda: clear_leftovers(results)),
         "list_s": timed(lambda: list(out.iterdir())),
     }
-
-
-def _claim(work: WorkFolder) -> None:
-    for number in range(20):
-        with work.claimed(f"item_{number}"):
-            pass
 
 
 def timed(run: Callable[[], object]) -> float:

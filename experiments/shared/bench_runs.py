@@ -24,7 +24,6 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation import Truth
 from clothtrack.evaluation.label_evidence import Label
 from clothtrack.files import finished_in_workers
-from clothtrack.files.shared_work import Executor
 from clothtrack.geometry import ClothMesh
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import RunConfig, TrackedTrajectory, Tracker, find_initial_state
@@ -163,7 +162,7 @@ def run_all(
     tasks: Sequence[Task],
     *,
     workers: int = 1,
-    executor: Executor = finished_in_workers,
+    ray: str = "",
     progress: Callable[[str], None] | None = None,
 ) -> list[list[Row]]:
     """The rows of every task, in order; finished runs are read, the others are made.
@@ -184,7 +183,10 @@ def run_all(
         if progress is not None:
             progress(f"{task.variant.name}, {task.trajectory.name}: {word}\n")
 
-    with closing(executor(_made, list(missing.values()), workers)) as made:
+    found = finished_in_workers(
+        _made, list(missing.values()), workers, ray=ray, name=lambda task: str(task.file)
+    )
+    with closing(found) as made:
         for task, rows in made:
             note(task, rows)
     return [failed[task.file] if task.file in failed else read_rows(task.file) for task in tasks]

@@ -20,9 +20,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.files import finished_in_workers
-from clothtrack.files.ray_executor import RayExecutor
-from clothtrack.files.shared_work import Executor
 from clothtrack.geometry import quiet_warp
 from clothtrack.tracking import MODES, RunConfig
 from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate
@@ -61,7 +58,7 @@ class Setup:
         limit: most trajectories.
         vertices: resample first meshes to so many vertices; None leaves them.
         workers: processes.
-        executor: who runs the tracking.
+        ray: address of Ray, which is to track; worker processes by default.
         device: "cpu" or "cuda:0".
         smoke: whether this only shows that everything runs.
     """
@@ -72,7 +69,7 @@ class Setup:
     limit: int | None = None
     vertices: int | None = None
     workers: int = 1
-    executor: Executor = finished_in_workers
+    ray: str = ""
     device: str = "cpu"
     smoke: bool = False
 
@@ -123,7 +120,7 @@ class Setup:
             Task(trajectory, variant, self.out / "runs", self.device)
             for trajectory, variant in runs
         ]
-        parts = run_all(tasks, workers=self.workers, executor=self.executor, progress=_progress)
+        parts = run_all(tasks, workers=self.workers, ray=self.ray, progress=_progress)
         return [
             {
                 "experiment": experiment,
@@ -158,7 +155,7 @@ def run_experiment(
             limit=1 if options.smoke else options.limit,
             vertices=options.vertices,
             workers=options.workers,
-            executor=executor_of(options),
+            ray=options.ray,
             device=options.device,
             smoke=options.smoke,
         )
@@ -190,7 +187,7 @@ def parse(description: str, arguments: Sequence[str] | None) -> argparse.Namespa
     parser.add_argument("--vertices", type=int, help="resample first meshes to about so many")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="variants, or beginnings of them")
     parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--ray", metavar="ADDRESS", help=RAY_HELP)
+    parser.add_argument("--ray", default="", metavar="ADDRESS", help=RAY_HELP)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--smoke", action="store_true", help="one small towel, under a minute")
     parser.add_argument("--verbose", action="store_true", help="log what happens")
@@ -198,11 +195,6 @@ def parse(description: str, arguments: Sequence[str] | None) -> argparse.Namespa
     if options.bench is None and not options.smoke:
         parser.error("give --bench FOLDER (clothtrack simulate FOLDER makes one), or --smoke")
     return options
-
-
-def executor_of(options: argparse.Namespace) -> Executor:
-    """Who runs the tracking: worker processes, or Ray where --ray says so."""
-    return RayExecutor(options.ray) if options.ray else finished_in_workers
 
 
 def _only(runs: Sequence[Run], names: Sequence[str]) -> list[Run]:

@@ -151,7 +151,7 @@ def mesh(rng: np.random.Generator, stage: Path, box: Path) -> Words:
 def other_files(rng: np.random.Generator, stage: Path, box: Path) -> Words:
     """Documents beside the results: reviews, lists, episodes, states, memory of the work."""
     folder, out = box / "in", box / "out"
-    kind = chosen(("review", "states", "shard", "episode", "work", "lens", "poses"), rng)
+    kind = chosen(("review", "states", "shard", "episode", "lens", "poses"), rng)
     at = ["--recordings", stage / "world" / "recordings"]
     if kind == "review":
         shutil.copytree(stage / "tracked" / "towel_0001.zarr", folder / "towel_0001.zarr")
@@ -173,10 +173,6 @@ def other_files(rng: np.random.Generator, stage: Path, box: Path) -> Words:
         _spoil_json(path, rng)
         return ["flatten", folder / "episodes", "--policy", "heuristic", "--actions", 1, "--seed",
                 3]  # fmt: skip
-    if kind == "work":
-        shutil.copytree(stage / "tracked" / ".work", folder / ".work")
-        _spoil_json(_any_file(folder / ".work", rng), rng)
-        return ["status", folder]
     if kind == "lens":
         path = folder / "lens.json"
         shutil.copy(stage / "bags" / "lens.json", path)

@@ -49,7 +49,7 @@ from shared.bench_runs import (
     trajectories,
     write_rows,
 )
-from shared.experiment import RAY_HELP, Setup, executor_of
+from shared.experiment import RAY_HELP, Setup
 from shared.figures import say
 from shared.held_out import learned_from, measured_on, parted, require_apart
 from shared.learning_runs import Reconstructor, Tuner, kind_of, reconstruction_rows
@@ -173,9 +173,8 @@ class LearningSetup:
             Task(one, variant, self.tracking.out / "runs", self.tracking.device) for one in chosen
         ]
         parts = run_all(
-            tasks, workers=self.tracking.workers, executor=self.tracking.executor,
-            progress=_progress,
-        )  # fmt: skip
+            tasks, workers=self.tracking.workers, ray=self.tracking.ray, progress=_progress
+        )
         for task, rows in zip(tasks, parts, strict=True):
             if "error" in rows[0]:
                 _progress(f"{task.trajectory.name} has no label: {rows[0]['error']}\n")
@@ -239,7 +238,7 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
         out=out,
         split=options.split,
         workers=options.workers,
-        executor=executor_of(options),
+        ray=options.ray,
         device=options.device,
         smoke=options.smoke,
     )
@@ -325,7 +324,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set", dest="settings", action="append", default=[], help="a setting")
     parser.add_argument("--seed", type=int, default=0, help="of the training")
     parser.add_argument("--workers", type=int, default=1, help="processes that track")
-    parser.add_argument("--ray", metavar="ADDRESS", help=RAY_HELP)
+    parser.add_argument("--ray", default="", metavar="ADDRESS", help=RAY_HELP)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--smoke", action="store_true", help="small towels, under a minute")
     parser.add_argument("--verbose", action="store_true", help="log what happens")

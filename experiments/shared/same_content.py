@@ -23,8 +23,6 @@ TIMES = ("predict_s", "align_s", "correct_s")
 PROGRESS = re.compile(r"events\.out\.tfevents|progress\.pt$|\.jsonl$")
 """Files of a training that are its memory and no result."""
 
-HIDDEN = ".work"
-
 
 def contents(folder: Path) -> dict[str, str]:
     """Digests of all results in a folder, by their names; what is hidden is none."""
@@ -59,9 +57,8 @@ def digest(path: Path) -> str:
 
 
 def hidden_in(folder: Path) -> list[str]:
-    """What is hidden and is not the memory of the work, and claims that are left."""
-    found = [path for path in folder.rglob(".*") if path.name != HIDDEN]
-    found += folder.glob(f"{HIDDEN}/*/claims/*")
+    """What is hidden and is not the measures that `evaluate` keeps."""
+    found = [path for path in folder.rglob(".*") if path.suffix != ".measured"]
     return sorted(str(path.relative_to(folder)) for path in found)
 
 

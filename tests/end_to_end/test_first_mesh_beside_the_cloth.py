@@ -44,7 +44,7 @@ def test_tracking_stops_at_a_far_first_mesh_and_goes_on_with_the_others(
                  "--force"):  # fmt: skip
         assert part in stopped["error"]
     assert "\n" not in stopped["error"]
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"right.zarr", ".work"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"right.zarr"}
     assert tracked["verdict"]["word"] in ("trust", "look")
     assert 0.0005 < tracked["verdict"]["expected_error_m"] < 0.016
     stored = TrackedTrajectory.load(tmp_path / "out" / "right.zarr")

@@ -57,9 +57,8 @@ def complaints(written):
 
 
 def leftovers(out):
-    """What is half-written; the memory of the work is none of it, and has no claims left."""
-    claims = list(out.glob(".work/*/claims/*"))
-    return [path for path in out.glob(".*") if path.name != ".work"] + claims
+    """What is half-written, and the lock."""
+    return list(out.glob(".*"))
 
 
 def wait_for(path, process):
@@ -136,7 +135,7 @@ def test_filming_in_workers_ends_without_a_trace(tmp_path, number, code):
     words = ("simulate", out, "--trajectories", 4, "--workers", 2)
     with started(tmp_path, *words) as process:
         end = time.monotonic() + 120
-        while len(list(out.glob("recordings/.*.partial"))) < 2:
+        while len(list(out.glob("recordings/.*"))) < 2:
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < end
             time.sleep(0.05)
@@ -183,7 +182,7 @@ def test_a_full_disk(many, tmp_path, clothtrack):
     assert len(lines) == 1, told.stderr
     for word in ("towel_b.zarr", "some space", "run the same command again"):
         assert word in lines[0]
-    assert sorted(path.name for path in out.iterdir()) == [".work", "towel_a.zarr"]
+    assert sorted(path.name for path in out.iterdir()) == ["towel_a.zarr"]
     TrackedTrajectory.load(out / "towel_a.zarr")
 
 

@@ -1,4 +1,4 @@
-"""Several command lines in one folder: the work is done once, to the same bits, whoever dies."""
+"""Several workers, and a run that is killed: the same bits as one process that nobody disturbs."""
 
 import hashlib
 import json
@@ -9,11 +9,9 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
-from clothtrack import reconstruction
 from clothtrack.cli import command_line as cli
 
 FAST = ("--set", "search.method=none")
@@ -34,14 +32,18 @@ STATES = (
 
 
 @pytest.fixture
-def start():
+def start(tmp_path):
     """Starts command lines that end with the test."""
     processes = []
 
     def started(*words, code=""):
-        program = ["-c", code] if code else ["-m", "clothtrack.cli"]
+        program = ["-m", "clothtrack.cli"]
+        if code:
+            # A file, which workers read as well.
+            (tmp_path / "program.py").write_text(code)
+            program = [tmp_path / "program.py"]
         process = subprocess.Popen(
-            [sys.executable, *program, *map(str, words)],
+            [sys.executable, *map(str, (*program, *words))],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
         processes.append(process)
@@ -70,94 +72,78 @@ def bits(folder, pattern):
     }
 
 
-def seconds(out, verb):
-    """Items that some process has finished, and says in how long."""
-    paths = sorted((out / ".work" / verb / "items").iterdir())
-    return [json.loads(path.read_text())["seconds"] for path in paths]
-
-
 def no_litter(out):
-    assert not [path for path in out.rglob(".*") if path.name != ".work"]
-    assert not list(out.glob(".work/*/claims/*"))
+    assert not list(out.rglob(".*"))
 
 
 @pytest.mark.parametrize(
     ("words", "pattern"),
     [
-        (("--trajectories", "4", *SMALL), "[rt]*/**/*"),
+        (("--trajectories", "3", *SMALL), "[rt]*/**/*"),
         (STATES, "shards/**/*"),
     ],
 )
-def test_two_that_simulate_at_once_make_what_one_makes(start, tmp_path, words, pattern):
+def test_two_workers_make_what_one_makes(start, tmp_path, words, pattern):
     together, alone = tmp_path / "together", tmp_path / "alone"
-    ended_well(*(start("simulate", together, *words) for _ in range(2)))
+    ended_well(start("simulate", together, *words, "--workers", 2))
     assert cli.main(["simulate", str(alone), *words]) == 0
     assert bits(together, pattern) == bits(alone, pattern)
-    assert None not in seconds(together, "simulate")
     no_litter(together)
     if words is STATES:
         assert len(json.loads((together / "states.json").read_text())["shards"]) == 3
 
 
-def test_parts_that_run_at_once_are_the_whole(start, tmp_path):
-    out = tmp_path / "out"
-    ended_well(
-        *(start("simulate", out, "--trajectories", 3, *SMALL, "--shard", f"{k}/2") for k in (1, 2))
-    )
-    names = sorted(path.name for path in (out / "recordings").iterdir())
-    assert names == ["towel_0000", "towel_0001", "towel_0002"]
-    assert cli.main(["simulate", str(out), "--shard", "3/2"]) == 1
-
-
-def test_four_that_track_and_one_that_is_killed(start, towels, tmp_path, capsys):
-    """Then labels and measures by two at once; what is said of it; and what a failure says."""
-    folders = [tmp_path / "recordings" / f"towel_{letter}" for letter in "abcdef"]
+def test_a_killed_run_goes_on_to_the_bits_of_one_that_was_not(start, towels, tmp_path, capsys):
+    """Then labels and measures by two workers; they are kept; and what a bad recording does."""
+    folders = [tmp_path / "recordings" / f"towel_{letter}" for letter in "abcd"]
     for folder in folders:
         shutil.copytree(towels / "recordings" / "towel_0002", folder)
-    out = tmp_path / "out"
-    words = ("track", *folders, "--output", out, *FAST)
-    processes = [start(*words) for _ in range(4)]
-    claims, end = out / ".work" / "track" / "claims", time.monotonic() + 120
-    while not (held := [json.loads(path.read_text() or "{}") for path in claims.glob("[!.]*")]):
+    out, alone = tmp_path / "out", tmp_path / "alone"
+    words = ("track", *folders, *FAST, "--output")
+    killed = start(*words, out, "--workers", 2)
+    end = time.monotonic() + 240
+    while not list(out.glob("*.zarr")):
+        assert killed.poll() is None, killed.communicate()
         assert time.monotonic() < end
         time.sleep(0.02)
-    (killed,) = [one for one in processes if one.pid == held[0]["pid"]]
     killed.kill()
-    ended_well(*(one for one in processes if one is not killed))
-    assert len(list(out.glob("*.zarr"))) == len(folders)
-    assert len({str(bits(path, "positions/**/*")) for path in out.glob("*.zarr")}) == 1
+    killed.communicate()
+    finished = {path: path.stat().st_mtime_ns for path in out.glob("*.zarr/zarr.json")}
+    assert 1 <= len(finished) < len(folders)
+    ended_well(start(*words, out, "--workers", 2))
+    assert {path: path.stat().st_mtime_ns for path in finished} == finished
+    assert cli.main([*map(str, words), str(alone)]) == 0
+    tracked = sorted(out.glob("*.zarr"))
+    assert [path.stem for path in tracked] == [folder.name for folder in folders]
+    for path in tracked:
+        assert bits(path, "positions/**/*") == bits(alone / path.name, "positions/**/*")
     no_litter(out)
 
-    tracked = sorted(out.glob("*.zarr"))
     labels, measures = tmp_path / "labels", tmp_path / "measures" / "all.json"
     at = ("--recordings", tmp_path / "recordings", "--output")
-    ended_well(*(start("evaluate", *tracked[:3], *at, measures) for _ in range(2)))
+    ended_well(start("evaluate", *tracked, *at, measures, "--workers", 2))
     assert [one["name"] for one in json.loads(measures.read_text())] == [
-        "towel_a", "towel_b", "towel_c",
-    ]  # fmt: skip
+        folder.name for folder in folders
+    ]
     again = tmp_path / "again.json"
-    assert cli.main(["evaluate", *map(str, (*tracked[:3], *at, again))]) == 0
+    assert cli.main(["evaluate", *map(str, (*tracked, *at, again))]) == 0
     assert again.read_bytes() == measures.read_bytes()
     pytest.importorskip("torch")
-    ended_well(*(start("label", *tracked[:3], *at, labels) for _ in range(2)))
-    assert len(list(labels.glob("*.labels.npz"))) == 3
-    assert None not in seconds(labels, "label")
+    ended_well(start("label", *tracked, *at, labels, "--workers", 2))
+    written = files_of(labels)
+    assert len(written) == 4
+    assert cli.main(["label", *map(str, (*tracked, *at, labels))]) == 0
+    assert files_of(labels) == written
+    assert cli.main(["label", *map(str, (*tracked[:1], *at, labels)), "--flat-weight", "0.5"]) == 0
+    changed = {path for path, when in files_of(labels).items() if written[path] != when}
+    assert changed == {labels / "towel_a.labels.npz"}
 
     (folders[0] / "recording.json").write_text("{")
-    assert cli.main([*map(str, words)]) == 1
     capsys.readouterr()
-    assert cli.main(["status", str(out), "--json"]) == 0
-    (shown,) = json.loads(capsys.readouterr().out)
-    assert shown["counts"] == {"done": 5, "running": 0, "failed": 1, "not begun": 0}
-    assert cli.main(["status", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "failed     towel_a   " in said
-    assert f"nothing else: clothtrack track {folders[0]}" in said
-
-
-def test_a_folder_without_work_has_no_status(tmp_path, capsys):
-    assert cli.main(["status", str(tmp_path)]) == 1
-    assert "nothing was begun here" in capsys.readouterr().err
+    assert cli.main([*map(str, words), str(out), "--workers", "2"]) == 1
+    said = capsys.readouterr()
+    assert said.out.count("(finished before)") == 3
+    assert str(folders[0]) in said.err
 
 
 SMALL_ROBOT = """
@@ -173,10 +159,14 @@ if __name__ == "__main__":
 """
 
 
-def test_two_that_flatten_at_once_flatten_what_one_flattens(start, tmp_path):
+def files_of(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+
+
+def test_two_workers_flatten_what_one_flattens(start, tmp_path):
     words = ("--policy", "heuristic", "--actions", "1", "--episodes", "2")
     together, alone = tmp_path / "together", tmp_path / "alone"
-    ended_well(*(start("flatten", together, *words, code=SMALL_ROBOT) for _ in range(2)))
+    ended_well(start("flatten", together, *words, "--workers", 2, code=SMALL_ROBOT))
     ended_well(start("flatten", alone, *words, code=SMALL_ROBOT))
     for pattern in ("recordings/**/*", "truth/*", "worlds/**/*", "starts/**/*"):
         assert bits(together, pattern) == bits(alone, pattern)
@@ -188,48 +178,4 @@ def test_two_that_flatten_at_once_flatten_what_one_flattens(start, tmp_path):
         assert len(first) == 2
         assert first == second
     assert len(list(together.glob("*.html"))) == 2
-    assert None not in seconds(together, "flatten")
     no_litter(together)
-
-
-HOLD = """
-import sys, time
-from pathlib import Path
-from clothtrack.files.work_folder import WorkFolder
-with WorkFolder(Path(sys.argv[1]), sys.argv[2]).alone():
-    (Path(sys.argv[1]) / "held").touch()
-    time.sleep(600.0)
-"""
-
-
-def files_of(folder):
-    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
-
-
-@pytest.mark.parametrize("verb", ["train-dynamics", "improve"])
-def test_what_cannot_be_shared_is_refused_in_one_line(start, tmp_path, capsys, verb):
-    out = tmp_path / "out"
-    words = [verb, str(out), "--only-roll-outs", "--roll-outs", "1", "--garment", "towel"]
-    words += ["--set", "roll_outs.vertex_count=120", "--set", "roll_outs.starts=1"]
-    words += ["--set", "roll_outs.actions=1", "--set", "roll_outs.states.crumpling.states=1"]
-    if verb == "improve":
-        pytest.importorskip("torch")
-        weights = Path(reconstruction.__file__).parent / "weights" / "towel.safetensors"
-        words = [verb, str(weights), "--output", str(out)]
-    first = start(out, verb, code=HOLD)
-    while not (out / "held").exists():
-        assert first.poll() is None, first.communicate()
-        time.sleep(0.02)
-    before = files_of(out)
-    assert cli.main(words) == 1
-    complained = capsys.readouterr().err
-    assert f"{verb} is at work here already" in complained
-    assert f"process {first.pid}, since 2" in complained
-    assert complained.count("\n") == 1
-    assert files_of(out) == before
-    first.kill()
-    first.communicate()
-    if verb == "train-dynamics":
-        assert cli.main(words) == 0
-        assert len(list(out.glob("roll_outs/towel/shards/*.npz"))) == 1
-        no_litter(out)

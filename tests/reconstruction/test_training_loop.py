@@ -110,9 +110,7 @@ def test_two_trainings_in_one_folder_do_the_work_once(line, tmp_path):
     train(line.LineStage(), *parts, collate=line.line_batch, progress=try_meanwhile)
     (second,) = said
     assert second.returncode == 1
-    assert (
-        f"train is at work here already ({platform.node()}, process {os.getpid()}" in second.stderr
-    )
+    assert f"another run writes here (process {os.getpid()} on {platform.node()})" in second.stderr
     assert_same_bits(progress_of(whole)["weights"], progress_of(shared)["weights"])
 
 

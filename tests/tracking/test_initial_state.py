@@ -241,7 +241,7 @@ def test_tracking_starts_where_the_network_saw_the_cloth(filmed, weights, tmp_pa
         observe(recording, recording.frames[0]),
         replace(config, vertex_count=200, weights=str(weights)),
     )
-    # It is aligned to the cloud before anything moves, and so is no longer where the network put it.
+    # It is aligned to the cloud before anything moves.
     assert not np.array_equal(tracked.positions[0], first.positions)
     np.testing.assert_allclose(tracked.mesh.vertices, first.mesh.vertices, atol=1e-6)
     assert np.isfinite(tracked.positions).all()

@@ -1,20 +1,20 @@
 """The benchmark: its list, its ranges, and that what lies on disk is what the list says."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import astuple, fields, replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.owner import Owner
+from clothtrack.files.atomic_write import hidden_name
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.store import read_recording
 from clothtrack.world import bench_generation
@@ -158,24 +158,6 @@ def test_equal_seeds_give_equal_bytes_in_another_process(made: Path, tmp_path: P
         assert {**ours, "cpu_s": 0} == {**theirs, "cpu_s": 0}
 
 
-def test_two_processes_with_different_parts_lose_no_entry(made: Path, tmp_path: Path) -> None:
-    parts = [PAIR[:1], PAIR[1:], PAIR]
-    processes = [
-        get_context("spawn").Process(target=generate_bench, args=(tmp_path, part)) for part in parts
-    ]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    assert [process.exitcode for process in processes] == [0, 0, 0]
-    assert verify_bench(tmp_path, PAIR) == []
-    for ours, theirs in zip(
-        document(made)["trajectories"], document(tmp_path)["trajectories"], strict=True
-    ):
-        assert {**ours, "cpu_s": 0} == {**theirs, "cpu_s": 0}
-    assert not list(tmp_path.glob(".work/bench/claims/*"))
-
-
 def test_a_stranger_can_verify_with_sha256sum(made: Path) -> None:
     folder = made / "recordings" / "towel_dev_00"
     told = subprocess.run(
@@ -199,14 +181,15 @@ def test_what_is_broken_is_found_and_made_again(copy: Path) -> None:
     assert verify_bench(copy, PAIR) == []
     picture = next((copy / "recordings" / "towel_dev_01" / "depth").iterdir())
     picture.write_bytes(picture.read_bytes()[:-1] + b"x")
-    me = Owner.me()
-    mark = f"{me.machine}-{me.pid}-{me.start + 1}-01234567"
-    (copy / "recordings" / f".towel_dev_01.{mark}.partial").mkdir()
+    with subprocess.Popen(["true"]) as dead:
+        dead.wait()
+    left = hidden_name("towel_dev_01").replace(f"-{os.getpid()}-", f"-{dead.pid}-")
+    (copy / "recordings" / left).mkdir()
     (wrong,) = verify_bench(copy, PAIR)
     assert "towel_dev_01" in wrong
     generate_bench(copy, PAIR)
     assert verify_bench(copy, PAIR) == []
-    assert not list(copy.rglob("*.partial"))
+    assert not list(copy.rglob(".*"))
     again = document(copy)["trajectories"][1]
     assert {**again, "cpu_s": 0} == {**whole["trajectories"][1], "cpu_s": 0}
 
@@ -279,7 +262,7 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, str(file)], stderr=subprocess.PIPE, text=True) as run:
         try:
             limit = time.monotonic() + 60.0
-            while len(list(out.glob("recordings/.*.partial"))) < 2 and time.monotonic() < limit:
+            while len(list(out.glob("recordings/.*"))) < 2 and time.monotonic() < limit:
                 time.sleep(0.05)
             run.send_signal(signal.SIGINT)
             _, told = run.communicate(timeout=60)

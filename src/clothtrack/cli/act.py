@@ -1,31 +1,26 @@
 """The verbs of the command line that act: flattening, its learned dynamics, and getting better."""
 
 import json as json_module
-from contextlib import nullcontext
+from collections.abc import Iterable
+from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
-from clothtrack.cli.episodes import played
 from clothtrack.cli.options import (
     AsJson,
     Device,
     Ray,
-    RayMemory,
     Seed,
     Settings,
-    Shard,
     ShowSettings,
-    executor_of,
     list_settings,
     require_weights,
-    share_of,
 )
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.work_folder import WorkFolder
 from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
@@ -52,9 +47,7 @@ def flatten(
     actions: int = 10,
     episodes: int = 1,
     workers: int = 1,
-    shard: Shard = "",
     ray: Ray = "",
-    ray_memory: RayMemory = 0.0,
     live: bool = False,
     port: int | None = None,
     settings: Settings = (),
@@ -86,9 +79,7 @@ def flatten(
         actions: most actions of an episode.
         episodes: how many, with the seeds SEED, SEED + 1 and so on.
         workers: processes; each runs one episode at a time.
-        shard: do only one of several parts of the episodes.
         ray: address of Ray, which is to do it.
-        ray_memory: for each item.
         live: show it in a browser while it happens, on this machine only.
         port: of that page; any free one by default.
         settings: changes, such as planner.candidates=300 or planner.strip_m=0.
@@ -110,11 +101,11 @@ def flatten(
         return _dry_run(output, recording, config, device=device, seed=seed)
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
-    here = workers == 1 and not ray
-    if live and not here:
+    if live and (workers != 1 or ray):
         complain("--live shows one process; leave out --workers and --ray, or --live")
         return 2
     from clothtrack.front.flattening import episode_parts
+    from clothtrack.front.many_episodes import flatten_many
     from clothtrack.report.flattening_page import watched_live
 
     # Before the first start is made and the page is served: weights may be missing.
@@ -122,14 +113,28 @@ def flatten(
     write = complain if json else say  # The result on stdout stays JSON alone.
     opened = watched_live(port, opened=lambda address: write(f"{address}   open this"))
     with opened if live else nullcontext() as watch:
-        rows = played(
-            output, garment, config, range(seed, seed + episodes), share=share_of(shard),
-            garment_seed=garment_seed, device=device, parts=parts, watch=watch, workers=workers,
-            executor=executor_of(ray, ray_memory, device), here=here, json=json,
+        flattened = flatten_many(
+            output, garment, config, range(seed, seed + episodes), garment_seed=garment_seed,
+            device=device, parts=parts, watch=watch, workers=workers, ray=ray, progress=progress,
         )  # fmt: skip
+        with closing(flattened):
+            _say_episodes(flattened, json=json)
+    return 0
+
+
+def _say_episodes(episodes: Iterable[dict[str, Any]], *, json: bool) -> None:
+    """Write a line per episode as it ends, or one JSON document at the end."""
+    rows = []
+    for row in episodes:
+        rows.append(row)
+        control = "   CONTROL" if row["control"] else ""
+        if not json:
+            say(
+                f"{row['report']}   improvement {row['improvement'][-1]:.2f} after "
+                f"{row['actions']} actions; {row['status']}{control}"
+            )
     if json:
         say(json_module.dumps(rows, indent=2))
-    return 0
 
 
 def _excluded(
@@ -174,6 +179,7 @@ def train_dynamics(
         seed: of roll-outs, weights and order.
         json: machine-readable.
     """
+    from clothtrack.files.output_lock import locked_output
     from clothtrack.files.settings import with_settings
     from clothtrack.planning.graph_dynamics.roll_outs import (
         RollOutConfig,
@@ -198,9 +204,8 @@ def train_dynamics(
             )
         ]  # fmt: skip
 
-    alone = WorkFolder(output, "train-dynamics").alone
     if only_roll_outs:
-        with alone():
+        with locked_output(output):
             say(f"{output / 'roll_outs'}   ({len(make())} shards)")
         return 0
     # What cannot be trained is refused before anything is rolled out.
@@ -216,7 +221,7 @@ def train_dynamics(
     config = with_settings(replace(config, loop=replace(config.loop, seed=seed)), mine)
     frames_per_step(config.network.step_s, recipe.frame_s)
     names = ", ".join(dict.fromkeys(garment))
-    with alone():
+    with locked_output(output):
         outcome = train_mesh_dynamics(
             make(), names, config, output / "model", device=device, progress=progress
         )

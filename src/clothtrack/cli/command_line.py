@@ -20,12 +20,10 @@ from clothtrack.cli.capture import (
 from clothtrack.cli.garment import garment
 from clothtrack.cli.learn import finetune, label, pretrain, reconstruct
 from clothtrack.cli.look import evaluate, export, view
-from clothtrack.cli.options import remember
 from clothtrack.cli.picker import find_picker
 from clothtrack.cli.recordings import import_, inspect
 from clothtrack.cli.signature import name_of
 from clothtrack.cli.simulate import bench, simulate
-from clothtrack.cli.status import status
 from clothtrack.cli.terminal import INTERRUPTED, complain, end_by_interrupt, exit_code
 from clothtrack.cli.track import demo, track
 from clothtrack.cli.usage import WRONG_USAGE, WrongUsageError, parse
@@ -36,7 +34,7 @@ from clothtrack.cli.warnings_once import logged
 VERBS: tuple[Callable[..., int], ...] = (
     demo, inspect, import_, record, calibrate_camera, calibrate_hand_eye, segment, find_picker,
     garment, simulate, bench, track, label, pretrain, finetune, reconstruct, flatten,
-    train_dynamics, improve, evaluate, view, export, verify, status,
+    train_dynamics, improve, evaluate, view, export, verify,
 )  # fmt: skip
 """The functions behind the verbs, in the order of the README."""
 
@@ -63,7 +61,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except WrongUsageError as wrong:
         complain(str(wrong))
         return WRONG_USAGE
-    remember(words)
     for variable in THREADS:
         os.environ.setdefault(variable, "1")
     with logged(verbose="--verbose" in words):

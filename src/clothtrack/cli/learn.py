@@ -13,12 +13,8 @@ from clothtrack.cli.options import (
     AsJson,
     Device,
     Ray,
-    RayMemory,
     Seed,
     Settings,
-    Shard,
-    executor_of,
-    share_of,
 )
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
@@ -40,9 +36,7 @@ def label(
     weighted: Annotated[bool, arg(help="let labels of any quality count alike")] = True,
     flat_weight: float = 1.0,
     workers: int = 1,
-    shard: Shard = "",
     ray: Ray = "",
-    ray_memory: RayMemory = 0.0,
     device: Device = "cpu",
     json: AsJson = False,
 ) -> int:
@@ -59,9 +53,7 @@ def label(
         weighted: weigh each label by its quality.
         flat_weight: weight of the first frame, before any action; 0 leaves it out.
         workers: processes.
-        shard: do only one of several parts.
         ray: address of Ray, which is to do it.
-        ray_memory: for each item.
         device: where to compute.
         json: machine-readable.
     """
@@ -79,9 +71,8 @@ def label(
         "device": device,
     }
     files = label_many(
-        tracked, recordings, output, options, workers=workers, share=share_of(shard),
-        progress=progress, executor=executor_of(ray, ray_memory, device),
-    )  # fmt: skip
+        tracked, recordings, output, options, workers=workers, ray=ray, progress=progress
+    )
     rows = []
     for file in files:
         labels = read_labels(file)

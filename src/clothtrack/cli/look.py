@@ -14,11 +14,7 @@ from clothtrack.cli.options import (
     AsJson,
     Device,
     Ray,
-    RayMemory,
     Seed,
-    Shard,
-    executor_of,
-    share_of,
 )
 from clothtrack.cli.terminal import complain, progress, say, say_result
 from clothtrack.errors import ClothTrackError, InvalidConfigError
@@ -36,9 +32,7 @@ def evaluate(
     output: Path | None = None,
     all: bool = False,  # noqa: A002
     workers: int = 1,
-    shard: Shard = "",
     ray: Ray = "",
-    ray_memory: RayMemory = 0.0,
     device: Device = "cpu",
     seed: Seed = 0,
     json: AsJson = False,
@@ -49,12 +43,10 @@ def evaluate(
         tracked: NAME.zarr folders that `track` wrote.
         recordings: the recording, or the folder in which recordings lie by name.
         truth: truth file, or the folder in which NAME.npz lie.
-        output: also write all measures to this JSON file, and those of the other parts.
+        output: also write all measures to this JSON file.
         all: show every measure, before and after the final alignment, in wide rows.
         workers: processes.
-        shard: do only one of several parts.
         ray: address of Ray, which is to do it.
-        ray_memory: for each item.
         device: where to compute.
         seed: of surface samples.
         json: machine-readable.
@@ -67,8 +59,7 @@ def evaluate(
         return 2
     evaluations = evaluate_many(
         tracked, recordings, output, {"truth": truth, "device": device, "seed": seed},
-        workers=workers, share=share_of(shard), progress=progress,
-        executor=executor_of(ray, ray_memory, device),
+        workers=workers, ray=ray, progress=progress,
     )  # fmt: skip
     shown = as_json if json else table if all else summary
     say(shown(evaluations))

@@ -9,12 +9,8 @@ import clothtrack as ct
 from clothtrack.cli.options import (
     AsJson,
     Ray,
-    RayMemory,
     Seed,
     Settings,
-    Shard,
-    executor_of,
-    share_of,
 )
 from clothtrack.cli.terminal import complain, progress, say_result
 
@@ -30,9 +26,7 @@ def simulate(
     actions: int | None = None,
     settings: Settings = (),
     workers: int = 1,
-    shard: Shard = "",
     ray: Ray = "",
-    ray_memory: RayMemory = 0.0,
     seed: Seed = 0,
     json: AsJson = False,
 ) -> int:
@@ -50,13 +44,10 @@ def simulate(
         actions: pick-and-places per recording, 3 by default.
         settings: changes to what is recorded, such as sensor.width=320 or vertex_count=300.
         workers: processes.
-        shard: do only one of several parts.
         ray: address of Ray, which is to do it.
-        ray_memory: for each item.
         seed: of garment, pose, actions, camera and noise.
         json: machine-readable.
     """
-    share, executor = share_of(shard), executor_of(ray, ray_memory)
     if states is not None:
         from clothtrack.files.settings import with_settings
         from clothtrack.reconstruction.data.states import StatesConfig, generate_states
@@ -74,7 +65,7 @@ def simulate(
         recipe = with_settings(StatesConfig(), settings)
         store = generate_states(
             output, garment, states, seed=seed, config=recipe, processes=workers,
-            progress=progress, share=share, executor=executor,
+            progress=progress, ray=ray,
         )  # fmt: skip
         report = {"states": store.folder, "card": store.folder / "README.md"}
         report["garments"] = len(store.shards)
@@ -88,10 +79,10 @@ def simulate(
         settings = (f"actions={actions}", *settings)
     folders = ct.simulate(
         output, garment, count, seed=seed, template=template, garment_seed=garment_seed,
-        settings=settings, workers=workers, progress=progress, share=share, executor=executor,
+        settings=settings, workers=workers, progress=progress, ray=ray,
     )  # fmt: skip
     say_result("\n".join(map(str, folders)), folders, json=json)
-    return 0 if len(folders) == len(share.of(range(count))) else 1
+    return 0 if len(folders) == count else 1
 
 
 def bench(
@@ -101,9 +92,7 @@ def bench(
     printed: Annotated[bool, arg(name="print")] = False,
     verify: bool = False,
     workers: int = 1,
-    shard: Shard = "",
     ray: Ray = "",
-    ray_memory: RayMemory = 0.0,
     json: AsJson = False,
 ) -> int:
     """Record the benchmark: 20 trajectories to tune on (dev), 30 to score (test), 10 hard ones.
@@ -114,9 +103,7 @@ def bench(
         printed: the same with a print on the cloth, in a folder of its own.
         verify: record nothing; check what is there against its checksums.
         workers: processes.
-        shard: do only one of several parts.
         ray: address of Ray, which is to do it.
-        ray_memory: for each item.
         json: machine-readable.
     """
     from clothtrack.world import bench as contents
@@ -131,8 +118,7 @@ def bench(
         say_result(text, {"trajectories": len(listed), "wrong": wrong}, json=json)
         return 1 if wrong else 0
     entries = generation.generate_bench(
-        output, listed, processes=workers, progress=progress, share=share_of(shard),
-        executor=executor_of(ray, ray_memory),
-    )  # fmt: skip
+        output, listed, processes=workers, progress=progress, ray=ray
+    )
     say_result(generation.table(entries), entries, json=json)
     return 0

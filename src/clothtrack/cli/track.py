@@ -16,21 +16,16 @@ from clothtrack.cli.options import (
     AsJson,
     Device,
     Ray,
-    RayMemory,
     Seed,
     Settings,
-    Shard,
     ShowSettings,
-    executor_of,
     list_settings,
-    share_of,
 )
 from clothtrack.cli.terminal import complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
     from clothtrack.evaluation.verdict import Verdict
-    from clothtrack.files.shared_work import Executor, Share
     from clothtrack.tracking.pipeline import Outcome
     from clothtrack.tracking.protocols import Watch
 
@@ -83,9 +78,7 @@ def track(
     settings: Settings = (),
     show_settings: ShowSettings = False,
     workers: int = 1,
-    shard: Shard = "",
     ray: Ray = "",
-    ray_memory: RayMemory = 0.0,
     device: Device = "cpu",
     seed: Seed = 0,
     force: bool = False,
@@ -111,9 +104,7 @@ def track(
             initial_state.source=template (network, flat).
         show_settings: list them all with their values and do nothing else.
         workers: processes; each tracks one recording at a time.
-        shard: do only one of several parts.
         ray: address of Ray, which is to do it.
-        ray_memory: for each item.
         device: where to compute.
         seed: stored with the result.
         force: go on although the first mesh lies more than 2 cm (rms) from its cloud.
@@ -134,8 +125,7 @@ def track(
     settings = (*_file_settings(template=template, weights=weights), *settings)
     tracked = partial(
         _track, recordings, output, mode, settings,
-        seed=seed, device=device, workers=workers, force=force, share=share_of(shard),
-        executor=executor_of(ray, ray_memory, device),
+        seed=seed, device=device, workers=workers, force=force, ray=ray,
     )  # fmt: skip
     outcomes = _track_live(tracked, port) if live else tracked()
     if json:
@@ -192,20 +182,18 @@ def _track(
     workers: int = 1,
     force: bool = False,
     watch: "Watch | None" = None,
-    share: "Share | None" = None,
-    executor: "Executor | None" = None,
+    ray: str = "",
 ) -> "list[Outcome]":
-    from clothtrack.files.worker_pool import finished_in_workers
     from clothtrack.front.run import run_config
     from clothtrack.geometry.devices import require_device
     from clothtrack.tracking.pipeline import track_recordings
 
-    if executor in (None, finished_in_workers):
+    if not ray:
         require_device(device)
     config = run_config(mode, settings, seed=seed)
     return track_recordings(
         recordings, output, config, workers=workers, device=device, progress=progress, force=force,
-        watch=watch, share=share, executor=executor or finished_in_workers,
+        watch=watch, ray=ray,
     )  # fmt: skip
 
 

@@ -3,18 +3,17 @@
 import errno
 import hashlib
 import os
+import re
 import shutil
-import signal
-import threading
+import socket
 import time
 import unicodedata
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from glob import escape
 from pathlib import Path
 
 from clothtrack.errors import StorageError
-from clothtrack.files.owner import hidden_name, hidden_parts
 
 LATE_WRITERS_S = 2.0
 """Writers that have not heard of a failure may go on so long [s] in a folder that is removed."""
@@ -24,6 +23,9 @@ OLD = ".old"
 
 LONGEST_NAME = 200
 """Characters of a name; file systems take 255, and suffixes come on top."""
+
+_HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
+_MARK = re.compile(r"\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(?=\.|$)")
 
 
 def name_problem(name: object) -> str:
@@ -152,50 +154,50 @@ def _is_empty_folder(path: Path) -> bool:
 
 
 def remove_folder(folder: Path) -> None:
-    """Remove a folder, if it is still there, into which late writers may still write.
-
-    A process that is told to end meanwhile removes it first.
-    """
-    with undisturbed():
-        deadline = time.monotonic() + LATE_WRITERS_S
+    """Remove a folder, if it is still there, into which late writers may still write."""
+    deadline = time.monotonic() + LATE_WRITERS_S
+    shutil.rmtree(folder, ignore_errors=True)
+    while folder.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
         shutil.rmtree(folder, ignore_errors=True)
-        while folder.exists() and time.monotonic() < deadline:
-            time.sleep(0.05)
-            shutil.rmtree(folder, ignore_errors=True)
 
 
-def clear_leftovers(path: Path, *, claimed: bool = False) -> None:
-    """Remove what dead processes have left beside `path` while they wrote it.
+def hidden_name(name: str, suffix: str = "") -> str:
+    """Return a name to write under what is to be called `name`; no two are equal.
 
-    What belongs to a living process stays, and so does what may belong to one of another machine,
-    unless the caller has the claim to `path`: then nobody else is at it.
+    It names the process, so that the next one can tell what a dead one has left.
+    """
+    return f".{name}.{_HOST}-{os.getpid()}-{os.urandom(4).hex()}{suffix}"
+
+
+def clear_leftovers(paths: Iterable[Path]) -> None:
+    """Remove what killed processes have left of files or folders that they were writing.
+
+    The caller holds the lock of the output folder: what a process of another machine has left is
+    removed, too. A folder that a killed process was replacing gets its name back.
 
     Args:
-        path: file or folder under its final name; it is not touched itself, unless a process was
-            killed while it replaced the folder: then the old one gets its name back.
-        claimed: whether the caller has the claim.
+        paths: under their final names.
 
     Raises:
         StorageError: the disk refuses.
     """
-    path = Path(path)
-    with storage(path.parent):
-        for left in path.parent.glob(f".{escape(path.stem)}.*"):
-            name, _, suffix = hidden_parts(left.name) or ("", None, "")
-            if name == path.name or (name, suffix) == (path.stem, path.suffix):
-                _clear(left, claimed=claimed)
+    wanted = set(paths)
+    for folder in {path.parent for path in wanted}:
+        for left, final, host, pid in _leftovers(folder):
+            if final in wanted and not (host == _HOST and _is_alive(pid)):
+                _remove(left, final)
 
 
-def clear_dead(folders: Iterable[Path]) -> None:
-    """Remove what dead processes of this machine have left in folders, whatever they wrote.
+def clear_dead(folder: Path) -> None:
+    """Remove what killed processes of this machine have left in a folder, whatever they wrote.
 
     Raises:
         StorageError: the disk refuses.
     """
-    for folder in folders:
-        with storage(folder):
-            for left in folder.glob(".*"):
-                _clear(left, claimed=False)
+    for left, final, host, pid in _leftovers(folder):
+        if host == _HOST and not _is_alive(pid):
+            _remove(left, final)
 
 
 _CLEARED: set[str] = set()
@@ -207,18 +209,31 @@ def _clear_dead_once(folder: Path) -> None:
     name = str(folder.resolve())
     if name not in _CLEARED:
         _CLEARED.add(name)
-        clear_dead([folder])
+        clear_dead(folder)
 
 
-def _clear(left: Path, *, claimed: bool) -> None:
-    """Remove what a process has left, unless it is alive."""
-    parts = hidden_parts(left.name)
-    if parts is None:
-        return
-    name, owner, _ = parts
-    if owner.alive or (owner.alive is None and not claimed):
-        return
-    final = left.with_name(name)
+def _leftovers(folder: Path) -> Iterator[tuple[Path, Path, str, int]]:
+    """Find what was written under a hidden name: with its final name, machine and process."""
+    with storage(folder):
+        for left in folder.glob(".*"):
+            found = _MARK.search(left.name)
+            if found is not None:
+                suffix = left.name[found.end() :]
+                name = left.name[1 : found.start()] + suffix.removesuffix(OLD)
+                yield left, left.with_name(name), found[1], int(found[2])
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def _remove(left: Path, final: Path) -> None:
     if left.suffix == OLD and not final.exists():
         with suppress(FileNotFoundError):
             os.replace(left, final)
@@ -226,20 +241,3 @@ def _clear(left: Path, *, claimed: bool) -> None:
         shutil.rmtree(left, ignore_errors=True)
     else:
         left.unlink(missing_ok=True)
-
-
-@contextmanager
-def undisturbed() -> Iterator[None]:
-    """SIGTERM waits until the block is done: who ends a worker tells it again and again."""
-    if threading.current_thread() is not threading.main_thread():
-        # Python runs handlers of signals in the main thread alone.
-        yield
-        return
-    signals: list[int] = []
-    before = signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-        if signals:
-            signal.raise_signal(signal.SIGTERM)

@@ -1,17 +1,14 @@
-"""Worker processes: how many, how they start, and that they end when their parent does."""
+"""Worker processes: the same work on many items, in this process, in several, or by Ray."""
 
 import ctypes
 import os
 import signal
 import sys
-import threading
-import time
-from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
-from types import FrameType
 from typing import TypeVar
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
@@ -19,16 +16,6 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-PATIENCE_S = 10.0
-"""How long workers may take to clear away what is half-written before they are killed [s]."""
-
-KILLED = (
-    "the worker process was killed, also when no other worked beside it (out of memory?); free "
-    "some memory, or take a machine with more, and run the same command again: what is finished "
-    "is kept"
-)
-
-_ASK_AGAIN_S = 0.5
 _PR_SET_PDEATHSIG = 1
 
 
@@ -43,150 +30,87 @@ def require_workers(number: int) -> None:
 
 
 def start_worker() -> None:
-    """A worker is silent, leaves an interrupt from the keyboard to its parent, and ends with it.
+    """Make this worker process silent, deaf to Ctrl-C and SIGTERM, and end it with its parent.
 
-    Call it in the worker. A parent that was killed cannot end its workers.
+    The parent alone handles signals, which a terminal or a scheduler sends to all processes of a
+    group. It kills its workers.
     """
     # Training imports this module where Warp is not installed, and starts no worker there.
     from clothtrack.geometry.devices import quiet_warp
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if sys.platform == "linux":
-        # The thread below waits its turn while compiled code computes; the kernel does not.
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-    quiet_warp()
-
-
-def _leave_with_parent() -> None:
     parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def end_workers(patience_s: float = PATIENCE_S) -> None:
-    """Tell all worker processes to end until they have; kill those that do not in time.
-
-    Telling them once is not enough: an exception that a signal raises is lost when it comes up
-    where Python ignores exceptions, such as in a destructor.
-    """
-    deadline = time.monotonic() + patience_s
-    while (alive := active_children()) and time.monotonic() < deadline:
-        for process in alive:
-            process.terminate()
-        alive[0].join(_ASK_AGAIN_S)
-    for process in active_children():
-        process.kill()
-        process.join()
+    if parent is not None and os.getppid() != parent.pid:
+        os._exit(1)  # The parent died before the kernel was asked.
+    quiet_warp()
 
 
 def finished_in_workers(
     work: Callable[[Item], Result],
     items: Sequence[Item],
-    processes: int,
+    workers: int,
     *,
-    lost: Callable[[Item], Result] | None = None,
+    ray: str = "",
+    gpus: float = 0.0,
+    name: Callable[[Item], str] = str,
 ) -> Generator[Result, None, None]:
-    """Do the same work on many items, in this process or in several; results as they come.
+    """Do the same work on many items, and give the results in the order in which they are finished.
 
-    No other module starts a pool, so that all of them end in the same way: after an interrupt or
-    an error no worker begins anything or goes on; each clears away what it has half-written, as
-    the work's own `finally` blocks say, or is killed after a while.
-
-    An interrupt may also come while the caller is busy with a result: close the results then
-    (`contextlib.closing`), or the workers go on for as long as a traceback holds on to them.
-
-    A worker that is killed (out of memory?) costs nothing but time: the others go on, and at the
-    end what it was at is tried again, alone.
+    Close it (`contextlib.closing`): after an interrupt or an error the workers are killed at once.
+    What they have half-written is then for the caller to remove.
 
     Args:
-        work: a function of a module, so that a worker can find it.
-        items: what to work on, handed to the workers in this order.
-        processes: how many; one works right here.
-        lost: the result of an item whose worker was killed when it was tried alone, too.
+        work: a function of a module, so that a worker can import it.
+        items: what to work on, begun in this order.
+        workers: processes; one works in this process.
+        ray: address of Ray, which is to do the work in place of worker processes.
+        gpus: graphics cards per item that Ray keeps free.
+        name: of an item, for the error.
 
     Raises:
-        InvalidConfigError: when there are no workers.
-        ClothTrackError: workers were killed alone, too, and `lost` is not given; after all results.
+        InvalidConfigError: there are no workers, or Ray is not there.
+        ClothTrackError: a worker died; with the items that were under way.
     """
-    require_workers(processes)
-    if processes == 1 or len(items) <= 1:
+    require_workers(workers)
+    if ray:
+        from clothtrack.files.ray_tasks import finished_by_ray
+
+        yield from finished_by_ray(work, items, ray, workers, gpus=gpus, name=name)
+    elif workers == 1 or len(items) <= 1:
         yield from map(work, items)
-        return
-    left: deque[Item] = deque(items)
-    suspects: list[Item] = []
-    while left:
-        suspects += yield from _until_one_is_killed(work, left, processes)
-        if len(suspects) == len(items) - len(left) >= 2 * processes:
-            break  # Nothing was finished: it may be no item's fault.
-    dead: list[Item] = []
-    for number, item in enumerate(alone := [*suspects, *left]):
-        dead += yield from _until_one_is_killed(work, deque([item]), 1)
-        if left and len(dead) == number + 1 >= 2:
-            # Alone neither of the first two was finished: it is no item's fault.
-            dead += alone[number + 1 :]
-            break
-    if lost is not None:
-        yield from map(lost, dead)
-    elif dead:
-        raise ClothTrackError(f"{len(dead)} of {len(items)}: {KILLED}")
+    else:
+        yield from _finished_in_pool(work, items, workers, name)
 
 
-def _until_one_is_killed(
-    work: Callable[[Item], Result], left: deque[Item], processes: int
-) -> Generator[Result, None, list[Item]]:
-    """Take items from `left` until a worker is killed; gives what was in work then."""
+def _finished_in_pool(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int, name: Callable[[Item], str]
+) -> Generator[Result, None, None]:
+    waiting = iter(items)
     jobs: dict[Future[Result], Item] = {}
-    killed = False
-    with ProcessPoolExecutor(processes, get_context("spawn"), _start_stoppable_worker) as pool:
+    others = set(active_children())
+    with ProcessPoolExecutor(workers, get_context("spawn"), start_worker) as pool:
         try:
-            while jobs or (left and not killed):
-                # No more than there are workers: what is handed out is what may have killed one.
-                while left and not killed and len(jobs) < processes:
-                    try:
-                        job = pool.submit(_work_or_leave, work, left[0])
-                    except BrokenProcessPool:
-                        killed = True
-                    else:
-                        jobs[job] = left.popleft()
-                wait(jobs, return_when=ALL_COMPLETED if killed else FIRST_COMPLETED)
-                for job in [job for job in jobs if job.done()]:
-                    if isinstance(job.exception(), BrokenProcessPool):
-                        killed = True
-                    else:
-                        jobs.pop(job)
-                        yield job.result()
-                if killed and all(job.done() for job in jobs):
+            while True:
+                # No more than there are workers: all that is handed out is under way.
+                for item in islice(waiting, workers - len(jobs)):
+                    jobs[pool.submit(work, item)] = item
+                if not jobs:
                     break
+                done, _ = wait(jobs, return_when=FIRST_COMPLETED)
+                # What is finished is not under way, though another worker died meanwhile.
+                for job in sorted(done, key=lambda job: job.exception() is not None):
+                    result = job.result()
+                    del jobs[job]
+                    yield result
+        except BrokenProcessPool as error:
+            raise ClothTrackError(
+                f"a worker process died (out of memory?) while these were under way: "
+                f"{', '.join(map(name, jobs.values()))}; give fewer workers, and run the same "
+                "command again: what is finished is kept"
+            ) from error
         finally:
-            if jobs or left:
-                # The pool finds its workers gone and ends; it is waited for, because one that ends
-                # while the interpreter does may complain of a pipe that it has closed itself.
-                end_workers()
-    return list(jobs.values())
-
-
-def _work_or_leave(work: Callable[[Item], Result], item: Item) -> Result:
-    try:
-        return work(item)
-    except SystemExit:
-        # What was half-written is gone by now. A pool hands any exception of a task back to its
-        # parent and goes on with the next one; this worker was told to end.
-        os._exit(1)
-
-
-def _start_stoppable_worker() -> None:
-    start_worker()
-    signal.signal(signal.SIGTERM, _leave)
-    sys.unraisablehook = _report_unless_leaving
-
-
-def _leave(_signal: int, _frame: FrameType | None) -> None:
-    sys.exit(1)
-
-
-def _report_unless_leaving(lost: "sys.UnraisableHookArgs") -> None:
-    """Being told to end inside a destructor is no fault to report: it will be told again."""
-    if not isinstance(lost.exc_value, SystemExit):
-        sys.__unraisablehook__(lost)
+            for process in set(active_children()) - others:
+                process.kill()

@@ -8,8 +8,6 @@ from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
 from clothtrack.files.settings import with_settings
-from clothtrack.files.shared_work import Executor, Share
-from clothtrack.files.worker_pool import finished_in_workers
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
@@ -164,8 +162,7 @@ def simulate(
     settings: Sequence[str] = (),
     workers: int = 1,
     progress: Progress | None = None,
-    share: Share | None = None,
-    executor: Executor = finished_in_workers,
+    ray: str = "",
 ) -> list[Path]:
     """Record pick-and-places in a simulated world that knows the truth.
 
@@ -181,11 +178,10 @@ def simulate(
         settings: changes to what is recorded, such as "sensor.width=320" or "actions=2".
         workers: processes.
         progress: called first, and after each recording.
-        share: which of the recordings are this process's; all by default.
-        executor: who runs the work; worker processes by default.
+        ray: address of Ray, which is to do it; worker processes by default.
 
     Returns:
-        The folders of the recordings of the share.
+        The folders of the recordings.
 
     Raises:
         InvalidConfigError: both a template and a garment seed are given, or a setting is not known.
@@ -203,5 +199,5 @@ def simulate(
         config = replace(config, size_m=None, garment=str(template))
     return film_many(
         Path(output), garment, trajectories, seed=seed, config=config, garment=one,
-        processes=workers, progress=progress, share=share, executor=executor,
+        processes=workers, progress=progress, ray=ray,
     )  # fmt: skip

@@ -32,6 +32,7 @@ def label(
     weighted: bool = True,
     flat_weight: float = 1.0,
     device: str = "cpu",
+    provenance: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write the pseudo-labels of a run, for `clothtrack finetune` (needs the extra [learn]).
 
@@ -44,6 +45,7 @@ def label(
         weighted: weigh each label by its quality; otherwise all count alike.
         flat_weight: weight of the first frame, before any action, 0 to 1; 0 leaves it out.
         device: "cpu" or "cuda:0", for visibility.
+        provenance: stored with the labels, beside that of the run.
 
     Raises:
         InvalidResultError: the mesh has no canonical coordinates, or no label is left.
@@ -64,13 +66,14 @@ def label(
             "recording again from a template that has them"
         )
     kind = _kind(garment or source.cloth.kind, run.name)
-    provenance = {
+    stored = {
+        **(provenance or {}),
         "tracked": dict(run.provenance),
         "weighted": weighted,
         "rejected_actions": sorted(rejected),
     }
     write_labels(
-        label_recording(source, run.mesh, labels, kind=kind, provenance=provenance), Path(output)
+        label_recording(source, run.mesh, labels, kind=kind, provenance=stored), Path(output)
     )
     return Path(output)
 

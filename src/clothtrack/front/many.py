@@ -1,27 +1,29 @@
-"""Label and evaluate many tracked trajectories, in several processes and on several machines."""
+"""Label and evaluate many tracked trajectories, in several processes or by Ray."""
 
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_review import review_path
 from clothtrack.evaluation.results import Evaluation, as_plain, from_plain
 from clothtrack.files.atomic_write import content_hash, write_file
+from clothtrack.files.many_items import attempts, results_of
+from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
-from clothtrack.files.shared_work import Executor, Share, attempts, results_of
-from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import finished_in_workers
 from clothtrack.front.learning import label
 from clothtrack.front.run import Run, evaluate, recording_of
 from clothtrack.recordings.identity import recording_digest
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder, warn_of_age
 from clothtrack.version import __version__
+
+MADE_FROM = "made_from_sha256"
+"""Field of the labels' provenance: digest of all that they depend on."""
 
 
 def label_many(
@@ -31,9 +33,8 @@ def label_many(
     options: Mapping[str, Any],
     *,
     workers: int = 1,
-    share: Share | None = None,
+    ray: str = "",
     progress: Progress | None = None,
-    executor: Executor = finished_in_workers,
 ) -> list[Path]:
     """Write the pseudo-labels of many runs; those that are there from the same input are kept.
 
@@ -43,25 +44,24 @@ def label_many(
         output: folder for NAME.labels.npz.
         options: of `label`.
         workers: processes.
-        share: which of the runs are this process's; all by default.
+        ray: address of Ray, which is to do it; worker processes by default.
         progress: called first, and after each run.
-        executor: who runs the work; worker processes by default.
 
     Returns:
-        The files of the share, in the order of the runs.
+        The files, in the order of the runs.
 
     Raises:
-        InvalidConfigError: two runs have one name.
-        ClothTrackError: a run cannot be labelled; after all others.
+        InvalidConfigError: two runs have one name, or another run writes to `output`.
+        ClothTrackError: a run cannot be labelled, after all others; or a worker died.
     """
     work = _Labelling(_Source(recordings, _without_twins(tracked), dict(options)), output)
-    shared = attempts(
-        work, tracked, WorkFolder(output, "label"), kind="trajectories", processes=workers,
-        share=share, progress=progress, executor=executor,
+    labelled = attempts(
+        work, tracked, kind="trajectories", workers=workers, ray=ray, device=options["device"],
+        progress=progress,
     )  # fmt: skip
-    with closing(shared) as tries:
+    with locked_output(output), closing(labelled) as tries:
         files = dict(results_of(tries))
-    return [files[path] for path in (share or Share()).of(tracked)]
+    return [files[path] for path in tracked]
 
 
 def evaluate_many(
@@ -71,48 +71,40 @@ def evaluate_many(
     options: Mapping[str, Any],
     *,
     workers: int = 1,
-    share: Share | None = None,
+    ray: str = "",
     progress: Progress | None = None,
-    executor: Executor = finished_in_workers,
 ) -> list[Evaluation]:
-    """Measure many runs; with an output, what others have measured for it is kept.
+    """Measure many runs; with an output, what was measured for it before is kept.
 
     Args:
         tracked: NAME.zarr folders.
         recordings: the recording, or the folder in which recordings lie by name.
-        output: JSON file for all measures; what each share has measured is added to it.
+        output: JSON file for all measures. Beside it, a hidden folder keeps those of each run.
         options: of `evaluate`.
         workers: processes.
-        share: which of the runs are this process's; all by default.
+        ray: address of Ray, which is to do it; worker processes by default.
         progress: called first, and after each run.
-        executor: who runs the work; worker processes by default.
 
     Returns:
-        The measures of the share, in the order of the runs.
+        The measures, in the order of the runs.
 
     Raises:
-        ClothTrackError: a run cannot be measured; after all others.
+        InvalidConfigError: another run writes to `output`.
+        ClothTrackError: a run cannot be measured, after all others; or a worker died.
     """
-    share = share or Share()
     source = _Source(recordings, tuple(tracked), dict(options))
-    if output is None:
-        mine = share.of(tracked)
-        with closing(executor(source.evaluation, mine, workers)) as results:
-            measured = dict(results)
-        return [measured[path] for path in mine]
-    folder = WorkFolder(output.parent, "evaluate")
-    work = _Measuring(source, folder.folder / "measured" / output.name)
-    shared = attempts(
-        work, tracked, folder, kind="trajectories", processes=workers, share=share,
-        progress=progress, executor=executor,
+    folder = None if output is None else output.with_name(f".{output.name}.measured")
+    measuring = attempts(
+        _Measuring(source, folder), tracked, kind="trajectories", workers=workers, ray=ray,
+        device=options["device"], progress=progress,
     )  # fmt: skip
-    with closing(shared) as tries:
+    with nullcontext() if folder is None else locked_output(folder), closing(measuring) as tries:
         measured = dict(results_of(tries))
-    with folder.locked(output.name):
-        found = [measured.get(path) or work.kept(path) for path in tracked]
-        rows = [as_plain(one) for one in found if one is not None]
-        write_file(output, (json.dumps(rows, indent=2, allow_nan=False) + "\n").encode())
-    return [measured[path] for path in share.of(tracked)]
+        found = [measured[path] for path in tracked]
+        if output is not None:
+            rows = [as_plain(one) for one in found]
+            write_file(output, (json.dumps(rows, indent=2, allow_nan=False) + "\n").encode())
+    return found
 
 
 def _without_twins(tracked: Sequence[Path]) -> tuple[Path, ...]:
@@ -160,17 +152,10 @@ class _Source:
         folder = recording_folder(run, self.recordings)
         warn_of_age(run, recording_of(run), artefact=path, folder=folder)
 
-    def evaluation(self, path: Path) -> tuple[Path, Evaluation]:
-        """Measure a run."""
-        run = self.run(path)
-        found = evaluate(run, **self.options)
-        self.tell(path, run)
-        return path, found
-
 
 @dataclass(frozen=True)
 class _Labelling:
-    """Label a run, as `clothtrack.files.shared_work.Work`."""
+    """Label a run, as `clothtrack.files.many_items.Work`."""
 
     source: _Source
     output: Path
@@ -180,66 +165,66 @@ class _Labelling:
         return path.stem
 
     def paths(self, path: Path) -> list[Path]:
-        """The note of what the labels are from, and the labels."""
-        folder = WorkFolder(self.output, "label").folder
-        return [folder / "from" / f"{path.stem}.txt", self.output / f"{path.stem}.labels.npz"]
+        """The labels."""
+        return [self.output / f"{path.stem}.labels.npz"]
 
     def kept(self, path: Path) -> Path | None:
-        """Labels that were made before, from the same files and options, and are as they were."""
-        note, file = self.paths(path)
-        if not (note.is_file() and file.is_file()):
+        """Labels that were made before, from the same files and options."""
+        (file,) = self.paths(path)
+        if not file.is_file():
             return None
-        if note.read_text("ascii") != f"{self.source.digest(path)} {content_hash(file)}":
+        from clothtrack.reconstruction.data.pseudo_labels import read_labels
+
+        try:
+            made_from = read_labels(file).provenance.get(MADE_FROM)
+        except InvalidResultError:
+            return None
+        if made_from != self.source.digest(path):
             return None
         self.source.tell(path, self.source.run(path))
         return file
 
     def do(self, path: Path) -> Path:
         """Label it."""
-        digest, (note, file) = self.source.digest(path), self.paths(path)
+        (file,), made_from = self.paths(path), {MADE_FROM: self.source.digest(path)}
         run = self.source.run(path)
-        label(run, file, **self.source.options)
-        write_file(note, f"{digest} {content_hash(file)}".encode())
+        label(run, file, **self.source.options, provenance=made_from)
         self.source.tell(path, run)
         return file
 
 
 @dataclass(frozen=True)
 class _Measuring:
-    """Measure a run, as `clothtrack.files.shared_work.Work`."""
+    """Measure a run, as `clothtrack.files.many_items.Work`."""
 
     source: _Source
-    folder: Path
+    folder: Path | None
 
     def name(self, path: Path) -> str:
         """The name of the run."""
         return self.source.name(path)
 
     def paths(self, path: Path) -> list[Path]:
-        """The measures of this run alone."""
-        return [self.folder / f"{self.name(path)}.json"]
+        """The measures of this run alone, if they are written."""
+        return [] if self.folder is None else [self.folder / f"{self.name(path)}.json"]
 
     def kept(self, path: Path) -> Evaluation | None:
         """What was measured before, of the same files with the same options."""
-        (file,) = self.paths(path)
-        if not file.is_file():
-            return None
-        try:
-            document = json.loads(file.read_text("utf-8"))
-            if document["digest"] != self.source.digest(path):
-                return None
-            found = from_plain(document["evaluation"])
-        except (ValueError, KeyError, TypeError, RecursionError):
-            return None
-        self.source.tell(path, self.source.run(path))
-        return found
+        for file in self.paths(path):
+            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+                document = json.loads(file.read_text("utf-8"))
+                if document["digest"] == self.source.digest(path):
+                    found = from_plain(document["evaluation"])
+                    self.source.tell(path, self.source.run(path))
+                    return found
+        return None
 
     def do(self, path: Path) -> Evaluation:
         """Measure it."""
-        digest, (file,) = self.source.digest(path), self.paths(path)
-        run = self.source.run(path)
+        digest, run = self.source.digest(path), self.source.run(path)
         found = evaluate(run, **self.source.options)
-        document = {"digest": digest, "evaluation": as_plain(found)}
-        write_file(file, json.dumps(document, allow_nan=False).encode())
+        for file in self.paths(path):
+            document = {"digest": digest, "evaluation": as_plain(found)}
+            write_file(file, json.dumps(document, allow_nan=False).encode())
         self.source.tell(path, run)
         return found

@@ -1,73 +1,84 @@
-"""Flatten many times, while other processes do some of the episodes."""
+"""Flatten many times in the simulated world: each episode with its report and a summary."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from clothtrack.files.progress import Progress
-from clothtrack.files.shared_work import Executor, Share, attempts, results_of
-from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import finished_in_workers
-from clothtrack.planning.episode_store import DOCUMENT
+from clothtrack.files.many_items import attempts, results_of
+from clothtrack.files.output_lock import locked_output
+from clothtrack.files.progress import Progress, one_of
+from clothtrack.front.flattening import flatten
+from clothtrack.planning.episode_store import DOCUMENT, EpisodeStore
+from clothtrack.planning.flatten_config import FlattenConfig
+from clothtrack.planning.flattening import Watch, improvement
+from clothtrack.report.flattening_page import write_flattening_report
 from clothtrack.simulation.garments import GarmentKind
-from clothtrack.world.simulated_episodes import SimulatedEpisode
+from clothtrack.world.simulated_episodes import EpisodeParts, SimulatedEpisode
 
 Row = dict[str, Any]
 """What a program wants to know of an episode."""
 
 
-def flattened(
-    run: Callable[[int, int, int], Row],
+def flatten_many(
     output: Path,
     garment: GarmentKind,
-    garment_seed: int | None,
+    config: FlattenConfig,
     seeds: Sequence[int],
     *,
-    share: Share,
+    garment_seed: int | None = None,
+    device: str = "cpu",
+    parts: EpisodeParts | None = None,
+    watch: Watch | None = None,
     workers: int = 1,
+    ray: str = "",
     progress: Progress | None = None,
-    executor: Executor = finished_in_workers,
 ) -> Generator[Row, None, None]:
-    """Run episodes, in the order in which they end; what became of each.
+    """Run episodes, and summarize each as it ends; finished ones are kept.
 
     Args:
-        run: flattens with a seed, and writes the report; also gets how many episodes of the share
-            come before it, and how many there are. One that is finished it leaves as it is. Other
-            processes are sent it, where there are several workers.
         output: folder of the episodes.
         garment: what lies on the table.
+        config: how it is flattened.
+        seeds: of the episodes.
         garment_seed: of the one garment, if there is one.
-        seeds: of all episodes.
-        share: which of them are this process's.
-        workers: processes.
-        progress: called first, and after each episode.
-        executor: who runs the episodes; worker processes by default.
+        device: "cpu" or "cuda:0".
+        parts: networks, for episodes that this process runs; others load their own.
+        watch: is shown every step; of this process only.
+        workers: processes; each runs one episode at a time.
+        ray: address of Ray, which is to do it; worker processes by default.
+        progress: called with every action (in one process) or after every episode.
 
     Raises:
-        ClothTrackError: an episode failed; after all others.
+        InvalidConfigError: another run writes to `output`.
+        ClothTrackError: an episode failed, after all others; or a worker died.
     """
-    work = _Flattening(run, output, garment, garment_seed, tuple(share.of(seeds)))
-    folder = WorkFolder(output, "flatten")
-    shared = attempts(
-        work, seeds, folder, kind="episodes", processes=workers, share=share, progress=progress,
-        executor=executor,
+    work = _Flattening(Path(output), garment, config, tuple(seeds), garment_seed, device)
+    if alone := workers == 1 and not ray:
+        work = replace(work, parts=parts, watch=watch, progress=progress)
+    flattened = attempts(
+        work, seeds, kind="episodes", workers=workers, ray=ray, device=device,
+        progress=None if alone else progress,
     )  # fmt: skip
-    with closing(shared) as tries:
+    with locked_output(output), closing(flattened) as tries:
         for _, row in results_of(tries):
             yield row
 
 
 @dataclass(frozen=True)
 class _Flattening:
-    """Flatten with a seed, as `clothtrack.files.shared_work.Work`."""
+    """Flatten with a seed, as `clothtrack.files.many_items.Work`."""
 
-    run: Callable[[int, int, int], Row]
     output: Path
     garment: GarmentKind
-    garment_seed: int | None
+    config: FlattenConfig
     seeds: tuple[int, ...]
+    garment_seed: int | None
+    device: str
+    parts: EpisodeParts | None = None
+    watch: Watch | None = None
+    progress: Progress | None = None
 
     def name(self, seed: int) -> str:
         """The name of the episode."""
@@ -83,7 +94,7 @@ class _Flattening:
         ]
 
     def kept(self, seed: int) -> Row | None:
-        """What became of an episode that has ended; `run` opens it, and plays no more."""
+        """The summary of an episode that has ended."""
         document = self.output / "episodes" / self.name(seed) / DOCUMENT
         if not (document.is_file() and self.paths(seed)[-1].is_file()):
             return None
@@ -91,5 +102,23 @@ class _Flattening:
         return self.do(seed) if ended else None
 
     def do(self, seed: int) -> Row:
-        """Begin the episode, or go on with it."""
-        return self.run(seed, self.seeds.index(seed), len(self.seeds))
+        """Begin the episode, or go on with it; one that has ended is opened alone."""
+        told = one_of(self.progress, self.seeds.index(seed), len(self.seeds), "episode")
+        store = flatten(
+            self.output, self.garment, garment_seed=self.garment_seed, config=self.config,
+            seed=seed, device=self.device, parts=self.parts, watch=self.watch, progress=told,
+        )  # fmt: skip
+        return _summary(store, self.output)
+
+
+def _summary(store: EpisodeStore, output: Path) -> Row:
+    """Write the report of an episode, and summarize it. Controls say so."""
+    page = write_flattening_report(store, output / f"{store.folder.name}.html")
+    return {
+        "episode": str(store.folder),
+        "status": store.document["status"],
+        "actions": len(store.steps) - 1,
+        **store.document["asked"]["label"],
+        "improvement": improvement(store.steps),
+        "report": str(page),
+    }

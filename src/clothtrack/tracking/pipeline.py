@@ -17,11 +17,11 @@ from clothtrack.errors import (
     StorageError,
 )
 from clothtrack.files.atomic_write import content_hash, name_problem
+from clothtrack.files.many_items import Attempt, attempts
+from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress, one_of
 from clothtrack.files.provenance import made_with
-from clothtrack.files.shared_work import Attempt, Executor, Share, attempts
-from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.files.worker_pool import require_workers
 from clothtrack.recordings.camera_view import camera_views
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
@@ -196,13 +196,11 @@ def track_recordings(
     progress: Progress | None = None,
     force: bool = True,
     watch: Watch | None = None,
-    share: Share | None = None,
-    executor: Executor = finished_in_workers,
+    ray: str = "",
 ) -> list[Outcome]:
     """Track many recordings; finished ones are skipped, a bad one does not stop the others.
 
-    A finished one whose recording has changed since is tracked again. Several processes, of several
-    machines, may do so in one folder at once.
+    A finished one whose recording has changed since is tracked again.
 
     Args:
         recordings: recording folders.
@@ -213,23 +211,23 @@ def track_recordings(
         progress: called after every frame (with one worker) or every recording; counts all.
         force: track although a first mesh lies beside its cloud; otherwise that is its outcome.
         watch: is shown every mesh; needs one worker.
-        share: which of the recordings are this process's; all by default.
-        executor: who runs the work; worker processes by default.
+        ray: address of Ray, which is to do it; worker processes by default.
 
     Returns:
-        One outcome per recording of the share, in the given order.
+        One outcome per recording, in the given order.
 
     Raises:
         InvalidConfigError: there are no workers, or several or others' while somebody watches, or
-            two recordings have one name, or a name is none for a file.
+            two recordings have one name, or a name is none for a file, or another run writes to
+            `output`.
+        ClothTrackError: a worker died.
     """
     require_workers(workers)
     if watch is not None and workers > 1:
         raise InvalidConfigError(
             f"workers is {workers}; one recording after the other can be watched: --workers 1"
         )
-    here = executor is finished_in_workers
-    if watch is not None and not here:
+    if watch is not None and ray:
         raise InvalidConfigError("only what this process tracks can be watched; leave out --ray")
     folders = [Path(folder) for folder in recordings]
     names = [folder.resolve().name for folder in folders]
@@ -245,16 +243,15 @@ def track_recordings(
                 f"a recording is called {name!r}, and no result can be named after it ({problem}); "
                 "rename the folder"
             )
-    output.mkdir(parents=True, exist_ok=True)
-    alone = here and (workers == 1 or len(folders) == 1)
+    alone = not ray and (workers == 1 or len(folders) == 1)
     work = _Tracking(output, config, device, force, *((progress, watch, folders) if alone else ()))
-    shared = attempts(
-        work, folders, WorkFolder(output, "track"), kind="recordings", processes=workers,
-        share=share, progress=None if alone else progress, executor=executor,
+    tracked = attempts(
+        work, folders, kind="recordings", workers=workers, ray=ray, device=device,
+        progress=None if alone else progress,
     )  # fmt: skip
-    with closing(shared) as tries:
+    with locked_output(output), closing(tracked) as tries:
         outcomes = {one.item: _outcome(one) for one in tries}
-    return [outcomes[folder] for folder in (share or Share()).of(folders)]
+    return [outcomes[folder] for folder in folders]
 
 
 def _outcome(attempt: Attempt[Path, Outcome]) -> Outcome:
@@ -266,7 +263,7 @@ def _outcome(attempt: Attempt[Path, Outcome]) -> Outcome:
 
 @dataclass(frozen=True)
 class _Tracking:
-    """Track a folder, as `clothtrack.files.shared_work.Work`.
+    """Track a folder, as `clothtrack.files.many_items.Work`.
 
     Progress is told from here where everything is tracked in one process.
     """

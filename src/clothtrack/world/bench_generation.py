@@ -1,7 +1,7 @@
 """Makes the benchmark, goes on where it stopped, and checks it against its checksums.
 
-`OUT/bench.json` lists every finished trajectory. It is written anew after each one, by one process
-at a time, so that what it lists is whole, and what it does not list was never finished.
+`OUT/bench.json` lists every finished trajectory. It is written anew after each one, so that what it
+lists is whole, and what it does not list was never finished.
 """
 
 import hashlib
@@ -21,10 +21,10 @@ import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import atomic_file, content_hash, storage
+from clothtrack.files.many_items import attempts, results_of
+from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
-from clothtrack.files.shared_work import Executor, Share, attempts, results_of
-from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.files.worker_pool import require_workers
 from clothtrack.version import __version__
 from clothtrack.world.bench import BenchTrajectory, trajectories
 from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
@@ -45,8 +45,7 @@ def generate_bench(
     *,
     processes: int = 1,
     progress: Progress | None = None,
-    share: Share | None = None,
-    executor: Executor = finished_in_workers,
+    ray: str = "",
 ) -> list[Entry]:
     """Film trajectories of the benchmark into `out/recordings` and `out/truth`.
 
@@ -58,36 +57,39 @@ def generate_bench(
         selected: which trajectories; all of the benchmark when None.
         processes: worker processes.
         progress: called first, and after each trajectory, kept ones included.
-        share: which of them are this process's; all by default.
-        executor: who runs the work; worker processes by default.
+        ray: address of Ray, which is to do it; worker processes by default.
 
     Returns:
-        The entries of the trajectories of the share, in their order.
+        The entries of the trajectories, in their order.
 
     Raises:
-        InvalidConfigError: there are no workers, or `out` holds a benchmark that was made with
-            other settings.
+        InvalidConfigError: there are no workers, another run writes to `out`, or it holds a
+            benchmark that was made with other settings.
         SimulationDivergedError: the physics of a trajectory diverges with all its spare seeds.
-        ClothTrackError: a worker was killed, also when it worked alone.
+        ClothTrackError: a worker died.
         StorageError: the disk refuses.
     """
     require_workers(processes)
     out, selected = Path(out), list(trajectories() if selected is None else selected)
-    listed = _read_list(out)
-    for trajectory in selected:
-        _refuse_other_settings(out, trajectory, listed.get(trajectory.name))
-    shared = attempts(
-        _Filming(out), selected, WorkFolder(out, "bench"), kind="trajectories",
-        processes=processes, share=share, progress=progress, executor=executor,
-    )  # fmt: skip
-    with closing(shared) as tries:
-        entries = {one.name: entry for one, entry in results_of(tries)}
-    return [entries[one.name] for one in (share or Share()).of(selected)]
+    with locked_output(out):
+        listed = _read_list(out)
+        for trajectory in selected:
+            _refuse_other_settings(out, trajectory, listed.get(trajectory.name))
+        recorded = attempts(
+            _Filming(out), selected, kind="trajectories", workers=processes, ray=ray,
+            progress=progress,
+        )  # fmt: skip
+        with closing(recorded) as tries:
+            for trajectory, entry in results_of(tries):
+                if listed.get(trajectory.name) != entry:
+                    listed[trajectory.name] = entry
+                    _write_list(out, listed)
+    return [listed[trajectory.name] for trajectory in selected]
 
 
 @dataclass(frozen=True)
 class _Filming:
-    """Film a trajectory and list it, as `clothtrack.files.shared_work.Work`."""
+    """Record a trajectory, as `clothtrack.files.many_items.Work`."""
 
     out: Path
 
@@ -106,18 +108,9 @@ class _Filming:
         return None if entry is None or damage(self.out, entry) else entry
 
     def do(self, trajectory: BenchTrajectory) -> Entry:
-        """Film it over what is left of an earlier try, and list it."""
-        folder = WorkFolder(self.out, "bench")
-        with folder.locked(LIST_FILE):
-            listed = _read_list(self.out)
-            if listed.pop(trajectory.name, None) is not None:
-                _write_list(self.out, listed)
+        """Record it over what is left of an earlier try."""
         _remove(self.out, trajectory.name)
-        entry = _film(trajectory, self.out)
-        # Other processes write the list as well.
-        with folder.locked(LIST_FILE):
-            _write_list(self.out, {**_read_list(self.out), trajectory.name: entry})
-        return entry
+        return _film(trajectory, self.out)
 
 
 def table(entries: Sequence[Entry]) -> str:

@@ -1,4 +1,4 @@
-"""Films many trajectories of the stand-in world, whoever else films some of them."""
+"""Record many trajectories of the simulated world."""
 
 import logging
 from collections.abc import Iterable, Iterator
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
+from clothtrack.files.many_items import Attempt, attempts, results_of
+from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
-from clothtrack.files.shared_work import Attempt, Executor, Share, attempts, results_of
-from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.files.worker_pool import require_workers
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.world.episodes import EpisodeConfig, recording_name, simulate_trajectory
 from clothtrack.world.template_mesh import GivenGarment
@@ -28,8 +28,7 @@ def simulate(
     garment: GivenGarment | None = None,
     processes: int = 1,
     progress: Progress | None = None,
-    share: Share | None = None,
-    executor: Executor = finished_in_workers,
+    ray: str = "",
 ) -> list[Path]:
     """Film several trajectories, with the seeds `seed`, `seed` + 1 and so on.
 
@@ -45,27 +44,26 @@ def simulate(
         garment: of all trajectories, in place of one that is cut for each.
         processes: worker processes.
         progress: called first, and after each trajectory.
-        share: which of them are this process's; all by default.
-        executor: who runs the work; worker processes by default.
+        ray: address of Ray, which is to do it; worker processes by default.
 
     Returns:
-        The folders of the recordings of the share that exist now.
+        The folders of the recordings.
 
     Raises:
-        InvalidConfigError: there are no workers, or no trajectories are asked for.
-        ClothTrackError: when a worker was killed, also when it worked alone.
+        InvalidConfigError: there are no workers, no trajectories are asked for, or another run
+            writes to `out`.
+        ClothTrackError: a worker died.
         StorageError: when the disk refuses.
     """
     require_workers(processes)
     if trajectories < 1:
         raise InvalidConfigError(f"the number of trajectories is {trajectories}; give at least 1")
     filming = _Filming(Path(out), kind, config or EpisodeConfig(), garment)
-    shared = attempts(
-        filming, range(seed, seed + trajectories), WorkFolder(Path(out), "simulate"),
-        kind="recordings", processes=processes, share=share, progress=progress,
-        executor=executor,
+    recorded = attempts(
+        filming, range(seed, seed + trajectories), kind="recordings", workers=processes, ray=ray,
+        progress=progress,
     )  # fmt: skip
-    with closing(shared) as tries:
+    with locked_output(out), closing(recorded) as tries:
         folders = dict(results_of(_without_diverged(tries, filming)))
     return [folders[each] for each in sorted(folders)]
 
@@ -82,7 +80,7 @@ def _without_diverged(
 
 @dataclass(frozen=True)
 class _Filming:
-    """Film a seed, as `clothtrack.files.shared_work.Work`."""
+    """Film a seed, as `clothtrack.files.many_items.Work`."""
 
     out: Path
     kind: GarmentKind

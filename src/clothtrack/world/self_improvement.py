@@ -28,9 +28,9 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.label_worth import LabelWorth, Teaches, better_than_network
 from clothtrack.files.atomic_write import content_hash, write_file
 from clothtrack.files.bounds import Checked, Natural
+from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import begin_run
-from clothtrack.files.work_folder import WorkFolder
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
 from clothtrack.planning.flattening import improvement
 from clothtrack.reconstruction.data.state_store import LIST_FILE
@@ -156,7 +156,7 @@ def improve_rounds(
     require_one_garment(config.flatten, garment)
     _require_inputs(weights, kind, config, old=old, device=device)
     asked = {"garment_seed": garment_seed, "teaches": teaches.__name__, "seed": seed}
-    with WorkFolder(out, "improve").alone():
+    with locked_output(out):
         _take_up(out / ASKED, weights, kind, config, old=old, asked=asked)
         config = replace(config, flatten=knowing_the_garment(config.flatten, garment, out))
         return _rounds(

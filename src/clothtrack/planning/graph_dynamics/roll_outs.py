@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
-from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.atomic_write import atomic_file, clear_leftovers
 from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import begin_run
@@ -198,11 +198,14 @@ def generate_roll_outs(
     done = shards - len(missing)
     if progress is not None:
         progress(f"{kind}: {done}/{shards} shards of roll-outs", done, shards)
-    with closing(finished_in_workers(work, missing, processes)) as results:
-        for _ in results:
-            done += 1
-            if progress is not None:
-                progress(f"{kind}: {done}/{shards} shards of roll-outs", done, shards)
+    try:
+        with closing(finished_in_workers(work, missing, processes)) as results:
+            for _ in results:
+                done += 1
+                if progress is not None:
+                    progress(f"{kind}: {done}/{shards} shards of roll-outs", done, shards)
+    finally:
+        clear_leftovers(paths)
     return paths
 
 

@@ -20,12 +20,12 @@ from jaxtyping import Float32
 from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Checked, Count
+from clothtrack.files.many_items import attempts, results_of
+from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain, require_same
-from clothtrack.files.shared_work import Executor, Share, attempts, results_of
-from clothtrack.files.work_folder import WorkFolder
-from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.files.worker_pool import require_workers
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler
@@ -155,8 +155,7 @@ def generate_states(
     config: StatesConfig | None = None,
     processes: int = 1,
     progress: Progress | None = None,
-    share: Share | None = None,
-    executor: Executor = finished_in_workers,
+    ray: str = "",
 ) -> StateSet:
     """Make at least so many states: as many whole shards as that takes.
 
@@ -168,12 +167,11 @@ def generate_states(
         config: what is made, and how.
         processes: worker processes.
         progress: called first, and after each shard, kept ones included.
-        share: which of the shards are this process's; all by default.
-        executor: who runs the work; worker processes by default.
+        ray: address of Ray, which is to do it; worker processes by default.
 
     Raises:
-        InvalidConfigError: there are no workers or states, or `out` holds states that were made
-            with another seed, kind or settings.
+        InvalidConfigError: there are no workers or states, another run writes to `out`, or it
+            holds states that were made with another seed, kind or settings.
         SimulationDivergedError: of several garments in turn too few states are sound.
         StorageError: the disk refuses.
     """
@@ -182,17 +180,21 @@ def generate_states(
         raise InvalidConfigError(f"the number of states is {states}; give at least 1")
     out, config = Path(out), config or StatesConfig()
     count = math.ceil(states / config.shard_states)
-    folder = WorkFolder(out, "simulate")
-    with folder.locked(LIST_FILE):
-        write_list(out, _document(out, kind, seed, config))
-    shared = attempts(
-        _Making(out, kind, seed, config), range(count), folder, kind="garments",
-        processes=processes, share=share, progress=progress, executor=executor,
+    made = attempts(
+        _Making(out, kind, seed, config), range(count), kind="garments", workers=processes,
+        ray=ray, progress=progress,
     )  # fmt: skip
-    with closing(shared) as tries:
-        for _ in results_of(tries):
-            pass
-    with folder.locked(LIST_FILE):
+    with locked_output(out):
+        document = _document(out, kind, seed, config)
+        write_list(out, document)
+        with closing(made) as tries:
+            for number, entry in results_of(tries):
+                name = shard_path(out, number).name
+                # A kept shard is listed already, with the time that it took, unless a process was
+                # killed between the shard and the list.
+                if entry["cpu_s"] is not None or name not in document["shards"]:
+                    document["shards"] = dict(sorted({**document["shards"], name: entry}.items()))
+                    write_list(out, document)
         found = open_states(out)
         with atomic_file(out / CARD_FILE) as unfinished:
             unfinished.write_text(dataset_card(found), encoding="utf-8")
@@ -201,7 +203,7 @@ def generate_states(
 
 @dataclass(frozen=True)
 class _Making:
-    """Make a shard, as `clothtrack.files.shared_work.Work`."""
+    """Make a shard, as `clothtrack.files.many_items.Work`."""
 
     out: Path
     kind: ClothKind
@@ -216,8 +218,8 @@ class _Making:
         """The shard."""
         return [shard_path(self.out, number)]
 
-    def kept(self, number: int) -> int | None:
-        """The number of a shard that is whole and listed."""
+    def kept(self, number: int) -> dict[str, Any] | None:
+        """The entry of a shard that is whole, without the CPU time."""
         path = shard_path(self.out, number)
         if not path.exists():
             return None
@@ -226,26 +228,15 @@ class _Making:
         except InvalidResultError as error:
             logger.warning("made again: %s", error)
             return None
-        if path.name not in ((read_list(self.out) or {}).get("shards") or {}):
-            # A process was killed between the shard and the list.
-            self._list(number, len(shard.positions), None)
-        return number
+        return {"states": len(shard.positions), "cpu_s": None}
 
-    def do(self, number: int) -> int:
-        """Make the shard, write it, and list it."""
+    def do(self, number: int) -> dict[str, Any]:
+        """Make the shard and write it; its entry in the list."""
         start = time.process_time()
         shard = make_shard(self.kind, number, self.seed, self.config)
         write_shard(shard, shard_path(self.out, number))
-        self._list(number, len(shard.positions), round(time.process_time() - start, 2))
-        return number
-
-    def _list(self, number: int, states: int, cpu_s: float | None) -> None:
-        """Add the shard to the list, which other processes write as well."""
-        with WorkFolder(self.out, "simulate").locked(LIST_FILE):
-            document = _document(self.out, self.kind, self.seed, self.config)
-            entry = {shard_path(self.out, number).name: {"states": states, "cpu_s": cpu_s}}
-            document["shards"] = dict(sorted({**document["shards"], **entry}.items()))
-            write_list(self.out, document)
+        cpu_s = round(time.process_time() - start, 2)
+        return {"states": len(shard.positions), "cpu_s": cpu_s}
 
 
 def make_shard(kind: ClothKind, number: int, seed: int, config: StatesConfig) -> StateShard:

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from clothtrack.errors import InvalidResultError
+from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
-from clothtrack.files.work_folder import WorkFolder
 from clothtrack.reconstruction.training.batches import BatchOrder, Draw, Examples, loader
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.stage import Stage
@@ -72,7 +72,7 @@ def train(
     with ExitStack() as open_until_done:
         enter = open_until_done.enter_context
         if together.writes:
-            enter(WorkFolder(folder, "train").alone())
+            enter(locked_output(folder))
         run = TrainingRun(stage, order, config, folder, data or {})
         run.resume()
         run.plan_fall()

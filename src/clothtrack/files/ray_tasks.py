@@ -1,0 +1,138 @@
+"""The same work on many items by Ray: on this machine, or on all machines of a cluster.
+
+It needs the extra [ray], which is imported when the first item is worked on.
+"""
+
+import logging
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from clothtrack.errors import ClothTrackError, InvalidConfigError, StorageError
+from clothtrack.files.extras import install_command
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+LOCAL = "local"
+"""The address that starts Ray on this machine, for this program alone."""
+
+CANCEL_S = 10.0
+"""Time for canceled tasks to end [s]."""
+
+ANSWER_S = 5.0
+"""Time for a cluster to accept a connection [s]; Ray itself tries, and logs, for two minutes."""
+
+
+def finished_by_ray(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    address: str,
+    workers: int,
+    *,
+    gpus: float,
+    name: Callable[[Item], str],
+) -> Generator[Result, None, None]:
+    """Do the same work on many items, and give the results in the order in which they are finished.
+
+    An item has one processor core. Ray repeats one whose worker died three times.
+
+    Args:
+        work: a function that can be imported on every machine.
+        items: what to work on.
+        address: of a running cluster, such as "auto" or "ray://host:10001"; or "local".
+        workers: cores of the Ray that "local" starts.
+        gpus: graphics cards per item.
+        name: of an item, for the error.
+
+    Raises:
+        InvalidConfigError: Ray is not installed, or does not answer.
+        ClothTrackError: the workers of an item died each time.
+    """
+    if not items:
+        return
+    ray = _connected(address, workers)
+    task = ray.remote(num_cpus=1, num_gpus=gpus)(_done_in)
+    jobs = {task.remote(work, item, os.getcwd()): item for item in items}  # noqa: PTH109
+    try:
+        while jobs:
+            (job,), _ = ray.wait(list(jobs), num_returns=1)
+            item = jobs.pop(job)
+            yield _result(ray, job, name(item))
+    finally:
+        _, left = ray.wait(list(jobs), num_returns=len(jobs), timeout=0) if jobs else ([], [])
+        for job in left:
+            ray.cancel(job, force=True)
+        if left:
+            ray.wait(left, num_returns=len(left), timeout=CANCEL_S)
+
+
+def _result(ray: Any, job: Any, name: str) -> Any:
+    try:
+        return ray.get(job)
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from error
+    except ray.exceptions.RayError as error:
+        raise ClothTrackError(
+            f"{name}: Ray gave it up ({_first_line(error)}); run the same command again: what is "
+            "finished is kept"
+        ) from error
+
+
+def _done_in(work: Callable[[Item], Result], item: Item, folder: str) -> Result:
+    """Work on an item in a worker, which has the working directory of the command."""
+    from clothtrack.geometry.devices import quiet_warp
+
+    try:
+        os.chdir(folder)
+    except OSError as error:
+        raise StorageError.of(error) from error
+    quiet_warp()
+    return work(item)
+
+
+def _connected(address: str, workers: int) -> Any:
+    """Return the module `ray`, connected; a Ray that this program has started is used as it is."""
+    os.environ.update(RAY_USAGE_STATS_ENABLED="0", RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO="0")
+    if address == LOCAL and not {"RAY_AUTH_MODE", "ray"} & {*os.environ, *sys.modules}:
+        # Its ports are open to the network: only who has the token may use them. It is read once,
+        # when Ray is imported.
+        os.environ.update(RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=os.urandom(32).hex())
+    try:
+        import ray
+    except ModuleNotFoundError as error:
+        raise InvalidConfigError(
+            f"working with Ray needs {error.name}; install with: {install_command('ray')}"
+        ) from error
+    options = {"num_cpus": workers, "include_dashboard": False} if address == LOCAL else {}
+    try:
+        with _own_sigterm():
+            if not ray.is_initialized():
+                host, _, port = address.removeprefix("ray://").rpartition(":")
+                if host and port.isdigit():
+                    socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+                ray.init(address, logging_level=logging.ERROR, **options)
+    except (OSError, OverflowError, RuntimeError, ValueError) as error:
+        raise InvalidConfigError(
+            f"Ray at {address!r} does not answer ({_first_line(error)}); give the address of a "
+            f"running cluster, or {LOCAL} to start Ray on this machine"
+        ) from error
+    return ray
+
+
+@contextmanager
+def _own_sigterm() -> Iterator[None]:
+    """Keep the handler of SIGTERM, which Ray's start replaces."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, before)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0]

@@ -1,0 +1,90 @@
+"""One run at a time in an output folder."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import pytest
+
+from clothtrack.cli import command_line as cli
+from clothtrack.errors import InvalidConfigError, StorageError
+from clothtrack.files.output_lock import LOCK_FILE, locked_output
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from clothtrack.files.output_lock import locked_output
+with locked_output(Path(sys.argv[1])):
+    (Path(sys.argv[1]) / "held").touch()
+    time.sleep(600.0)
+"""
+
+
+@pytest.fixture
+def other(tmp_path):
+    """Another process that holds the lock of `tmp_path / "out"`."""
+    out = tmp_path / "out"
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(out)], start_new_session=True) as held:
+        try:
+            while not (out / "held").exists():
+                assert held.poll() is None
+                time.sleep(0.02)
+            yield held
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(held.pid, signal.SIGKILL)
+
+
+def test_another_process_is_refused_until_the_first_one_dies(other, tmp_path):
+    out = tmp_path / "out"
+    before = (out / LOCK_FILE).read_text()
+    with pytest.raises(InvalidConfigError) as refused, locked_output(out):
+        pass
+    assert f"{out}: another run writes here (process {other.pid} on " in str(refused.value)
+    assert (out / LOCK_FILE).read_text() == before
+    other.kill()
+    other.wait()
+    with locked_output(out):
+        assert (out / LOCK_FILE).read_text().split("\n")[0] == str(os.getpid())
+    assert [path.name for path in out.iterdir()] == ["held"]
+
+
+def test_a_lock_file_that_says_nothing_is_no_harm(other, tmp_path):
+    (tmp_path / "out" / LOCK_FILE).write_text("\xff")
+    with (
+        pytest.raises(InvalidConfigError, match="another run writes here; wait"),
+        locked_output(tmp_path / "out"),
+    ):
+        pass
+
+
+def test_a_place_that_cannot_be_locked_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match="in the way"), locked_output(tmp_path / "file"):
+        pass
+
+
+@pytest.mark.parametrize("verb", ["simulate", "bench", "track", "evaluate", "flatten", "train"])
+def test_a_second_run_is_refused_in_one_line_and_changes_nothing(other, verb, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = {
+        "simulate": ["simulate", str(out)],
+        "bench": ["bench", str(out)],
+        "track": ["track", str(tmp_path / "none"), "--output", str(out)],
+        "flatten": ["flatten", str(out), "--policy", "heuristic"],
+        "train": ["train-dynamics", str(out), "--only-roll-outs"],
+    }.get(verb)
+    if words is None:
+        hidden = tmp_path / ".out.measured"
+        out.rename(hidden)
+        words = ["evaluate", str(tmp_path / "a.zarr"), "--recordings", str(tmp_path)]
+        words += ["--output", str(out)]
+        out = hidden
+    assert cli.main(words) == 1
+    complained = capsys.readouterr().err
+    assert f"{out}: another run writes here (process {other.pid} on " in complained
+    assert complained.count("\n") == 1
+    assert {path.name for path in out.iterdir()} == {"held", LOCK_FILE}
