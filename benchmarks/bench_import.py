@@ -36,9 +36,9 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from clothtrack.geometry import quiet_warp
-from clothtrack.importing import ImportOptions
-from clothtrack.importing.import_recording import import_recording
 from clothtrack.recordings import encode_png
+from clothtrack_capture.importing import ImportOptions
+from clothtrack_capture.importing.import_recording import import_recording
 
 logger = logging.getLogger("bench_import")
 WIDTH, HEIGHT, FOCAL = 640, 480, 600.0

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from clothtrack.capture import open_realsense
 from clothtrack.errors import ClothTrackError
 from clothtrack.planning import (
     ActionSpace,
@@ -40,6 +39,7 @@ from clothtrack.planning.robots import (
 )
 from clothtrack.recordings import ClothDescription, Table, read_recording
 from clothtrack.report import write_flattening_report
+from clothtrack_capture import open_realsense
 
 SETTLING_FRAMES = 5
 """Pictures that are thrown away before one is kept: the first may be from before the motion."""

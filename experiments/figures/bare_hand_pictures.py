@@ -25,10 +25,10 @@ from shared.figures import plot_style, say
 from tables.bare_hand import holds
 
 import clothtrack as ct
-from clothtrack.capture.carried_path import highest_cloth
-from clothtrack.capture.clicked_picking import ClickedPicking
-from clothtrack.capture.cloth_views import Click
 from clothtrack.report.palette import HIDDEN, INK, OUTSIDE
+from clothtrack_capture.carried_path import highest_cloth
+from clothtrack_capture.clicked_picking import ClickedPicking
+from clothtrack_capture.cloth_views import Click
 from figures.docs_screenshots import READY, TURN, opened, save
 from figures.own_recording_pictures import run, strip
 

@@ -25,14 +25,14 @@ from shared.figures import say
 from shared.table_column import table
 
 import clothtrack as ct
-from clothtrack.capture.carried_path import CarriedPath
-from clothtrack.capture.clicked_picking import ClickedAction, ClickedPicking
-from clothtrack.capture.cloth_views import Click
 from clothtrack.geometry import quiet_warp
 from clothtrack.simulation import ActionConfig
 from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate_trajectory
 from clothtrack.world.template_mesh import TemplateConfig
 from clothtrack.world.tool import Tool
+from clothtrack_capture.carried_path import CarriedPath
+from clothtrack_capture.clicked_picking import ClickedAction, ClickedPicking
+from clothtrack_capture.cloth_views import Click
 
 FILMS = (("towel", 300), ("tshirt", 300), ("towel", 301), ("tshirt", 301))
 HAND_M = (

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from clothtrack.capture import amendment
-from clothtrack.capture.amendment import amend_document, set_actions, set_masks
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.recording import PickAndPlace, PickerPath
 from clothtrack.recordings.store import read_recording
+from clothtrack_capture import amendment
+from clothtrack_capture.amendment import amend_document, set_actions, set_masks
 
 
 def names(folder):

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from clothtrack.capture.board import Board, locate_board, locate_boards
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
+from clothtrack_capture.board import Board, locate_board, locate_boards
 
 BOARD = Board(7, 5, 0.03, 0.022)
 CAMERA = Camera("top", 640, 480, 600.0, 602.0, 321.0, 238.0)

@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clothtrack.capture.board import Board
-from clothtrack.capture.camera_pose import (
+from clothtrack.cli import command_line as cli
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack_capture.board import Board
+from clothtrack_capture.camera_pose import (
     CameraPlacement,
     camera_named,
     place_by_board,
@@ -18,11 +22,7 @@ from clothtrack.capture.camera_pose import (
     place_camera,
     save_placement,
 )
-from clothtrack.capture.hand_eye import RobotPose
-from clothtrack.cli import command_line as cli
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError
-from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack_capture.hand_eye import RobotPose
 
 BOARD = Board(7, 5, 0.03, 0.022)
 

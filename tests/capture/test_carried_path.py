@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.capture.carried_path import (
+from clothtrack_capture.carried_path import (
     UNDER_TIP_M,
     CarriedPath,
     HighestCloth,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
-from clothtrack.capture.clicked_picking import ClickedPicking
-from clothtrack.capture.cloth_views import Click
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack_capture.clicked_picking import ClickedPicking
+from clothtrack_capture.cloth_views import Click
 
 PICK, PLACE = Click(4, 250, 63), Click(15, 217, 127)
 NEXT_PICK, NEXT_PLACE = Click(23, 55, 86), Click(40, 132, 97)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clothtrack.capture.hand_eye import calibrate_hand_eye, read_robot_poses
 from clothtrack.errors import InvalidRecordingError
+from clothtrack_capture.hand_eye import calibrate_hand_eye, read_robot_poses
 
 
 def pose_of(turn, shift):

@@ -10,17 +10,17 @@ import time
 import numpy as np
 import pytest
 
-from clothtrack.capture import live_capture as capture
-from clothtrack.capture.live_capture import (
+from clothtrack.errors import InvalidRecordingError, StorageError
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack_capture import live_capture as capture
+from clothtrack_capture.live_capture import (
     CapturedFrame,
     CaptureWriter,
     ReplayedCamera,
     capture_folder,
     salvage_capture,
 )
-from clothtrack.errors import InvalidRecordingError, StorageError
-from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.pictures import read_color, read_depth
 
 CAMERA = Camera("top", 64, 48, 60.0, 60.0, 31.5, 23.5)
 
@@ -174,7 +174,7 @@ import sys, time
 from pathlib import Path
 import numpy as np
 from clothtrack.geometry.camera import Camera
-from clothtrack.capture.live_capture import CapturedFrame, CaptureWriter
+from clothtrack_capture.live_capture import CapturedFrame, CaptureWriter
 
 class Source:
     camera, depth_unit_m = Camera("top", 64, 48, 60.0, 60.0, 31.5, 23.5), 0.001

@@ -8,18 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-from clothtrack.capture.picker_detection import (
-    find_picker,
-    keep_picker,
-    nearest_visible_vertex,
-    tip_members,
-)
-from clothtrack.capture.picker_motion import (
-    closed_by_gap,
-    closed_by_rest,
-    without_jumps,
-)
-from clothtrack.capture.tip_finder import learned_finder, tip_colors
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
@@ -32,6 +20,18 @@ from clothtrack.world.appearance import Appearance
 from clothtrack.world.scene import Scene
 from clothtrack.world.sensor import Sensor, top_down_camera
 from clothtrack.world.tool import Tool
+from clothtrack_capture.picker_detection import (
+    find_picker,
+    keep_picker,
+    nearest_visible_vertex,
+    tip_members,
+)
+from clothtrack_capture.picker_motion import (
+    closed_by_gap,
+    closed_by_rest,
+    without_jumps,
+)
+from clothtrack_capture.tip_finder import learned_finder, tip_colors
 
 
 def visit(heights):

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import clothtrack as ct
-from clothtrack.capture.clicked_picking import ClickedPicking
-from clothtrack.capture.picking_page import pick_live
+from clothtrack_capture.clicked_picking import ClickedPicking
+from clothtrack_capture.picking_page import pick_live
 
 _spec = importlib.util.spec_from_file_location(
     "chromium", Path(__file__).parents[1] / "report" / "chromium.py"

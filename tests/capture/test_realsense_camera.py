@@ -6,11 +6,11 @@ import sys
 import numpy as np
 import pytest
 
-from clothtrack.capture.live_capture import CaptureWriter
-from clothtrack.capture.realsense_camera import RealSenseCamera, open_realsense
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.extras import install_command
 from clothtrack.recordings.pictures import read_color, read_depth
+from clothtrack_capture.live_capture import CaptureWriter
+from clothtrack_capture.realsense_camera import RealSenseCamera, open_realsense
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 150.0
 

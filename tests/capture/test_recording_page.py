@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack.capture.live_capture import CapturedFrame
-from clothtrack.capture.recording_page import (
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.store import read_recording
+from clothtrack_capture.live_capture import CapturedFrame
+from clothtrack_capture.recording_page import (
     PROTOCOL,
     Session,
     preview_of,
     record_live,
     warnings_of,
 )
-from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.store import read_recording
 
 _spec = importlib.util.spec_from_file_location(
     "chromium", Path(__file__).parents[1] / "report" / "chromium.py"

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
-from clothtrack.capture.mask_pictures import masked_picture, spread, write_mask_sheet
-from clothtrack.capture.segmentation_page import segment_live
-from clothtrack.capture.segmentation_setup import SegmentationSetup
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack_capture.mask_pictures import masked_picture, spread, write_mask_sheet
+from clothtrack_capture.segmentation_page import segment_live
+from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 _spec = importlib.util.spec_from_file_location(
     "chromium", Path(__file__).parents[1] / "report" / "chromium.py"

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from clothtrack.capture.segmentation_setup import SegmentationSetup
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.colors import CORE, with_shades
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.recording import PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
+from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 CAMERA = Camera("top", 160, 120, 150.0, 150.0, 79.5, 59.5)
 CLOTH = np.array([40, 90, 190])

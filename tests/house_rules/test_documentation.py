@@ -88,7 +88,8 @@ def anchors_of(page):
 
 def defines(path, name):
     """Whether a module has a name, or one of its classes a method or attribute of this name."""
-    module = import_module("clothtrack." + path.removesuffix(".py").replace("/", "."))
+    package = "" if path.startswith("clothtrack_") else "clothtrack."
+    module = import_module(package + path.removesuffix(".py").replace("/", "."))
     owners = [module, *(kind for _, kind in inspect.getmembers(module, inspect.isclass))]
     head, _, tail = name.partition(".")
     for owner in owners:

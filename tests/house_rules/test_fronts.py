@@ -26,7 +26,7 @@ def behind_a_front(code):
             modules.append(node.module)
         elif isinstance(node, ast.Import):
             modules += [one.name for one in node.names]
-    ours = [one for one in modules if one.split(".")[0] == "clothtrack"]
+    ours = [one for one in modules if one.split(".")[0].startswith("clothtrack")]
     return [one for one in ours if not is_front(one)]
 
 

@@ -32,8 +32,8 @@ from shared.damage import damaged  # noqa: E402
 
 from clothtrack.errors import ClothTrackError  # noqa: E402
 from clothtrack.geometry.devices import quiet_warp  # noqa: E402
-from clothtrack.importing.import_options import ImportOptions  # noqa: E402
-from clothtrack.importing.import_recording import import_recording  # noqa: E402
+from clothtrack_capture.importing.import_options import ImportOptions  # noqa: E402
+from clothtrack_capture.importing.import_recording import import_recording  # noqa: E402
 
 LONGEST_S = 10
 MOST_MEMORY = 2**30

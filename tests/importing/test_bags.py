@@ -21,11 +21,11 @@ from mcap_ros2.writer import Writer as OtherMcapWriter
 from rosbags.highlevel import AnyReader
 
 from clothtrack.errors import ClothTrackError, InvalidRecordingError
-from clothtrack.importing.bag_walk import open_parts
-from clothtrack.importing.import_options import ImportOptions
-from clothtrack.importing.import_recording import import_recording
-from clothtrack.importing.ros_bags import bag_files
 from clothtrack.recordings.store import read_recording
+from clothtrack_capture.importing.bag_walk import open_parts
+from clothtrack_capture.importing.import_options import ImportOptions
+from clothtrack_capture.importing.import_recording import import_recording
+from clothtrack_capture.importing.ros_bags import bag_files
 
 ROS2 = Messages(cdr=True)
 ROS1 = Messages(cdr=False)

@@ -7,9 +7,9 @@ import pytest
 from import_makers import color_of, depth_of, lens_file, write_folder
 
 from clothtrack.errors import ClothTrackError, InvalidRecordingError
-from clothtrack.importing.import_options import ImportOptions
-from clothtrack.importing.import_recording import import_recording
 from clothtrack.recordings.store import read_recording
+from clothtrack_capture.importing.import_options import ImportOptions
+from clothtrack_capture.importing.import_recording import import_recording
 
 
 def options(style, film, tmp_path):

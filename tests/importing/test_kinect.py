@@ -10,10 +10,10 @@ import pytest
 from import_makers import depth_of, element, kinect_calibration, number, write_kinect
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.import_options import ImportOptions
-from clothtrack.importing.import_recording import import_recording
-from clothtrack.importing.kinect_calibration import kinect_intrinsics
-from clothtrack.importing.matroska import Matroska
+from clothtrack_capture.importing.import_options import ImportOptions
+from clothtrack_capture.importing.import_recording import import_recording
+from clothtrack_capture.importing.kinect_calibration import kinect_intrinsics
+from clothtrack_capture.importing.matroska import Matroska
 
 TIMES = np.array([0, 33_333_000, 66_666_000])
 FILM = Path("film.mkv")

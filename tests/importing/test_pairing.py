@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.pairing import pair
-from clothtrack.importing.source import StreamFrame
+from clothtrack_capture.importing.pairing import pair
+from clothtrack_capture.importing.source import StreamFrame
 
 FILM = Path("film.bag")
 MS = 1_000_000

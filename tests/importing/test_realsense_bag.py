@@ -6,10 +6,10 @@ from import_makers import color_of, depth_of, write_realsense_bag, write_realsen
 from rosbags.highlevel import AnyReader
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.import_options import ImportOptions
-from clothtrack.importing.import_recording import import_recording, open_source
 from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.pictures import read_depth
+from clothtrack_capture.importing.import_options import ImportOptions
+from clothtrack_capture.importing.import_recording import import_recording, open_source
 
 
 def test_new_recordings(film, tmp_path):

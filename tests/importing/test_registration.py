@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.importing.containers import TruncatedError
-from clothtrack.importing.intrinsics import Intrinsics
-from clothtrack.importing.registration import Registration
-from clothtrack.importing.source import StereoCalibration
+from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack_capture.importing.intrinsics import Intrinsics
+from clothtrack_capture.importing.registration import Registration
+from clothtrack_capture.importing.source import StereoCalibration
 
 DEPTH = Intrinsics(48, 36, 40.0, 40.0, 23.5, 17.5)
 

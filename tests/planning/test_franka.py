@@ -10,8 +10,8 @@ import pytest
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.action_space import PickPlace, Workspace
-from clothtrack.planning.robots.franka import FrankaConfig, FrankaRobot, FrankyArm, subdivided
 from clothtrack.planning.robots.robot import MotionLimits, PickPlaceRobot, RgbdFrame
+from clothtrack_capture.franka import FrankaConfig, FrankaRobot, FrankyArm, subdivided
 
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 POSE[:3, 3] = 0.5, 0.0, 0.8

@@ -8,35 +8,47 @@ Exit codes: 0 done, 1 bad input or a full disk (one clear line on standard error
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import entry_points
 
 from clothtrack.cli.act import flatten, improve, train_dynamics
-from clothtrack.cli.capture import (
-    calibrate_camera,
-    calibrate_hand_eye,
-    record,
-    segment,
-)
 from clothtrack.cli.garment import garment
 from clothtrack.cli.learn import finetune, label, pretrain, reconstruct
 from clothtrack.cli.look import evaluate, export, view
-from clothtrack.cli.picker import find_picker
-from clothtrack.cli.recordings import import_, inspect
+from clothtrack.cli.recordings import inspect
 from clothtrack.cli.signature import name_of
 from clothtrack.cli.simulate import bench, simulate
-from clothtrack.cli.terminal import INTERRUPTED, complain, end_by_interrupt, exit_code
+from clothtrack.cli.terminal import INTERRUPTED, complain, end_by_interrupt, exit_code, say
 from clothtrack.cli.track import demo, track
-from clothtrack.cli.usage import WRONG_USAGE, WrongUsageError, parse
+from clothtrack.cli.usage import WRONG_USAGE, WrongUsageError, overview, parse
 from clothtrack.cli.verify import verify
 from clothtrack.cli.versions import versions
 from clothtrack.cli.warnings_once import logged
 
-VERBS: tuple[Callable[..., int], ...] = (
-    demo, inspect, import_, record, calibrate_camera, calibrate_hand_eye, segment, find_picker,
-    garment, simulate, bench, track, label, pretrain, finetune, reconstruct, flatten,
+OWN: tuple[Callable[..., int], ...] = (
+    demo, inspect, garment, simulate, bench, track, label, pretrain, finetune, reconstruct, flatten,
     train_dynamics, improve, evaluate, view, export, verify,
 )  # fmt: skip
-"""The functions behind the verbs, in the order of the README."""
+"""The functions behind the verbs of the core."""
+
+VERBS: tuple[Callable[..., int], ...] = (
+    *OWN,
+    *(found.load() for found in entry_points(group="clothtrack.verbs")),
+)
+"""The same with those of other packages, which name theirs as entry points."""
+
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "the main path": ("demo", "import", "track", "evaluate", "view"),
+    "recordings": (
+        "inspect", "record", "calibrate-camera", "calibrate-hand-eye", "segment", "find-picker",
+        "garment",
+    ),
+    "learning": ("reconstruct", "label", "finetune", "pretrain"),
+    "a robot": ("flatten", "train-dynamics", "improve"),
+    "results": ("export", "verify"),
+    "the simulated world": ("simulate", "bench"),
+}  # fmt: skip
+"""The order of `--help`; a verb that is in no group comes last."""
 
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -57,7 +69,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[:1] == ["--version"]:
         return exit_code(lambda: versions(json="--json" in words))
     try:
-        run = parse(words, {name_of(verb): verb for verb in VERBS})
+        verbs = {name_of(verb): verb for verb in VERBS}
+        if words[:1] in (["-h"], ["--help"]):
+            say(overview(verbs, GROUPS))
+            return 0
+        run = parse(words, verbs)
     except WrongUsageError as wrong:
         complain(str(wrong))
         return WRONG_USAGE

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
 from difflib import get_close_matches
 from io import StringIO
+from textwrap import fill, shorten
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
@@ -23,6 +24,8 @@ DESCRIPTION = (
     "clothtrack --version says what is installed."
 )
 WRONG_USAGE = 2
+
+_WIDTH = 100
 
 _BOX = re.compile("\x1b\\[[0-9;]*m|[│╭╮╰╯]")
 _REFUSED = re.compile(r"could be instantiated from \[(.*)\]")
@@ -50,17 +53,45 @@ def parse(words: Sequence[str], verbs: Mapping[str, Callable[..., int]]) -> Call
     drawn = StringIO()
     try:
         with redirect_stderr(drawn):
-            return tyro.extras.subcommand_cli_from_dict(
-                {name: command(verb) for name, verb in verbs.items()},
-                prog="clothtrack",
-                description=DESCRIPTION,
-                args=words,
+            return tyro.cli(
+                command(verbs[words[0]]),
+                prog=f"clothtrack {words[0]}",
+                args=words[1:],
                 config=(FlagCreatePairsOff, OmitArgPrefixes),
             )
     except SystemExit as end:
         if not end.code:
             raise
         raise WrongUsageError(_first_sentence(drawn.getvalue(), words[0])) from None
+
+
+def overview(verbs: Mapping[str, Callable[..., int]], groups: Mapping[str, Sequence[str]]) -> str:
+    """Return what `clothtrack --help` shows: every verb in its group, with one sentence.
+
+    Args:
+        verbs: functions by the names of their verbs.
+        groups: names by the title of their group, in order; those that are missing are left out.
+    """
+    named = {name for names in groups.values() for name in names}
+    whole = {**groups, "others": [name for name in verbs if name not in named]}
+    width = max(map(len, verbs))
+    parts = ["usage: clothtrack VERB ...", fill(DESCRIPTION, _WIDTH)]
+    for title, names in whole.items():
+        rows = [
+            f"  {name:<{width}}  {_sentence(verbs[name], _WIDTH - width - 4)}"
+            for name in names
+            if name in verbs
+        ]
+        if rows:
+            parts.append("\n".join([f"{title}:", *rows]))
+    parts.append("clothtrack VERB --help lists the options of a verb.")
+    return "\n\n".join(parts)
+
+
+def _sentence(verb: Callable[..., int], width: int) -> str:
+    """Return the first line of what a verb's docstring says."""
+    first = (verb.__doc__ or "").strip().split("\n\n")[0]
+    return shorten(" ".join(first.split()), width, placeholder=" ...")
 
 
 def meant(word: str, known: Sequence[str]) -> str:
@@ -73,8 +104,6 @@ def _refuse_unknown(words: Sequence[str], verbs: Mapping[str, Callable[..., int]
     if not words:
         raise WrongUsageError("say what to do: clothtrack VERB; clothtrack --help lists the verbs")
     verb = words[0]
-    if verb in ("-h", "--help"):
-        return
     if verb not in verbs:
         kind = "option; options stand behind the verb" if verb.startswith("-") else "verb"
         guess = meant(verb, list(verbs)) or "; clothtrack --help lists the verbs"

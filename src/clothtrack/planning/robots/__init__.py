@@ -6,7 +6,6 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.planning.robots.dry_run import DryRunRobot, pictures_of
-    from clothtrack.planning.robots.franka import FrankaConfig, FrankaRobot, FrankyArm
     from clothtrack.planning.robots.robot import (
         Execution,
         MotionLimits,
@@ -21,9 +20,6 @@ else:
 __all__ = [
     "DryRunRobot",
     "Execution",
-    "FrankaConfig",
-    "FrankaRobot",
-    "FrankyArm",
     "MotionLimits",
     "PickPlaceRobot",
     "Reachability",

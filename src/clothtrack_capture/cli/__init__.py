@@ -1,0 +1,1 @@
+"""The verbs of capture; the command line finds them by entry points."""

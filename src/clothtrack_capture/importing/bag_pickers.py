@@ -1,0 +1,148 @@
+"""The picker's path in a bag: from a pose topic or a TF frame, and a gripper topic."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.recordings.recording import PickerPath
+from clothtrack_capture.importing.bag_walk import Walk
+from clothtrack_capture.importing.import_options import ImportOptions
+from clothtrack_capture.importing.topics import listed
+
+PICKER = "picker"
+_CLOCKS_DIFFER_NS = 10**9
+
+
+@dataclass(frozen=True)
+class BagPaths:
+    """Where the picker was.
+
+    Attributes:
+        paths: path per picker, in `frame`; times [s] count from `start_ns`.
+        start_ns: the first position's time [ns]; seconds since 1970 would lose digits.
+        frame: "world", "camera" or a frame that nothing ties to the camera.
+        origins: which topic or frame each thing came from.
+        notes: what to know, in words.
+    """
+
+    paths: Mapping[str, PickerPath] = field(default_factory=dict)
+    start_ns: int = 0
+    frame: str = ""
+    origins: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
+    """The picker's path that was asked for, or nothing.
+
+    Raises:
+        InvalidConfigError: the topic or frame is not there, or the gripper needs a limit.
+    """
+    if options.picker_topic is None and options.picker_frame is None:
+        if options.gripper_topic is not None:
+            raise InvalidConfigError(
+                "--gripper-topic tells when, but not where: add --picker-topic or --picker-frame"
+            )
+        return BagPaths()
+    target, frame = (
+        (options.world_frame, "world") if options.world_frame else (camera_frame, "camera")
+    )
+    origins = {}
+    if options.picker_topic is not None:
+        origins["picker"] = options.picker_topic
+        times, positions, frame = _from_topic(path, walk, options.picker_topic, target, frame)
+    else:
+        assert options.picker_frame is not None
+        origins["picker"] = f"TF frame {options.picker_frame}"
+        tree = walk.tree
+        if not target or not tree.connects(target, options.picker_frame):
+            raise InvalidConfigError(
+                f"{path}: no TF ties --picker-frame {options.picker_frame!r} to {target!r}; "
+                f"frames: {', '.join(tree.frames) or 'none'}; name the world with --world-frame"
+            )
+        times = tree.moments(target, options.picker_frame)
+        positions = tree.lookup(target, options.picker_frame, times)[:, :3, 3]
+    keep = np.concatenate([[True], np.diff(times) > 0]) if len(times) else np.zeros(0, bool)
+    times, positions = times[keep], positions[keep]
+    if len(times) < 2:
+        raise InvalidConfigError(
+            f"{path}: {origins['picker']} tells {len(times)} positions; a path has at least two"
+        )
+    closed = np.zeros(len(times), dtype=bool)
+    notes = []
+    if options.gripper_topic is not None:
+        origins["gripper"] = options.gripper_topic
+        closed, notes = _closed(path, walk, options, times)
+    start_ns = int(times[0])
+    paths = {PICKER: PickerPath((times - start_ns) / 1e9, positions, closed)}
+    return BagPaths(paths, start_ns, frame, origins, notes)
+
+
+def _from_topic(
+    path: Path, walk: Walk, topic: str, target: str, frame: str
+) -> tuple[Int64[np.ndarray, " times"], Float[np.ndarray, "times 3"], str]:
+    if not walk.poses:
+        raise InvalidConfigError(
+            f"{path}: no position in topic {topic!r}; topics: {listed(walk.topics)}; name one of "
+            "PoseStamped, PointStamped, TransformStamped or Odometry with --picker-topic"
+        )
+    poses = sorted(walk.poses, key=lambda pose: pose[0])
+    times = np.array([pose[0] for pose in poses], dtype=np.int64)
+    positions = np.array([pose[2] for pose in poses])
+    origin = poses[0][1]
+    if not (target and origin and walk.tree.connects(target, origin)):
+        # Nothing ties its frame to the camera's; whether it is the world is for the person to say.
+        return times, positions, "camera" if origin and origin == target else repr(origin)
+    poses_at = walk.tree.lookup(target, origin, times)
+    moved = np.einsum("tij,tj->ti", poses_at[:, :3, :3], positions) + poses_at[:, :3, 3]
+    return times, moved, frame
+
+
+def _closed(
+    path: Path, walk: Walk, options: ImportOptions, times: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    if not walk.grips:
+        raise InvalidConfigError(
+            f"{path}: no message in --gripper-topic {options.gripper_topic!r}; topics: "
+            f"{listed(walk.topics)}"
+        )
+    unstamped = not hasattr(walk.grips[0][1], "header")
+    gap = walk.clock_gap_ns if unstamped and abs(walk.clock_gap_ns) > _CLOCKS_DIFFER_NS else 0
+    text = sorted((time - gap, _is_closed(path, message, options)) for time, message in walk.grips)
+    when = np.array([time for time, _ in text])
+    what = np.array([closed for _, closed in text])
+    # Before the first message the gripper is taken to be as that message says.
+    last = np.clip(np.searchsorted(when, times, side="right") - 1, 0, None)
+    notes = []
+    if gap:
+        notes.append(
+            f"{options.gripper_topic} has no time stamps of its own; its times of writing were "
+            f"moved by {-gap / 1e9:.3f} s to the clock of the pictures"
+        )
+    return what[last], notes
+
+
+def _is_closed(path: Path, message: Any, options: ImportOptions) -> bool:
+    value = message
+    for name in ("position", "data"):
+        value = getattr(value, name, value)
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if options.gripper_closed_below is None:
+        raise InvalidConfigError(
+            f"{path}: --gripper-topic {options.gripper_topic!r} tells numbers, not closed or open; "
+            "say below which value the gripper is closed: --gripper-closed-below"
+        )
+    try:
+        opening = float(np.sum(np.asarray(value, dtype=np.float64)))
+    except (TypeError, ValueError) as error:
+        raise InvalidConfigError(
+            f"{path}: --gripper-topic {options.gripper_topic!r} tells no number; name a topic of "
+            "Bool, Float or JointState"
+        ) from error
+    return opening < options.gripper_closed_below

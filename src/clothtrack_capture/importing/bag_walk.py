@@ -1,0 +1,180 @@
+"""One walk through a bag: the place of every picture, and what little else is worth keeping."""
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack_capture.importing import bag_container, mcap_container, sqlite_container
+from clothtrack_capture.importing import realsense_bag as realsense
+from clothtrack_capture.importing.containers import Container, Message, Place, Topic, TruncatedError
+from clothtrack_capture.importing.messages import decode, payload, stamp_ns
+from clothtrack_capture.importing.source import StreamFrame
+from clothtrack_capture.importing.topics import CAMERA_INFO, COMPRESSED, IMAGE
+from clothtrack_capture.importing.transforms import TransformTree
+
+_CONTAINERS = (
+    (bag_container.MAGIC, bag_container.BagContainer, "ROS 1 bag"),
+    (mcap_container.MAGIC, mcap_container.McapContainer, "MCAP"),
+    (sqlite_container.MAGIC, sqlite_container.SqliteContainer, "ROS 2 bag (SQLite)"),
+)
+_TF_KINDS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_CLOCK_SAMPLES = 200
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a file starts like one of the bags."""
+    return _container_of(path) is not None
+
+
+def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
+    """The containers of a bag in one or several files, and the format in words.
+
+    Raises:
+        InvalidRecordingError: one of them is no bag.
+    """
+    containers: list[Container] = []
+    words = ""
+    try:
+        for path in paths:
+            kind = _container_of(path)
+            if kind is None:
+                raise InvalidRecordingError(
+                    f"{path}: neither a ROS 1 bag, nor MCAP, nor SQLite; record or copy it again"
+                )
+            containers.append(kind[0](path))
+            words = kind[1]
+    except InvalidRecordingError:
+        for container in containers:
+            container.close()
+        raise
+    return containers, words
+
+
+def _container_of(path: Path) -> tuple[type, str] | None:
+    try:
+        with path.open("rb") as file:
+            start = file.read(16)
+    except OSError as error:
+        raise InvalidRecordingError(f"{path}: {error.strerror}; check the name") from error
+    for magic, kind, words in _CONTAINERS:
+        if start.startswith(magic):
+            return kind, words
+    return None
+
+
+@dataclass
+class Walk:
+    """What one walk through a bag gives.
+
+    Attributes:
+        pose_topic: topic of the picker's pose, when asked for.
+        grip_topic: topic of the gripper, when asked for.
+        topics: every topic.
+        frames: pictures per topic name.
+        infos: first CameraInfo per topic name.
+        heard: first message of the SDK's options and poses per topic name.
+        tree: TF.
+        poses: (time [ns], frame, position [m]) of the topic asked for.
+        grips: (time [ns], message) of the gripper topic asked for; times as in headers.
+        gaps_ns: time of writing minus time in the header, of the first pictures.
+        lost: what could not be read, in words.
+    """
+
+    pose_topic: str | None = None
+    grip_topic: str | None = None
+    topics: list[Topic] = field(default_factory=list)
+    frames: dict[str, list[StreamFrame]] = field(default_factory=dict)
+    infos: dict[str, Any] = field(default_factory=dict)
+    heard: dict[str, Any] = field(default_factory=dict)
+    tree: TransformTree = field(default_factory=TransformTree)
+    poses: list[tuple[int, str, tuple[float, float, float]]] = field(default_factory=list)
+    grips: list[tuple[int, Any]] = field(default_factory=list)
+    gaps_ns: list[int] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+
+    @property
+    def clock_gap_ns(self) -> int:
+        """Time of writing minus time in the header, median over the first pictures."""
+        return sorted(self.gaps_ns)[len(self.gaps_ns) // 2] if self.gaps_ns else 0
+
+
+def walk(
+    containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None
+) -> Walk:
+    """Walk through every part of a bag once."""
+    result = Walk(pose_topic, grip_topic)
+    torn: dict[str, int] = {}
+    for part, container in enumerate(containers):
+        for message in container.messages():
+            try:
+                _note(result, container, message, part)
+            except TruncatedError:
+                torn[message.topic.name] = torn.get(message.topic.name, 0) + 1
+        known = {topic.name for topic in result.topics}
+        result.topics += [topic for topic in container.topics() if topic.name not in known]
+        if container.damage:
+            whole = sum(map(len, result.frames.values()))
+            result.lost.append(f"{container.damage}; {whole} whole pictures before it were saved")
+    result.lost += [f"{count} damaged messages of {name} left out" for name, count in torn.items()]
+    return result
+
+
+def _note(result: Walk, container: Container, message: Message, part: int) -> None:
+    topic, log_ns, place = message.topic, message.log_ns, message.place._replace(part=part)
+    if topic.kind in (IMAGE, COMPRESSED):
+        time_ns = stamp_ns(container, topic, place, log_ns)
+        if len(result.gaps_ns) < _CLOCK_SAMPLES:
+            result.gaps_ns.append(log_ns - time_ns)
+        result.frames.setdefault(topic.name, []).append(StreamFrame(time_ns, place))
+    elif topic.kind == CAMERA_INFO and topic.name not in result.infos:
+        result.infos[topic.name] = decode(topic, payload(container, place))
+    elif topic.kind in _TF_KINDS:
+        for stamped in decode(topic, payload(container, place)).transforms:
+            _grow(result.tree, stamped, log_ns, static="static" in topic.name)
+    elif realsense.WANTED.match(topic.name) and topic.name not in result.heard:
+        result.heard[topic.name] = decode(topic, payload(container, place))
+    if topic.name == result.pose_topic:
+        _pose(result, container, message, place)
+    if topic.name == result.grip_topic:
+        time_ns = stamp_ns(container, topic, place, log_ns)
+        result.grips.append((time_ns, decode(topic, payload(container, place))))
+
+
+def _grow(tree: TransformTree, stamped: Any, log_ns: int, *, static: bool) -> None:
+    stamp = stamped.header.stamp
+    time_ns = stamp.sec * 10**9 + stamp.nanosec or log_ns
+    t, q = stamped.transform.translation, stamped.transform.rotation
+    tree.add(
+        stamped.header.frame_id, stamped.child_frame_id, time_ns, (t.x, t.y, t.z),
+        (q.x, q.y, q.z, q.w), static=static,
+    )  # fmt: skip
+
+
+def _pose(result: Walk, container: Container, message: Message, place: Place) -> None:
+    topic = message.topic
+    content = decode(topic, payload(container, place))
+    time_ns = stamp_ns(container, topic, place, message.log_ns)
+    inner = content
+    for name in ("pose", "pose", "transform", "point", "position", "translation"):
+        inner = getattr(inner, name, inner)
+    position = tuple(float(getattr(inner, axis, float("nan"))) for axis in "xyz")
+    if not all(math.isfinite(value) for value in position):
+        raise TruncatedError(f"{topic.name}: {topic.kind} holds no position")
+    header = getattr(content, "header", None)
+    frame = "" if header is None else str(header.frame_id).lstrip("/")
+    result.poses.append((time_ns, frame, (position[0], position[1], position[2])))
+
+
+def frame_of(container: Container, topic: Topic, place: Place) -> str:
+    """The frame in the header of a picture, "" when it has none."""
+    with suppress(TruncatedError):
+        data = payload(container, place)[:512]
+        order = "little" if not topic.cdr or data[1:2] == b"\x01" else "big"
+        length = int.from_bytes(data[12:16], order)
+        if 0 < length <= 256:
+            return data[16 : 16 + length].split(b"\0")[0].decode("utf-8", "replace").lstrip("/")
+    return ""

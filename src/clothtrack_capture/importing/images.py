@@ -1,0 +1,223 @@
+"""Pictures inside messages and files: raw, PNG or JPEG, to counts of depth or to red-green-blue.
+
+Sizes are read from the first bytes and held against a limit before anything is unpacked.
+"""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Shaped, UInt8, UInt16
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack.recordings.pictures import SIGNATURE, check_chunks
+from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack_capture.importing.intrinsics import MOST_PIXELS
+
+_TO_RGB = {
+    "rgb8": (3, None),
+    "8uc3": (3, cv2.COLOR_BGR2RGB),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "8uc1": (1, cv2.COLOR_GRAY2RGB),
+    "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
+    # OpenCV names a pattern by its second row and column, ROS by its first.
+    "bayer_rggb8": (1, cv2.COLOR_BayerBG2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerRG2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGB2RGB),
+}
+DEPTH_ENCODINGS = ("16uc1", "mono16", "32fc1")
+_JPEG_START, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
+_HEAD_BYTES = 12  # of compressed_depth_image_transport: format and two parameters
+
+
+def raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height bytes"]:
+    """The rows of a sensor_msgs Image without their padding.
+
+    Raises:
+        TruncatedError: its sizes contradict each other.
+    """
+    width, height, step = int(image.width), int(image.height), int(image.step)
+    row = width * bytes_per_pixel
+    data = np.asarray(image.data, dtype=np.uint8)
+    if not 0 < width * height <= MOST_PIXELS or step < row or data.size < step * height:
+        raise TruncatedError(f"an image of {width} x {height} pixels in {data.size} bytes")
+    return data[: step * height].reshape(height, step)[:, :row]
+
+
+def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
+    """Depth of a sensor_msgs Image in whole units; 0 where there is none or it is out of range.
+
+    Raises:
+        TruncatedError: it is no depth picture.
+    """
+    encoding = str(image.encoding).lower()
+    if encoding not in DEPTH_ENCODINGS:
+        raise TruncatedError(
+            f"encoding {image.encoding!r}; depth is one of {', '.join(DEPTH_ENCODINGS)}"
+        )
+    order = ">" if image.is_bigendian else "<"
+    if encoding == "32fc1":
+        rows = np.ascontiguousarray(raw_rows(image, 4)).view(f"{order}f4")
+        return counts_of(rows, unit_m)
+    return np.ascontiguousarray(raw_rows(image, 2)).view(f"{order}u2").astype(np.uint16)
+
+
+def counts_of(
+    metres: Shaped[np.ndarray, "height width"], unit_m: float
+) -> UInt16[np.ndarray, "height width"]:
+    """Metres in whole units; 0 where not finite, not positive or beyond 65,535 units."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        units = np.rint(metres.astype(np.float32) / np.float32(unit_m))
+        return np.where((units > 0) & (units <= 65535), units, 0).astype(np.uint16)
+
+
+def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
+    """Red, green and blue of a sensor_msgs Image.
+
+    Raises:
+        TruncatedError: its encoding is unknown.
+    """
+    encoding = str(image.encoding).lower()
+    if encoding not in _TO_RGB:
+        raise TruncatedError(f"encoding {image.encoding!r}; known are {', '.join(_TO_RGB)}")
+    channels, conversion = _TO_RGB[encoding]
+    rows = np.ascontiguousarray(raw_rows(image, channels))
+    shape = (rows.shape[0], rows.shape[1] // channels, channels)
+    picture = rows.reshape(shape if channels > 1 else shape[:2])
+    return picture if conversion is None else _converted(picture, conversion)
+
+
+def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
+    """Red, green and blue of a whole JPEG or PNG.
+
+    Raises:
+        TruncatedError: it breaks off, is too large or something else.
+    """
+    encoded_size(data)
+    try:
+        picture = cv2.imdecode(
+            np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        )
+    except cv2.error as error:
+        raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
+    if picture is None:
+        raise TruncatedError("a picture that cannot be decoded")
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
+
+
+def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
+    """The PNG in a CompressedImage of the transport `compressedDepth`.
+
+    It follows a head of 12 bytes. With it what turns its numbers into metres, where depth was
+    measured in floats; else they are counts.
+
+    Raises:
+        TruncatedError: compressed otherwise.
+    """
+    form, data = str(message.format).lower(), bytes(message.data)
+    start = data.find(SIGNATURE, 0, 64)
+    if "compresseddepth" not in form or "rvl" in form or start < 0:
+        raise TruncatedError(
+            f"depth in the format {message.format!r}; only compressedDepth as PNG keeps what was "
+            "measured: record image_raw or image_raw/compressedDepth"
+        )
+    if not form.startswith("32fc1"):
+        return data[start:], None
+    if start < _HEAD_BYTES:
+        raise TruncatedError("compressedDepth of floats without its head")
+    return data[start:], struct.unpack_from("<ff", data, start - 8)
+
+
+def inverse_depth(
+    png: bytes, curve: tuple[float, float], unit_m: float
+) -> UInt16[np.ndarray, "height width"]:
+    """Depth, in whole units, of a PNG that stores a / z + b.
+
+    Args:
+        png: of 16-bit grey.
+        curve: a and b.
+        unit_m: metres per unit of the result.
+
+    Raises:
+        TruncatedError: the PNG is damaged.
+    """
+    counts, (scale, shift) = png_depth(png), curve
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        metres = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
+    return counts_of(np.where(counts > 0, metres, 0), unit_m)
+
+
+def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
+    """Counts of a whole 16-bit grey PNG.
+
+    Raises:
+        TruncatedError: it breaks off, is too large or has other bits.
+    """
+    encoded_size(data)
+    if data[24:26] != b"\x10\x00":
+        raise TruncatedError(
+            f"a depth PNG of {data[24]} bits and colour type {data[25]}; 16-bit grey is depth"
+        )
+    try:
+        counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise TruncatedError(f"a picture that cannot be decoded ({error.err})") from error
+    if counts is None or counts.dtype != np.uint16 or counts.ndim != 2:
+        raise TruncatedError("a depth picture that cannot be decoded")
+    return counts
+
+
+def encoded_size(data: bytes) -> tuple[int, int]:
+    """Width and height that a PNG or JPEG announces.
+
+    Raises:
+        TruncatedError: it is neither, breaks off or is larger than any camera's picture.
+    """
+    if data.startswith(SIGNATURE):
+        try:
+            header = check_chunks(Path("a PNG"), data)
+        except InvalidRecordingError as error:
+            raise TruncatedError(str(error)) from error
+        whole, width, height = True, header.width, header.height
+    elif data.startswith(_JPEG_START):
+        whole = _JPEG_END in data[-64:]
+        width, height = _jpeg_size(data)
+    else:
+        raise TruncatedError("a picture that is neither PNG nor JPEG")
+    if not whole:
+        raise TruncatedError("a picture that breaks off")
+    if not 0 < width * height <= MOST_PIXELS:
+        raise TruncatedError(
+            f"a picture of {width} x {height} pixels; at most {MOST_PIXELS} in all"
+        )
+    return width, height
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int]:
+    position = 2
+    while position + 9 < len(data) and data[position] == 0xFF:
+        marker, length = (
+            data[position + 1],
+            int.from_bytes(data[position + 2 : position + 4], "big"),
+        )
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", data, position + 5)
+            return width, height
+        position += 2 + length if marker != 0xFF else 1
+    raise TruncatedError("a JPEG without a size")
+
+
+def _converted(picture: np.ndarray, conversion: int) -> np.ndarray:
+    try:
+        return cv2.cvtColor(picture, conversion)
+    except cv2.error as error:
+        raise TruncatedError(f"a picture that cannot be converted ({error.err})") from error

@@ -1,0 +1,332 @@
+"""`clothtrack import`: a recording of another program becomes one of ours, frame by frame."""
+
+import os
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError, StorageError
+from clothtrack.files.progress import Progress
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.pictures import encode_png
+from clothtrack.recordings.recording import ClothDescription, Table
+from clothtrack.recordings.store import RecordingWriter
+from clothtrack_capture.importing.bag_walk import is_bag
+from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack_capture.importing.import_options import ImportOptions
+from clothtrack_capture.importing.import_report import ImportReport
+from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
+from clothtrack_capture.importing.kinect import KinectSource, is_kinect
+from clothtrack_capture.importing.packed_pictures import PackedPicture
+from clothtrack_capture.importing.pairing import Pair, pair
+from clothtrack_capture.importing.picker_paths import FrameWatcher
+from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
+from clothtrack_capture.importing.recorded_pickers import add_pickers, placed_paths
+from clothtrack_capture.importing.registration import Registration
+from clothtrack_capture.importing.reporting import report_of
+from clothtrack_capture.importing.ros_bags import BagSource, bag_files
+from clothtrack_capture.importing.source import Content, Source, Streams
+
+_MOST_WORKERS = 4
+
+
+def open_source(path: Path, options: ImportOptions) -> Source:
+    """The source that a file or folder is.
+
+    Raises:
+        InvalidRecordingError: it is none, or cannot be read.
+        InvalidConfigError: what is said contradicts it.
+    """
+    if not path.exists():
+        raise InvalidRecordingError(f"{path}: there is no such file or folder; check the name")
+    if not (path.is_dir() or path.is_file()):
+        raise InvalidRecordingError(f"{path}: neither a file nor a folder; name a recorded file")
+    try:
+        if path.is_dir():
+            if bag_files(path):
+                return BagSource(path, options)
+            if is_picture_folder(path):
+                return FolderSource(path, options)
+            seen = ", ".join(sorted(file.name for file in path.iterdir())[:10]) or "nothing"
+            raise InvalidRecordingError(
+                f"{path}: neither .mcap, .db3 or .bag files nor a folder depth/ are in it (there: "
+                f"{seen}); see docs/import.md"
+            )
+        if is_kinect(path):
+            return KinectSource(path, options)
+        if is_bag(path):
+            return BagSource(path, options)
+    except OSError as error:
+        raise StorageError.of(error) from error
+    packed = "; unpack it first: zstd -d" if path.suffix in (".zstd", ".zst") else ""
+    raise InvalidRecordingError(
+        f"{path}: neither a ROS bag (.bag, .db3, .mcap) nor a Kinect recording (.mkv); "
+        f"its first bytes say so{packed}"
+    )
+
+
+def import_recording(
+    source: Path,
+    folder: Path,
+    options: ImportOptions | None = None,
+    *,
+    watcher: FrameWatcher | None = None,
+    progress: Progress | None = None,
+) -> ImportReport:
+    """Import a recording; it appears whole under its name, or not at all.
+
+    Args:
+        source: ROS bag, RealSense or Kinect recording, or folder of pictures.
+        folder: the recording to write; must not exist.
+        options: what a person says about it.
+        watcher: sees every frame and gives the picker's path, when nothing else does.
+        progress: told the name, frames done and frames in all.
+
+    Raises:
+        InvalidRecordingError: the source cannot be read.
+        InvalidConfigError: what is said contradicts the source.
+        StorageError: the folder exists or the disk refuses.
+    """
+    options = options or ImportOptions()
+    _check(options, folder)
+    opened = open_source(source, options)
+    try:
+        streams = opened.streams
+        pairing = pair(source, streams.depth, streams.color, options.tolerance_s)
+        start_ns = pairing.pairs[0].depth.time_ns
+        pose, table = _world(options, streams)
+        known = pose is not None
+        pose = np.eye(4) if pose is None else pose
+        paths, text = placed_paths(
+            source, streams, options.picker_csv, options.picker_clock, pose=pose, start_ns=start_ns,
+            posed=known,
+        )  # fmt: skip
+        registration = Registration(streams.calibration)
+        camera = _camera(source, registration, options.camera_name, pose)
+        cloth = ClothDescription(kind=options.cloth, color=options.cloth_color)
+        with RecordingWriter(
+            folder,
+            [camera],
+            {camera.name: streams.calibration.depth_unit_m},
+            table=table,
+            cloth=cloth,
+            provenance=_provenance(source, streams),
+        ) as writer:
+            job = _Job(opened, registration, camera, watcher)
+            times, damaged = _write_frames(
+                writer, job, pairing.pairs, workers=_workers(options), progress=progress
+            )
+            if not times:
+                reason, count = damaged.most_common(1)[0]
+                raise InvalidRecordingError(
+                    f"{source}: none of {count} frames can be decoded: {reason}"
+                )
+            if watcher is not None and not paths:
+                paths = dict(watcher.paths())
+            actions, notes = add_pickers(writer, paths, times, options.actions)
+    finally:
+        opened.close()
+    return report_of(
+        source, folder, streams, pairing, registration,
+        camera=camera, times=times, damaged=damaged, paths=paths, actions=actions,
+        notes=[*text, *notes], posed=known, table=table is not None,
+        cloth=cloth,
+    )  # fmt: skip
+
+
+def _write_frames(
+    writer: RecordingWriter,
+    job: "_Job",
+    pairs: Sequence[Pair],
+    *,
+    workers: int,
+    progress: Progress | None,
+) -> tuple[list[float], Counter[str]]:
+    """Write every pair that can be decoded; their times, and why others could not be."""
+    start_ns = pairs[0].depth.time_ns
+    name = job.camera.name
+    times: list[float] = []
+    damaged: Counter[str] = Counter()
+    for done, (moment, result) in enumerate(_in_order(job, pairs, workers), start=1):
+        if isinstance(result, TruncatedError):
+            damaged[str(result)] += 1
+        else:
+            time_s = (moment.depth.time_ns - start_ns) / 1e9
+            color = None if result.color is None else {name: result.color}
+            writer.add_encoded_frame(time_s, color=color, depth={name: result.depth})
+            times.append(time_s)
+            job.show(time_s, result)
+        if progress is not None:
+            progress(f"frame {done}/{len(pairs)}", done, len(pairs))
+    return times, damaged
+
+
+@dataclass(frozen=True, eq=False)
+class _Encoded:
+    depth: bytes
+    color: bytes | None
+    counts: np.ndarray | None = None
+    picture: np.ndarray | None = None
+
+
+class _Job:
+    """Reads a pair, and decodes, registers and encodes it in another thread."""
+
+    def __init__(
+        self,
+        source: Source,
+        registration: Registration,
+        camera: Camera,
+        watcher: FrameWatcher | None,
+    ) -> None:
+        self._source, self._registration, self._watcher = source, registration, watcher
+        self.camera = camera
+
+    def show(self, time_s: float, frame: _Encoded) -> None:
+        """Let the watcher, if there is one, see a frame."""
+        if self._watcher is not None and frame.counts is not None:
+            depth_m = frame.counts * np.float32(self._source.streams.calibration.depth_unit_m)
+            self._watcher.see(time_s, frame.picture, depth_m, self.camera)
+
+    def start(self, pool: ThreadPoolExecutor, moment: Pair) -> "Future[_Encoded] | TruncatedError":
+        """Read the bytes here, where the file's order is kept; the rest in the pool."""
+        try:
+            depth = self._source.depth(moment.depth)
+            color = None if moment.color is None else self._source.color(moment.color)
+        except TruncatedError as error:
+            return error
+        return pool.submit(self._run, depth, color)
+
+    def _run(self, depth: Callable[[], Content], color: Callable[[], Content] | None) -> _Encoded:
+        registration = self._registration
+        counts, packed = self._ready(depth(), registration.keeps_depth, registration.depth)
+        if color is None:
+            return _Encoded(packed, None, counts)
+        picture, shown = self._ready(color(), registration.keeps_color, registration.color)
+        return _Encoded(packed, shown, counts, picture)
+
+    def _ready(
+        self,
+        content: Content,
+        keeps: Callable[[tuple[int, int]], bool],
+        carry: Callable[[np.ndarray], np.ndarray],
+    ) -> tuple[np.ndarray | None, bytes]:
+        """The picture, if somebody watches, and its PNG: the source's own where it may stay."""
+        png = None
+        if isinstance(content, PackedPicture):
+            png = content.plain_png() if keeps(content.size) else None
+            if png is not None and self._watcher is None:
+                return None, png
+            content = content.decode()
+        carried = carry(content)
+        if png is None:
+            png = encode_png(carried, by_rows=True)
+        return None if self._watcher is None else carried, png
+
+
+def _in_order(
+    job: _Job, pairs: Sequence[Pair], workers: int
+) -> Iterator[tuple[Pair, _Encoded | TruncatedError]]:
+    """Every pair with its result, in order; only a few are in memory at any time."""
+    waiting: deque[tuple[Pair, Future[_Encoded] | TruncatedError]] = deque()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for moment in pairs:
+                waiting.append((moment, job.start(pool, moment)))
+                if len(waiting) > workers + 1:
+                    yield _finished(*waiting.popleft())
+            while waiting:
+                yield _finished(*waiting.popleft())
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _finished(
+    moment: Pair, started: "Future[_Encoded] | TruncatedError"
+) -> tuple[Pair, _Encoded | TruncatedError]:
+    if isinstance(started, TruncatedError):
+        return moment, started
+    try:
+        return moment, started.result()
+    except TruncatedError as error:
+        return moment, error
+
+
+def _workers(options: ImportOptions) -> int:
+    return options.workers or min(os.cpu_count() or 1, _MOST_WORKERS)
+
+
+def _check(options: ImportOptions, folder: Path) -> None:
+    if folder.exists():
+        raise StorageError(f"{folder} exists; delete it or write to another name")
+    for name, value in (
+        ("--depth-unit-m", options.depth_unit_m),
+        ("--fps", options.fps),
+        ("--tolerance-s", options.tolerance_s),
+        ("--workers", options.workers),
+    ):
+        if value is not None and not 0 < value < 1e6:
+            raise InvalidConfigError(f"{name} is {value}; it must be positive")
+    if options.picker_csv and (options.picker_topic or options.picker_frame):
+        raise InvalidConfigError(
+            "--picker-csv and a topic or frame both tell the picker's path; give one of them"
+        )
+    if options.picker_topic and options.picker_frame:
+        raise InvalidConfigError("--picker-topic and --picker-frame: give one of them")
+
+
+def _world(
+    options: ImportOptions, streams: Streams
+) -> tuple[Float[np.ndarray, "4 4"] | None, Table | None]:
+    """The camera's pose and the table, as far as anybody knows them."""
+    file = options.world_from_camera
+    if file is None:
+        return streams.world_from_camera, None
+    content = read_json(file)
+    table = None
+    if isinstance(content, dict):
+        table = _table(file, content.get("table"))
+        content = content.get("world_from_camera")
+    return rigid_matrix(f"{file}: world_from_camera", content), table
+
+
+def _table(file: Path, content: object) -> Table | None:
+    if content is None:
+        return None
+    try:
+        point, normal = (np.array(content[name], dtype=float) for name in ("point", "normal"))
+        length = np.linalg.norm(normal)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidConfigError(f"{file}: table has no point and normal of 3 numbers") from error
+    if point.shape != (3,) or normal.shape != (3,) or not (
+        np.isfinite(point).all() and 0.99 < length < 1.01
+    ):  # fmt: skip
+        raise InvalidConfigError(
+            f"{file}: table.point {point.tolist()} and table.normal {normal.tolist()}; write 3 "
+            "numbers [m] and a unit vector that points up"
+        )
+    return Table(point, normal / length)
+
+
+def _camera(
+    source: Path, registration: Registration, name: str, pose: Float[np.ndarray, "4 4"]
+) -> Camera:
+    try:
+        return registration.intrinsics.camera(name, pose)
+    except InvalidRecordingError as error:
+        raise InvalidRecordingError(f"{source}: {error}; or give --intrinsics FILE") from error
+
+
+def _provenance(source: Path, streams: Streams) -> dict[str, object]:
+    return {
+        "imported_from": source.name,
+        "format": streams.kind,
+        "streams": dict(streams.origins),
+        "depth_unit_origin": streams.calibration.unit_origin,
+        "registered_by_import": not streams.calibration.registered,
+    }

@@ -1,0 +1,171 @@
+"""What ROS messages say: read with the standard definitions, never with those a file brings along.
+
+A definition in a file would become code; the standard ones have not changed their layout between
+the distributions of ROS 2, and ROS 1 has its own.
+"""
+
+import re
+import struct
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from clothtrack.errors import InvalidRecordingError
+from clothtrack_capture.importing.containers import (
+    ZSTD_MAGIC,
+    Container,
+    Place,
+    Topic,
+    TruncatedError,
+    unpack,
+)
+from clothtrack_capture.importing.intrinsics import Intrinsics
+
+_TF = "tf2_msgs/msg/TFMessage"
+_STAMP_BYTES = 12
+# Headers of these messages start with a stamp.
+STAMPED = re.compile(r"^(sensor_msgs/msg/|geometry_msgs/msg/\w+Stamped$|nav_msgs/msg/Odometry$)")
+_BROWN = {"", "plumb_bob", "rational_polynomial", "none", "brown conrady", "modified brown conrady"}
+_FISHEYE = {"equidistant", "fisheye", "kannala brandt4"}
+
+
+@cache
+def _store(*, cdr: bool) -> Typestore:
+    if cdr:
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
+    return store
+
+
+def payload(container: Container, place: Place) -> bytes:
+    """The bytes of a message, decompressed where each message was compressed on its own.
+
+    Raises:
+        TruncatedError: they are not there.
+    """
+    data = container.fetch(place)
+    return unpack(data, "zstd") if data.startswith(ZSTD_MAGIC) else data
+
+
+def decode(topic: Topic, data: bytes) -> Any:
+    """A message as an object with the fields of its definition.
+
+    Raises:
+        TruncatedError: the bytes are not such a message.
+    """
+    kind = _TF if topic.kind == "tf/msg/tfMessage" else topic.kind
+    store = _store(cdr=topic.cdr)
+    if kind not in store.types:
+        raise TruncatedError(f"{topic.name}: {topic.kind} is no message type that is read here")
+    try:
+        read = store.deserialize_cdr if topic.cdr else store.deserialize_ros1
+        return read(data, kind)
+    except (
+        SerdeError, struct.error, ValueError, IndexError, AssertionError, OverflowError, KeyError,
+        TypeError,
+    ) as error:  # fmt: skip
+        raise TruncatedError(f"{topic.name}: not a {topic.kind}") from error
+
+
+def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> int:
+    """Time in the header of a stamped message [ns]; the time of writing where it has none.
+
+    Raises:
+        TruncatedError: the message is not there.
+    """
+    if not STAMPED.match(topic.kind):
+        return log_ns
+    data = container.fetch(place, 16)
+    if data.startswith(ZSTD_MAGIC):
+        data = payload(container, place)[:16]
+    if len(data) < _STAMP_BYTES:
+        raise TruncatedError(f"{topic.name}: a message without a header")
+    order = "<" if not topic.cdr or data[1] & 1 else ">"
+    seconds, nanoseconds = struct.unpack(order + "II", data[4:12])
+    if nanoseconds >= 10**9 or not (seconds or nanoseconds):
+        return log_ns
+    return seconds * 10**9 + nanoseconds
+
+
+def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
+    """The intrinsics that a CameraInfo describes.
+
+    Args:
+        topic: where it came from, for the error.
+        info: the message.
+        rectified: the pictures are rectified, so its projection matrix counts, not its distortion.
+
+    Raises:
+        InvalidRecordingError: the model is unknown or a number impossible.
+    """
+    coefficients, matrix, projection = (
+        np.asarray(getattr(info, name, getattr(info, name.upper(), ())), dtype=np.float64).ravel()
+        for name in ("d", "k", "p")
+    )
+    model = str(info.distortion_model).lower()
+    if rectified and len(projection) == 12 and projection[0] > 0:
+        fx, fy, cx, cy = projection[[0, 5, 2, 6]].tolist()
+        coefficients = coefficients[:0]
+    elif len(matrix) == 9:
+        fx, fy, cx, cy = matrix[[0, 4, 2, 5]].tolist()
+    else:
+        raise InvalidRecordingError(f"{topic}: no calibration matrix; give --intrinsics FILE")
+    distorted = bool(np.abs(coefficients).max(initial=0.0) > 0)
+    if distorted and model not in _BROWN | _FISHEYE:
+        raise InvalidRecordingError(
+            f"{topic}: distortion model {info.distortion_model!r} with coefficients; known are "
+            f"{', '.join(sorted(_BROWN | _FISHEYE - {''}))}; give --intrinsics FILE"
+        )
+    if not (fx > 0 and fy > 0):
+        raise InvalidRecordingError(
+            f"{topic}: focal lengths ({fx:g}, {fy:g}), so the camera was not calibrated; "
+            "give --intrinsics FILE"
+        )
+    try:
+        return Intrinsics(
+            int(info.width), int(info.height), fx, fy, cx, cy,
+            tuple(coefficients.tolist()) if distorted else (),
+            fisheye=distorted and model in _FISHEYE,
+        )  # fmt: skip
+    except InvalidRecordingError as error:
+        raise InvalidRecordingError(f"{topic}: {error}") from error
+
+
+def rigid(
+    quaternion: tuple[float, float, float, float], translation: tuple[float, float, float]
+) -> Float[np.ndarray, "4 4"]:
+    """Rigid transform of a quaternion (x, y, z, w) and a translation [m].
+
+    Raises:
+        TruncatedError: not finite, or the quaternion has no length.
+    """
+    x, y, z, w = quaternion
+    length = np.sqrt(x * x + y * y + z * z + w * w)
+    if not (np.isfinite([*quaternion, *translation]).all() and 0.5 < length < 2.0):
+        raise TruncatedError("a transform that is none")
+    x, y, z, w = (value / length for value in quaternion)
+    result = np.eye(4)
+    result[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    result[:3, 3] = translation
+    return result
+
+
+def rigid_of(transform: Any) -> Float[np.ndarray, "4 4"]:
+    """The transform of a geometry_msgs Transform or Pose.
+
+    Raises:
+        TruncatedError: it is none.
+    """
+    q = transform.rotation if hasattr(transform, "rotation") else transform.orientation
+    t = transform.translation if hasattr(transform, "translation") else transform.position
+    return rigid((q.x, q.y, q.z, q.w), (t.x, t.y, t.z))

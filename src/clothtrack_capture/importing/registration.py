@@ -1,0 +1,111 @@
+"""Depth as the colour camera would have measured it: the same pixel shows the same point."""
+
+import threading
+
+import numpy as np
+import warp as wp
+from jaxtyping import UInt8, UInt16
+
+from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack_capture.importing.intrinsics import Intrinsics
+from clothtrack_capture.importing.registration_kernels import FARTHEST, splat
+from clothtrack_capture.importing.source import StereoCalibration
+
+
+class Registration:
+    """Takes distortion out of both pictures and carries depth to the colour camera.
+
+    Each depth pixel is painted as the rectangle that it covers there, so that a finer colour
+    picture has no cracks; where several fall on one pixel, the nearest stays. A pixel between the
+    rectangles takes one that ends within half a pixel of it: slanted surfaces stay whole, and no
+    edge grows over what was measured behind it. What is farther from any depth pixel stays 0.
+    Pictures that are registered already pass through, bit by bit.
+    """
+
+    def __init__(self, calibration: StereoCalibration) -> None:
+        """Prepare the rays of every pixel once."""
+        self._calibration = calibration
+        self.intrinsics: Intrinsics = (calibration.color or calibration.depth).rectified()
+        self.carried = not calibration.registered
+        self._lock = threading.Lock()
+        if self.carried:
+            rays = calibration.depth.corner_rays()
+            ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=2)
+            # The intrinsics are in there already: pixels times depth, and depth, in units.
+            project = self.intrinsics.matrix @ calibration.color_from_depth[:3]
+            shift = project[:, 3] / calibration.depth_unit_m
+            self._shift = wp.vec3(*shift.tolist())
+            with np.errstate(over="ignore", invalid="ignore"):
+                corners = (ahead @ project[:, :3].T).astype(np.float32)
+            self._corners = wp.array(corners, dtype=wp.vec3, device="cpu")
+            self._painted = np.empty(
+                (self.intrinsics.height, self.intrinsics.width), dtype=np.int32
+            )
+            self._pixels = wp.array(self._painted.ravel(), device="cpu", copy=False)
+
+    def keeps_depth(self, size: tuple[int, int]) -> bool:
+        """Whether depth pictures of this width and height pass through.
+
+        Raises:
+            TruncatedError: they have another size than their intrinsics.
+        """
+        _check_size(size, self._calibration.depth)
+        return not self.carried and self._calibration.depth.straight
+
+    def keeps_color(self, size: tuple[int, int]) -> bool:
+        """Whether colour pictures of this width and height pass through.
+
+        Raises:
+            TruncatedError: they have another size than their intrinsics.
+        """
+        intrinsics = self._calibration.color or self._calibration.depth
+        _check_size(size, intrinsics)
+        return intrinsics.straight
+
+    def depth(self, counts: UInt16[np.ndarray, "_ _"]) -> UInt16[np.ndarray, "_ _"]:
+        """The depth picture of the recording's camera, in the same units.
+
+        Raises:
+            TruncatedError: the picture has another size than its intrinsics.
+        """
+        intrinsics = self._calibration.depth
+        _check_size(counts.shape[1::-1], intrinsics)
+        if not self.carried:
+            return intrinsics.straighten(counts, nearest=True)
+        # One launch at a time: the buffers are shared, and Warp does not like several threads.
+        with self._lock:
+            self._painted.fill(FARTHEST)
+            wp.launch(
+                splat,
+                dim=counts.shape[0],
+                inputs=[
+                    wp.array(np.ascontiguousarray(counts), device="cpu", copy=False),
+                    self._corners,
+                    self._shift,
+                    self.intrinsics.width,
+                    self.intrinsics.height,
+                    self._pixels,
+                ],
+                device="cpu",
+            )
+            # The low 16 bits: what was not painted has none.
+            return self._painted.astype(np.uint16)
+
+    def color(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
+        """The colour picture without distortion.
+
+        Raises:
+            TruncatedError: the picture has another size than its intrinsics.
+        """
+        intrinsics = self._calibration.color or self._calibration.depth
+        _check_size(picture.shape[1::-1], intrinsics)
+        return intrinsics.straighten(picture)
+
+
+def _check_size(size: tuple[int, ...], intrinsics: Intrinsics) -> None:
+    if size != intrinsics.size:
+        raise TruncatedError(
+            f"a picture of {size[0]} x {size[1]} pixels, but the intrinsics are for "
+            f"{intrinsics.width} x {intrinsics.height}; give those of this size with "
+            "--intrinsics FILE"
+        )

@@ -1,0 +1,80 @@
+"""Pictures of masks: the cloth in its own colours with an outline, all else turned down."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from clothtrack.files.atomic_write import write_file
+from clothtrack.recordings.pictures import encode_png
+from clothtrack.report.lettering import Picture, caption
+from clothtrack.report.palette import HIDDEN, PAPER, rgb255
+from clothtrack_capture.segmentation_setup import SegmentationSetup
+
+_JPEG_QUALITY = 88
+
+
+def masked_picture(
+    color: UInt8[np.ndarray, "rows columns 3"],
+    mask: Bool[np.ndarray, "rows columns"] | None,
+    *,
+    width: int,
+) -> Picture:
+    """A picture of this width [pixels] with the mask on it; as it was where there is no mask."""
+    height = max(1, round(color.shape[0] * width / color.shape[1]))
+    size = width, height
+    small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
+    if mask is None:
+        return small
+    inside = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)[..., None]
+    calm = (0.35 * grey + 0.65 * np.array(rgb255(PAPER))).astype(np.uint8)
+    shown = np.where(inside[..., None] > 0, small, calm)
+    outlines, _ = cv2.findContours(inside, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(shown, outlines, -1, rgb255(HIDDEN), 1 if width < 400 else 2, cv2.LINE_AA)
+    return shown
+
+
+def jpeg(picture: Picture) -> bytes:
+    """JPEG file of a picture."""
+    flags = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), flags)[1].tobytes()
+
+
+def spread(frames: Sequence[int], count: int) -> list[int]:
+    """At most so many of the frames, from the first to the last, evenly spread."""
+    places = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int))
+    return [frames[place] for place in places]
+
+
+def write_mask_sheet(
+    setup: SegmentationSetup, path: Path, *, columns: int = 5, rows: int = 4, width: int = 300
+) -> Path:
+    """Write a contact sheet of masks, from all over the recording, as a PNG.
+
+    Args:
+        setup: the masks.
+        path: the picture to write.
+        columns: pictures beside each other.
+        rows: pictures above each other at most.
+        width: of one picture [pixels].
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    cells = []
+    for index in spread([frame.index for frame in setup.frames], columns * rows):
+        mask = setup.mask(index)
+        share = "no mask" if mask is None else f"{100 * mask.mean():.1f} %"
+        shown = masked_picture(setup.picture(index), mask, width=width)
+        cells.append(np.concatenate([shown, caption(width, f"frame {index}", share, height=24)]))
+    blank = np.full_like(cells[0], rgb255(PAPER))
+    cells += [blank] * (-len(cells) % columns)
+    strips = [
+        np.concatenate(cells[place : place + columns], axis=1)
+        for place in range(0, len(cells), columns)
+    ]
+    write_file(path, encode_png(np.concatenate(strips)))
+    return path

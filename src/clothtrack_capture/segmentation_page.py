@@ -1,0 +1,99 @@
+"""A page on this machine to show what is cloth: one click, and every frame has its mask."""
+
+import threading
+from collections.abc import Callable, Mapping
+from importlib.resources import files
+from typing import Any
+
+from clothtrack.report.local_page import Answer, serve_until
+from clothtrack_capture.mask_pictures import jpeg, masked_picture, spread
+from clothtrack_capture.segmentation_setup import SegmentationSetup
+
+THUMBNAILS = 24
+LARGEST_WIDTH = 1920
+
+
+def segment_live(
+    setup: SegmentationSetup,
+    port: int | None = None,
+    *,
+    stop: threading.Event | None = None,
+    opened: Callable[[str], None] | None = None,
+) -> int | None:
+    """Serve the page until the masks are kept, `stop` is set or Ctrl-C is pressed.
+
+    Args:
+        setup: the recording and its masks.
+        port: of the server; any free one by default.
+        stop: ends it from outside.
+        opened: is told the address.
+
+    Returns:
+        How many masks were written into the recording; None when it was left without keeping.
+
+    Raises:
+        InvalidConfigError: the port cannot be had.
+    """
+    stop = stop or threading.Event()
+    page = _Page(setup, stop)
+    serve_until(stop, page.ask, page.tell, port, opened=opened)
+    return page.kept
+
+
+class _Page:
+    """Answers what the page asks, and takes what it tells."""
+
+    def __init__(self, setup: SegmentationSetup, stop: threading.Event) -> None:
+        self._setup, self._stop = setup, stop
+        self.kept: int | None = None
+
+    def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
+        """The page, what is in the recording, or a frame with its mask."""
+        if path == "/":
+            markup = files("clothtrack_capture").joinpath("segmentation_page.html").read_bytes()
+            return Answer(markup, "text/html; charset=utf-8")
+        if path == "/recording.json":
+            return Answer.of(self._facts())
+        if path == "/frame.jpg":
+            width = min(max(int(query["width"]), 16), LARGEST_WIDTH)
+            index = int(query["index"])
+            plain = query.get("plain") == "1"
+            mask = None if plain else self._setup.mask(index)
+            return Answer(
+                jpeg(masked_picture(self._setup.picture(index), mask, width=width)), "image/jpeg"
+            )
+        if path == "/share.json":
+            mask = self._setup.mask(int(query["index"]))
+            return Answer.of({"share": None if mask is None else float(mask.mean())})
+        return None
+
+    def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:
+        """A click or box to learn from, or the wish to keep the masks."""
+        if path == "/choose":
+            frame = int(message["frame"])
+            if "click" in message:
+                column, row = map(int, message["click"])
+                self._setup.choose_click(frame, (column, row))
+            else:
+                left, top, right, bottom = map(int, message["box"])
+                self._setup.choose_box(frame, (left, top, right, bottom))
+            return Answer.of(self._facts())
+        if path == "/keep":
+            self.kept = self._setup.keep()
+            # A moment later, so that the page still hears of it.
+            threading.Timer(0.5, self._stop.set).start()
+            return Answer.of({"kept": self.kept})
+        return None
+
+    def _facts(self) -> dict[str, Any]:
+        setup = self._setup
+        indices = [frame.index for frame in setup.frames]
+        return {
+            "name": setup.recording.name,
+            "camera": setup.camera.name,
+            "width": setup.camera.width,
+            "height": setup.camera.height,
+            "frames": indices,
+            "thumbnails": spread(indices, THUMBNAILS),
+            "chosen": setup.chosen,
+        }
