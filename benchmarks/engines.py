@@ -61,7 +61,7 @@ class MuJoCoFlex:
     """MuJoCo 4 flex: a finite-element shell, implicit, two steps of 5 ms (the stand-in world)."""
 
     def __init__(self, mesh: ClothMesh, held: int) -> None:
-        from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
+        from clothtrack_lab.world.flex import TIME_STEP_S, Fabric, FlexWorld
 
         fabric = Fabric(area_density=AREA_DENSITY, table_friction=FRICTION, cloth_friction=FRICTION)
         self._world = FlexWorld(mesh, fabric)

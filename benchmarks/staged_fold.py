@@ -28,10 +28,10 @@ from clothtrack.simulation import (
     SolverConfig,
     garment,
 )
-from clothtrack.world import Scene, Sensor
-from clothtrack.world.appearance import Appearance
-from clothtrack.world.sensor import top_down_camera
-from clothtrack.world.tool import Tool
+from clothtrack_lab.world import Scene, Sensor
+from clothtrack_lab.world.appearance import Appearance
+from clothtrack_lab.world.sensor import top_down_camera
+from clothtrack_lab.world.tool import Tool
 
 SIZE_M = (0.30, 0.27)
 """Cuff to cuff and hem to shoulder: about 1,000 vertices at 10 mm, 4,000 at 5 mm."""

@@ -37,7 +37,7 @@ from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
 from clothtrack.reconstruction.from_picture import observation_of
 from clothtrack.recordings import read_recording
 from clothtrack.report.viewpoint import three_quarter_view
-from clothtrack.world import SMALL_WORLD, simulate
+from clothtrack_lab.world import SMALL_WORLD, simulate
 
 LEVEL_DEG = 20.0
 

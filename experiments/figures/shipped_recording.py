@@ -31,8 +31,8 @@ from clothtrack.recordings import (
 )
 from clothtrack.recordings.segmentation import default_segmenter
 from clothtrack.simulation import ActionConfig
-from clothtrack.world import EpisodeConfig, simulate_trajectory
-from clothtrack.world.episodes import TemplateConfig
+from clothtrack_lab.world import EpisodeConfig, simulate_trajectory
+from clothtrack_lab.world.episodes import TemplateConfig
 
 NAME = "fold_the_tshirt"
 SEED = 4

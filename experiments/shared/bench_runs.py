@@ -19,7 +19,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from clothtrack.baselines import PeerConfig, follow
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation import Truth
 from clothtrack.evaluation.label_evidence import Label
@@ -28,6 +27,7 @@ from clothtrack.geometry import ClothMesh
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import RunConfig, TrackedTrajectory, Tracker, find_initial_state
 from clothtrack.tracking.pipeline import counted_settings, observer, provenance
+from clothtrack_lab.baselines import PeerConfig, follow
 from shared.ablations import ALL
 from shared.bench_measures import ROW_FORMAT, Row, finite, measure
 from shared.first_meshes import resampled, with_first_mesh_error

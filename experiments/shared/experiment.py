@@ -22,7 +22,7 @@ from pathlib import Path
 from clothtrack.errors import ClothTrackError
 from clothtrack.geometry import quiet_warp
 from clothtrack.tracking import MODES, RunConfig
-from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate
+from clothtrack_lab.world import SMALL_WORLD, EpisodeConfig, simulate
 from shared import tables
 from shared.ablations import settings_of
 from shared.bench_measures import Row

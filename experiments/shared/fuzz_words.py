@@ -101,14 +101,14 @@ def _config(verb: str) -> Any:
         from clothtrack.planning import FlattenConfig
 
         return FlattenConfig()
-    from clothtrack.world.self_improvement import ImprovementConfig
+    from clothtrack_lab.world.self_improvement import ImprovementConfig
 
     return ImprovementConfig()
 
 
 def _simulated(rng: np.random.Generator) -> str:
     from clothtrack.files.settings import settings_of
-    from clothtrack.world import SMALL_WORLD
+    from clothtrack_lab.world import SMALL_WORLD
 
     one = chosen(list(settings_of(SMALL_WORLD)), rng)
     return f"{one.name}={chosen(TEXTS, rng)}".replace("\x00", "").replace("\ud800", "")

@@ -36,8 +36,8 @@ from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
 from clothtrack.reconstruction.tokens.token_learning import KIND as ANY_GARMENT
 from clothtrack.reconstruction.training.checkpoint import save_weights
-from clothtrack.world import SMALL_WORLD, simulate
-from clothtrack.world.bench import vary
+from clothtrack_lab.world import SMALL_WORLD, simulate
+from clothtrack_lab.world.bench import vary
 from shared import tables
 from shared.bench_measures import Row
 from shared.bench_runs import (

@@ -41,7 +41,7 @@ def settings(*changes: str) -> list[str]:
 def small_garments() -> None:
     """In a child: what robots and benchmark film is the small towel."""
     from clothtrack.files import with_settings
-    from clothtrack.world import SMALL_WORLD, bench, simulated_robot
+    from clothtrack_lab.world import SMALL_WORLD, bench, simulated_robot
 
     tiny, usual = with_settings(replace(SMALL_WORLD, actions=1), TOWEL), bench.vary
     names = ("size_m", "vertex_count", "actions", "template", "sensor", "action")

@@ -296,11 +296,11 @@ def preload() -> None:
         "cv2", "mujoco", "scipy.optimize", "torch", "torch._dynamo", "torch.utils.tensorboard",
         "zarr",
         "clothtrack.front.many", "clothtrack.front.look", "clothtrack.front.learning",
-        "clothtrack.front.many_episodes", "clothtrack_capture.importing.import_recording",
-        "clothtrack.planning.graph_dynamics.roll_outs", "clothtrack.reconstruction.fine_tuning",
+        "clothtrack_lab.many_episodes", "clothtrack_capture.importing.import_recording",
+        "clothtrack_lab.graph_dynamics.roll_outs", "clothtrack.reconstruction.fine_tuning",
         "clothtrack.reconstruction.tokens.token_training", "clothtrack.report.page",
         "clothtrack_capture.segmentation_setup", "clothtrack.tracking.pipeline",
-        "clothtrack.world.bench_generation", "clothtrack.world.filming",
+        "clothtrack_lab.world.bench_generation", "clothtrack_lab.world.filming",
     ):  # fmt: skip
         with suppress(ImportError):
             importlib.import_module(name)

@@ -27,12 +27,12 @@ from shared.table_column import table
 import clothtrack as ct
 from clothtrack.geometry import quiet_warp
 from clothtrack.simulation import ActionConfig
-from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate_trajectory
-from clothtrack.world.template_mesh import TemplateConfig
-from clothtrack.world.tool import Tool
 from clothtrack_capture.carried_path import CarriedPath
 from clothtrack_capture.clicked_picking import ClickedAction, ClickedPicking
 from clothtrack_capture.cloth_views import Click
+from clothtrack_lab.world import SMALL_WORLD, EpisodeConfig, simulate_trajectory
+from clothtrack_lab.world.template_mesh import TemplateConfig
+from clothtrack_lab.world.tool import Tool
 
 FILMS = (("towel", 300), ("tshirt", 300), ("towel", 301), ("tshirt", 301))
 HAND_M = (

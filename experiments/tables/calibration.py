@@ -24,7 +24,7 @@ from shared.experiment import Run, Setup, run_experiment
 from shared.held_out import parted, require_apart
 
 from clothtrack.tracking import RunConfig, mode
-from clothtrack.world.flex import CONTACT_RADIUS_M
+from clothtrack_lab.world.flex import CONTACT_RADIUS_M
 
 FRICTION = {"table_friction": "table_friction", "particle_friction": "cloth_friction"}
 """What the tracker calls it, and what the world does."""

@@ -32,7 +32,6 @@ from shared.bench_runs import read_rows, write_rows
 from shared.figures import say
 
 from clothtrack import __version__
-from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files import finished_in_workers, with_settings
 from clothtrack.files.provenance import commit
@@ -51,8 +50,14 @@ from clothtrack.planning.planning_dynamics import SHIPPED_WEIGHTS, MotionConfig
 from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings import read_recording
 from clothtrack.report.flattening_page import write_film_strip
-from clothtrack.world import SMALL_WORLD, SimulatedEpisode, SimulatedRobotConfig, flatten_simulated
-from clothtrack.world.simulated_episodes import EpisodeParts, knowing_the_garment
+from clothtrack_lab.baselines.flattening_policies import POLICIES
+from clothtrack_lab.world import (
+    SMALL_WORLD,
+    SimulatedEpisode,
+    SimulatedRobotConfig,
+    flatten_simulated,
+)
+from clothtrack_lab.world.simulated_episodes import EpisodeParts, knowing_the_garment
 
 NAME = "flattening"
 FIRST_SEED = 9000
@@ -298,8 +303,8 @@ def make_starts(tasks: Sequence[Task], workers: int) -> None:
 
 def make_start(task: Task) -> None:
     """One crumpled start."""
-    from clothtrack.world import SimulatedRobot
-    from clothtrack.world.simulated_episodes import begin
+    from clothtrack_lab.world import SimulatedRobot
+    from clothtrack_lab.world.simulated_episodes import begin
 
     episode = task.episode
     robot = SimulatedRobot(episode.kind, episode.seed, task.robot, episode.garment)

@@ -31,7 +31,7 @@ from clothtrack.recordings import Recording, read_recording
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.cloth_checks import cloth_findings
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
-from clothtrack.world import SMALL_WORLD, simulate
+from clothtrack_lab.world import SMALL_WORLD, simulate
 
 SPOILT = 3
 """Recordings that every kind of wrong geometry is tried on."""

@@ -1,7 +1,7 @@
 """Why a simulator? Coherent point drift with an edge-length projection against the tracker.
 
 Claim judged: dynamics bring something that smoothness and edge lengths do not: where the hidden
-part of the cloth goes. The peer (`clothtrack.baselines`) sees the same clouds, the same first mesh
+part of the cloth goes. The peer (`clothtrack_lab.baselines`) sees the same clouds, first mesh
 and the same tool path; once it is told where the tool holds the cloth, as CDCPD is, and once not.
 
     pip install biocpd      (the extra [experiments] brings it)
@@ -18,8 +18,8 @@ from shared.bench_runs import Variant
 from shared.experiment import Run, Setup, run_experiment
 from shared.figures import say
 
-from clothtrack.baselines import PeerConfig
 from clothtrack.files.extras import install_command
+from clothtrack_lab.baselines import PeerConfig
 
 
 def plan(setup: Setup) -> list[Run]:

@@ -22,9 +22,9 @@ from clothtrack.geometry import ClothMesh, quiet_warp
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings import read_recording
 from clothtrack.simulation import ActionConfig
-from clothtrack.world import SMALL_WORLD, EpisodeConfig, simulate_trajectory
 from clothtrack_capture.picker_detection import find_picker, nearest_visible_vertex
 from clothtrack_capture.tip_finder import tip_colors
+from clothtrack_lab.world import SMALL_WORLD, EpisodeConfig, simulate_trajectory
 
 FILMS = (
     ("towel", 100, "pink"),

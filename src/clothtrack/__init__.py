@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from clothtrack.evaluation.label_quality import judge_labels
     from clothtrack.evaluation.truth import Truth
     from clothtrack.files.settings import with_settings
-    from clothtrack.front.flattening import flatten, simulate
     from clothtrack.front.garment import garment_template
     from clothtrack.front.learning import label, reconstruct
     from clothtrack.front.look import export, view, write_report
@@ -71,7 +70,6 @@ __all__ = [
     "__version__",
     "evaluate",
     "export",
-    "flatten",
     "garment_template",
     "inspect_recording",
     "judge_labels",
@@ -84,7 +82,6 @@ __all__ = [
     "read_recording",
     "reconstruct",
     "shipped_recording",
-    "simulate",
     "track",
     "verify",
     "view",

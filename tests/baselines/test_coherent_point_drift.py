@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from clothtrack.baselines.coherent_point_drift import EdgeLengths, PeerConfig, drifted
 from clothtrack.simulation.garments import towel
+from clothtrack_lab.baselines.coherent_point_drift import EdgeLengths, PeerConfig, drifted
 
 
 @pytest.fixture(scope="module")

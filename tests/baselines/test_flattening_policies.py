@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from clothtrack.baselines.flattening_policies import POLICIES, farthest_corner
 from clothtrack.planning.action_space import ActionSpace, SeenCloth, Workspace, off_cloth
 from clothtrack.planning.planner import PlannerConfig
+from clothtrack_lab.baselines.flattening_policies import POLICIES, farthest_corner
 
 
 def sheet():

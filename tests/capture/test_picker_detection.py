@@ -16,10 +16,6 @@ from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
 from clothtrack.simulation.garments import garment
-from clothtrack.world.appearance import Appearance
-from clothtrack.world.scene import Scene
-from clothtrack.world.sensor import Sensor, top_down_camera
-from clothtrack.world.tool import Tool
 from clothtrack_capture.picker_detection import (
     find_picker,
     keep_picker,
@@ -32,6 +28,10 @@ from clothtrack_capture.picker_motion import (
     without_jumps,
 )
 from clothtrack_capture.tip_finder import learned_finder, tip_colors
+from clothtrack_lab.world.appearance import Appearance
+from clothtrack_lab.world.scene import Scene
+from clothtrack_lab.world.sensor import Sensor, top_down_camera
+from clothtrack_lab.world.tool import Tool
 
 
 def visit(heights):

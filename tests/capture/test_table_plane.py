@@ -14,10 +14,10 @@ from clothtrack.recordings.recorded_table import fit_recorded_table, moved_along
 from clothtrack.recordings.recording import ClothDescription, PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
 from clothtrack.simulation.garments import garment
-from clothtrack.world.appearance import Appearance
-from clothtrack.world.scene import Scene
-from clothtrack.world.sensor import Sensor
-from clothtrack.world.tool import Tool
+from clothtrack_lab.world.appearance import Appearance
+from clothtrack_lab.world.scene import Scene
+from clothtrack_lab.world.sensor import Sensor
+from clothtrack_lab.world.tool import Tool
 
 
 def tilted(degrees, azimuth=0.4, height=0.75, width=320):

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.cli.act import train_dynamics
+from clothtrack_lab.cli.act import train_dynamics
 
 QUICK = [
     "--set", "simulator.motion.speed=0.8", "--set", "simulator.motion.rest_s=0.1",
@@ -66,8 +66,8 @@ def test_what_cannot_be_read_is_refused_before_a_start_is_made(tmp_path, monkeyp
 def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(tmp_path, capsys):
     from clothtrack.recordings.pictures import read_depth
     from clothtrack.recordings.store import read_recording
-    from clothtrack.world.episodes import SMALL_WORLD
-    from clothtrack.world.filming import simulate
+    from clothtrack_lab.world.episodes import SMALL_WORLD
+    from clothtrack_lab.world.filming import simulate
 
     (folder,) = simulate(tmp_path / "world", "towel", 1, config=SMALL_WORLD)
     frame = read_recording(folder).frames[-1]
@@ -81,8 +81,8 @@ def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(tmp_path, ca
 
 
 def test_a_dry_run_without_a_mesh_needs_a_recording_only(tmp_path, capsys):
-    from clothtrack.world.episodes import SMALL_WORLD
-    from clothtrack.world.filming import simulate
+    from clothtrack_lab.world.episodes import SMALL_WORLD
+    from clothtrack_lab.world.filming import simulate
 
     (recording,) = simulate(tmp_path / "world", "towel", 1, config=SMALL_WORLD)
     words = ["flatten", str(tmp_path / "plan"), "--robot", "dry-run", "--policy", "heuristic"]
@@ -93,8 +93,8 @@ def test_a_dry_run_without_a_mesh_needs_a_recording_only(tmp_path, capsys):
 
 
 def test_the_truth_is_not_to_be_had_in_a_dry_run(tmp_path, capsys):
-    from clothtrack.world.episodes import SMALL_WORLD
-    from clothtrack.world.filming import simulate
+    from clothtrack_lab.world.episodes import SMALL_WORLD
+    from clothtrack_lab.world.filming import simulate
 
     (recording,) = simulate(tmp_path / "world", "towel", 1, config=SMALL_WORLD)
     words = ["flatten", str(tmp_path / "plan"), "--robot", "dry-run", "--perception", "truth"]

@@ -161,7 +161,7 @@ PathFinder.find_spec = find_others  # as if they were not installed
 import clothtrack
 for found in pkgutil.walk_packages(clothtrack.__path__, "clothtrack."):
     if not found.name.startswith(
-        ("clothtrack.reconstruction", "clothtrack.planning.graph_dynamics")
+        ("clothtrack.reconstruction", "clothtrack_lab.graph_dynamics")
     ):
         importlib.import_module(found.name)
 

@@ -92,12 +92,12 @@ def test_help_says_nothing_empty(verb, capsys):
 def setting_names(verb):
     """Settings that a verb takes with --set, by the groups that it knows."""
     from clothtrack.planning import FlattenConfig
-    from clothtrack.planning.graph_dynamics.mesh_training import DynamicsTrainingConfig
     from clothtrack.reconstruction import LearningConfig
     from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
     from clothtrack.tracking import RunConfig
-    from clothtrack.world import EpisodeConfig
-    from clothtrack.world.self_improvement import ImprovementConfig
+    from clothtrack_lab.graph_dynamics.mesh_training import DynamicsTrainingConfig
+    from clothtrack_lab.world import EpisodeConfig
+    from clothtrack_lab.world.self_improvement import ImprovementConfig
 
     known = {
         "flatten": [FlattenConfig()],

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
+import clothtrack_lab as lab
 from clothtrack.cli.command_line import main
 from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
@@ -18,7 +19,7 @@ from clothtrack.simulation.garments import garment
 def world(tmp_path_factory):
     """Folder with recordings/ and truth/ of one napkin, folded once."""
     folder = tmp_path_factory.mktemp("world")
-    ct.simulate(folder, "towel", 1, seed=3, small=True)
+    lab.simulate(folder, "towel", 1, seed=3, small=True)
     return folder
 
 

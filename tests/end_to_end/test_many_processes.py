@@ -148,8 +148,8 @@ def test_a_killed_run_goes_on_to_the_bits_of_one_that_was_not(start, towels, tmp
 
 SMALL_ROBOT = """
 import sys
-from clothtrack.world import SMALL_WORLD
-from clothtrack.world import simulated_episodes as episodes
+from clothtrack_lab.world import SMALL_WORLD
+from clothtrack_lab.world import simulated_episodes as episodes
 robot = episodes.SimulatedRobot
 small = episodes.SimulatedRobotConfig(episode=SMALL_WORLD)
 episodes.SimulatedRobot = lambda kind, seed, _, garment: robot(kind, seed, small, garment)

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import clothtrack as ct
-from clothtrack.world import SMALL_WORLD, simulate
+from clothtrack_lab.world import SMALL_WORLD, simulate
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)

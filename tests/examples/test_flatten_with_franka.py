@@ -13,8 +13,8 @@ import pytest
 from clothtrack.planning import Estimate
 from clothtrack.recordings import read_color, read_depth, read_recording
 from clothtrack.simulation import towel
-from clothtrack.world import SMALL_WORLD, simulate
 from clothtrack_capture import CapturedFrame
+from clothtrack_lab.world import SMALL_WORLD, simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 _spec = importlib.util.spec_from_file_location(

@@ -143,8 +143,8 @@ def test_what_a_promise_and_a_metre_are_worth_is_found_again():
 @pytest.mark.slow
 def test_every_action_that_was_done_is_predicted_by_all_dynamics(tmp_path, capsys):
     torch = pytest.importorskip("torch", reason="the extra [learn] brings it")
-    from clothtrack.planning.graph_dynamics.mesh_network import MeshNetwork, MeshNetworkConfig
     from clothtrack.reconstruction.training.checkpoint import save_weights
+    from clothtrack_lab.graph_dynamics.mesh_network import MeshNetwork, MeshNetworkConfig
 
     out = tmp_path / "out"
     assert flattening.main(["--smoke", "--out", str(out), "--only", "random"]) == 0

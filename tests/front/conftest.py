@@ -3,13 +3,14 @@
 import pytest
 
 import clothtrack as ct
+import clothtrack_lab as lab
 
 
 @pytest.fixture(scope="session")
 def world(tmp_path_factory):
     """Folder with recordings/ and truth/ of one napkin."""
     folder = tmp_path_factory.mktemp("world")
-    ct.simulate(folder, "towel", 1, seed=3, small=True)
+    lab.simulate(folder, "towel", 1, seed=3, small=True)
     return folder
 
 

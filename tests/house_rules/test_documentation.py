@@ -57,14 +57,14 @@ def known_settings():
     """Every name that some verb takes with --set."""
     from clothtrack.files.settings import settings_of
     from clothtrack.planning import FlattenConfig
-    from clothtrack.planning.graph_dynamics.mesh_training import DynamicsTrainingConfig
-    from clothtrack.planning.graph_dynamics.roll_outs import RollOutConfig
     from clothtrack.reconstruction import LearningConfig
     from clothtrack.reconstruction.data.states import StatesConfig
     from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
     from clothtrack.tracking import RunConfig
-    from clothtrack.world import EpisodeConfig
-    from clothtrack.world.self_improvement import ImprovementConfig
+    from clothtrack_lab.graph_dynamics.mesh_training import DynamicsTrainingConfig
+    from clothtrack_lab.graph_dynamics.roll_outs import RollOutConfig
+    from clothtrack_lab.world import EpisodeConfig
+    from clothtrack_lab.world.self_improvement import ImprovementConfig
 
     configs = [
         RunConfig(), FlattenConfig(), DynamicsTrainingConfig(), LearningConfig.preset("pretrain"),

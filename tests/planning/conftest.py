@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from clothtrack.planning.coarse_cloth import CoarseConfig
-from clothtrack.planning.graph_dynamics.roll_outs import RollOutConfig, generate_roll_outs
 from clothtrack.planning.planning_dynamics import MotionConfig
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.states import StatesConfig
+from clothtrack_lab.graph_dynamics.roll_outs import RollOutConfig, generate_roll_outs
 
 SMALL_ROLL_OUTS = RollOutConfig(
     vertex_count=150,

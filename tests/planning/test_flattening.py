@@ -7,7 +7,6 @@ from itertools import count
 import numpy as np
 import pytest
 
-from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.geometry.camera import Camera
@@ -24,9 +23,14 @@ from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import towel
-from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.simulated_episodes import EpisodeParts, SimulatedEpisode, flatten_simulated
-from clothtrack.world.simulated_robot import SimulatedRobotConfig
+from clothtrack_lab.baselines.flattening_policies import POLICIES
+from clothtrack_lab.world.episodes import SMALL_WORLD
+from clothtrack_lab.world.simulated_episodes import (
+    EpisodeParts,
+    SimulatedEpisode,
+    flatten_simulated,
+)
+from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -7,21 +7,21 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.planning.graph_dynamics.mesh_dynamics import springs_of
-from clothtrack.planning.graph_dynamics.mesh_network import (
+from clothtrack.simulation.garments import towel
+from clothtrack_lab.graph_dynamics.mesh_dynamics import springs_of
+from clothtrack_lab.graph_dynamics.mesh_network import (
     MeshNetwork,
     MeshNetworkConfig,
     Ways,
     advance,
     roll_out,
 )
-from clothtrack.planning.graph_dynamics.mesh_prior import (
+from clothtrack_lab.graph_dynamics.mesh_prior import (
     contacts,
     dragged,
     nearer_to_rest,
     tethered,
 )
-from clothtrack.simulation.garments import towel
 
 CONFIG = MeshNetworkConfig(width=16, message_steps=2)
 REFERENCE = {

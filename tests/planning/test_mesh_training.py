@@ -10,22 +10,22 @@ import torch
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.planning.action_space import PickPlace
-from clothtrack.planning.graph_dynamics.mesh_dynamics import (
+from clothtrack.planning.planning_dynamics import MotionConfig, PlannedCloth, PlanningDynamics
+from clothtrack.reconstruction.training.training_config import TrainingConfig
+from clothtrack.simulation.garments import towel
+from clothtrack_lab.graph_dynamics.mesh_dynamics import (
     MeshDynamics,
     MeshDynamicsConfig,
     load_mesh_dynamics,
 )
-from clothtrack.planning.graph_dynamics.mesh_network import MeshNetwork, MeshNetworkConfig
-from clothtrack.planning.graph_dynamics.mesh_training import (
+from clothtrack_lab.graph_dynamics.mesh_network import MeshNetwork, MeshNetworkConfig
+from clothtrack_lab.graph_dynamics.mesh_training import (
     DynamicsTrainingConfig,
     MeshDynamicsStage,
     WindowBatch,
     WindowExamples,
     train_mesh_dynamics,
 )
-from clothtrack.planning.planning_dynamics import MotionConfig, PlannedCloth, PlanningDynamics
-from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.simulation.garments import towel
 
 TINY = DynamicsTrainingConfig(
     network=MeshNetworkConfig(width=16, message_steps=2, collision_radius_m=0.06, projections=2),
@@ -135,7 +135,7 @@ def test_the_held_vertex_ends_at_the_place():
 def test_planning_does_not_import_torch():
     code = (
         "import sys, clothtrack.planning.action_space, clothtrack.planning.planning_dynamics, "
-        "clothtrack.planning.reward, clothtrack.planning.graph_dynamics.roll_outs; "
+        "clothtrack.planning.reward, clothtrack_lab.graph_dynamics.roll_outs; "
         "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.planning.graph_dynamics.roll_outs import (
+from clothtrack_lab.graph_dynamics.roll_outs import (
     RollOutConfig,
     generate_roll_outs,
     make_roll_outs,

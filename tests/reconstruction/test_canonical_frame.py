@@ -10,7 +10,7 @@ from clothtrack.reconstruction.canonical_frame import (
     symmetries,
 )
 from clothtrack.simulation.garments import garment
-from clothtrack.world.bench import Ranges
+from clothtrack_lab.world.bench import Ranges
 
 KINDS = tuple(LARGEST_SIZE_M)
 

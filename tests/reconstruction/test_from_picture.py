@@ -24,8 +24,8 @@ from clothtrack.reconstruction.template_fit import SeenPoints
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.garments import garment
-from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.filming import simulate
+from clothtrack_lab.world.episodes import SMALL_WORLD
+from clothtrack_lab.world.filming import simulate
 
 TABLE = Table(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0]))
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])

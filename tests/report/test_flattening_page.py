@@ -18,9 +18,9 @@ from clothtrack.report.flattening_page import (
     write_film_strip,
     write_flattening_report,
 )
-from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.simulated_episodes import SimulatedEpisode, flatten_simulated
-from clothtrack.world.simulated_robot import SimulatedRobotConfig
+from clothtrack_lab.world.episodes import SMALL_WORLD
+from clothtrack_lab.world.simulated_episodes import SimulatedEpisode, flatten_simulated
+from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 
 @pytest.fixture(scope="module")

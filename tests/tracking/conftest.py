@@ -4,8 +4,8 @@ import pytest
 
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.filming import simulate
+from clothtrack_lab.world.episodes import SMALL_WORLD
+from clothtrack_lab.world.filming import simulate
 
 
 @pytest.fixture(scope="session")

@@ -24,8 +24,8 @@ from clothtrack.tracking.configuration import InitialStateConfig, RunConfig
 from clothtrack.tracking.initial_state import find_initial_state
 from clothtrack.tracking.pipeline import config_hash, counted_settings
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.filming import simulate
+from clothtrack_lab.world.episodes import SMALL_WORLD
+from clothtrack_lab.world.filming import simulate
 
 SHORT = (
     "search.method=none", "objective.iterations=20", "cloth.substep_s=3.3e-3",

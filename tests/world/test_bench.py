@@ -17,10 +17,10 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError, Simulation
 from clothtrack.files.atomic_write import hidden_name
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.store import read_recording
-from clothtrack.world import bench_generation
-from clothtrack.world.bench import BenchTrajectory, Ranges, hardened, trajectories, vary
-from clothtrack.world.bench_generation import checksum, generate_bench, verify_bench
-from clothtrack.world.episodes import EpisodeConfig, TemplateConfig
+from clothtrack_lab.world import bench_generation
+from clothtrack_lab.world.bench import BenchTrajectory, Ranges, hardened, trajectories, vary
+from clothtrack_lab.world.bench_generation import checksum, generate_bench, verify_bench
+from clothtrack_lab.world.episodes import EpisodeConfig, TemplateConfig
 
 SMALL = SensorConfig(width=80, height=60, focal=75.0)
 TINY = {

@@ -15,8 +15,8 @@ from clothtrack.recordings.template_file import write_template
 from clothtrack.simulation.garments import trousers
 from clothtrack.simulation.outlines import TrousersOutline
 from clothtrack.simulation.pick_and_place import ActionConfig
-from clothtrack.world.episodes import PICKER, SMALL_WORLD, TemplateConfig
-from clothtrack.world.filming import simulate
+from clothtrack_lab.world.episodes import PICKER, SMALL_WORLD, TemplateConfig
+from clothtrack_lab.world.filming import simulate
 
 TINY = replace(
     SMALL_WORLD,

@@ -5,7 +5,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.simulation.garments import garment, towel
-from clothtrack.world.flex import CONTACT_RADIUS_M, TIME_STEP_S, Fabric, FlexWorld
+from clothtrack_lab.world.flex import CONTACT_RADIUS_M, TIME_STEP_S, Fabric, FlexWorld
 
 
 def lifted_towel(height: float) -> FlexWorld:

@@ -15,14 +15,14 @@ from clothtrack.reconstruction.canonical_frame import check_canonical
 from clothtrack.reconstruction.data.garment_draws import GarmentRanges
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.outlines import ShirtOutline, draw_shirt
-from clothtrack.world.bench import Ranges, vary
-from clothtrack.world.episodes import EpisodeConfig
-from clothtrack.world.filming import simulate
-from clothtrack.world.one_garment import OneGarment
-from clothtrack.world.self_improvement import ImprovementConfig, improve_rounds
-from clothtrack.world.simulated_episodes import SimulatedEpisode, knowing_the_garment
-from clothtrack.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
-from clothtrack.world.template_mesh import flat_garment
+from clothtrack_lab.world.bench import Ranges, vary
+from clothtrack_lab.world.episodes import EpisodeConfig
+from clothtrack_lab.world.filming import simulate
+from clothtrack_lab.world.one_garment import OneGarment
+from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rounds
+from clothtrack_lab.world.simulated_episodes import SimulatedEpisode, knowing_the_garment
+from clothtrack_lab.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+from clothtrack_lab.world.template_mesh import flat_garment
 
 KINDS = ("towel", "tshirt")
 

@@ -17,8 +17,8 @@ from clothtrack.reconstruction.data.examples import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
 from clothtrack.simulation.garments import garment
 from clothtrack.tracking.pipeline import Outcome
-from clothtrack.world import round_labels
-from clothtrack.world.round_labels import (
+from clothtrack_lab.world import round_labels
+from clothtrack_lab.world.round_labels import (
     EXPECTED,
     EpisodeLabels,
     read_worth,

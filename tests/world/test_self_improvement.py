@@ -22,11 +22,11 @@ from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.configuration import InitialStateConfig, RunConfig
 from clothtrack.tracking.search import SearchConfig
-from clothtrack.world import self_improvement
-from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.round_labels import EpisodeLabels
-from clothtrack.world.self_improvement import ImprovementConfig, improve_rounds
-from clothtrack.world.simulated_robot import SimulatedRobotConfig
+from clothtrack_lab.world import self_improvement
+from clothtrack_lab.world.episodes import SMALL_WORLD
+from clothtrack_lab.world.round_labels import EpisodeLabels
+from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rounds
+from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 LEARNING = with_settings(
     LearningConfig.preset("finetune"),

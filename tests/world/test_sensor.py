@@ -5,10 +5,10 @@ import pytest
 
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.simulation.garments import towel
-from clothtrack.world.appearance import CLOTH_COLORS, Appearance
-from clothtrack.world.scene import CLOTH, TABLE, TOOL, Scene
-from clothtrack.world.sensor import Sensor, top_down_camera
-from clothtrack.world.tool import Tool
+from clothtrack_lab.world.appearance import CLOTH_COLORS, Appearance
+from clothtrack_lab.world.scene import CLOTH, TABLE, TOOL, Scene
+from clothtrack_lab.world.sensor import Sensor, top_down_camera
+from clothtrack_lab.world.tool import Tool
 
 SMALL = {"width": 160, "height": 120, "focal": 150.0}
 

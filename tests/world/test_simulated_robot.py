@@ -5,8 +5,8 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.geometry.quality import crossings
-from clothtrack.world.episodes import SMALL_WORLD
-from clothtrack.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+from clothtrack_lab.world.episodes import SMALL_WORLD
+from clothtrack_lab.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 
 
 @pytest.mark.slow

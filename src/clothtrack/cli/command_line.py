@@ -11,13 +11,11 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 
-from clothtrack.cli.act import flatten, improve, train_dynamics
 from clothtrack.cli.garment import garment
 from clothtrack.cli.learn import finetune, label, pretrain, reconstruct
 from clothtrack.cli.look import evaluate, export, view
 from clothtrack.cli.recordings import inspect
 from clothtrack.cli.signature import name_of
-from clothtrack.cli.simulate import bench, simulate
 from clothtrack.cli.terminal import INTERRUPTED, complain, end_by_interrupt, exit_code, say
 from clothtrack.cli.track import demo, track
 from clothtrack.cli.usage import WRONG_USAGE, WrongUsageError, overview, parse
@@ -26,8 +24,8 @@ from clothtrack.cli.versions import versions
 from clothtrack.cli.warnings_once import logged
 
 OWN: tuple[Callable[..., int], ...] = (
-    demo, inspect, garment, simulate, bench, track, label, pretrain, finetune, reconstruct, flatten,
-    train_dynamics, improve, evaluate, view, export, verify,
+    demo, inspect, garment, track, label, pretrain, finetune, reconstruct, evaluate, view, export,
+    verify,
 )  # fmt: skip
 """The functions behind the verbs of the core."""
 

@@ -1,6 +1,7 @@
 """How to flatten, as values, and what an episode is known by."""
 
 from dataclasses import asdict, dataclass, field
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,7 +12,7 @@ from clothtrack.files.extras import install_command
 from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.planning_dynamics import (
-    SHIPPED_WEIGHTS,
+    LearnedDynamics,
     PlanningDynamics,
     SimulatorConfig,
     SimulatorDynamics,
@@ -52,7 +53,7 @@ def weights_used(config: FlattenConfig, kind: str) -> dict[str, Path]:
         named = config.perception.weights
         used["network"] = Path(named) if named else shipped_weights(kind)
     if config.policy == "planned" and config.dynamics == "mesh":
-        used["dynamics"] = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
+        used["dynamics"] = Path(config.dynamics_weights or learned_dynamics("mesh").shipped)
     return {name: path for name, path in used.items() if path is not None}
 
 
@@ -70,6 +71,20 @@ def episode_identity(config: FlattenConfig, kind: str) -> dict[str, Any]:
     return {"config": settings, "weights_sha256": hashes}
 
 
+def learned_dynamics(name: str) -> LearnedDynamics:
+    """Return the learned dynamics of a name, of whichever package has them.
+
+    Raises:
+        InvalidConfigError: no package that is installed has them.
+    """
+    for found in entry_points(group="clothtrack.dynamics", name=name):
+        return found.load()
+    raise InvalidConfigError(
+        f"dynamics is {name}, and no installed package has them; install clothtrack again, or plan "
+        "in the simulator"
+    )
+
+
 def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> PlanningDynamics:
     """The dynamics that a configuration names; PyTorch is imported for the learned ones only.
 
@@ -78,14 +93,12 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> PlanningDynami
         InvalidResultError: the weights are missing, damaged or of something else.
     """
     if config.dynamics == "mesh":
+        learned = learned_dynamics("mesh")
         missing = missing_modules()
         if missing:
             raise InvalidConfigError(
                 f"dynamics is mesh, which needs {', '.join(missing)}; install with: "
-                f"{install_command('learn')}, or plan in the simulator"
+                f"{install_command(learned.extra)}, or plan in the simulator"
             )
-        from clothtrack.planning.graph_dynamics.mesh_dynamics import load_mesh_dynamics
-
-        weights = Path(config.dynamics_weights or SHIPPED_WEIGHTS)
-        return load_mesh_dynamics(weights, device=device)
+        return learned.load(Path(config.dynamics_weights or learned.shipped), device=device)
     return SimulatorDynamics(config.simulator, device=device)

@@ -1,11 +1,11 @@
 """What a pick-and-place would do: the dynamics that a planner asks, and the simulator as one.
 
 The solver rolls out all candidates at once, one environment each. The learned dynamics
-(`planning/graph_dynamics/mesh_dynamics.py`) stand behind the same protocol.
+(`clothtrack_lab/graph_dynamics/mesh_dynamics.py`) stand behind the same protocol.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -20,9 +20,6 @@ from clothtrack.recordings.recording import Table
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState
-
-SHIPPED_WEIGHTS = Path(__file__).parent / "weights" / "mesh_dynamics.safetensors"
-"""Of the learned dynamics, for every garment; they come with the package, with a card."""
 
 REACH = 1.5
 """A pick this many edges from every vertex holds nothing."""
@@ -53,6 +50,21 @@ class PlannedCloth:
     table_height_m: float = 0.0
     fine: Float[np.ndarray, "fine_vertices 3"] | None = None
     stands_for: Int[np.ndarray, " fine_vertices"] | None = None
+
+
+@dataclass(frozen=True)
+class LearnedDynamics:
+    """Dynamics of another package, which names them as an entry point of `clothtrack.dynamics`.
+
+    Attributes:
+        load: from a file of weights, on a device.
+        shipped: the weights that come with them.
+        extra: what their package needs beside tracking, such as "learn".
+    """
+
+    load: "Callable[..., PlanningDynamics]"
+    shipped: Path
+    extra: str
 
 
 @runtime_checkable

@@ -21,15 +21,15 @@ from clothtrack.planning.robots.robot import Execution, MotionLimits, Reachabili
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.pick_and_place import PlannedAction, carrying_path, free_path
-from clothtrack.world.appearance import Appearance
-from clothtrack.world.bench import vary
-from clothtrack.world.episodes import EpisodeConfig
-from clothtrack.world.flex import TIME_STEP_S, USUAL_CONTACT_S, FlexWorld
-from clothtrack.world.one_garment import OneGarment
-from clothtrack.world.scene import Scene
-from clothtrack.world.sensor import Sensor, top_down_camera
-from clothtrack.world.template_mesh import SeededGarment, laid_down, random_pose, size_of
-from clothtrack.world.tool import Tool
+from clothtrack_lab.world.appearance import Appearance
+from clothtrack_lab.world.bench import vary
+from clothtrack_lab.world.episodes import EpisodeConfig
+from clothtrack_lab.world.flex import TIME_STEP_S, USUAL_CONTACT_S, FlexWorld
+from clothtrack_lab.world.one_garment import OneGarment
+from clothtrack_lab.world.scene import Scene
+from clothtrack_lab.world.sensor import Sensor, top_down_camera
+from clothtrack_lab.world.template_mesh import SeededGarment, laid_down, random_pose, size_of
+from clothtrack_lab.world.tool import Tool
 
 MOST_DROPS = 5
 """How often the cloth is lifted at a random vertex and let go before an episode, at most; it stops

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
-from clothtrack.world.appearance import Appearance, Painter
-from clothtrack.world.scene import CLOTH, Scene
+from clothtrack_lab.world.appearance import Appearance, Painter
+from clothtrack_lab.world.scene import CLOTH, Scene
 
 PATCH_PERIOD_FRAMES = 80.0
 """Patches without depth are elsewhere after a quarter of this many pictures."""

@@ -17,16 +17,16 @@ from scipy.sparse.csgraph import dijkstra
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import PickPlace
-from clothtrack.planning.graph_dynamics.mesh_network import (
+from clothtrack.planning.planning_dynamics import HeldPaths, MotionConfig, PlannedCloth
+from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
+from clothtrack_lab.graph_dynamics.mesh_network import (
     MeshNetwork,
     MeshNetworkConfig,
     Ways,
     roll_out,
 )
-from clothtrack.planning.graph_dynamics.mesh_prior import Springs
-from clothtrack.planning.planning_dynamics import HeldPaths, MotionConfig, PlannedCloth
-from clothtrack.reconstruction.training.checkpoint import load_weights
-from clothtrack.simulation.parameters import RESTING_HEIGHT_M
+from clothtrack_lab.graph_dynamics.mesh_prior import Springs
 
 
 @dataclass(frozen=True)

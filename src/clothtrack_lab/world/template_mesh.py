@@ -17,7 +17,7 @@ from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import read_template
 from clothtrack.simulation.garments import GarmentKind, TowelPattern, garment
-from clothtrack.world.flex import CONTACT_RADIUS_M
+from clothtrack_lab.world.flex import CONTACT_RADIUS_M
 
 Error = Annotated[float, Bounds(least=0, most=1)]
 """How far [m] something is from where it is said to be."""

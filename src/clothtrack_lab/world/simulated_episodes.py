@@ -25,8 +25,8 @@ from clothtrack.planning.perception import Perception, perception_of
 from clothtrack.planning.planning_dynamics import PlanningDynamics
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
-from clothtrack.world.one_garment import OneGarment
-from clothtrack.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+from clothtrack_lab.world.one_garment import OneGarment
+from clothtrack_lab.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 
 logger = logging.getLogger(__name__)
 

@@ -26,8 +26,8 @@ from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
 from clothtrack.files.worker_pool import require_workers
 from clothtrack.version import __version__
-from clothtrack.world.bench import BenchTrajectory, trajectories
-from clothtrack.world.episodes import EpisodeConfig, simulate_trajectory
+from clothtrack_lab.world.bench import BenchTrajectory, trajectories
+from clothtrack_lab.world.episodes import EpisodeConfig, simulate_trajectory
 
 logger = logging.getLogger(__name__)
 

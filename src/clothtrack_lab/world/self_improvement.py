@@ -37,8 +37,8 @@ from clothtrack.reconstruction.data.state_store import LIST_FILE
 from clothtrack.simulation.garments import GarmentKind
 from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.pipeline import counted_settings
-from clothtrack.world.one_garment import OneGarment
-from clothtrack.world.round_labels import (
+from clothtrack_lab.world.one_garment import OneGarment
+from clothtrack_lab.world.round_labels import (
     EpisodeLabels,
     label_episodes,
     read_worth,
@@ -46,14 +46,14 @@ from clothtrack.world.round_labels import (
     worth_of,
     write_worth,
 )
-from clothtrack.world.simulated_episodes import (
+from clothtrack_lab.world.simulated_episodes import (
     SimulatedEpisode,
     flatten_simulated,
     knowing_the_garment,
     require_one_garment,
     shared_parts,
 )
-from clothtrack.world.simulated_robot import SimulatedRobotConfig
+from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording

@@ -26,11 +26,11 @@ from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.pick_and_place import ActionConfig, carrying_path, free_path, plan_action
-from clothtrack.world.appearance import Appearance
-from clothtrack.world.flex import TIME_STEP_S, Fabric, FlexWorld
-from clothtrack.world.scene import Scene
-from clothtrack.world.sensor import Sensor, misplaced, top_down_camera
-from clothtrack.world.template_mesh import (
+from clothtrack_lab.world.appearance import Appearance
+from clothtrack_lab.world.flex import TIME_STEP_S, Fabric, FlexWorld
+from clothtrack_lab.world.scene import Scene
+from clothtrack_lab.world.sensor import Sensor, misplaced, top_down_camera
+from clothtrack_lab.world.template_mesh import (
     Error,
     GivenGarment,
     SeededGarment,
@@ -40,7 +40,7 @@ from clothtrack.world.template_mesh import (
     random_pose,
     size_of,
 )
-from clothtrack.world.tool import Tool
+from clothtrack_lab.world.tool import Tool
 
 logger = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from clothtrack.world.scene import CLOTH, TABLE, TIP, TOOL, View
+from clothtrack_lab.world.scene import CLOTH, TABLE, TIP, TOOL, View
 
 CLOTH_COLORS: dict[str, tuple[int, int, int]] = {
     "blue": (38, 84, 190),

@@ -21,9 +21,9 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import write_template
 from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment, shirt
 from clothtrack.simulation.outlines import ShirtOutline
-from clothtrack.world.bench import Ranges, vary
-from clothtrack.world.episodes import EpisodeConfig
-from clothtrack.world.template_mesh import size_of
+from clothtrack_lab.world.bench import Ranges, vary
+from clothtrack_lab.world.episodes import EpisodeConfig
+from clothtrack_lab.world.template_mesh import size_of
 
 SHIRT_WIDTHS_M = (0.56, 0.59)
 """From sleeve to sleeve [m]; the published network was trained on 0.42 to 0.54."""

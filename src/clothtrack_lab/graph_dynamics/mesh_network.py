@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from clothtrack.files.bounds import Bounds, Checked, NotNegative, Positive, Share
-from clothtrack.planning.graph_dynamics.mesh_prior import (
+from clothtrack_lab.graph_dynamics.mesh_prior import (
     Springs,
     above,
     contacts,

@@ -21,9 +21,9 @@ from clothtrack.simulation.garments import (
     GarmentKind,
 )
 from clothtrack.simulation.pick_and_place import ActionConfig
-from clothtrack.world.episodes import EpisodeConfig
-from clothtrack.world.flex import Fabric
-from clothtrack.world.tool import RADII_M, Tool
+from clothtrack_lab.world.episodes import EpisodeConfig
+from clothtrack_lab.world.flex import Fabric
+from clothtrack_lab.world.tool import RADII_M, Tool
 
 Split = Literal["dev", "test", "hard"]
 Hardness = Literal["none", "middle", "folded", "hidden", "calibration", "missing"]

@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-import clothtrack as ct
 from clothtrack.cli.options import (
     AsJson,
     Ray,
@@ -77,7 +76,9 @@ def simulate(
     count = 1 if trajectories is None else trajectories
     if actions is not None:
         settings = (f"actions={actions}", *settings)
-    folders = ct.simulate(
+    from clothtrack_lab.flattening import simulate as record
+
+    folders = record(
         output, garment, count, seed=seed, template=template, garment_seed=garment_seed,
         settings=settings, workers=workers, progress=progress, ray=ray,
     )  # fmt: skip
@@ -106,8 +107,8 @@ def bench(
         ray: address of Ray, which is to do it.
         json: machine-readable.
     """
-    from clothtrack.world import bench as contents
-    from clothtrack.world import bench_generation as generation
+    from clothtrack_lab.world import bench as contents
+    from clothtrack_lab.world import bench_generation as generation
 
     splits = contents.SPLITS if split == "all" else (split,)
     listed = contents.trajectories(splits, printed=printed)

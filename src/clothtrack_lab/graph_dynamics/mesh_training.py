@@ -17,17 +17,6 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
-from clothtrack.planning.graph_dynamics.mesh_card import write_dynamics_card
-from clothtrack.planning.graph_dynamics.mesh_dynamics import springs_of
-from clothtrack.planning.graph_dynamics.mesh_network import (
-    MeshNetwork,
-    MeshNetworkConfig,
-    Ways,
-    advance,
-    roll_out,
-)
-from clothtrack.planning.graph_dynamics.mesh_prior import Springs
-from clothtrack.planning.graph_dynamics.roll_outs import RollOutShard, read_roll_outs
 from clothtrack.reconstruction.model_card import PACKAGES
 from clothtrack.reconstruction.training.batches import Draw, Subset, split_by_group
 from clothtrack.reconstruction.training.checkpoint import load_weights
@@ -36,6 +25,17 @@ from clothtrack.reconstruction.training.stage import Stage
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.reconstruction.training.training_run import TrainingOutcome
+from clothtrack_lab.graph_dynamics.mesh_card import write_dynamics_card
+from clothtrack_lab.graph_dynamics.mesh_dynamics import springs_of
+from clothtrack_lab.graph_dynamics.mesh_network import (
+    MeshNetwork,
+    MeshNetworkConfig,
+    Ways,
+    advance,
+    roll_out,
+)
+from clothtrack_lab.graph_dynamics.mesh_prior import Springs
+from clothtrack_lab.graph_dynamics.roll_outs import RollOutShard, read_roll_outs
 
 RESTING_HEIGHT_M = 0.0015
 WHOLE_ERROR = "whole_error_mm"

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from clothtrack.baselines.flattening_policies import POLICIES
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
 from clothtrack.files.settings import with_settings
@@ -18,18 +17,19 @@ from clothtrack.planning.robots.robot import MotionLimits
 from clothtrack.planning.seen import seen_area
 from clothtrack.recordings.store import read_recording
 from clothtrack.simulation.garments import GarmentKind
-from clothtrack.world.bench import vary
-from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig
-from clothtrack.world.filming import simulate as film_many
-from clothtrack.world.one_garment import OneGarment
-from clothtrack.world.simulated_episodes import (
+from clothtrack_lab.baselines.flattening_policies import POLICIES
+from clothtrack_lab.world.bench import vary
+from clothtrack_lab.world.episodes import SMALL_WORLD, EpisodeConfig
+from clothtrack_lab.world.filming import simulate as film_many
+from clothtrack_lab.world.one_garment import OneGarment
+from clothtrack_lab.world.simulated_episodes import (
     EpisodeParts,
     SimulatedEpisode,
     flatten_simulated,
     knowing_the_garment,
     shared_parts,
 )
-from clothtrack.world.simulated_robot import SimulatedRobotConfig
+from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 
 def flatten(

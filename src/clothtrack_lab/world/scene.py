@@ -9,7 +9,7 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.world.tool import Tool
+from clothtrack_lab.world.tool import Tool
 
 TABLE, CLOTH, TOOL, TIP = 0, 1, 2, 3
 

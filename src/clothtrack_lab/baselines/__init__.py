@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.baselines.coherent_point_drift import PeerConfig, drifted, follow
+    from clothtrack_lab.baselines.coherent_point_drift import PeerConfig, drifted, follow
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 

@@ -12,8 +12,8 @@ from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
 from clothtrack.files.worker_pool import require_workers
 from clothtrack.simulation.garments import GarmentKind
-from clothtrack.world.episodes import EpisodeConfig, recording_name, simulate_trajectory
-from clothtrack.world.template_mesh import GivenGarment
+from clothtrack_lab.world.episodes import EpisodeConfig, recording_name, simulate_trajectory
+from clothtrack_lab.world.template_mesh import GivenGarment
 
 logger = logging.getLogger(__name__)
 

@@ -104,9 +104,9 @@ def flatten(
     if live and (workers != 1 or ray):
         complain("--live shows one process; leave out --workers and --ray, or --live")
         return 2
-    from clothtrack.front.flattening import episode_parts
-    from clothtrack.front.many_episodes import flatten_many
     from clothtrack.report.flattening_page import watched_live
+    from clothtrack_lab.flattening import episode_parts
+    from clothtrack_lab.many_episodes import flatten_many
 
     # Before the first start is made and the page is served: weights may be missing.
     parts = episode_parts(garment, config, device=device, garment_seed=garment_seed, output=output)
@@ -181,7 +181,7 @@ def train_dynamics(
     """
     from clothtrack.files.output_lock import locked_output
     from clothtrack.files.settings import with_settings
-    from clothtrack.planning.graph_dynamics.roll_outs import (
+    from clothtrack_lab.graph_dynamics.roll_outs import (
         RollOutConfig,
         frames_per_step,
         generate_roll_outs,
@@ -210,11 +210,11 @@ def train_dynamics(
         return 0
     # What cannot be trained is refused before anything is rolled out.
     require_learning()
-    from clothtrack.planning.graph_dynamics.mesh_training import (
+    from clothtrack.reconstruction.training.processes import require_torch_device
+    from clothtrack_lab.graph_dynamics.mesh_training import (
         DynamicsTrainingConfig,
         train_mesh_dynamics,
     )
-    from clothtrack.reconstruction.training.processes import require_torch_device
 
     require_torch_device(device)
     config = DynamicsTrainingConfig()
@@ -278,7 +278,7 @@ def improve(
     """
     require_learning()
     from clothtrack.files.settings import with_settings
-    from clothtrack.world.self_improvement import ImprovementConfig, improve_rounds
+    from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rounds
 
     config = with_settings(ImprovementConfig(rounds=rounds, episodes=episodes), settings)
     if show_settings:
@@ -340,7 +340,7 @@ def _dry_run(
     output: Path, recording: Path, config: "FlattenConfig", *, device: str, seed: int
 ) -> int:
     """Plan one action for the last picture of a recording."""
-    from clothtrack.front.flattening import plan_flattening
+    from clothtrack_lab.flattening import plan_flattening
 
     store = plan_flattening(recording, output, config, seed=seed, device=device)
     plans = sorted(output.glob("action_*.png"))

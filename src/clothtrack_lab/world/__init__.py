@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.world.bench import BenchTrajectory
-    from clothtrack.world.episodes import SMALL_WORLD, EpisodeConfig, simulate_trajectory
-    from clothtrack.world.filming import simulate
-    from clothtrack.world.scene import Scene
-    from clothtrack.world.sensor import Sensor
-    from clothtrack.world.simulated_episodes import SimulatedEpisode, flatten_simulated
-    from clothtrack.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+    from clothtrack_lab.world.bench import BenchTrajectory
+    from clothtrack_lab.world.episodes import SMALL_WORLD, EpisodeConfig, simulate_trajectory
+    from clothtrack_lab.world.filming import simulate
+    from clothtrack_lab.world.scene import Scene
+    from clothtrack_lab.world.sensor import Sensor
+    from clothtrack_lab.world.simulated_episodes import SimulatedEpisode, flatten_simulated
+    from clothtrack_lab.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
