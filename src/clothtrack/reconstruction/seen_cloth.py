@@ -22,8 +22,8 @@ CLOSED_PIXELS = 2
 
 STEEP_M = 0.015
 """A vertex that would have to move by less than this [m] goes straight down, or to the side: lying
-layers are no thicker. Cloth that hangs fares alike with 2, 15 and 30 mm; crumpled cloth on a table
-is a little worse with 2."""
+layers are no thicker. The quick fit of cloth that hangs fares alike with 2, 15 and 30 mm; crumpled
+cloth of real pictures is a little worse with 2, which is why it is not 2."""
 
 TALL_M = 0.015
 """What stands so high over the table beside the mask [m] hides what is under it."""
