@@ -112,6 +112,7 @@ class IsometricFit:
         signs = np.tile([1.0, -1.0], len(edges))
         self._along = sparse.coo_array((signs, ends), (len(edges), count)).tocsr()
         self._bends = smoothness_matrix(rest)
+        self._back_along, self._back_bends = self._along.T, self._bends.T
         self._system = NormalMatrix(self._along, self._bends, rest.faces)
         self._lengths = rest.edge_lengths[:, None]
         self._crease_m = CREASE * float(self._lengths.mean())
@@ -240,14 +241,6 @@ class IsometricFit:
                 right += hold * kept
             vertices = factor.solve(right)
         return vertices
-
-    @property
-    def _back_along(self) -> sparse.csc_array:
-        return self._along.T
-
-    @property
-    def _back_bends(self) -> sparse.csc_array:
-        return self._bends.T
 
     def _drawn(
         self, vertices: Float[np.ndarray, "vertices 3"], cloth: SeenCloth, reach_m: float

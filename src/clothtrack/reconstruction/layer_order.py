@@ -36,6 +36,7 @@ class LayerOrder:
         self._joined = sparse.coo_array((ones, ends), (self._count,) * 2).tocsr()
         self._keys = np.sort(ends[0] * self._count + ends[1])
         self._rows = sparse.csr_array((0, self._count))
+        self._back = self._rows.T
         self._shares = np.ones(self._count)
 
     def find(
@@ -63,6 +64,7 @@ class LayerOrder:
         self._rows = sparse.csr_array(
             (values, columns, 4 * np.append(pairs, len(pairs))), (len(pairs), self._count)
         )
+        self._back = self._rows.T
         shares = np.bincount(columns, np.abs(values), self._count)
         self._shares = np.maximum(shares, 1.0)
 
@@ -72,10 +74,9 @@ class LayerOrder:
         """The heights [m] with the layers of each pair moved towards a gap [m], in their order."""
         if not self._rows.shape[0]:
             return heights
-        back = self._rows.T
         for _ in range(passes):
             short = np.maximum(gap_m - self._rows @ heights, 0.0)
-            heights = heights + 0.5 * (back @ short) / self._shares
+            heights = heights + 0.5 * (self._back @ short) / self._shares
         return heights
 
     def _overlaps(

@@ -177,10 +177,10 @@ class Search:
             views: quarter turns and mirror images that are asked about, 1 to 8.
             most: answers that are laid.
         """
-        answers = self._model.rivals(self._look(turn_deg), garment.tokens, views=views)
+        answers = self._model.rivals(self._look(turn_deg), garment.tokens, views=views, most=most)
         explain = Explainer(garment.mesh, self.cloth, device=garment.device)
         found = []
-        for answer in answers[:most]:
+        for answer in answers:
             back = answer.turned(-np.radians(turn_deg))
             vertices = garment.fit.lay(back.guide, self.cloth, QUICK, layered=False)
             choice = Choice(garment.cut, garment.size_m, turn_deg, explain(vertices))

@@ -149,13 +149,21 @@ class TokenReconstructor:
         points = points_of(view.depth, view.camera, seen.sources)
         return Look(view, seen.pixels, points, _table_height(picture, points))
 
-    def rivals(self, look: Look, tokens: GarmentTokens, *, views: int = VIEWS) -> list[TokenAnswer]:
+    def rivals(
+        self,
+        look: Look,
+        tokens: GarmentTokens,
+        *,
+        views: int = VIEWS,
+        most: int = _MOST_PARTIES,
+    ) -> list[TokenAnswer]:
         """Return rival answers: all views joined, and hypotheses joined with those that agree.
 
         Args:
             look: at the picture.
             tokens: of the garment.
             views: quarter turns and mirror images that are asked about, 1 to 8.
+            most: answers that are wanted, the likeliest.
 
         Raises:
             InvalidResultError: the network's answer is not finite.
@@ -177,7 +185,7 @@ class TokenReconstructor:
                 tokens,
             )
 
-        return [answer(members) for members in answers.parties()]
+        return [answer(members) for members in answers.parties()[:most]]
 
     def _views(
         self,
@@ -278,7 +286,7 @@ class _Views:
             close = 1.0 / self.spreads[member][name].mean(axis=1, keepdims=True) ** 2
             total += close * self.places[member][name]
             weight += close
-            share += self.names[member[0]][:, torch.from_numpy(name)]
+            share += self.names[member[0]].index_select(1, torch.from_numpy(name))
         share = share / share.sum(-1, keepdim=True)
         return share.double().numpy(), total / weight, np.sqrt(len(members) / weight) * np.ones(2)
 
@@ -289,21 +297,27 @@ class _Views:
 
     def _alike(self, centre: "_Member") -> tuple["_Member", ...]:
         """The hypotheses whose places are those of one, whatever they are called; one per view."""
-        views, count = self.likelihoods.shape
-        members = []
-        for view in range(views):
-            apart = [self._named_as(centre, (view, number))[1] for number in range(count)]
-            if min(apart) < _ALIKE:
-                members.append((view, int(np.argmin(apart))))
-        return tuple(members)
+        apart = self._apart(centre, self.places).min(axis=-1)
+        return tuple(
+            (view, int(gaps.argmin())) for view, gaps in enumerate(apart) if gaps.min() < _ALIKE
+        )
 
     def _named_as(self, centre: "_Member", member: "_Member") -> tuple[np.ndarray, float]:
         """The labelling of a hypothesis that is nearest to another's, and their mean distance."""
-        labellings = self.tokens.labellings[self.tokens.is_labelling]
-        moved = self.places[member][labellings] - self.places[centre]
-        gaps = np.sqrt(np.square(moved).sum(axis=-1)).mean(axis=-1)
+        gaps = self._apart(centre, self.places[member])
         nearest = int(np.argmin(gaps))
-        return labellings[nearest], float(gaps[nearest])
+        return self._labellings[nearest], float(gaps[nearest])
+
+    def _apart(
+        self, centre: "_Member", places: Float[np.ndarray, "*sets tokens 3"]
+    ) -> Float[np.ndarray, "*sets labellings"]:
+        """Mean distances of places from those of a hypothesis, by each labelling."""
+        moved = places[..., self._labellings, :] - self.places[centre]
+        return np.sqrt(np.square(moved).sum(axis=-1)).mean(axis=-1)
+
+    @cached_property
+    def _labellings(self) -> Int[np.ndarray, "labellings tokens"]:
+        return self.tokens.labellings[self.tokens.is_labelling]
 
 
 _Member = tuple[int, int]
