@@ -20,7 +20,8 @@ from results import provenance, write_json
 from scipy.spatial import cKDTree
 
 from clothtrack.alignment import AlignmentConfig, CloudAligner
-from clothtrack.alignment.alignment_config import ADAM_STEP_M, TWO_WAY_RANGE_M
+from clothtrack.alignment.solvers import ADAM_STEP_M
+from clothtrack.alignment.terms_kernels import TWO_WAY_RANGE_M
 from clothtrack.geometry import Camera, ClothMesh, visible_vertices
 
 logger = logging.getLogger("bench_alignment")

@@ -10,7 +10,8 @@ from scipy.optimize import check_grad
 from scipy.spatial import cKDTree
 
 from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner, Marks
-from clothtrack.alignment.alignment_config import ADAM_STEP_M, TABLE_WEIGHT, TWO_WAY_RANGE_M
+from clothtrack.alignment.solvers import ADAM_STEP_M
+from clothtrack.alignment.terms_kernels import TABLE_WEIGHT, TWO_WAY_RANGE_M
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table

@@ -1,12 +1,11 @@
-"""Mesh to cloud: test-time optimisation, nearest points, outlines."""
+"""Mesh to cloud: test-time optimization, nearest points, outlines."""
 
 from typing import TYPE_CHECKING
 
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.alignment.aligner import Alignment, CloudAligner
-    from clothtrack.alignment.alignment_config import AlignmentConfig
+    from clothtrack.alignment.aligner import Alignment, AlignmentConfig, CloudAligner
     from clothtrack.alignment.nearest import Matcher, MovingGrid
     from clothtrack.alignment.silhouette import silhouette_gap, slide_to_outline
 else:

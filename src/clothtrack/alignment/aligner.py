@@ -1,4 +1,4 @@
-"""Test-time optimisation: the small correction of every vertex that explains the cloud.
+"""Test-time optimization: the small correction of every vertex that explains the cloud.
 
 This is the paper's TTO1 (before the pseudo-action, Eq. 1 and 2) and TTO2 (after the last frame):
 a displacement per vertex, starting at zero, that minimises the mean squared distance of the cloud
@@ -8,32 +8,65 @@ visible vertices look for the cloud as well, and edges keep the rest length of t
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float
 
-from clothtrack.alignment import alignment_kernels as kernels
-from clothtrack.alignment.alignment_config import (
-    TABLE_WEIGHT,
-    TWO_WAY_RANGE_M,
-    AlignmentConfig,
-)
-from clothtrack.alignment.alignment_solvers import Problem, load_kernels, solve_adam, solve_icp
 from clothtrack.alignment.nearest import Matcher
+from clothtrack.alignment.solvers import Adam, GaussNewton, Problem, load_kernels
+from clothtrack.alignment.terms_kernels import (
+    TERMS,
+    TWO_WAY_RANGE_M,
+    Scene,
+    Sizes,
+    TermWeights,
+)
+from clothtrack.files.bounds import Count, NotNegative, Share
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table
 
 __all__ = ["Alignment", "AlignmentConfig", "CloudAligner", "Marks"]
 
 
-@dataclass(frozen=True, eq=False)
-class Marks:
-    """Where followed points of the pictures want vertices.
+@dataclass(frozen=True)
+class AlignmentConfig(TermWeights):
+    """The objective, whose weights are those of `TermWeights`, and how it is minimized.
 
     Attributes:
-        wanted: places [m], world frame; anything where the weight is 0.
-        weight: how many followed points want each vertex there.
+        solver: "adam" is `Adam`, as in the paper; "icp" is `GaussNewton`.
+        iterations: of the solver, at most.
+        icp_inner: `GaussNewton.inner`.
+        icp_momentum: `GaussNewton.momentum`.
+        icp_damping: `GaussNewton.damping`.
+        icp_tolerance: `GaussNewton.tolerance`.
+    """
+
+    solver: Literal["adam", "icp"] = "adam"
+    iterations: Count = 200
+    icp_inner: Count = 12
+    icp_momentum: float = 0.8
+    icp_damping: NotNegative = 0.2
+    icp_tolerance: Share = 0.0
+
+    @property
+    def minimizer(self) -> Adam | GaussNewton:
+        """The solver with its settings."""
+        if self.solver == "adam":
+            return Adam(self.iterations)
+        return GaussNewton(
+            self.iterations, self.icp_inner, self.icp_momentum, self.icp_damping, self.icp_tolerance
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Places where followed points of the pictures want vertices.
+
+    Attributes:
+        wanted: places [m], world frame; ignored where the weight is 0.
+        weight: number of followed points that want each vertex there.
     """
 
     wanted: Float[np.ndarray, "vertices 3"]
@@ -47,8 +80,7 @@ class Alignment:
     Attributes:
         corrections: displacement of every vertex [m], world frame.
         losses: objective [m^2] at the start and after every iteration.
-        terms: the same per weighted term: "chamfer", "rigidity", "two_way", "length", "table",
-            "marks".
+        terms: the same per weighted term, by the names of `TERMS`.
         iterations: iterations done.
         reason: why it ended: "iterations", all of them; "tolerance", before; or "no points", "no
             visible vertex" or "not finite", in which cases the corrections are zero.
@@ -73,16 +105,16 @@ class CloudAligner:
     def __init__(self, mesh: ClothMesh, config: AlignmentConfig, *, device: str = "cpu") -> None:
         self._config, self._device = config, device
         load_kernels(device)
+        self._solver = config.minimizer
         self._vertices, self._edges = mesh.vertex_count, len(mesh.edges)
         self._spacing_m = float(mesh.edge_lengths.mean())
         ends = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
         lengths = np.concatenate([mesh.edge_lengths, mesh.edge_lengths])
         order = np.lexsort((ends[:, 1], ends[:, 0]))
         first = np.searchsorted(ends[order, 0], np.arange(self._vertices + 1))
-        self._topology = kernels.Topology()
-        self._topology.first = self._array(first, wp.int32)
-        self._topology.neighbour = self._array(ends[order, 1], wp.int32)
-        self._topology.rest_length = self._array(lengths[order], wp.float32)
+        self._first = self._array(first, wp.int32)
+        self._neighbor = self._array(ends[order, 1], wp.int32)
+        self._rest_length = self._array(lengths[order], wp.float32)
 
     def align(
         self,
@@ -116,11 +148,11 @@ class CloudAligner:
             return self._nothing(reason)
         if not (np.isfinite(positions).all() and np.isfinite(observation_points).all()):
             return self._nothing("not finite")
-        problem = self._problem(positions, observation_points, visible, trusted)
-        self._weigh(problem, table, rest_height_m)
-        self._mark(problem, marks)
-        solve = solve_adam if self._config.solver == "adam" else solve_icp
-        corrections, sums = solve(problem, self._config)
+        problem = self._problem(
+            positions, observation_points, visible, trusted,
+            table=table, rest_height_m=rest_height_m, marks=marks,
+        )  # fmt: skip
+        corrections, sums = self._solver.solve(problem)
         if not np.isfinite(corrections).all():
             return self._nothing("not finite")
         terms = problem.terms(sums)
@@ -129,7 +161,7 @@ class CloudAligner:
             losses=np.sum(list(terms.values()), axis=0),
             terms=terms,
             iterations=len(sums) - 1,
-            reason="iterations" if len(sums) > self._config.iterations else "tolerance",
+            reason="iterations" if len(sums) > self._solver.iterations else "tolerance",
         )
 
     def gradient(
@@ -148,9 +180,10 @@ class CloudAligner:
 
         The arguments are those of `align`; the matches are the ones at the displaced vertices.
         """
-        problem = self._problem(positions, observation_points, visible, trusted)
-        self._weigh(problem, table, rest_height_m)
-        self._mark(problem, marks)
+        problem = self._problem(
+            positions, observation_points, visible, trusted,
+            table=table, rest_height_m=rest_height_m, marks=marks,
+        )  # fmt: skip
         displaced = self._array(displacements.astype(np.float32), wp.vec3)
         moved = self._array(problem.initial.numpy() + displaced.numpy(), wp.vec3)
         problem.matcher.rebuild(moved)
@@ -173,55 +206,41 @@ class CloudAligner:
         points: np.ndarray,
         visible: np.ndarray,
         trusted: np.ndarray | None,
+        *,
+        table: Table | None,
+        rest_height_m: float,
+        marks: Marks | None,
     ) -> Problem:
+        config = self._config
         trusted = visible if trusted is None else trusted & visible
-        if self._config.two_way_weight == 0:
+        if config.two_way_weight == 0:
             trusted = np.zeros_like(visible)
-        # Single precision keeps micrometres only near the origin.
-        centre = positions.mean(axis=0, dtype=np.float64)
-        initial = self._array((positions - centre).astype(np.float32), wp.vec3)
-        cloud = self._array((points - centre).astype(np.float32), wp.vec3)
+        if config.marks_weight == 0.0:
+            marks = None
+        # Single precision keeps micrometers only near the origin.
+        center = positions.mean(axis=0, dtype=np.float64)
+        initial = self._array((positions - center).astype(np.float32), wp.vec3)
+        cloud = self._array((points - center).astype(np.float32), wp.vec3)
         matcher = Matcher(
             cloud, initial, visible, trusted, spacing_m=self._spacing_m, range_m=TWO_WAY_RANGE_M
         )
-        matches = kernels.Matches()
-        matches.cloud, matches.partner = cloud, matcher.partner
-        matches.pulled_count, matches.pulled_sum = matcher.pulled_count, matcher.pulled_sum
-        matches.wanted = wp.zeros(len(initial), dtype=wp.vec3, device=self._device)
-        matches.wanted_weight = wp.zeros(len(initial), dtype=wp.float32, device=self._device)
-        return Problem(centre, initial, matcher, matches, self._topology, len(points))
-
-    def _mark(self, problem: Problem, marks: Marks | None) -> None:
-        """Say where followed points want vertices."""
-        if marks is None or self._config.marks_weight == 0.0:
-            return
-        wanted = np.where(marks.weight[:, None] > 0.0, marks.wanted - problem.centre, 0.0)
-        problem.matches.wanted = self._array(wanted.astype(np.float32), wp.vec3)
-        problem.matches.wanted_weight = self._array(marks.weight.astype(np.float32), wp.float32)
-        problem.scales["marks"] = self._config.marks_weight / problem.point_count
-        problem.weights.marks = problem.scales["marks"]
-
-    def _weigh(self, problem: Problem, table: Table | None, rest_height_m: float) -> None:
-        """Say how much each term counts."""
-        config = self._config
-        problem.scales = {
-            "chamfer": config.chamfer_weight / problem.point_count,
-            "rigidity": config.rigidity_weight / self._edges,
-            "two_way": config.two_way_weight,
-            "length": config.length_weight / self._edges,
-            "table": TABLE_WEIGHT / self._vertices,
-            "marks": 0.0,
-        }
-        weights = kernels.Weights()
-        weights.data = problem.scales["chamfer"]
-        weights.rigidity = problem.scales["rigidity"]
-        weights.length = problem.scales["length"]
-        weights.tied = weights.rigidity + config.icp_damping * weights.length
-        weights.two_way = problem.scales["two_way"]
-        weights.marks = problem.scales["marks"]
-        weights.lowest = -1e6
+        scene = Scene()
+        scene.first, scene.neighbor = self._first, self._neighbor
+        scene.rest_length, scene.cloud = self._rest_length, cloud
+        scene.pulled_count, scene.pulled_sum = matcher.pulled_count, matcher.pulled_sum
+        scene.partner, scene.partner_count = matcher.partner, matcher.progress.partners
+        mark, mark_weight = np.zeros((self._vertices, 3)), np.zeros(self._vertices)
+        if marks is not None:
+            mark = np.where(marks.weight[:, None] > 0.0, marks.wanted - center, 0.0)
+            mark_weight = marks.weight
+        scene.mark = self._array(mark.astype(np.float32), wp.vec3)
+        scene.mark_weight = self._array(mark_weight.astype(np.float32), wp.float32)
+        scene.lowest = -1e6
         if table is not None:
-            weights.table = problem.scales["table"]
-            weights.table_normal = wp.vec3(*np.asarray(table.normal, float).tolist())
-            weights.lowest = rest_height_m + float((table.point - problem.centre) @ table.normal)
-        problem.weights = weights
+            scene.table_normal = wp.vec3(*np.asarray(table.normal, float).tolist())
+            scene.lowest = rest_height_m + float((table.point - center) @ table.normal)
+        sizes = Sizes(
+            len(points), self._vertices, self._edges, marks is not None, table is not None
+        )
+        scales = tuple(float(term.weight(config, sizes)) for term in TERMS)
+        return Problem(initial, matcher, scene, scales)
