@@ -28,9 +28,7 @@ CHAPTERS = {
         "Camera", "Table", "PickerPath", "ClothDescription", "ClothMesh", "observe",
         "ColorSegmenter", "read_color", "read_depth",
     ],
-    "Learn, flatten, simulate": [
-        "garment_template", "reconstruct", "label", "flatten", "simulate",
-    ],
+    "Learn": ["garment_template", "reconstruct", "label"],
     "Errors": [
         "ClothTrackError", "InvalidRecordingError", "InvalidMeshError", "InvalidResultError",
         "InvalidConfigError", "SimulationDivergedError", "StorageError",

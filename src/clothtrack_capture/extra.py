@@ -1,12 +1,6 @@
 """What reading other programs' files needs beyond tracking: the extra [capture]."""
 
-from importlib.util import find_spec
-
-from clothtrack.errors import InvalidConfigError
-from clothtrack.files.extras import install_command
-
-MODULES = ("lz4", "mcap", "rosbags", "zstandard")
-"""What the extra brings. Nothing is loaded to find out whether it is there."""
+from clothtrack.files.extras import require_extra
 
 
 def require_capture() -> None:
@@ -15,9 +9,4 @@ def require_capture() -> None:
     Raises:
         InvalidConfigError: with the command that installs it.
     """
-    missing = [name for name in MODULES if find_spec(name) is None]
-    if missing:
-        raise InvalidConfigError(
-            f"importing needs {', '.join(missing)}, which tracking does not; install with: "
-            f"{install_command('capture')}"
-        )
+    require_extra("capture", ("lz4", "mcap", "rosbags", "zstandard"), "importing")

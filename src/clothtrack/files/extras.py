@@ -4,11 +4,34 @@ The name clothtrack is on no registry, so that the command depends on where this
 """
 
 import importlib.metadata
+import importlib.util
 import json
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
+
+from clothtrack.errors import InvalidConfigError
+
+
+def require_extra(extra: str, modules: Sequence[str], work: str) -> None:
+    """Check that an extra is installed. Nothing is loaded to find out.
+
+    Args:
+        extra: its name in pyproject.toml.
+        modules: what it brings.
+        work: what needs it, to begin the message.
+
+    Raises:
+        InvalidConfigError: with the command that installs it.
+    """
+    missing = [name for name in modules if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InvalidConfigError(
+            f"{work} needs {', '.join(missing)}, which tracking does not; install with: "
+            f"{install_command(extra)}"
+        )
 
 
 def install_command(extra: str) -> str:

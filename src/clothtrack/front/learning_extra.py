@@ -1,8 +1,7 @@
 """What learning needs beyond tracking: the extra [learn]. Nothing is loaded to find out."""
 
-from clothtrack.errors import InvalidConfigError
-from clothtrack.files.extras import install_command
-from clothtrack.reconstruction.availability import EXTRA, missing_modules
+from clothtrack.files.extras import require_extra
+from clothtrack.reconstruction.availability import EXTRA
 
 
 def require_learning() -> None:
@@ -11,9 +10,4 @@ def require_learning() -> None:
     Raises:
         InvalidConfigError: with the command that installs it.
     """
-    missing = missing_modules(EXTRA)
-    if missing:
-        raise InvalidConfigError(
-            f"learning needs {', '.join(missing)}, which tracking does not; install with: "
-            f"{install_command('learn')}"
-        )
+    require_extra("learn", EXTRA, "learning")

@@ -22,6 +22,7 @@ from clothtrack.cli.options import (
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 from clothtrack.front.learning_extra import require_learning
+from clothtrack_lab.extra import require_lab
 
 if TYPE_CHECKING:
     from clothtrack.planning.flatten_config import FlattenConfig
@@ -105,6 +106,8 @@ def flatten(
         complain("--live shows one process; leave out --workers and --ray, or --live")
         return 2
     from clothtrack.report.flattening_page import watched_live
+
+    require_lab()
     from clothtrack_lab.flattening import episode_parts
     from clothtrack_lab.many_episodes import flatten_many
 
@@ -277,6 +280,7 @@ def improve(
         json: machine-readable.
     """
     require_learning()
+    require_lab()
     from clothtrack.files.settings import with_settings
     from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rounds
 
@@ -340,6 +344,7 @@ def _dry_run(
     output: Path, recording: Path, config: "FlattenConfig", *, device: str, seed: int
 ) -> int:
     """Plan one action for the last picture of a recording."""
+    require_lab()
     from clothtrack_lab.flattening import plan_flattening
 
     store = plan_flattening(recording, output, config, seed=seed, device=device)

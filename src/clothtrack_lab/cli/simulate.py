@@ -12,6 +12,7 @@ from clothtrack.cli.options import (
     Settings,
 )
 from clothtrack.cli.terminal import complain, progress, say_result
+from clothtrack_lab.extra import require_lab
 
 
 def simulate(
@@ -76,6 +77,7 @@ def simulate(
     count = 1 if trajectories is None else trajectories
     if actions is not None:
         settings = (f"actions={actions}", *settings)
+    require_lab()
     from clothtrack_lab.flattening import simulate as record
 
     folders = record(
@@ -107,6 +109,7 @@ def bench(
         ray: address of Ray, which is to do it.
         json: machine-readable.
     """
+    require_lab()
     from clothtrack_lab.world import bench as contents
     from clothtrack_lab.world import bench_generation as generation
 
