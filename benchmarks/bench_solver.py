@@ -26,8 +26,8 @@ from engines import PEERS, Engine, Ours
 from scipy.spatial import KDTree
 
 from clothtrack.files.extras import install_command
+from clothtrack.garments import garment, tshirt
 from clothtrack.geometry import ClothMesh, quiet_warp
-from clothtrack.simulation import garment, tshirt
 
 LAYER_GAP_M = 0.003
 LIFT_PER_STEP_M = 0.004

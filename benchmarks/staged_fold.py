@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clothtrack.garments import garment
 from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings import (
@@ -26,7 +27,6 @@ from clothtrack.simulation import (
     ClothSolver,
     HeldMotion,
     SolverConfig,
-    garment,
 )
 from clothtrack_lab.world import Scene, Sensor
 from clothtrack_lab.world.appearance import Appearance

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from clothtrack.garments import garment
 from clothtrack.geometry import Camera, ClothMesh
-from clothtrack.simulation import garment
 from real.picture_sheet import drawn_depth
 from real.topdown import (
     CAMERA_HEIGHT_M,

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.garments import towel
 from clothtrack.geometry import Camera, ClothMesh, VisibilityCheck, edge_strain, one_way
 from clothtrack.recordings import (
     ClothDescription,
@@ -25,7 +26,6 @@ from clothtrack.recordings import (
     RecordingWriter,
     Table,
 )
-from clothtrack.simulation import towel
 
 NAME = "robot-lift-fold-clouds"
 PICKER = "gripper"

@@ -6,9 +6,9 @@ import numpy as np
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation import Truth, material_map, material_points
+from clothtrack.garments import garment
 from clothtrack.geometry import ClothMesh
 from clothtrack.recordings import Recording
-from clothtrack.simulation import garment
 
 
 def resampled(recording: Recording, vertex_count: int) -> Recording:

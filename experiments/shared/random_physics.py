@@ -65,6 +65,7 @@ def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, float]]:
 
 def rolled_out(config: dict[str, Any], material: dict[str, float]) -> dict:
     """Lift, drag and drop a towel of 36 vertices; the worst of what must hold."""
+    from clothtrack.garments import towel
     from clothtrack.recordings import Table
     from clothtrack.simulation import (
         ClothDynamics,
@@ -72,7 +73,6 @@ def rolled_out(config: dict[str, Any], material: dict[str, float]) -> dict:
         ClothSolver,
         HeldMotion,
         SolverConfig,
-        towel,
     )
 
     flat = towel(0.1, 0.1, 0.02)

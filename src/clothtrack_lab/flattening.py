@@ -7,6 +7,7 @@ from pathlib import Path
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
 from clothtrack.files.settings import with_settings
+from clothtrack.garments.garment_meshes import GarmentKind
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
@@ -16,7 +17,6 @@ from clothtrack.planning.robots.dry_run import DryRunRobot, pictures_of
 from clothtrack.planning.robots.robot import MotionLimits
 from clothtrack.planning.seen import seen_area
 from clothtrack.recordings.store import read_recording
-from clothtrack.simulation.garments import GarmentKind
 from clothtrack_lab.baselines.flattening_policies import POLICIES
 from clothtrack_lab.world.bench import vary
 from clothtrack_lab.world.episodes import SMALL_WORLD, EpisodeConfig

@@ -9,11 +9,11 @@ from typing import Any
 from clothtrack.files.many_items import attempts, results_of
 from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress, one_of
+from clothtrack.garments.garment_meshes import GarmentKind
 from clothtrack.planning.episode_store import DOCUMENT, EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig
 from clothtrack.planning.flattening import Watch, improvement
 from clothtrack.report.flattening_page import write_flattening_report
-from clothtrack.simulation.garments import GarmentKind
 from clothtrack_lab.flattening import flatten
 from clothtrack_lab.world.simulated_episodes import EpisodeParts, SimulatedEpisode
 

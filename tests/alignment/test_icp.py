@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clothtrack.alignment.aligner import AlignmentConfig, CloudAligner, Marks
-from clothtrack.simulation.garments import towel
+from clothtrack.garments.garment_meshes import towel
 
 ICP = AlignmentConfig(solver="icp", iterations=12, icp_momentum=0.4)
 RADIUS = 0.07

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from clothtrack.alignment.silhouette import silhouette_gap, slide_to_outline
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.sampling import sample_surface
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import towel
 
 WIDTH_M = 0.2
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))

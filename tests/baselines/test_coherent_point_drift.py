@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clothtrack.simulation.garments import towel
+from clothtrack.garments.garment_meshes import towel
 from clothtrack_lab.baselines.coherent_point_drift import EdgeLengths, PeerConfig, drifted
 
 

@@ -10,12 +10,12 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.simulation.garments import garment
 from clothtrack_capture.picker_detection import (
     find_picker,
     keep_picker,

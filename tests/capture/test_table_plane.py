@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.table_plane import fit_plane, sight_lines, world_from_table
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.recorded_table import fit_recorded_table, moved_along
 from clothtrack.recordings.recording import ClothDescription, PickerPath
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.simulation.garments import garment
 from clothtrack_lab.world.appearance import Appearance
 from clothtrack_lab.world.scene import Scene
 from clothtrack_lab.world.sensor import Sensor

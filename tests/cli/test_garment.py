@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from clothtrack.cli import command_line as cli
+from clothtrack.garments.outlines import ShirtOutline
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.template_file import read_template
-from clothtrack.simulation.outlines import ShirtOutline
 
 
 def picture(path, *, sixteen=False):

@@ -13,12 +13,12 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 from clothtrack.evaluation.label_review import LabelReview, review_path
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.mesh_file import write_mesh
 from clothtrack.recordings.recording import ClothDescription
 from clothtrack.recordings.store import RecordingWriter
-from clothtrack.simulation.garments import garment
 from clothtrack.tracking.tracked_trajectory import (
     Calibration,
     StepRecords,

@@ -10,9 +10,9 @@ import pytest
 import clothtrack as ct
 import clothtrack_lab as lab
 from clothtrack.cli.command_line import main
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
-from clothtrack.simulation.garments import garment
 
 
 @pytest.fixture(scope="module")

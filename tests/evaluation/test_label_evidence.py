@@ -18,11 +18,11 @@ from clothtrack.evaluation.label_evidence import (
     cloud_gap_m,
     label_evidence,
 )
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.simulation.garments import towel
 
 HEIGHT_M = 0.6
 DOWN = np.diag([1.0, -1.0, -1.0, 1.0])

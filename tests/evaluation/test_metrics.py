@@ -13,8 +13,8 @@ from clothtrack.evaluation.metrics import (
     root_mean_square_mm,
     vertex_error_mm,
 )
+from clothtrack.garments.garment_meshes import towel, tshirt
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import towel, tshirt
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 

@@ -5,8 +5,8 @@ import pytest
 
 from clothtrack.evaluation.naming import true_places
 from clothtrack.evaluation.truth import Truth, material_points
+from clothtrack.garments.garment_meshes import garment, towel
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import garment, towel
 from clothtrack.tracking.tracked_trajectory import StepRecords, TrackedTrajectory
 
 OBLONG, SQUARE = (0.24, 0.16), (0.2, 0.2)

@@ -15,11 +15,11 @@ from clothtrack.evaluation.results import (
     table,
 )
 from clothtrack.evaluation.truth import Truth
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.recording import Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.simulation.garments import towel
 from clothtrack.tracking.configuration import MODES, mode
 from clothtrack.tracking.pipeline import RunConfig
 from clothtrack.tracking.tracked_trajectory import (

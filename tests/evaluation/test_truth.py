@@ -5,7 +5,7 @@ import pytest
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.truth import Truth, material_map, material_points
-from clothtrack.simulation.garments import towel, tshirt
+from clothtrack.garments.garment_meshes import towel, tshirt
 
 
 @pytest.mark.parametrize("sewn", [towel(0.2, 0.3, 0.02), tshirt(spacing_m=0.025)])

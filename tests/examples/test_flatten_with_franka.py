@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clothtrack.garments import towel
 from clothtrack.planning import Estimate
 from clothtrack.recordings import read_color, read_depth, read_recording
-from clothtrack.simulation import towel
 from clothtrack_capture import CapturedFrame
 from clothtrack_lab.world import SMALL_WORLD, simulate
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from shared.bench_measures import finite, swapped_layers, without_slip
 
+from clothtrack.garments import towel
 from clothtrack.geometry import ClothMesh
-from clothtrack.simulation import towel
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from shared.first_meshes import resampled, with_first_mesh_error
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation import Truth
+from clothtrack.garments import garment
 from clothtrack.recordings import ClothDescription, Recording
-from clothtrack.simulation import garment
 
 SIZE = (0.2, 0.3)
 

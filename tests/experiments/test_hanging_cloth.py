@@ -13,8 +13,8 @@ from real.hanging_learning import HangingFrames
 from real.pattern import PatternConfig, Unwrapper, pattern_drift
 from real.upright import WORLD_FROM_CAMERA, level_camera, upright
 
+from clothtrack.garments import towel
 from clothtrack.recordings import observe, read_recording
-from clothtrack.simulation import towel
 
 SIDE, WIDTH_M, DEPTH_M, FRAMES = 9, 0.4, 1.0, 3
 COUNT = SIDE * SIDE

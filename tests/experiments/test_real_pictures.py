@@ -11,9 +11,9 @@ import pytest
 from real import drawn_topdown, real_pictures, topdown
 from real.picture_scores import assigned, moved_in, silhouette_iou, sticker_places
 
+from clothtrack.garments import garment
 from clothtrack.reconstruction import NetworkMesh, Reconstruction
 from clothtrack.reconstruction.template_fit import SeenPoints
-from clothtrack.simulation import garment
 
 REAL = os.environ.get("CLOTHTRACK_TOPDOWN_REAL")
 KEYS = {

@@ -10,11 +10,11 @@ pytest.importorskip("torch", reason="the extra [learn] brings it")
 
 from tables import pack_states, train_pieces
 
+from clothtrack.garments import garment
 from clothtrack.reconstruction import write_states
 from clothtrack.reconstruction.data.state_store import StateShard
 from clothtrack.reconstruction.tokens.packed_states import read_pack
 from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
-from clothtrack.simulation import garment
 
 
 def states_of(folder, kind, count=3):

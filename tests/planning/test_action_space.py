@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.action_space import (
     PICTURE_MARGIN,
@@ -20,7 +21,6 @@ from clothtrack.planning.action_space import (
     pick_weights,
     sample_actions,
 )
-from clothtrack.simulation.garments import towel
 
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 POSE[2, 3] = 0.8

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
-from clothtrack.simulation.garments import garment
 
 
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])

@@ -9,6 +9,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.truth import Truth
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.planning.action_space import Workspace
@@ -22,7 +23,6 @@ from clothtrack.planning.seen import seen_area, table_pixel_areas
 from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
-from clothtrack.simulation.garments import towel
 from clothtrack_lab.baselines.flattening_policies import POLICIES
 from clothtrack_lab.world.episodes import SMALL_WORLD
 from clothtrack_lab.world.simulated_episodes import (

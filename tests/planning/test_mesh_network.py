@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.simulation.garments import towel
+from clothtrack.garments.garment_meshes import towel
 from clothtrack_lab.graph_dynamics.mesh_dynamics import springs_of
 from clothtrack_lab.graph_dynamics.mesh_network import (
     MeshNetwork,

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.planning_dynamics import MotionConfig, PlannedCloth, PlanningDynamics
 from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.simulation.garments import towel
 from clothtrack_lab.graph_dynamics.mesh_dynamics import (
     MeshDynamics,
     MeshDynamicsConfig,

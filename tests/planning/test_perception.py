@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.visibility import Rasteriser
@@ -22,7 +23,6 @@ from clothtrack.planning.robots.robot import Execution, RgbdFrame
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.template_file import write_template
-from clothtrack.simulation.garments import towel
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])

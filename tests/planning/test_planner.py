@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.action_space import SeenCloth
 from clothtrack.planning.planner import Hypothesis, Planner, PlannerConfig
 from clothtrack.planning.planning_dynamics import PlannedCloth, SimulatorDynamics
-from clothtrack.simulation.garments import towel
 
 FLAT = towel(0.2, 0.2, 0.02)
 LYING = FLAT.vertices + [0.0, 0.0, 0.0015]

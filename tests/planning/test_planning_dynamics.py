@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.planning_dynamics import (
@@ -13,7 +14,6 @@ from clothtrack.planning.planning_dynamics import (
     SimulatorDynamics,
     held_vertex,
 )
-from clothtrack.simulation.garments import towel
 
 FLAT = towel(0.2, 0.2, 0.025)
 LYING = PlannedCloth(FLAT, FLAT.vertices + [0.0, 0.0, 0.0015])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.reward import coverage
-from clothtrack.simulation.garments import towel
 
 FLAT = towel(0.2, 0.1, 0.01)
 

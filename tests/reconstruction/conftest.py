@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import closest_on_triangle
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser, visible_vertices
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.dynamics import ClothDynamics, HeldMotion
-from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.alignment_frame import TURNED_OVER, align
-from clothtrack.simulation.garments import garment
 
 
 def turn(degrees):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.data import batch_view
@@ -29,7 +30,6 @@ from clothtrack.reconstruction.data.state_examples import render
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
 from clothtrack.recordings.camera_view import flying_pixels
-from clothtrack.simulation.garments import garment
 
 NETWORK = TokenNetworkConfig()
 EXACT = SensorConfig.perfect()

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.canonical_frame import (
     LARGEST_SIZE_M,
     canonical_frame,
@@ -9,7 +10,6 @@ from clothtrack.reconstruction.canonical_frame import (
     conventional,
     symmetries,
 )
-from clothtrack.simulation.garments import garment
 from clothtrack_lab.world.bench import Ranges
 
 KINDS = tuple(LARGEST_SIZE_M)

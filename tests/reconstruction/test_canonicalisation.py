@@ -5,6 +5,7 @@ import pytest
 import torch
 from torch.nn import functional
 
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.canonical_frame import canonical_frame, symmetries
 from clothtrack.reconstruction.data.view import cloth_pixels, view_camera
@@ -17,7 +18,6 @@ from clothtrack.reconstruction.networks.canonicalisation import (
     symmetry_losses,
 )
 from clothtrack.reconstruction.networks.network_config import preset
-from clothtrack.simulation.garments import garment
 
 SMALL = preset("small")
 TINY_REFERENCE = replace(preset("reference"), image_size=32)

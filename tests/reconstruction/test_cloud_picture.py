@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.garments import towel
 from clothtrack.geometry import Camera
 from clothtrack.reconstruction.data.cloud_picture import (
     COARSEST_M,
@@ -16,7 +17,6 @@ from clothtrack.reconstruction.data.cloud_picture import (
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture, projected_faces
 from clothtrack.reconstruction.depth_input import from_cloud, from_recording
 from clothtrack.recordings import ClothDescription, RecordingWriter, Table, read_recording
-from clothtrack.simulation import towel
 
 SIDE_M = 0.2
 STEP_M = 0.003

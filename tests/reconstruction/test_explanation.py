@@ -5,6 +5,7 @@ import pytest
 import seen_above as above
 from scipy.stats import spearmanr
 
+from clothtrack.garments.garment_meshes import garment, towel
 from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.explanation import (
     BENDING,
@@ -18,7 +19,6 @@ from clothtrack.reconstruction.explanation import (
 )
 from clothtrack.reconstruction.seen_cloth import SeenCloth
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
-from clothtrack.simulation.garments import garment, towel
 
 WIDTH_M, LENGTH_M = 0.4, 0.3
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidMeshError, InvalidRecordingError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.flat_fit import flat_fit
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import ClothDescription, Recording, Table
 from clothtrack.recordings.template_file import write_template
-from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking.initial_state import FLAT_MISFIT_M
 

@@ -5,14 +5,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import garment, shirt
+from clothtrack.garments.outlines import ShirtOutline
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.folding import NEAT, NeatFolds
 from clothtrack.reconstruction.data.layers import Layers, Line, axes_of
 from clothtrack.reconstruction.data.wrinkles import wrinkled
-from clothtrack.simulation.garments import garment, shirt
-from clothtrack.simulation.outlines import ShirtOutline
 
 THIN_M = 0.001
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from clothtrack.cli import command_line as cli
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.quality import crossings
 from clothtrack.geometry.visibility import Rasteriser
@@ -23,7 +24,6 @@ from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.reconstruction.template_fit import SeenPoints
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import garment
 from clothtrack_lab.world.episodes import SMALL_WORLD
 from clothtrack_lab.world.filming import simulate
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_examples import render
@@ -23,7 +24,6 @@ from clothtrack.reconstruction.tokens.token_learning import (
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenExample, TokenStage, collate_tokens
 from clothtrack.reconstruction.training.checkpoint import Weights
-from clothtrack.simulation.garments import garment
 
 SMALL = TokenNetworkConfig(width=16, layers=1, hypotheses=1)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import seen_above as above
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.reconstruction.layer_order import LayerOrder
-from clothtrack.simulation.garments import towel
 
 GAP_M = 0.002
 

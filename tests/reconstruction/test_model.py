@@ -5,12 +5,12 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
 from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.networks.network_config import preset
-from clothtrack.simulation.garments import garment
 
 SMALL = preset("small")
 

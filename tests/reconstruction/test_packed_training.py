@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.state_store import (
     StateShard,
     open_states,
@@ -28,7 +29,6 @@ from clothtrack.reconstruction.training.pieces import MANIFEST, join_pieces, wri
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_log import read_scalars
-from clothtrack.simulation.garments import garment
 
 TINY = TokenNetworkConfig(width=16, layers=1)
 FILES = ("progress.pt", "best.safetensors", "model.safetensors", "scalars.jsonl")

@@ -13,6 +13,7 @@ from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
 from clothtrack.evaluation.label_review import LabelReview
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.data.examples import ExampleConfig, LabelledPicture
@@ -29,7 +30,6 @@ from clothtrack.reconstruction.data.winding import WindingConfig
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.recordings.recording import ClothDescription
 from clothtrack.recordings.store import RecordingWriter, read_recording
-from clothtrack.simulation.garments import garment
 from clothtrack.tracking.tracked_trajectory import (
     Calibration,
     StepRecords,

@@ -7,6 +7,7 @@ import pytest
 
 from clothtrack.alignment.aligner import AlignmentConfig
 from clothtrack.errors import InvalidConfigError, InvalidMeshError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
@@ -19,7 +20,6 @@ from clothtrack.reconstruction.refinement import (
 from clothtrack.reconstruction.template_fit import SeenPoints
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import garment
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])

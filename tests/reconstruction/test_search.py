@@ -5,6 +5,7 @@ import pytest
 import seen_above as above
 import torch
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.cuts import KnownGarment, cuts
 from clothtrack.reconstruction.explanation import OUTLINE, Explanation
@@ -12,7 +13,6 @@ from clothtrack.reconstruction.model_loading import load_model
 from clothtrack.reconstruction.search import ENOUGH, TURNS_DEG, Choice, Search, Try
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
-from clothtrack.simulation.garments import towel
 
 SIZE_M = (0.4, 0.3)
 

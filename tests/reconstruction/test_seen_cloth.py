@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import seen_above as above
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.seen_cloth import CLOSED_PIXELS, SeenCloth
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
-from clothtrack.simulation.garments import towel
 
 TOP_M = 0.01
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import towel, tshirt
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.networks.simplification import (
     compact,
@@ -8,7 +9,6 @@ from clothtrack.reconstruction.networks.simplification import (
     without_pinches,
     without_short_edges,
 )
-from clothtrack.simulation.garments import towel, tshirt
 
 
 def characteristic(faces):

@@ -6,12 +6,12 @@ import torch
 
 from clothtrack.cli.command_line import main
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
 from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.reconstruction.training.training_run import PROGRESS
-from clothtrack.simulation.garments import garment
 
 CONFIG = {
     "decay": "stable", "batch_size": 4, "low_rate": 1e-6, "high_rate": 3e-2, "rise_examples": 80,

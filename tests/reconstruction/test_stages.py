@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.canonical_frame import canonical_frame
 from clothtrack.reconstruction.data.examples import ExampleConfig, collate
 from clothtrack.reconstruction.data.render_config import RenderConfig
@@ -24,7 +25,6 @@ from clothtrack.reconstruction.stages import (
 from clothtrack.reconstruction.training.batches import Subset
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
-from clothtrack.simulation.garments import garment
 
 TINY = NetworkConfig(
     image_size=64,

@@ -8,6 +8,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.examples import ExampleConfig, Garment, collate, draw_example
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
@@ -17,7 +18,6 @@ from clothtrack.reconstruction.data.view import crop
 from clothtrack.reconstruction.data.winding import WindingConfig, winding_numbers
 from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.training.batches import loader
-from clothtrack.simulation.garments import garment
 
 NETWORK = NetworkConfig()
 EXACT = SensorConfig.perfect()

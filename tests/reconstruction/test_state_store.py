@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidResultError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.state_store import (
     VERSION,
@@ -21,7 +22,6 @@ from clothtrack.reconstruction.data.state_store import (
     write_shard,
     write_states,
 )
-from clothtrack.simulation.garments import garment
 
 
 def make(kind: str = "towel", states: int = 4) -> StateShard:

@@ -17,6 +17,7 @@ import pytest
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, SimulationDivergedError
 from clothtrack.files.atomic_write import hidden_name
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data import states
@@ -34,7 +35,6 @@ from clothtrack.reconstruction.data.states import (
     generate_states,
     make_shard,
 )
-from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 
 CRUMPLING = CrumplingConfig(states=2, rest_limit_s=0.3)

@@ -6,11 +6,11 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.sampling import sample_surface
 from clothtrack.reconstruction.canonical_frame import canonical_frame
 from clothtrack.reconstruction.networks.network_config import preset
 from clothtrack.reconstruction.networks.surface import extract_surface, field_grid
-from clothtrack.simulation.garments import garment
 
 igl = pytest.importorskip("igl")
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import garment, towel
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.canonical_frame import canonical_frame
 from clothtrack.reconstruction.data.view import points_of
@@ -15,7 +16,6 @@ from clothtrack.reconstruction.template_fit import (
     template_of,
 )
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import garment, towel
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 UNPULLED = TemplateFitConfig(pulls=0)

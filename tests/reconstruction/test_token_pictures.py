@@ -10,6 +10,7 @@ import torch
 from scipy.stats import ks_2samp
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_examples import render
@@ -27,7 +28,6 @@ from clothtrack.reconstruction.tokens.token_examples import token_example
 from clothtrack.reconstruction.tokens.token_network import EMPTY, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_pictures import PIXELS, TokenPictures
 from clothtrack.reconstruction.tokens.token_stage import TokenBatch, collate_tokens
-from clothtrack.simulation.garments import garment
 
 NETWORK = TokenNetworkConfig()
 EXACT = SensorConfig.perfect()

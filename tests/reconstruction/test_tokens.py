@@ -8,6 +8,9 @@ import pytest
 import torch
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.garments.garment_meshes import garment, one_layer, shirt, trousers
+from clothtrack.garments.outlines import ShirtOutline, TrousersOutline, draw_sweater
+from clothtrack.garments.triangulation import Span
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import published_weights
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
@@ -45,9 +48,6 @@ from clothtrack.reconstruction.tokens.token_training import pretrain_tokens
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import garment, one_layer, shirt, trousers
-from clothtrack.simulation.outlines import ShirtOutline, TrousersOutline, draw_sweater
-from clothtrack.simulation.triangulation import Span
 
 TINY = TokenNetworkConfig(width=16, layers=1)
 PERFECT = SensorConfig.perfect()

@@ -9,6 +9,8 @@ import torch
 
 import clothtrack as ct
 from clothtrack.cli import command_line as cli
+from clothtrack.garments.garment_meshes import trousers
+from clothtrack.garments.outlines import TrousersOutline
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.availability import shipped_weights
@@ -18,8 +20,6 @@ from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNe
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.recordings import ClothDescription, RecordingWriter, Table
 from clothtrack.recordings.template_file import write_template
-from clothtrack.simulation.garments import trousers
-from clothtrack.simulation.outlines import TrousersOutline
 
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
 POSE[2, 3] = 1.0

@@ -12,6 +12,7 @@ import torch
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.front import learning_extra as learning
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.examples import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
@@ -22,7 +23,6 @@ from clothtrack.reconstruction.networks.network_config import PRESETS, TINY_NETW
 from clothtrack.reconstruction.training.checkpoint import load_weights, save_weights
 from clothtrack.reconstruction.training.training_config import STAGES
 from clothtrack.reconstruction.two_stages import network_of
-from clothtrack.simulation.garments import garment
 
 FEW = [
     "canonicalisation.epochs=2",

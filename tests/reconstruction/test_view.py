@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of, view_camera
 from clothtrack.reconstruction.networks.network_config import preset
-from clothtrack.simulation.garments import towel
 
 CONFIG = preset("small")
 

@@ -5,12 +5,12 @@ import pytest
 import trimesh
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.winding import (
     WindingConfig,
     winding_numbers,
     winding_pool,
 )
-from clothtrack.simulation.garments import garment
 
 
 def solid_angle_sum(vertices, faces, points):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidMeshError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.recordings.mesh_file import (
     MESH_SUFFIXES,
     read_mesh,
     read_vertex_errors,
     write_mesh,
 )
-from clothtrack.simulation.garments import garment
 
 TOWEL = garment("towel", vertex_count=60, size_m=(0.2, 0.2))
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.report.layers import Layers
-from clothtrack.simulation.garments import garment
 
 TOWEL = garment("towel", vertex_count=400, size_m=(0.3, 0.3))
 UP = np.array([0.0, 0.0, 1.0])

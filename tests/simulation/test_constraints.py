@@ -1,8 +1,8 @@
 import numpy as np
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.constraints import bend_constraints, stretch_constraints
-from clothtrack.simulation.garments import towel
 
 
 def test_no_two_pairs_of_one_colour_share_a_vertex():

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from clothtrack.simulation.garments import tshirt
+from clothtrack.garments.garment_meshes import tshirt
+from clothtrack.simulation.contact.triangle_contact import GatheredPush
 from clothtrack.simulation.parameters import ClothParameters
 from clothtrack.simulation.solver import ClothSolver
-from clothtrack.simulation.triangle_contact import GatheredPush
 
 SHIRT = tshirt(0.15, 0.13, 0.012)
 MATERIALS = [ClothParameters(particle_friction=friction) for friction in (0.2, 0.5)]

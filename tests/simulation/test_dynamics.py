@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.simulation.dynamics import (
     ClothDynamics,
     DynamicsConfig,
     HeldMotion,
     PickerAction,
 )
-from clothtrack.simulation.garments import towel
 from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, pull_rate, pull_strength

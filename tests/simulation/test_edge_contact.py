@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import tshirt
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import tshirt
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 

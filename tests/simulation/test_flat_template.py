@@ -6,16 +6,16 @@ import pytest
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
-from clothtrack.simulation.flat_template import make_template
-from clothtrack.simulation.outlines import (
+from clothtrack.garments.flat_template import make_template
+from clothtrack.garments.outlines import (
     ShirtOutline,
     TrousersOutline,
     draw_shirt,
     draw_trousers,
 )
-from clothtrack.simulation.silhouettes import signed_area, silhouette
+from clothtrack.garments.silhouettes import signed_area, silhouette
+from clothtrack.garments.triangulation import Span
 from clothtrack.simulation.solver import ClothSolver
-from clothtrack.simulation.triangulation import Span
 
 HEIGHT, WIDTH = 480, 640
 MIDDLE = np.array([WIDTH / 2, HEIGHT / 2])

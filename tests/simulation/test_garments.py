@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import garment, shirt, towel, tshirt
+from clothtrack.garments.outlines import ShirtOutline, draw_robe, draw_shirt, draw_sweater
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import garment, shirt, towel, tshirt
-from clothtrack.simulation.outlines import ShirtOutline, draw_robe, draw_shirt, draw_sweater
 
 
 def boundary_loops(faces: np.ndarray) -> int:

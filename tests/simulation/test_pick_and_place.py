@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import towel, tshirt
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import towel, tshirt
 from clothtrack.simulation.pick_and_place import (
     ActionConfig,
     carrying_path,

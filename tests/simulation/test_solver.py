@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import towel
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from clothtrack.simulation.garments import towel
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clothtrack.simulation.triangulation import (
+from clothtrack.garments.triangulation import (
     Span,
     distance_to_polyline,
     inside,

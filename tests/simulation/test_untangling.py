@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments import tshirt
 from clothtrack.geometry import ClothMesh, crossings
 from clothtrack.geometry.intersections import SelfIntersection
 from clothtrack.recordings import Table
-from clothtrack.simulation import tshirt, untangled
+from clothtrack.simulation import untangled
 from clothtrack.simulation.untangling import Untangler
 
 SIDE, COUNT = 0.3, 16

@@ -12,12 +12,12 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction import availability
 from clothtrack.recordings.point_cloud import observe
 from clothtrack.recordings.recording import Recording, Table
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack.tracking import initial_state
 from clothtrack.tracking.configuration import InitialStateConfig, RunConfig

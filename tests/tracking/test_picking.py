@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import towel
 from clothtrack.tracking.picking import layers_under
 
 GAP_M = 0.004

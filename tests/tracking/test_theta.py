@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clothtrack.simulation import towel
+from clothtrack.garments import towel
 from clothtrack.simulation.constraints import bend_constraints
 from clothtrack.tracking import RunConfig
 from clothtrack.tracking.theta import BEND_SPACING_M

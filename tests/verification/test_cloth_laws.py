@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments import towel
 from clothtrack.geometry import ClothMesh
 from clothtrack.recordings import Table
 from clothtrack.simulation import (
@@ -12,7 +13,6 @@ from clothtrack.simulation import (
     ClothSolver,
     HeldMotion,
     SolverConfig,
-    towel,
 )
 
 FLOOR = Table(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]))

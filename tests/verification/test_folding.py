@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from clothtrack.garments import garment
 from clothtrack.geometry import crossings
 from clothtrack.recordings import Table
 from clothtrack.simulation import (
@@ -12,7 +13,6 @@ from clothtrack.simulation import (
     ClothSolver,
     HeldMotion,
     SolverConfig,
-    garment,
 )
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))

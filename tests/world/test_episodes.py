@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import trousers
+from clothtrack.garments.outlines import TrousersOutline
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.template_file import write_template
-from clothtrack.simulation.garments import trousers
-from clothtrack.simulation.outlines import TrousersOutline
 from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack_lab.world.episodes import PICKER, SMALL_WORLD, TemplateConfig
 from clothtrack_lab.world.filming import simulate

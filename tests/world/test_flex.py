@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.simulation.garments import garment, towel
+from clothtrack.garments.garment_meshes import garment, towel
 from clothtrack_lab.world.flex import CONTACT_RADIUS_M, TIME_STEP_S, Fabric, FlexWorld
 
 

@@ -11,11 +11,11 @@ pytest.importorskip("torch", reason="the extra [learn] brings it")
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_worth import LabelWorth, better_than_network, every_label
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction import model_loading
 from clothtrack.reconstruction.data.examples import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
-from clothtrack.simulation.garments import garment
 from clothtrack.tracking.pipeline import Outcome
 from clothtrack_lab.world import round_labels
 from clothtrack_lab.world.round_labels import (

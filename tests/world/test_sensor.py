@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from clothtrack.garments.garment_meshes import towel
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
-from clothtrack.simulation.garments import towel
 from clothtrack_lab.world.appearance import CLOTH_COLORS, Appearance
 from clothtrack_lab.world.scene import CLOTH, TABLE, TOOL, Scene
 from clothtrack_lab.world.sensor import Sensor, top_down_camera

@@ -8,9 +8,9 @@ import numpy as np
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import write_file
+from clothtrack.garments.flat_template import FlatTemplate, TemplateKind, make_template
 from clothtrack.recordings.pictures import encode_png, read_header
 from clothtrack.recordings.template_file import require_template_format, write_template
-from clothtrack.simulation.flat_template import FlatTemplate, TemplateKind, make_template
 
 
 def garment_template(

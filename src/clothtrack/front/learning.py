@@ -14,10 +14,10 @@ from clothtrack.evaluation.label_selection import pseudo_labels_of
 from clothtrack.front.learning_extra import require_learning
 from clothtrack.front.look import review_of
 from clothtrack.front.run import Run, recording_of
+from clothtrack.garments.garment_meshes import ClothKind
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import read_template
-from clothtrack.simulation.garments import ClothKind
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.depth_input import DepthInput

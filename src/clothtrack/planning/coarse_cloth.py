@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from clothtrack.files.bounds import Bounds, Checked, Positive
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, garment
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
 
 LAYERS = {"towel": 1.0, "tshirt": 1.2}
 """Area of all layers of a garment over width times length, about."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
 from clothtrack.files.progress import Progress
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, garment
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace, SeenCloth
 from clothtrack.planning.episode_store import EpisodeStore, write_step
@@ -26,7 +27,6 @@ from clothtrack.planning.robots.robot import Execution, PickPlaceRobot
 from clothtrack.planning.seen import seen_area, seen_cloth
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import read_recording
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
 
 logger = logging.getLogger(__name__)
 

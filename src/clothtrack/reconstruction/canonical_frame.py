@@ -15,7 +15,7 @@ MARGIN_M = 0.1
 """Added to the longest edge of the category's box [m], as the published models do."""
 
 INFLATION = 0.12
-"""Half depth of a T-shirt's canonical pose over its width (`simulation.garments.tshirt`)."""
+"""Half depth of a T-shirt's canonical pose over its width (`garments.garment_meshes.tshirt`)."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def check_canonical(canonical: Float[np.ndarray, "vertices 3"], kind: str) -> No
     if kind not in SHEETS and extent[2] < _LEAST_INFLATION * extent[0]:
         raise InvalidConfigError(
             f"the layers of the {kind}'s canonical pose are {1e3 * extent[2]:.0f} mm apart, so "
-            "that front and back are one place; inflate it as simulation.garments.tshirt does"
+            "that front and back are one place; inflate it as garments.garment_meshes.tshirt does"
         )
 
 

@@ -6,11 +6,11 @@ from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
+from clothtrack.garments.garment_meshes import garment, shirt, trousers
+from clothtrack.garments.outlines import ShirtOutline, TrousersOutline
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.isometric_fit import IsometricFit
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
-from clothtrack.simulation.garments import garment, shirt, trousers
-from clothtrack.simulation.outlines import ShirtOutline, TrousersOutline
 
 TOWEL_ASPECTS = (1.0, 0.75, 0.55)
 """Shorter over longer side of towels from which a search begins."""

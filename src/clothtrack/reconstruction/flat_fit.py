@@ -18,11 +18,11 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidMeshError, InvalidRecordingError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
 from clothtrack.recordings.template_file import read_template
-from clothtrack.simulation.garments import garment
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
 FITTED_KINDS = ("towel", "tshirt")

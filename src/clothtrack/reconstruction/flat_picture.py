@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.files.extras import install_command
+from clothtrack.garments.silhouettes import Silhouette, silhouette
 from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction.availability import missing_modules
 from clothtrack.recordings.pictures import GREY, read_color, read_depth, read_header, read_mask
@@ -21,7 +22,6 @@ from clothtrack.recordings.segmentation import (
     main_components,
 )
 from clothtrack.recordings.store import read_recording
-from clothtrack.simulation.silhouettes import Silhouette, silhouette
 
 FLATTEST_M = 0.05
 """A garment with a twentieth of its pixels higher above the table than this [m] is not flat."""

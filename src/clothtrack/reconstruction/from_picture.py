@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
@@ -26,7 +27,6 @@ from clothtrack.reconstruction.template_fit import TemplateFitConfig
 from clothtrack.reconstruction.trust import agreement_of, distrust
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import garment
 from clothtrack.simulation.untangling import Untangling, untangled
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from clothtrack.files.atomic_write import atomic_file
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M
 from clothtrack.reconstruction.training.checkpoint import Weights
 from clothtrack.reconstruction.training.training_config import STAGES
-from clothtrack.simulation.garments import DEFAULT_SIZES_M
 
 CARD = "model_card.md"
 PACKAGES = ("torch", "numpy", "libigl", "safetensors", "warp-lang")

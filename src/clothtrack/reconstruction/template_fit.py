@@ -15,13 +15,13 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, garment
 from clothtrack.geometry.camera import about_vertical
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import align
 from clothtrack.reconstruction.canonical_frame import CanonicalFrame
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, garment
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from clothtrack.garments.flat_template import FlatTemplate
 from clothtrack.report.lettering import caption, text_width, write
 from clothtrack.report.palette import HIDDEN, INK, OUTSIDE, PAPER, PICKER_CLOSED, rgb255
-from clothtrack.simulation.flat_template import FlatTemplate
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 

@@ -1,4 +1,4 @@
-"""dyn(x, a): position-based cloth on Warp, the picker and procedural garments."""
+"""dyn(x, a): position-based cloth on Warp, and the picker."""
 
 from typing import TYPE_CHECKING
 
@@ -6,7 +6,6 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.simulation.dynamics import ClothDynamics, RollOut
-    from clothtrack.simulation.garments import garment, towel, tshirt
     from clothtrack.simulation.parameters import ClothParameters, SolverConfig
     from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, plan_action
     from clothtrack.simulation.picker import grasp_vertices
@@ -30,10 +29,7 @@ __all__ = [
     "RollOut",
     "SolverConfig",
     "Untangling",
-    "garment",
     "grasp_vertices",
     "plan_action",
-    "towel",
-    "tshirt",
     "untangled",
 ]

@@ -18,10 +18,10 @@ from clothtrack.simulation.constraints import (
     bend_constraints,
     stretch_constraints,
 )
-from clothtrack.simulation.contacts import Contact, NoContact
+from clothtrack.simulation.contact.models import Contact, NoContact
+from clothtrack.simulation.contact.triangle_contact import TriangleContact
 from clothtrack.simulation.parameters import ELASTIC_SUBSTEPS, ClothParameters, SolverConfig
 from clothtrack.simulation.state import Attachment, ClothState, ContactMemory, pull_rate
-from clothtrack.simulation.triangle_contact import TriangleContact
 
 logger = logging.getLogger(__name__)
 

@@ -25,6 +25,7 @@ from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import begin_run
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import ActionSpace, SeenCloth, pick_weights, sample_actions
 from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
@@ -38,7 +39,6 @@ from clothtrack.reconstruction.data.garment_draws import (
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.states import FAST_CONTACT, StatesConfig
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
 

@@ -12,14 +12,14 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.simulation.garments import (
+from clothtrack.garments.garment_meshes import (
     DEFAULT_SIZES_M,
     TOWEL_SIDES_M,
     TSHIRT_LENGTHS_M,
     TSHIRT_WIDTHS_M,
     GarmentKind,
 )
+from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.simulation.pick_and_place import ActionConfig
 from clothtrack_lab.world.episodes import EpisodeConfig
 from clothtrack_lab.world.flex import Fabric

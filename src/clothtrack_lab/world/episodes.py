@@ -19,12 +19,12 @@ from jaxtyping import Float
 
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Bounds, Checked, Count, NotNegative, Positive
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.pick_and_place import ActionConfig, carrying_path, free_path, plan_action
 from clothtrack_lab.world.appearance import Appearance
 from clothtrack_lab.world.flex import TIME_STEP_S, Fabric, FlexWorld

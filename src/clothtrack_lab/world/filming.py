@@ -11,7 +11,7 @@ from clothtrack.files.many_items import Attempt, attempts, results_of
 from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
 from clothtrack.files.worker_pool import require_workers
-from clothtrack.simulation.garments import GarmentKind
+from clothtrack.garments.garment_meshes import GarmentKind
 from clothtrack_lab.world.episodes import EpisodeConfig, recording_name, simulate_trajectory
 from clothtrack_lab.world.template_mesh import GivenGarment
 

@@ -6,7 +6,7 @@ camera, tool and speeds of the table that it lies on. Poses, starts, actions, co
 drawn from the seed of the recording or the episode, as always.
 
 Sizes fit the published network's canonical cube, beyond the sizes that it was trained on; cuts lie
-beyond `simulation.outlines.draw_shirt`, the cloth is thicker than any of the benchmark's, the
+beyond `garments.outlines.draw_shirt`, the cloth is thicker than any of the benchmark's, the
 camera noisier.
 """
 
@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, GarmentKind, garment, shirt
+from clothtrack.garments.outlines import ShirtOutline
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import write_template
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind, garment, shirt
-from clothtrack.simulation.outlines import ShirtOutline
 from clothtrack_lab.world.bench import Ranges, vary
 from clothtrack_lab.world.episodes import EpisodeConfig
 from clothtrack_lab.world.template_mesh import size_of

@@ -31,10 +31,10 @@ from clothtrack.files.bounds import Checked, Natural
 from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import begin_run
+from clothtrack.garments.garment_meshes import GarmentKind
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of, episode_identity
 from clothtrack.planning.flattening import improvement
 from clothtrack.reconstruction.data.state_store import LIST_FILE
-from clothtrack.simulation.garments import GarmentKind
 from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.pipeline import counted_settings
 from clothtrack_lab.world.one_garment import OneGarment

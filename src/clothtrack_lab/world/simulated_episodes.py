@@ -17,6 +17,7 @@ import numpy as np
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.progress import Progress
+from clothtrack.garments.garment_meshes import GarmentKind
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.episode_store import EpisodeStore
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
@@ -24,7 +25,6 @@ from clothtrack.planning.flattening import EpisodeScene, Flattening, Propose, Wa
 from clothtrack.planning.perception import Perception, perception_of
 from clothtrack.planning.planning_dynamics import PlanningDynamics
 from clothtrack.recordings.store import read_recording
-from clothtrack.simulation.garments import GarmentKind
 from clothtrack_lab.world.one_garment import OneGarment
 from clothtrack_lab.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 

@@ -14,12 +14,12 @@ from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.sealed_npz import read_npz, write_npz
+from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import PickPlace, Workspace
 from clothtrack.planning.robots.robot import Execution, MotionLimits, Reachability, RgbdFrame
 from clothtrack.recordings.recording import ClothDescription, PickerPath, Table
-from clothtrack.simulation.garments import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.simulation.pick_and_place import PlannedAction, carrying_path, free_path
 from clothtrack_lab.world.appearance import Appearance
 from clothtrack_lab.world.bench import vary

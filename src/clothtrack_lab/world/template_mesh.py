@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Bounds, Checked, Count
+from clothtrack.garments.garment_meshes import GarmentKind, TowelPattern, garment
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import read_template
-from clothtrack.simulation.garments import GarmentKind, TowelPattern, garment
 from clothtrack_lab.world.flex import CONTACT_RADIUS_M
 
 Error = Annotated[float, Bounds(least=0, most=1)]

@@ -5,9 +5,9 @@ from typing import get_args
 
 import numpy as np
 
+from clothtrack.garments.garment_meshes import ClothKind, garment, shirt, trousers
+from clothtrack.garments.outlines import draw_robe, draw_shirt, draw_sweater, draw_trousers
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import ClothKind, garment, shirt, trousers
-from clothtrack.simulation.outlines import draw_robe, draw_shirt, draw_sweater, draw_trousers
 from clothtrack.simulation.parameters import ClothParameters
 
 BEND_LENGTH_M = 0.016
@@ -26,7 +26,7 @@ class GarmentRanges:
         towel_aspect: shorter side over the longer one.
         square: share of towels whose sides are equal.
         shirt_length_m: from the hem to the neck [m]; its logarithm is drawn evenly.
-        long_sleeves: share of shirts with long sleeves (`simulation.outlines.draw_shirt`).
+        long_sleeves: share of shirts with long sleeves (`garments.outlines.draw_shirt`).
         sweaters, robes: shares of shirts that are cut as a sweater, and as a robe.
         robe_length_m: the same length of a robe [m].
         open_shirts, open_sweaters, open_robes: shares that are open in front.

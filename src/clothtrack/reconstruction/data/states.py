@@ -26,6 +26,7 @@ from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.files.run_manifest import as_plain, require_same
 from clothtrack.files.worker_pool import require_workers
+from clothtrack.garments.garment_meshes import ClothKind
 from clothtrack.geometry.coverage import projected_area
 from clothtrack.geometry.quality import crossings, edge_strain
 from clothtrack.reconstruction.data.crumpling import CrumpledState, Crumpler
@@ -52,7 +53,6 @@ from clothtrack.reconstruction.data.state_store import (
     write_shard,
 )
 from clothtrack.reconstruction.data.states_card import dataset_card
-from clothtrack.simulation.garments import ClothKind
 from clothtrack.simulation.parameters import SolverConfig
 
 logger = logging.getLogger(__name__)

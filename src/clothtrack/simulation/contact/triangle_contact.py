@@ -5,14 +5,14 @@ import warp as wp
 
 from clothtrack.geometry.boxes import EIGHT, no_boxes
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation import scatter_kernels as scatter
-from clothtrack.simulation import triangle_contact_kernels as triangles
-from clothtrack.simulation import triangle_push_kernels as pushes
 from clothtrack.simulation.buffers import ClothBuffers
-from clothtrack.simulation.edge_contact import EdgeContact
-from clothtrack.simulation.eights import Eights, in_eights
+from clothtrack.simulation.contact import scatter_kernels as scatter
+from clothtrack.simulation.contact import triangle_contact_kernels as triangles
+from clothtrack.simulation.contact import triangle_push_kernels as pushes
+from clothtrack.simulation.contact.blocks_of_eight import Eights, in_eights
+from clothtrack.simulation.contact.edge_contact import EdgeContact
+from clothtrack.simulation.contact.triangle_contact_kernels import TRIANGLES_PER_VERTEX
 from clothtrack.simulation.parameters import CONTACT_TOLERANCE, SolverConfig
-from clothtrack.simulation.triangle_contact_kernels import TRIANGLES_PER_VERTEX
 
 REACTIONS_PER_VERTEX = 48
 

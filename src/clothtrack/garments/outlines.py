@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.simulation.triangulation import Span
+from clothtrack.garments.triangulation import Span
 
 UNDERARM = 0.04
 """A drawn sleeve's end stands off the body by more than this, over the shirt's length."""

@@ -22,8 +22,8 @@ from clothtrack.geometry.boxes import (
     put_box,
     take_lowest,
 )
+from clothtrack.simulation.contact.triangle_contact_kernels import insert_pair, segment_distance
 from clothtrack.simulation.kernels import Clock, nth
-from clothtrack.simulation.triangle_contact_kernels import insert_pair, segment_distance
 
 wp.set_module_options({"enable_backward": False})
 

@@ -5,9 +5,9 @@ import warp as wp
 
 from clothtrack.geometry.boxes import no_boxes
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation import edge_contact_kernels as kernels
 from clothtrack.simulation.buffers import ClothBuffers
-from clothtrack.simulation.eights import Eights
+from clothtrack.simulation.contact import edge_contact_kernels as kernels
+from clothtrack.simulation.contact.blocks_of_eight import Eights
 from clothtrack.simulation.parameters import SolverConfig
 
 DISTANCE_SHARE = 0.5

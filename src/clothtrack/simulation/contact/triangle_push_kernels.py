@@ -11,8 +11,8 @@ from typing import no_type_check
 
 import warp as wp
 
+from clothtrack.simulation.contact.triangle_contact_kernels import SLOTS, barycentric
 from clothtrack.simulation.kernels import Clock, nth
-from clothtrack.simulation.triangle_contact_kernels import SLOTS, barycentric
 
 wp.set_module_options({"enable_backward": False})
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
-from clothtrack.simulation.silhouettes import Outline, Silhouette, mirror_axis, symmetric
+from clothtrack.garments.silhouettes import Outline, Silhouette, mirror_axis, symmetric
 
 SewnKind = Literal["tshirt", "polo", "sweater", "trousers"]
 """Garments of two layers."""

@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.garments import one_layer, sewn, towel, with_vertices
-from clothtrack.simulation.openings import (
+from clothtrack.garments.garment_meshes import one_layer, sewn, towel, with_vertices
+from clothtrack.garments.openings import (
     CORNER_SHARE,
     OPENINGS,
     SewnKind,
@@ -19,9 +18,10 @@ from clothtrack.simulation.openings import (
     find_openings,
     openings_at,
 )
-from clothtrack.simulation.outlines import NECK_POINTS
-from clothtrack.simulation.silhouettes import Outline, Silhouette, signed_area
-from clothtrack.simulation.triangulation import Span
+from clothtrack.garments.outlines import NECK_POINTS
+from clothtrack.garments.silhouettes import Outline, Silhouette, signed_area
+from clothtrack.garments.triangulation import Span
+from clothtrack.geometry.mesh import ClothMesh
 
 TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
 """Garments that a template can be made of."""

@@ -13,20 +13,20 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation.outlines import (
+from clothtrack.garments.outlines import (
     ShirtOutline,
     TrousersOutline,
     cut_open,
     shirt_spans,
     tshirt_corners,
 )
-from clothtrack.simulation.triangulation import (
+from clothtrack.garments.triangulation import (
     Piece,
     Span,
     distance_to_polyline,
     triangulate,
 )
+from clothtrack.geometry.mesh import ClothMesh
 
 GarmentKind = Literal["towel", "tshirt"]
 """Garments that a width and a length describe."""

@@ -1,0 +1,1 @@
+"""Contact of a cloth with itself: vertex against triangle, edge against edge."""
