@@ -41,16 +41,22 @@ def named(name):
             if hasattr(module, name):
                 return getattr(module, name)()
 
-print(json.dumps({n: leaves(named(n)) for n in ("RunConfig", "FlattenConfig")}))
+from clothtrack.cli import command_line
+import inspect
+verbs = command_line.VERBS
+parameters = [p for v in verbs for p in inspect.signature(v).parameters.values()]
+options = sum(p.kind is p.KEYWORD_ONLY for p in parameters)
+found = {n: leaves(named(n)) for n in ("RunConfig", "FlattenConfig")}
+print(json.dumps({**found, "verbs": len(verbs), "options": options}))
 """
-HOMES = ("pipeline", "run", "flatten_config")
+HOMES = ("configuration", "pipeline", "run", "flatten_config")
 
 
 def modules(checkout: Path) -> dict[str, ast.Module]:
-    """The package's modules by dotted name, parsed."""
+    """Return the modules of all packages by dotted name, parsed."""
     source = checkout / "src"
     found = {}
-    for path in sorted((source / PACKAGE).rglob("*.py")):
+    for path in sorted(source.rglob("*.py")):
         parts = path.relative_to(source).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         found[name] = ast.parse(path.read_text(encoding="utf-8"))
@@ -68,15 +74,15 @@ def imports(tree: ast.Module, known: dict[str, ast.Module]) -> set[str]:
     return found & set(known)
 
 
-def import_depth(known: dict[str, ast.Module]) -> int:
-    """Length of the longest chain of imports."""
+def import_depth(known: dict[str, ast.Module], start: str | None = None) -> int:
+    """Return the length of the longest chain of imports, of all modules or from one."""
     graph = {name: imports(tree, known) - {name} for name, tree in known.items()}
 
     @cache
     def depth(name: str) -> int:
         return 1 + max(map(depth, graph[name]), default=0)
 
-    return max(map(depth, graph))
+    return max(map(depth, graph if start is None else graph[start]))
 
 
 def public_nodes(known: dict[str, ast.Module]) -> list[ast.AST]:
@@ -153,19 +159,24 @@ def measures(checkout: Path) -> dict[str, str]:
     leaves = settings(checkout)
     rows = {
         "modules": f"{len(known)}",
-        "lines of src": f"{src:,}",
+        "lines of src": f"{lines(checkout / 'src'):,}",
+        "lines of the core": f"{src:,}",
         "loose files in the root": f"{len(list(source.glob('*.py')))}",
         "names that the front promises": f"{front(known)}",
         "public names in all modules": f"{top_level_names(known)}",
         "import depth, modules": f"{import_depth(known)}",
+        "below `tracking/algorithm.py`": f"{import_depth(known, f'{PACKAGE}.tracking.algorithm')}",
         "settings reachable from `track`": f"{leaves['RunConfig']}",
         "settings reachable from `flatten`": f"{leaves['FlattenConfig']}",
+        "verbs": f"{leaves['verbs']}",
+        "options": f"{leaves['options']}",
         "public docs": f"{documented} of {len(nodes)}",
         "typed arguments": f"{typed} of {total}",
         "tests / src, lines": f"{tests / src:.2f}",
     }
-    rooms = sorted(path for path in source.iterdir() if (path / "__init__.py").exists())
-    rows |= {f"lines of `{room.name}`": f"{lines(room):,}" for room in rooms}
+    rooms = [path for path in source.iterdir() if (path / "__init__.py").exists()]
+    rooms += [path for path in source.parent.glob(f"{PACKAGE}_*") if path.is_dir()]
+    rows |= {f"lines of `{room.name}`": f"{lines(room):,}" for room in sorted(rooms)}
     return rows
 
 
