@@ -185,3 +185,8 @@ def test_labels_that_were_rejected_are_not_learned_from(run, recording, tmp_path
     with pytest.raises(ct.InvalidConfigError, match="flat_weight is 2"):
         ct.label(copy, tmp_path / "napkin.labels.npz", flat_weight=2.0)
     assert ct.label(copy, tmp_path / "napkin.labels.npz").exists()
+
+
+def test_a_mode_is_no_setting(recording):
+    with pytest.raises(ct.InvalidConfigError, match="give --mode paper"):
+        ct.track(recording, settings=["mode=paper"])

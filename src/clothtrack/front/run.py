@@ -189,9 +189,15 @@ def run_config(mode: str = "default", settings: Sequence[str] = (), *, seed: int
     """The configuration of a mode with some settings changed.
 
     Raises:
-        InvalidConfigError: unknown mode or setting.
+        InvalidConfigError: unknown mode or setting, or a mode that a setting names.
     """
-    return with_settings(replace(settings_of_mode(mode), seed=seed), settings)
+    config = with_settings(replace(settings_of_mode(mode), seed=seed), settings)
+    if config.mode != mode:
+        raise InvalidConfigError(
+            f"mode is {config.mode!r} by a setting, which would leave the settings of {mode!r}; "
+            f"give --mode {config.mode} (in Python: mode={config.mode!r})"
+        )
+    return config
 
 
 def load(path: Path | str, recording: Recording | Path | str | None = None) -> Run:
