@@ -23,6 +23,7 @@ CHAPTERS = {
         "track", "load", "Run", "Label", "evaluate", "judge_labels", "Truth", "view",
         "write_report", "export", "verify", "Verification",
     ],
+    "Configure": ["mode", "MODES", "RunConfig", "with_settings"],
     "Recordings": [
         "read_recording", "inspect_recording", "shipped_recording", "RecordingWriter", "Recording",
         "Camera", "Table", "PickerPath", "ClothDescription", "ClothMesh", "observe",

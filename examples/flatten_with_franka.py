@@ -31,15 +31,12 @@ from clothtrack.planning import (
 )
 from clothtrack.planning.robots import (
     DryRunRobot,
-    FrankaConfig,
-    FrankaRobot,
-    FrankyArm,
     MotionLimits,
     RgbdFrame,
 )
 from clothtrack.recordings import ClothDescription, Table, read_recording
 from clothtrack.report import write_flattening_report
-from clothtrack_capture import open_realsense
+from clothtrack_capture import FrankaConfig, FrankaRobot, FrankyArm, open_realsense
 
 SETTLING_FRAMES = 5
 """Pictures that are thrown away before one is kept: the first may be from before the motion."""

@@ -55,7 +55,7 @@ def test_a_run_is_another_one_when_any_setting_changes_but_its_name():
     others = [
         replace(base, vertex_count=500),
         replace(base, first_mesh_error=0.0),
-        replace(base, config=RunConfig(tracker=mode("open_loop"))),
+        replace(base, config=mode("open_loop")),
         replace(base, config=RunConfig(cloud_spacing_m=0.01)),
     ]
     assert base.digest == same.digest

@@ -23,6 +23,6 @@ def test_the_most_frequent_value_of_each_parameter_wins():
 
 def test_offline_parameters_are_not_searched_again():
     config = calibration.fixed(mode("default"), {"table_friction": 3.0})
-    assert config.calibration.method == "none"
-    assert config.parameters["table_friction"] == 3.0
-    assert config.parameters["bend_compliance"] == mode("default").parameters["bend_compliance"]
+    assert config.search.method == "none"
+    assert config.cloth.table_friction == 3.0
+    assert config.cloth.bend_compliance == mode("default").cloth.bend_compliance

@@ -30,12 +30,7 @@ def test_the_default_is_on_the_axis_and_shares_its_run(setup, axis):
     assert setup.variant("default", "default").digest in {each.digest for each in variants}
 
 
-def test_one_threshold_holds_whatever_the_picker_does():
-    search = sensitivity.exploding_at(mode("default"), 0.3).line_search
-    assert search.threshold(5.0, 5.0) == 0.3
-
-
 def test_a_weight_goes_to_both_alignments():
     config = weighted(mode("default"), rigidity_weight=0.0)
-    assert config.alignment.rigidity_weight == config.last_alignment.rigidity_weight == 0.0
-    assert config.alignment.length_weight == mode("default").alignment.length_weight
+    assert config.objective.rigidity_weight == 0.0
+    assert config.objective.length_weight == mode("default").objective.length_weight

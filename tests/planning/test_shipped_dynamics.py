@@ -10,12 +10,13 @@ from safetensors import safe_open
 from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, garment
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
-from clothtrack.planning.planning_dynamics import SHIPPED_WEIGHTS, PlannedCloth
+from clothtrack.planning.planning_dynamics import PlannedCloth
 from clothtrack.reconstruction.availability import SHIPPED as NETWORKS
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack_lab.graph_dynamics.mesh_dynamics import MeshDynamics
 from clothtrack_lab.graph_dynamics.mesh_network import MeshNetwork, MeshNetworkConfig
 from clothtrack_lab.graph_dynamics.mesh_training import whole_roll_outs
+from clothtrack_lab.graph_dynamics.registered import SHIPPED_WEIGHTS
 from clothtrack_lab.graph_dynamics.roll_outs import RollOutConfig, generate_roll_outs
 
 UNSEEN_SEED = 4711

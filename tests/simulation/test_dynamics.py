@@ -2,13 +2,9 @@ import numpy as np
 import pytest
 
 from clothtrack.garments.garment_meshes import towel
-from clothtrack.simulation.dynamics import (
-    ClothDynamics,
-    DynamicsConfig,
-    HeldMotion,
-    PickerAction,
-)
+from clothtrack.simulation.dynamics import ClothDynamics
 from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.simulation.picker_action import HeldMotion, PickerAction
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, pull_rate, pull_strength
 
@@ -93,7 +89,7 @@ def test_a_coarse_prediction_is_the_roll_out_with_longer_substeps():
     action = PickerAction(HeldMotion(CORNER, way), 0.05)
     wanted = ClothDynamics(ClothSolver(MESH, coarse))
     exact = wanted(wanted.solver.save(), action)
-    dynamics = ClothDynamics(ClothSolver(MESH, fine), DynamicsConfig(prediction_coarseness=3))
+    dynamics = ClothDynamics(ClothSolver(MESH, fine), prediction_coarseness=3)
     start = dynamics.solver.save()
     np.testing.assert_array_equal(dynamics.predict(start, action).positions, exact.positions)
     rolled = dynamics(start, action).positions

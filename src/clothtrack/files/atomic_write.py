@@ -5,7 +5,9 @@ import hashlib
 import os
 import re
 import shutil
+import signal
 import socket
+import threading
 import time
 import unicodedata
 import zlib
@@ -154,12 +156,33 @@ def _is_empty_folder(path: Path) -> bool:
 
 
 def remove_folder(folder: Path) -> None:
-    """Remove a folder, if it is still there, into which late writers may still write."""
-    deadline = time.monotonic() + LATE_WRITERS_S
-    shutil.rmtree(folder, ignore_errors=True)
-    while folder.exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
+    """Remove a folder, if it is still there, into which late writers may still write.
+
+    A process that is told to end meanwhile removes it first.
+    """
+    with _undisturbed():
+        deadline = time.monotonic() + LATE_WRITERS_S
         shutil.rmtree(folder, ignore_errors=True)
+        while folder.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Hold SIGTERM back until the block is done: some tools send it again and again."""
+    if threading.current_thread() is not threading.main_thread():
+        # Python runs handlers of signals in the main thread alone.
+        yield
+        return
+    signals: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        if signals:
+            signal.raise_signal(signal.SIGTERM)
 
 
 def hidden_name(name: str, suffix: str = "") -> str:
