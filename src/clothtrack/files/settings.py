@@ -70,7 +70,7 @@ def _meanings(owner: type) -> dict[str, str]:
 
 
 def with_settings(config: Config, settings: Sequence[str]) -> Config:
-    """A configuration with some values replaced, such as `tracker.alignment.iterations=50`.
+    """A configuration with some values replaced, such as `objective.iterations=50`.
 
     Args:
         config: a frozen dataclass, nested at will; mappings may be entered by their keys.
