@@ -5,6 +5,7 @@
 #   make demo      install, track the shipped recording, name the report
 #   make test      install the test tools too, run the tests
 #   make pages     open every page in a headless Chromium, where there is one
+#   make proofs    every experiment in its small form, and the longest tests of learning
 #   make wheel     build a wheel, run the demo from it away from this folder
 #   make release   build what is released twice, compare, try it on every Python; bill of materials
 #   make check     lint, format, types, direction of imports
@@ -25,10 +26,10 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install learn demo test test-all pages wheel release check docs format bench clean
+.PHONY: help install learn demo test test-all pages proofs wheel release check docs format bench clean
 
 help:
-	@sed -n '3,15s/^# \{0,1\}//p' Makefile
+	@sed -n '3,16s/^# \{0,1\}//p' Makefile
 
 install: $(VENV)/.installed $(EXTRAS:%=$(VENV)/.installed-%)
 
@@ -64,6 +65,9 @@ test-all: $(VENV)/.installed-dev
 
 pages: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -rs -m "slow and not gpu and not data" tests/report tests/capture
+
+proofs: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "slow and not gpu and not data" tests/experiments tests/reconstruction
 
 wheel: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow tests/end_to_end/test_wheel.py

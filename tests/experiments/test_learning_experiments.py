@@ -48,7 +48,13 @@ def bench(tmp_path_factory):
     return tmp_path_factory.mktemp("bench")
 
 
-@pytest.mark.parametrize(("name", "variants"), VARIANTS.items())
+CASES = [
+    pytest.param(name, count, marks=() if name == "network_alone" else pytest.mark.slow)
+    for name, count in VARIANTS.items()
+]
+
+
+@pytest.mark.parametrize(("name", "variants"), CASES)
 def test_an_experiment_runs_and_a_second_call_makes_nothing(name, variants, bench, capsys):
     module = importlib.import_module(f"tables.{name}")
     assert module.main(["--smoke", "--bench", str(bench)]) == 0

@@ -14,6 +14,7 @@ from shared.trial import Trial
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_a_few_cases_of_each_kind_show_no_defect_and_are_not_done_twice(tmp_path):
     """In a process of its own: it forks, which one that has computed must not."""
     pytest.importorskip("torch", reason="the small world has a network")

@@ -30,7 +30,14 @@ def bench(tmp_path_factory):
     return tmp_path_factory.mktemp("bench")
 
 
-@pytest.mark.parametrize(("name", "variants"), EXPERIMENTS.items())
+LONG = {"table1", "default_ablations", "sensitivity", "final_alignment"}
+CASES = [
+    pytest.param(name, count, marks=pytest.mark.slow if name in LONG else ())
+    for name, count in EXPERIMENTS.items()
+]
+
+
+@pytest.mark.parametrize(("name", "variants"), CASES)
 def test_an_experiment_runs(name, variants, bench, capsys):
     if name == "table1":
         pytest.importorskip("torch", reason="the extra [learn] brings it")

@@ -159,6 +159,7 @@ def test_statistics_are_over_pictures_and_the_error_over_sequences():
     assert found["corner_mm_standard_error"] == pytest.approx(np.std([2, 6], ddof=1) / np.sqrt(2))
 
 
+@pytest.mark.slow
 def test_everything_runs_and_a_second_call_learns_nothing(tmp_path, capsys, monkeypatch):
     out = tmp_path / "rows.json"
     arguments = [

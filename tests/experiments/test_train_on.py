@@ -10,6 +10,7 @@ from clothtrack.files import content_hash
 from clothtrack.reconstruction.training.checkpoint import load_weights
 
 
+@pytest.mark.slow
 def test_a_second_round_goes_on_with_more_states(tmp_path, capsys):
     command = ["--smoke", "--output", str(tmp_path), "--garments", "towel"]
     assert train_on.main([*command, "--seed", "1"]) == 0

@@ -156,6 +156,7 @@ def test_states_of_another_kind_are_not_mixed_in(copy: Path) -> None:
     assert bytes_of(copy) == before
 
 
+@pytest.mark.slow
 def test_at_least_two_in_five_states_are_neat_folds() -> None:
     config = StatesConfig(vertex_count=500, episodes=10)
     for kind in ("towel", "trousers"):
