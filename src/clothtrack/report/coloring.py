@@ -155,7 +155,7 @@ def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
     return Coloring(
         "truth",
         "Error against the truth [mm]",
-        "The truth is of a stand-in world; the tracker never saw it.",
+        "The truth is of a simulated world; the tracker never saw it.",
         graded_limit(values),
         values,
     )

@@ -67,7 +67,7 @@ def flatten(
             for a tshirt.
         garment_seed: the same garment in every episode, of a cut, size and thickness that no
             shipped network was trained on; SEED draws start, noise and candidates alone.
-        robot: one in the stand-in world, or none: plans are written down and nothing moves.
+        robot: one in the simulated world, or none: plans are written down and nothing moves.
         perception: the network's mesh of each picture, or the tracker's carried on; truth is a
             control (an upper bound, no result) and simulated only.
         weights: of the reconstruction network; the ones that come with clothtrack by default.

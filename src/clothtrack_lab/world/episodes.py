@@ -1,4 +1,4 @@
-"""Recordings from the stand-in world: pick-and-places of a garment, filmed; the truth kept apart.
+"""Recordings from the simulated world: pick-and-places of a garment, filmed; the truth kept apart.
 
 `OUT/recordings/NAME/` is a recording like any other. `OUT/truth/NAME.npz` holds what no camera
 can know; only evaluation reads it. Nothing of the truth is in the recording but the first mesh,
@@ -293,7 +293,7 @@ def _provenance(
     """How the recording was made; of the physics only what a person at the table could know."""
     of_garment = {} if garment is None else {"garment_seed": garment.seed}
     return {
-        "source": "stand-in world (clothtrack simulate)",
+        "source": "simulated world (clothtrack simulate)",
         "physics": f"MuJoCo {mujoco.__version__} flex shell",
         "seed": seed,
         "template": None if config.template is None else asdict(config.template),

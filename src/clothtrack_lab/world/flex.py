@@ -1,4 +1,4 @@
-"""The physics of the stand-in world: a thin finite-element shell on a table, in MuJoCo.
+"""The physics of the simulated world: a thin finite-element shell on a table, in MuJoCo.
 
 It shares nothing with the tracker's position-based cloth: elasticity comes from a shell with
 bending, contact is between thin faces with friction cones, time stepping is implicit. What the
@@ -163,7 +163,7 @@ class FlexWorld:
         mujoco.mj_step(self._model, self._data, count)
         if not np.isfinite(self._data.qpos).all() or self._data.warning.number[:].any():
             raise SimulationDivergedError(
-                f"the stand-in world diverged at {self.time_s:.3f} s; use a softer fabric "
+                f"the simulated world diverged at {self.time_s:.3f} s; use a softer fabric "
                 "(young_pa) or a finer mesh"
             )
 

@@ -83,7 +83,7 @@ class ImprovementConfig(Checked):
         hindsight: track each episode from its end to its beginning. At its end the cloth is
             flattest, and the network knows it best.
         flatten: how episodes are done.
-        robot: of the stand-in world.
+        robot: of the simulated world.
         track: how their recordings are tracked.
         finetune: how the network is trained on the labels.
     """

@@ -1,4 +1,4 @@
-"""Flattening episodes in the stand-in world: same seed, same crumpled start, whoever flattens.
+"""Flattening episodes in the simulated world: same seed, same crumpled start, whoever flattens.
 
     OUT/episodes/NAME/        the episode (`EpisodeStore`)
     OUT/recordings/NAME/      the same as one normal recording
@@ -92,7 +92,7 @@ def flatten_simulated(
     watch: Watch | None = None,
     progress: Progress | None = None,
 ) -> EpisodeStore:
-    """Flatten one crumpled garment in the stand-in world; a finished episode is left as it is.
+    """Flatten one crumpled garment in the simulated world; a finished episode is left as it is.
 
     Args:
         out: folder for episodes, recordings and truth.
@@ -148,7 +148,7 @@ def flatten_simulated(
     )
     store = flattening.run(out / "episodes" / name, watch=watch, progress=progress)
     label = store.document["asked"]["label"]
-    stamp = {"source": "stand-in world (clothtrack flatten)", "seed": episode.seed, **label}
+    stamp = {"source": "simulated world (clothtrack flatten)", "seed": episode.seed, **label}
     if episode.garment_seed is not None:
         stamp["garment_seed"] = episode.garment_seed
     store.joined(out / "recordings" / name, stamp)

@@ -1,4 +1,4 @@
-"""A robot in the stand-in world (MuJoCo): it moves a cloth that planning cannot look into.
+"""A robot in the simulated world (MuJoCo): it moves a cloth that planning cannot look into.
 
 What a camera could not tell is in `true_cloth`, which only scoring and the named control
 `perception=truth` ask.
@@ -74,7 +74,7 @@ class SimulatedRobotConfig:
 
 
 class SimulatedRobot:
-    """A gripper, a depth camera and a cloth in the stand-in world.
+    """A gripper, a depth camera and a cloth in the simulated world.
 
     Attributes:
         kind: the garment.
