@@ -293,7 +293,7 @@ def _provenance(
     """How the recording was made; of the physics only what a person at the table could know."""
     of_garment = {} if garment is None else {"garment_seed": garment.seed}
     return {
-        "source": "simulated world (clothtrack simulate)",
+        "source": "stand-in world (clothtrack simulate)",
         "physics": f"MuJoCo {mujoco.__version__} flex shell",
         "seed": seed,
         "template": None if config.template is None else asdict(config.template),
