@@ -196,7 +196,8 @@ def test_every_picture_of_a_network_s_episode_is_believed_in_five_ways(tmp_path,
         assert network["error_symmetric_mm"] <= network["error_all_mm"]
     ends = [row["error_symmetric_mm"] for row in rows if row["action"] == last]
     behind = by[last, planning_perception.HINDSIGHT]
-    assert behind["error_symmetric_mm"] == pytest.approx(ends[0], abs=0.01)
+    # It begins with the network's last mesh, aligned to its cloud.
+    assert 0.0 < behind["error_symmetric_mm"] < ends[0]
     # Nothing was filmed: no belief was carried through an action.
     assert by[last, planning_perception.ALL_ACTIONS]["anew"] == 1.0
     # The same network makes the same mesh of the same picture again.
