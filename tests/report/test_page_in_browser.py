@@ -131,7 +131,8 @@ def test_the_cloth_takes_the_colours_that_are_chosen(opened, tracked):
         red = [(p[..., 0] - p[..., 2] > 60).sum() for p in pictures]
         assert red[-1] > 2000  # all of the cloth is 20 mm off: the end of the scale
         assert red[1] < 200
-        assert "simulated world" in page.ask("document.querySelector('.controls .note').textContent")
+        note = page.ask("document.querySelector('.controls .note').textContent")
+        assert "simulated world" in note
 
 
 @pytest.mark.parametrize(
