@@ -101,7 +101,7 @@ class Task:
     @property
     def digest(self) -> str:
         """Ten hexadecimal digits that change with every setting and with what is in the weights."""
-        asked = episode_identity(self.method.config, self.episode.kind), asdict(self.robot)
+        asked = episode_identity(self.method.config), asdict(self.robot)
         content = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode())
         return content.hexdigest()[:10]
 

@@ -1,8 +1,8 @@
 """The verbs of learning: label, pretrain, finetune, reconstruct. They need the extra [learn]."""
 
 import json as json_module
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
+from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,13 +15,14 @@ from clothtrack.cli.options import (
     Ray,
     Seed,
     Settings,
+    ShowSettings,
+    list_settings,
 )
 from clothtrack.cli.terminal import TERMINATED, complain, progress, say, say_result
 from clothtrack.errors import InvalidConfigError
 from clothtrack.front.learning_extra import require_learning
 
 if TYPE_CHECKING:
-    from clothtrack.reconstruction.learning_config import LearningConfig
     from clothtrack.reconstruction.learning_outcome import LearningOutcome
 
 GarmentChoice = Literal["as recorded", "towel", "tshirt", "trousers"]
@@ -93,11 +94,12 @@ def label(
 def pretrain(
     states: Positional[tuple[Path, ...]],
     *,
-    output: Path,
-    network: Literal["tokens", "small", "reference"] = "tokens",
+    output: Path | None = None,
+    network: str = "tokens",
     start: Path | None = None,
     hours: float | None = None,
     settings: Settings = (),
+    show_settings: ShowSettings = False,
     device: Device = "cpu",
     seed: Seed = 0,
     json: AsJson = False,
@@ -112,44 +114,34 @@ def pretrain(
     Args:
         states: folders of states; of one kind of garment for a published network.
         output: folder for progress, scalars and model.safetensors.
-        network: the token network, for every garment; or the published one, in the size for two
-            processor cores (small) or as published (reference).
+        network: tokens, for every garment; or a published network (the extra published), in the
+            size for two processor cores (small) or as published (reference).
         start: model.safetensors to begin with; a token network may have fewer layers and
             hypotheses, a published one is of the same garment and sizes.
         hours: of wall time after which the token network's training pauses.
-        settings: changes, such as tokens.high_rate=5e-4 or tokens.width=192, or
-            canonicalisation.epochs=20 of a published network.
+        settings: changes, such as tokens.high_rate=5e-4 or network.width=192.
+        show_settings: list them all with their values and do nothing else.
         device: where to compute.
         seed: of weights, order, cameras and noise.
         json: machine-readable.
     """
     require_learning()
     from clothtrack.files.settings import with_settings
-    from clothtrack.reconstruction import two_stages
     from clothtrack.reconstruction.data.state_store import open_states
-    from clothtrack.reconstruction.networks.network_config import preset
-    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
-    from clothtrack.reconstruction.tokens.token_training import pretrain_tokens
+    from clothtrack.reconstruction.model_loading import design_named
 
+    design = design_named(network)
+    config = with_settings(design.configuration("pretrain", network=network, seed=seed), settings)
+    if show_settings:
+        return list_settings(config)
+    if output is None:
+        complain("no place for the results; name a folder with --output")
+        return 2
     if not states:
         complain("no states given; make some with: clothtrack simulate OUT --states N")
         return 2
     sets = [open_states(folder) for folder in states]
-    name = "pretrain_reference" if network == "reference" else "pretrain"
-    sizes, others = _sizes_of_tokens(settings)
-    config = _learning_config(name, others, seed=seed)
-    if network == "tokens":
-        tokens = with_settings(TokenNetworkConfig(), sizes)
-        if config.tokens.decay == "stable" and hours is None and not config.tokens.fall_examples:
-            raise InvalidConfigError(
-                "the token network learns for as long as it is given time; add --hours N, or "
-                "--set tokens.fall_examples=N to let its rate fall and the training end"
-            )
-        learn = partial(pretrain_tokens, sets, tokens, config, output, start=start, hours=hours)
-        return _learn(learn, device, json=json)
-    if hours is not None:
-        raise InvalidConfigError("--hours: a published network learns for its epochs; leave it out")
-    learn = partial(two_stages.pretrain, sets, preset(network), config, output, start=start)
+    learn = partial(design.pretrain, sets, config, output, start=start, hours=hours)
     return _learn(learn, device, json=json)
 
 
@@ -176,15 +168,17 @@ def finetune(
             2,000 epochs.
         old: folder of simulated states to mix in, against forgetting.
         old_share: how often an example is one of these, if they are given.
-        settings: changes, such as canonicalisation.high_rate=1e-4.
+        settings: changes, such as tokens.high_rate=1e-4.
         device: where to compute.
         seed: of order and augmentation.
         json: machine-readable.
     """
     require_learning()
-    from clothtrack.reconstruction import fine_tuning
+    from clothtrack.files.settings import with_settings
     from clothtrack.reconstruction.data.pseudo_labels import read_labels
     from clothtrack.reconstruction.data.state_store import open_states
+    from clothtrack.reconstruction.model_loading import design_of
+    from clothtrack.reconstruction.training.checkpoint import load_weights
 
     files = [
         file
@@ -194,12 +188,14 @@ def finetune(
     if not files:
         complain("no labels given; make some with: clothtrack label TRACKED... --output FOLDER")
         return 2
-    config = _learning_config(training, settings, seed=seed)
+    start = load_weights(weights)
+    design = design_of(start)
+    config = with_settings(design.configuration(training, seed=seed), settings)
     if old is not None:
         config = config.mixing(old_share)
     old_states = [] if old is None else [open_states(old)]
     labelled = [read_labels(file) for file in files]
-    learn = partial(fine_tuning.finetune, weights, labelled, config, output, old=old_states)
+    learn = partial(design.finetune, start, labelled, config, output, old=old_states)
     return _learn(learn, device, json=json)
 
 
@@ -291,22 +287,6 @@ def _mesh_of(picture: Path, frame: int | None) -> Path:
     """Where the mesh of a picture, or of a recording's frame, goes when nobody says."""
     name = picture.resolve().name if picture.is_dir() else picture.stem
     return Path("out") / (f"{name}.obj" if frame is None else f"{name}_{frame:06d}.obj")
-
-
-def _sizes_of_tokens(settings: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return settings of the token network's sizes, without their group, and the others."""
-    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
-
-    sizes = tuple(f"tokens.{one.name}=" for one in fields(TokenNetworkConfig))
-    own = [one.removeprefix("tokens.") for one in settings if one.startswith(sizes)]
-    return own, [one for one in settings if not one.startswith(sizes)]
-
-
-def _learning_config(name: str, settings: Sequence[str], *, seed: int) -> "LearningConfig":
-    from clothtrack.files.settings import with_settings
-    from clothtrack.reconstruction.learning_config import LearningConfig
-
-    return with_settings(LearningConfig.preset(name, seed=seed), settings)
 
 
 def _learn(learn: "Callable[..., LearningOutcome]", device: str, *, json: bool) -> int:

@@ -15,8 +15,7 @@ from clothtrack.errors import InvalidRecordingError, InvalidResultError
 from clothtrack.geometry.mesh import ClothMesh
 
 if TYPE_CHECKING:
-    from clothtrack.reconstruction.model import MeshReconstructor
-    from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
+    from clothtrack.reconstruction.design import Reconstructor
 
 Teaches = Callable[[float, float | None], bool]
 """Decides by the expected errors [mm] of label and network; the latter is None where the network
@@ -74,7 +73,7 @@ def with_first_mesh(label_mm: float, origin: Mapping[str, Any]) -> float:
 
 
 def network_error_mm(
-    model: "MeshReconstructor | TokenReconstructor",
+    network: "Reconstructor",
     recording: Path,
     frame: int,
     *,
@@ -85,7 +84,7 @@ def network_error_mm(
     """The error that the network expects of its own mesh of one picture [mm].
 
     Args:
-        model: the network; the published one says nothing and is not asked.
+        network: one that states no error is not asked.
         recording: its folder.
         frame: of the recording.
         kind: "towel", "tshirt" or "trousers".
@@ -96,16 +95,12 @@ def network_error_mm(
         None where the network states no error or makes no mesh.
     """
     from clothtrack.reconstruction.depth_input import from_recording
-    from clothtrack.reconstruction.from_picture import network_mesh
-    from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 
-    if not isinstance(model, TokenReconstructor):
+    if not network.states_error:
         return None
     picture = from_recording(recording, frame)
     try:
-        found = network_mesh(
-            model, picture, kind, size_m=picture.size_m, template=template, device=device
-        )
+        found = network.mesh(picture, kind, size_m=picture.size_m, template=template, device=device)
     except (InvalidRecordingError, InvalidResultError):
         return None
     return None if found.expected_error_m is None else 1e3 * found.expected_error_m

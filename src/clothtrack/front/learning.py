@@ -140,9 +140,7 @@ def reconstructed(
     """The mesh of `reconstruct`, how it came about, and the picture with its garment."""
     require_learning()
     from clothtrack.reconstruction import depth_input
-    from clothtrack.reconstruction.from_picture import network_mesh
     from clothtrack.reconstruction.model_loading import load_model
-    from clothtrack.reconstruction.refinement import RefinementConfig
     from clothtrack.reconstruction.training.processes import require_torch_device
 
     quiet_warp()
@@ -167,15 +165,13 @@ def reconstructed(
     flat = read_template(Path(template)) if isinstance(template, str | Path) else template
     kind = _kind(garment or shown.kind or _kind_of(flat), named)
     model = load_model(kind, weights and Path(weights), device=device)
-    refinement = RefinementConfig() if refined else None
-    network = network_mesh(
-        model,
+    network = model.mesh(
         shown,
         kind,
         method=method,
         size_m=size_m or shown.size_m,
         template=flat,
-        refinement=refinement,
+        refined=refined,
         untangle=refined,
         device=device,
     )

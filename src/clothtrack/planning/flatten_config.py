@@ -46,18 +46,18 @@ class FlattenConfig(Checked):
     actions: Annotated[int, Bounds(least=1, most=1000)] = 10
 
 
-def weights_used(config: FlattenConfig, kind: str) -> dict[str, Path]:
-    """The files of weights that flattening a garment reads, of "network" and "dynamics"."""
+def weights_used(config: FlattenConfig) -> dict[str, Path]:
+    """The files of weights that flattening reads, of "network" and "dynamics"."""
     used: dict[str, Path | None] = {}
     if config.policy == "planned" and config.perception.name != "truth":
         named = config.perception.weights
-        used["network"] = Path(named) if named else shipped_weights(kind)
+        used["network"] = Path(named) if named else shipped_weights()
     if config.policy == "planned" and config.dynamics == "mesh":
         used["dynamics"] = Path(config.dynamics_weights or learned_dynamics("mesh").shipped)
     return {name: path for name, path in used.items() if path is not None}
 
 
-def episode_identity(config: FlattenConfig, kind: str) -> dict[str, Any]:
+def episode_identity(config: FlattenConfig) -> dict[str, Any]:
     """What an episode is known by: files count by what is in them, not by their names.
 
     Raises:
@@ -67,7 +67,7 @@ def episode_identity(config: FlattenConfig, kind: str) -> dict[str, Any]:
     if config.perception.template:
         settings["perception"]["template"] = content_hash(Path(config.perception.template))
     del settings["perception"]["weights"], settings["dynamics_weights"]
-    hashes = {name: content_hash(path) for name, path in weights_used(config, kind).items()}
+    hashes = {name: content_hash(path) for name, path in weights_used(config).items()}
     return {"config": settings, "weights_sha256": hashes}
 
 

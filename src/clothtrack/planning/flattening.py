@@ -156,9 +156,9 @@ class Flattening:
         cloth = self._scene.cloth
         store = EpisodeStore(
             folder,
-            {**episode_identity(self._config, cloth.kind), "seed": self._seed, "label": label,
+            {**episode_identity(self._config), "seed": self._seed, "label": label,
              "cloth": {"kind": cloth.kind, "size_m": cloth.size_m}},
-            weights=weights_used(self._config, cloth.kind),
+            weights=weights_used(self._config),
         )  # fmt: skip
         if store.finished:
             return store

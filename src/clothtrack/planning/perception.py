@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +17,6 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecord
 from clothtrack.files.bounds import Checked, Count, Positive
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.from_picture import LOOSE_FIT_M, distance_from_cloud
-from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.template_file import read_template
@@ -127,7 +126,7 @@ class NetworkPerception:
 
         self._kind, self._config, self._device = kind, config, device
         path = Path(config.weights) if config.weights else None
-        self._model: Any = load_model(kind, path, device=device)
+        self._network = load_model(kind, path, device=device)
         self._template = read_template(Path(config.template)) if config.template else None
 
     def perceive(self, look: Look) -> Estimate:
@@ -139,18 +138,16 @@ class NetworkPerception:
         from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
         from clothtrack.reconstruction.depth_input import DepthInput
         from clothtrack.reconstruction.first_mesh import laid_flat
-        from clothtrack.reconstruction.from_picture import network_mesh
 
         config, recording = self._config, look.recording
         depth, mask, camera = cloth_picture(recording, look.frame)
-        result = network_mesh(
-            self._model,
+        result = self._network.mesh(
             DepthInput(depth, mask, camera, recording.table, self._kind),
             self._kind,
             size_m=None if self._template is not None else recording.cloth.size_m,
             template=self._template,
             vertex_count=config.vertex_count,
-            refinement=RefinementConfig() if config.refined else None,
+            refined=config.refined,
             observation=look.observation(),
             device=self._device,
         )

@@ -6,12 +6,11 @@ Nothing is loaded to find out: tracking asks this before it decides where its fi
 from importlib.util import find_spec
 from pathlib import Path
 
-EXTRA = ("torch", "safetensors", "igl", "skimage")
+EXTRA = ("torch", "safetensors")
 """Modules of the extra [learn] without which nothing can be learned or reconstructed."""
 
 SHIPPED = Path(__file__).parent / "weights"
-"""Folder of the weights that come with the package: tokens.safetensors of the token network, for
-every garment; KIND.safetensors of the published one."""
+"""Folder of the weights that come with the package: tokens.safetensors, for every garment."""
 
 
 def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
@@ -19,16 +18,7 @@ def missing_modules(wanted: tuple[str, ...] | None = None) -> list[str]:
     return [name for name in wanted or EXTRA if find_spec(name) is None]
 
 
-def shipped_weights(kind: str) -> Path | None:
-    """The weights for a kind of garment that come with the package; None when none do.
-
-    Those of the token network, where they are there.
-    """
-    tokens = SHIPPED / "tokens.safetensors"
-    return tokens if tokens.is_file() else published_weights(kind)
-
-
-def published_weights(kind: str) -> Path | None:
-    """The published network's weights for a kind of garment, as `shipped_weights`."""
-    path = SHIPPED / f"{kind}.safetensors"
+def shipped_weights() -> Path | None:
+    """The weights of the token network that come with the package; None when none do."""
+    path = SHIPPED / "tokens.safetensors"
     return path if path.is_file() else None

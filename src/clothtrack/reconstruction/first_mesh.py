@@ -3,11 +3,38 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import align
-from clothtrack.reconstruction.canonical_frame import symmetries
 from clothtrack.recordings.recording import Table
+
+_SYMMETRIES = {
+    # Turned by half about each axis: without marks nobody can tell. Turned by a quarter it would
+    # be a towel of other sides: the convention lays the longer one along x, so that only a square
+    # one has a quarter turn as well, and it is no member.
+    "towel": ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)),
+    # Turned over about the line from hem to neck: front and back look alike, left and right too.
+    "tshirt": ((1, 1, 1), (-1, 1, -1)),
+}
+
+
+def symmetries(kind: str) -> Float[np.ndarray, "symmetries 3"]:
+    """Signs of x, y and z about the origin that relabel the cloth as a look-alike.
+
+    The first one changes nothing. Each is a turn of the canonical pose by half, so the relabelled
+    cloth is a garment of the same category; which of them it is cannot be told from depth.
+
+    A towel has its longer side along x: a quarter turn is none of them.
+
+    Raises:
+        InvalidConfigError: for a category without a canonical pose.
+    """
+    if kind not in _SYMMETRIES:
+        raise InvalidConfigError(
+            f"kind is {kind!r}; categories with a canonical pose are {', '.join(_SYMMETRIES)}"
+        )
+    return np.array(_SYMMETRIES[kind], dtype=np.float64)
 
 
 def front_up(

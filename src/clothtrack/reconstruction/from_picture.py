@@ -1,40 +1,30 @@
-"""One depth picture to one mesh: the network's reconstruction and its test-time fine-tuning.
+"""What becomes of one depth picture: a mesh, how it came about, and how it agrees with the picture.
 
-`clothtrack reconstruct`, the tracker's first mesh and the experiments all come through here, so
-that what is shown, tracked and measured is the same thing.
+Every network answers in these terms (`design.Reconstructor`), so that what is shown, tracked and
+measured is the same thing.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
-from clothtrack.errors import InvalidConfigError
-from clothtrack.garments.garment_meshes import garment
+from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.visibility import VisibilityCheck
-from clothtrack.reconstruction.canonical_frame import conventional
-from clothtrack.reconstruction.refinement import (
-    VISIBILITY_TOLERANCE_M,
-    Refinement,
-    RefinementConfig,
-    Refiner,
-)
-from clothtrack.reconstruction.template_fit import TemplateFitConfig
+from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.reconstruction.trust import agreement_of, distrust
 from clothtrack.recordings.point_cloud import Observation, thin
-from clothtrack.recordings.recording import Table
-from clothtrack.simulation.untangling import Untangling, untangled
+from clothtrack.simulation.untangling import Untangling
 
 if TYPE_CHECKING:
-    from clothtrack.reconstruction.cuts import KnownGarment
     from clothtrack.reconstruction.depth_input import DepthInput
-    from clothtrack.reconstruction.model import MeshReconstructor, Method, Reconstruction
     from clothtrack.reconstruction.search import Choice
-    from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
+
+Method = Literal["template", "implicit"]
+"""How a mesh is made: the garment's own mesh laid into the picture, or the surface of a predicted
+field."""
 
 SPACING_M = 0.004
 """Side of the cubes [m] in which a picture's points are averaged, as the tracker does."""
@@ -42,16 +32,60 @@ SPACING_M = 0.004
 LOOSE_FIT_M = 0.02
 """A mesh that is farther from its picture than this [m] is wrong: layers lie closer together."""
 
-OTHER_SIZES = (0.75, 0.55, 0.4, 1.35)
-"""By what a garment that the network does not know so large, or so small, is multiplied."""
-
-
 RUNNERS_UP = 3
 """Choices of the search that are reported after the best one."""
 
-SEEN_MOBILITY = 0.1
-"""Mobility of a vertex that is seen when a fine-tuned mesh is taken apart: what is seen is where it
-was measured, and what is hidden was guessed."""
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """What one depth picture became.
+
+    Attributes:
+        mesh: the garment in the world [m], canonical coordinates filled; None without one.
+        status: "template", "surface", or why there is no mesh.
+        camera: the virtual camera of the network's picture.
+        canonical_image: canonical position [m] of each pixel of cloth; not a number elsewhere.
+        confidence: of that position, the least sure axis, 0 to 1; 0 where no cloth is.
+        seen: the measured points with their canonical positions.
+        rest: the flat garment that was carried, vertex by vertex the mesh's; None for a surface.
+    """
+
+    mesh: ClothMesh | None
+    status: str
+    camera: Camera
+    canonical_image: Float32[np.ndarray, "size size 3"]
+    confidence: Float32[np.ndarray, "size size"]
+    seen: SeenPoints
+    rest: ClothMesh | None = None
+
+    def scaled(self, factor: float) -> "Reconstruction":
+        """The same in a world that is larger by a factor."""
+        return Reconstruction(
+            None if self.mesh is None else self.mesh.scaled(factor),
+            self.status,
+            self.camera.scaled(factor),
+            self.canonical_image * np.float32(factor),
+            self.confidence,
+            self.seen.scaled(factor),
+            None if self.rest is None else self.rest.scaled(factor),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What fine-tuning made of a mesh.
+
+    Attributes:
+        positions: vertices in the world [m]: of the start and all rounds, those nearest to the
+            cloud.
+        chamfer_m2: visible vertices against the cloud, both directions [m^2], at the start and
+            after each round.
+        chosen: whose positions these are; 0 is the start.
+    """
+
+    positions: Float[np.ndarray, "vertices 3"]
+    chamfer_m2: tuple[float, ...]
+    chosen: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,249 +108,13 @@ class NetworkMesh:
     """
 
     mesh: ClothMesh | None
-    reconstruction: "Reconstruction"
+    reconstruction: Reconstruction
     refinement: Refinement | None = None
     scale: float = 1.0
     expected_error_m: float | None = None
     spread_m: Float[np.ndarray, " vertices"] | None = None
     untangling: Untangling | None = None
     choices: "tuple[Choice, ...]" = ()
-
-
-@dataclass(frozen=True, eq=False)
-class _Answer:
-    """What the published network makes of a picture.
-
-    Attributes:
-        reconstruction: its mesh.
-        canonical: of the mesh's vertices, as the observed points are named; None without a mesh.
-        scale: as in `NetworkMesh`.
-    """
-
-    reconstruction: "Reconstruction"
-    canonical: Float[np.ndarray, "vertices 3"] | None
-    scale: float = 1.0
-
-
-def network_mesh(
-    model: "MeshReconstructor | TokenReconstructor",
-    picture: "DepthInput",
-    kind: str,
-    *,
-    method: "Method" = "template",
-    size_m: tuple[float, float] | None = None,
-    template: ClothMesh | None = None,
-    vertex_count: int = 1000,
-    refinement: RefinementConfig | None = None,
-    observation: Observation | None = None,
-    untangle: bool = False,
-    device: str = "cpu",
-) -> NetworkMesh:
-    """The full mesh behind a depth picture.
-
-    Args:
-        model: the network.
-        picture: depth, mask, camera and table; world z up.
-        kind: "towel" or "tshirt"; of the token network "trousers" too.
-        method: "template" or "implicit" (`reconstruction.model: MeshReconstructor.reconstruct`);
-            the token network knows the first one only.
-        size_m: width and length of the garment when known [m]; else taken from the picture.
-        template: the flat garment itself, canonical coordinates filled; instead of `size_m`.
-        vertex_count: of a template that is made here, about.
-        refinement: how to fine-tune the mesh; None leaves it as the network makes it.
-        observation: what it is fine-tuned against; the picture's own points when None.
-        untangle: take the mesh apart where it passes through itself, before it is fine-tuned and
-            after; there what is seen moves little.
-        device: of the fine-tuning; the networks compute where they are.
-
-    Raises:
-        InvalidConfigError: the networks are for another category, or make no mesh by this method.
-        InvalidRecordingError: there is no cloth in the picture.
-    """
-    from clothtrack.reconstruction.cuts import KnownGarment, sized
-    from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
-
-    if isinstance(model, TokenReconstructor):
-        _require_template_method(method)
-        known = None
-        if template is not None:
-            known = KnownGarment.of(template, device=device)
-        elif size_m is not None:
-            known = sized(kind, size_m, vertex_count, device=device)
-        return _searched(
-            model, picture, kind, known, vertex_count=vertex_count,
-            finish=refinement is not None, device=device,
-        )  # fmt: skip
-    if template is None and size_m is not None and method == "template":
-        template = garment(kind, vertex_count=vertex_count, size_m=size_m)
-    answer = _by_published_network(
-        model, picture, kind, template, method=method, vertex_count=vertex_count
-    )
-    reconstruction = answer.reconstruction
-    result = NetworkMesh(reconstruction.mesh, reconstruction, scale=answer.scale)
-    if reconstruction.mesh is None:
-        return result
-    if untangle:
-        result = _taken_apart(result, picture, device)
-    if refinement is not None:
-        result = _fine_tuned(
-            result, answer.canonical, observation or observation_of(picture), refinement,
-            table=picture.table, device=device,
-        )  # fmt: skip
-        if untangle:
-            result = _taken_apart(result, picture, device)
-    return result
-
-
-def _fine_tuned(
-    result: NetworkMesh,
-    canonical: Float[np.ndarray, "vertices 3"] | None,
-    observation: Observation,
-    refinement: RefinementConfig,
-    *,
-    table: Table | None,
-    device: str,
-) -> NetworkMesh:
-    """The same, its mesh drawn to what was observed."""
-    assert result.mesh is not None
-    refiner = Refiner(
-        replace(result.mesh, canonical=canonical),
-        observation,
-        refinement,
-        rest=result.reconstruction.rest,
-        table=table,
-        device=device,
-    )
-    refined = refiner.refine(result.reconstruction.seen)
-    mesh = result.mesh.with_vertices(refined.positions)
-    return replace(result, mesh=mesh, refinement=refined)
-
-
-def _taken_apart(result: NetworkMesh, picture: "DepthInput", device: str) -> NetworkMesh:
-    """The same without passages through itself, as far as they can be undone."""
-    mesh, rest = result.mesh, result.reconstruction.rest
-    if mesh is None or rest is None:
-        return result
-    mobility = None
-    if result.refinement is not None:
-        camera = picture.camera.resized(RefinementConfig().visibility_width)
-        visible = VisibilityCheck(
-            mesh.faces, (camera,), tolerance_m=VISIBILITY_TOLERANCE_M, device=device
-        )(mesh.vertices.astype(np.float64))
-        mobility = np.where(visible, SEEN_MOBILITY, 1.0)
-    apart = untangled(rest, mesh.vertices, mobility=mobility, table=picture.table, device=device)
-    first = result.untangling or apart
-    apart = replace(apart, crossings_before=first.crossings_before)
-    return replace(result, mesh=mesh.with_vertices(apart.positions), untangling=apart)
-
-
-def _require_template_method(method: str) -> None:
-    if method != "template":
-        raise InvalidConfigError(
-            f"the token network makes no mesh by method {method!r}; take 'template', or name "
-            "weights of the published network, which knows towels and T-shirts only"
-        )
-
-
-def _searched(
-    model: "TokenReconstructor",
-    picture: "DepthInput",
-    kind: str,
-    known: "KnownGarment | None",
-    *,
-    vertex_count: int,
-    finish: bool,
-    device: str,
-) -> NetworkMesh:
-    """The mesh of the token network's answer that explains the picture best."""
-    from clothtrack.reconstruction.finished_fit import finished
-    from clothtrack.reconstruction.model import Reconstruction
-    from clothtrack.reconstruction.search import Search
-
-    search = Search(model, picture, device=device)
-    if known is None:
-        best = search.best(kind, None, vertex_count=vertex_count)
-    else:
-        best = search.known(known)
-    rest, answer, vertices, untangling = best.garment.mesh, best.answer, best.vertices, None
-    if finish:
-        untangling = finished(
-            best.garment.fit, answer.guide, search.cloth, table=picture.table, device=device
-        )
-        vertices = untangling.positions
-    mesh = rest.with_vertices(vertices)
-    size = model.config.output_size
-    canonical = np.full((size, size, 3), np.nan, np.float32)
-    confidence = np.zeros((size, size), np.float32)
-    rows, columns = answer.pixels.T
-    canonical[rows, columns], confidence[rows, columns] = (
-        answer.seen.canonical,
-        answer.seen.confidence,
-    )
-    spread_m = answer.guide.spread_m
-    return NetworkMesh(
-        mesh,
-        Reconstruction(
-            mesh, "template", answer.view.camera, canonical, confidence, answer.seen, rest=rest
-        ),
-        expected_error_m=float(np.mean(spread_m)),
-        spread_m=spread_m,
-        untangling=untangling,
-        choices=search.choices,
-    )
-
-
-def _by_published_network(
-    model: "MeshReconstructor",
-    picture: "DepthInput",
-    kind: str,
-    template: ClothMesh | None,
-    *,
-    method: "Method",
-    vertex_count: int,
-) -> _Answer:
-    """Canonical coordinates, then completion; at other sizes where the picture does not fit."""
-
-    def seen_as(scale: float) -> "Reconstruction":
-        shown = picture.scaled(scale)
-        (result,) = model.reconstruct(
-            [shown.depth_m],
-            shown.camera,
-            kind,
-            masks=[shown.mask],
-            method=method,
-            template=None if template is None else template.scaled(scale),
-            table=shown.table,
-            fit=TemplateFitConfig(vertex_count=vertex_count),
-        )
-        return result.scaled(1.0 / scale)
-
-    reconstruction, scale = _best_size(seen_as, picture)
-    mesh = reconstruction.mesh
-    if mesh is None or mesh.canonical is None:
-        return _Answer(reconstruction, None, scale)
-    # Observed coordinates follow the convention of the networks, the garment's its own.
-    return _Answer(reconstruction, conventional(mesh.canonical, kind), scale)
-
-
-def _best_size(
-    seen_as: "Callable[[float], Reconstruction]", picture: "DepthInput"
-) -> "tuple[Reconstruction, float]":
-    """The picture as it is; or, where that fits badly, at the size that fits best.
-
-    The network knows garments of the sizes that it was trained on, and takes another for a crumpled
-    one of its own. Folds look much alike at all sizes.
-    """
-    found = seen_as(1.0)
-    if found.mesh is None or distance_from_picture(found.mesh, picture) <= LOOSE_FIT_M:
-        return found, 1.0
-    tried = [(found, 1.0), *((seen_as(scale), scale) for scale in OTHER_SIZES)]
-    apart = [
-        np.inf if one.mesh is None else distance_from_picture(one.mesh, picture) for one, _ in tried
-    ]
-    # Half as far, or else it is no other size but another bad guess.
-    best = int(np.argmin(apart))
-    return tried[best if apart[best] < 0.5 * apart[0] else 0]
 
 
 def observation_of(picture: "DepthInput") -> Observation:

@@ -21,7 +21,8 @@ from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.reconstruction.layer_order import LayerOrder
 from clothtrack.reconstruction.normal_matrix import NormalMatrix
 from clothtrack.reconstruction.seen_cloth import SeenCloth
-from clothtrack.reconstruction.template_fit import SeenPoints, smoothness_matrix
+from clothtrack.reconstruction.seen_points import SeenPoints
+from clothtrack.reconstruction.smoothness import smoothness_matrix
 
 EDGES = (1.0, 1.0, 1.0, 3.0, 3.0, 10.0, 10.0, 30.0, 30.0)
 """Weight of the edges' lengths in each round, against 1 for a vertex that is well seen: weak first,

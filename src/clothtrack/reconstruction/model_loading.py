@@ -1,45 +1,97 @@
-"""Loads the network that reconstructs a garment: the token network, or the published one."""
+"""Finds the design that weights are of, and loads the network."""
 
+from collections.abc import Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
 
-from clothtrack.errors import InvalidResultError
-from clothtrack.reconstruction.availability import shipped_weights
-from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.tokens.token_learning import KIND
-from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
-from clothtrack.reconstruction.training.checkpoint import load_weights
-from clothtrack.reconstruction.two_stages import network_of
+from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.files.extras import require_extra
+from clothtrack.reconstruction.availability import EXTRA, shipped_weights
+from clothtrack.reconstruction.design import Design, Reconstructor
+from clothtrack.reconstruction.learning_config import LearningConfig
+from clothtrack.reconstruction.token_meshes import TokenMeshes
+from clothtrack.reconstruction.tokens.token_learning import is_of_tokens
+from clothtrack.reconstruction.tokens.token_training import finetune_tokens, pretrain_tokens
+from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
+
+TOKENS = Design(
+    name="tokens",
+    networks=("tokens",),
+    extra="learn",
+    modules=EXTRA,
+    recognizes=is_of_tokens,
+    load=TokenMeshes.load,
+    configuration=LearningConfig.preset,
+    pretrain=pretrain_tokens,
+    finetune=finetune_tokens,
+)
+"""One network for every garment."""
 
 
-def load_model(
-    kind: str, path: Path | None = None, *, device: str = "cpu"
-) -> MeshReconstructor | TokenReconstructor:
-    """The network for a kind of garment.
+def designs() -> Iterator[Design]:
+    """Iterate over the token network and the designs of other installed packages."""
+    yield TOKENS
+    for found in entry_points(group="clothtrack.networks"):
+        yield found.load()
+
+
+def design_of(weights: Weights) -> Design:
+    """Return the design that weights are of.
+
+    Raises:
+        InvalidResultError: no installed package knows their network.
+        InvalidConfigError: the extra that the design needs is not installed.
+    """
+    for design in designs():
+        if design.recognizes(weights):
+            return _installed(design)
+    raise InvalidResultError(
+        f"{weights.path}: no installed package knows its network (for {weights.kind!r:.80}); the "
+        "published networks are in clothtrack_lab: install clothtrack again, or give weights of "
+        "the token network"
+    )
+
+
+def design_named(network: str) -> Design:
+    """Return the design that has a network of this name.
+
+    Args:
+        network: such as "tokens".
+
+    Raises:
+        InvalidConfigError: there is none, or the extra that it needs is not installed.
+    """
+    known = {name: design for design in designs() for name in design.networks}
+    if network not in known:
+        raise InvalidConfigError(
+            f"there is no network {network!r:.80}; choose one of {', '.join(known)}"
+        )
+    return _installed(known[network])
+
+
+def _installed(design: Design) -> Design:
+    require_extra(design.extra, design.modules, f"the network {design.name!r}")
+    return design
+
+
+def load_model(kind: str, path: Path | None = None, *, device: str = "cpu") -> Reconstructor:
+    """Load the network for a kind of garment.
 
     Args:
         kind: "towel", "tshirt" or, of the token network alone, "trousers".
-        path: weights of the token network, or of both stages of the published one; those that come
-            with the package when None.
+        path: weights of any design; the token network's that come with the package when None.
         device: where to compute.
 
     Raises:
-        InvalidResultError: there are no such weights, or they are damaged or for another garment.
+        InvalidResultError: there are no such weights, or they are damaged, of an unknown network or
+            for another garment.
+        InvalidConfigError: the extra that the network needs is not installed.
     """
+    path = path or shipped_weights()
     if path is None:
-        path = shipped_weights(kind)
-        if path is None:
-            raise InvalidResultError(
-                f"no weights for {kind!r} come with this installation; train some with "
-                "clothtrack pretrain, and name them with --weights"
-            )
-    weights = load_weights(path)
-    if weights.kind == KIND:
-        return TokenReconstructor.of(weights, device=device)
-    if weights.kind != kind:
         raise InvalidResultError(
-            f"{path} is for {weights.kind!r:.80}, the picture shows {kind!r}; give other "
-            "weights, or say what it is with --garment"
+            "no weights come with this installation; train some with clothtrack pretrain, and name "
+            "them with --weights"
         )
-    model = MeshReconstructor(network_of(weights), kind)
-    weights.load_into(model)
-    return model.to(device).eval()
+    weights = load_weights(path)
+    return design_of(weights).load(weights, kind, device=device)

@@ -18,6 +18,9 @@ THICKNESS_M = 0.003
 RESTING_HEIGHT_M = 0.5 * THICKNESS_M
 """Height at which the vertices of such a cloth rest above the table [m]."""
 
+SETTLE_IN_S = 1e-3
+"""Time [s] in which the solver learns on which side of each other a flat garment's layers are."""
+
 CONTACT_TOLERANCE = 0.15
 """How far outside a triangle a vertex still touches it, in barycentric units."""
 

@@ -19,8 +19,6 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.availability import missing_modules, shipped_weights
 from clothtrack.reconstruction.first_mesh import front_up, laid_flat
 from clothtrack.reconstruction.flat_fit import FITTED_KINDS, flat_fit
-from clothtrack.reconstruction.from_picture import network_mesh
-from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
@@ -161,7 +159,7 @@ def _weights(recording: Recording, config: InitialStateConfig) -> Path | None:
             f"the first mesh is to come from the network, which needs {', '.join(missing)}; "
             f"install with: {install_command('learn')}, or use initial_state.source=flat"
         )
-    weights = named or shipped_weights(kind)
+    weights = named or shipped_weights()
     if weights is None and asked:
         raise InvalidConfigError(
             f"initial_state.source is network, and no weights for {kind!r} come with this "
@@ -207,14 +205,13 @@ def _from_network(
 
     kind, table = recording.cloth.kind, recording.table
     depth, mask, camera = cloth_picture(recording, recording.frames[0], segmenter)
-    result = network_mesh(
-        load_model(kind, weights, device=device),
+    result = load_model(kind, weights, device=device).mesh(
         DepthInput(depth, mask, camera, table, kind),
         kind,
         size_m=recording.cloth.size_m,
         template=read_template(Path(config.template)) if config.template else None,
         vertex_count=config.vertex_count,
-        refinement=RefinementConfig() if config.refined else None,
+        refined=config.refined,
         observation=observation,
         device=device,
     )

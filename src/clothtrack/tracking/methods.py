@@ -16,9 +16,9 @@ from jaxtyping import Float
 from clothtrack.alignment.aligner import AlignmentConfig
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
-from clothtrack.reconstruction.refinement import SETTLE_IN_S
 from clothtrack.recordings.recording import PickAndPlace, Recording
 from clothtrack.simulation.dynamics import ClothDynamics
+from clothtrack.simulation.parameters import SETTLE_IN_S
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import ClothState
 from clothtrack.tracking.calibration import (

@@ -282,9 +282,13 @@ def improve(
     require_learning()
     require_lab()
     from clothtrack.files.settings import with_settings
+    from clothtrack.reconstruction.model_loading import design_of
+    from clothtrack.reconstruction.training.checkpoint import load_weights
     from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rounds
 
-    config = with_settings(ImprovementConfig(rounds=rounds, episodes=episodes), settings)
+    finetune = design_of(load_weights(weights)).configuration("finetune_short")
+    config = ImprovementConfig(rounds=rounds, episodes=episodes, finetune=finetune)
+    config = with_settings(config, settings)
     if show_settings:
         return list_settings(config)
     curve = improve_rounds(

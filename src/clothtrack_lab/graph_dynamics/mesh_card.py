@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.reconstruction.model_card import CARD, made_in_words, markdown_table
 from clothtrack.reconstruction.training.checkpoint import Weights
+from clothtrack_lab.model_cards import CARD, made_in_words, markdown_table
 
 _LIMITS = """\
 - It has learned from our simulator, where materials were drawn at random, and knows none of them.

@@ -17,9 +17,8 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Checked, Count
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
-from clothtrack.reconstruction.model_card import PACKAGES
 from clothtrack.reconstruction.training.batches import Draw, Subset, split_by_group
-from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.reconstruction.training.checkpoint import PACKAGES, load_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.stage import Stage
 from clothtrack.reconstruction.training.training_config import TrainingConfig

@@ -57,7 +57,6 @@ from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
-    from clothtrack.reconstruction.learning_config import LearningConfig
 
 CURVE = "improvement.json"
 ASKED = "asked.json"
@@ -66,7 +65,7 @@ WORTH = "worth.json"
 STOPPED = "fewer than two recordings have a label that is expected to be better than the network"
 
 
-def _finetune() -> "LearningConfig":
+def _finetune() -> Any:
     from clothtrack.reconstruction.learning_config import LearningConfig
 
     return LearningConfig.preset("finetune_short")
@@ -85,7 +84,8 @@ class ImprovementConfig(Checked):
         flatten: how episodes are done.
         robot: of the simulated world.
         track: how their recordings are tracked.
-        finetune: how the network is trained on the labels.
+        finetune: how the network is trained on the labels: the configuration of its design
+            (`reconstruction.design.Design.configuration`); the token network's by default.
     """
 
     rounds: Natural = 1
@@ -95,7 +95,7 @@ class ImprovementConfig(Checked):
     flatten: FlattenConfig = field(default_factory=FlattenConfig)
     robot: SimulatedRobotConfig = field(default_factory=SimulatedRobotConfig)
     track: RunConfig = field(default_factory=RunConfig)
-    finetune: "LearningConfig" = field(default_factory=_finetune)
+    finetune: Any = field(default_factory=_finetune)
 
     def __post_init__(self) -> None:
         """Refuse rounds that cannot end well before the first is begun.
@@ -234,11 +234,20 @@ def _require_inputs(
 ) -> None:
     """Refuse now what a round would trip over hours later."""
     from clothtrack.reconstruction.data.state_store import open_states
-    from clothtrack.reconstruction.model_loading import load_model
+    from clothtrack.reconstruction.model_loading import design_of
+    from clothtrack.reconstruction.training.checkpoint import load_weights
     from clothtrack.reconstruction.training.processes import require_torch_device
 
     require_torch_device(device)
-    load_model(kind, weights, device=device)
+    start = load_weights(weights)
+    design = design_of(start)
+    design.load(start, kind, device=device)
+    wanted = type(design.configuration("finetune_short"))
+    if not isinstance(config.finetune, wanted):
+        raise InvalidConfigError(
+            f"finetune is a {type(config.finetune).__name__}, and {weights} is fine-tuned by a "
+            f"{wanted.__name__}; give {wanted.__name__}.preset('finetune_short')"
+        )
     dynamics_of(config.flatten, device=device)
     if old is not None:
         states = open_states(old)
@@ -261,7 +270,7 @@ def _take_up(
     perceived = replace(config.flatten.perception, weights=str(weights))
     settings = {
         **asdict(config),
-        "flatten": episode_identity(replace(config.flatten, perception=perceived), kind),
+        "flatten": episode_identity(replace(config.flatten, perception=perceived)),
         "track": counted_settings(config.track),
     }
     # Each round depends on those before it alone.
@@ -334,7 +343,8 @@ def _tuned(
         ClothTrackError: it was interrupted.
     """
     from clothtrack.reconstruction.data.state_store import open_states
-    from clothtrack.reconstruction.fine_tuning import finetune
+    from clothtrack.reconstruction.model_loading import design_of
+    from clothtrack.reconstruction.training.checkpoint import load_weights
     from clothtrack.reconstruction.training.processes import Processes
 
     tuned = folder / MODEL
@@ -342,8 +352,9 @@ def _tuned(
         return tuned
     share = config.old_share if old is not None else 0.0
     learning = config.finetune.mixing(share)
-    outcome = finetune(
-        weights,
+    start = load_weights(weights)
+    outcome = design_of(start).finetune(
+        start,
         labels,
         learning,
         folder,

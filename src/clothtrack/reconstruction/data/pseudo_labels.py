@@ -24,15 +24,7 @@ from clothtrack.geometry.closest_point import closest_on_mesh, interpolate
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.data.cloud_picture import cloud_picture
-from clothtrack.reconstruction.data.examples import (
-    Example,
-    ExampleConfig,
-    Garment,
-    LabelledPicture,
-    draw_example,
-)
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
-from clothtrack.reconstruction.training.batches import Draw
+from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
 from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.point_cloud import cloth_measured, observe
 from clothtrack.recordings.recording import Frame, Recording
@@ -190,58 +182,6 @@ def projected_faces(
     near = np.linalg.norm(nearest - points, axis=1) <= cut_m
     shown[mask & (depth > 0)] = np.where(near, seen[face], -1)
     return shown
-
-
-class PseudoLabelExamples:
-    """Labelled recordings as examples.
-
-    Args:
-        recordings: all of one kind.
-        network: what the pictures are for.
-        config: augmentation and numbers of queries.
-        seed: of everything random.
-
-    Raises:
-        InvalidResultError: there is no label, or they are of several kinds.
-    """
-
-    def __init__(
-        self,
-        recordings: Sequence[LabelledRecording],
-        network: NetworkConfig,
-        config: ExampleConfig | None = None,
-        *,
-        seed: int = 0,
-    ) -> None:
-        kinds = sorted({one.kind for one in recordings})
-        if len(kinds) != 1:
-            raise InvalidResultError(
-                f"labels of {', '.join(kinds) or 'no garment'} were given; a network is trained "
-                "for one kind: give labels of that kind"
-            )
-        self.kind = kinds[0]
-        self.network = network
-        self.config = config or ExampleConfig()
-        self.seed = seed
-        self.groups: list[str] = []
-        self._pictures: list[LabelledPicture] = []
-        self._garments: list[Garment] = []
-        for number, one in enumerate(recordings):
-            labels = Garment.of(one.mesh, one.kind, self.config.winding, seed=number)
-            self._pictures += one.pictures
-            self._garments += [labels] * len(one.pictures)
-            self.groups += [one.name] * len(one.pictures)
-
-    def __len__(self) -> int:
-        """Number of labelled pictures."""
-        return len(self._pictures)
-
-    def __getitem__(self, draw: Draw) -> Example:
-        """The picture, augmented for this epoch."""
-        index, epoch = draw
-        rng = np.random.default_rng([self.seed, epoch, index])
-        picture, labels = self._pictures[index], self._garments[index]
-        return draw_example(picture, labels, self.network, self.config, rng)
 
 
 def write_labels(labelled: LabelledRecording, path: Path) -> None:

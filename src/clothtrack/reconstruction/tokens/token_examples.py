@@ -8,10 +8,10 @@ from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
-from clothtrack.reconstruction.data.examples import LabelledPicture, faces_of_points
+from clothtrack.reconstruction.data.labelled_picture import LabelledPicture, faces_of_points
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.state_examples import RenderedStates
+from clothtrack.reconstruction.data.rendered_states import RenderedStates
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard, shard_digest
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens

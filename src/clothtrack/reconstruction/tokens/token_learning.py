@@ -18,11 +18,15 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
-from clothtrack.reconstruction.model_card import PACKAGES
 from clothtrack.reconstruction.tokens.token_network import TokenNetwork, TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_stage import TokenStage, collate_tokens
 from clothtrack.reconstruction.training.batches import Examples
-from clothtrack.reconstruction.training.checkpoint import Weights, load_weights, save_weights
+from clothtrack.reconstruction.training.checkpoint import (
+    PACKAGES,
+    Weights,
+    load_weights,
+    save_weights,
+)
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import Collate, train
@@ -176,16 +180,21 @@ def split_by_digest(
     return np.flatnonzero(~is_held), np.flatnonzero(is_held)
 
 
+def is_of_tokens(weights: Weights) -> bool:
+    """Whether weights are of a token network."""
+    return weights.kind == KIND and any(name.startswith(PREFIX) for name in weights.tensors)
+
+
 def require_tokens(weights: Weights) -> TokenNetworkConfig:
     """The sizes of a token network, from its weights.
 
     Raises:
         InvalidResultError: they are of another network.
     """
-    if weights.kind != KIND or not any(name.startswith(PREFIX) for name in weights.tensors):
+    if not is_of_tokens(weights):
         raise InvalidResultError(
-            f"{weights.path}: these are weights of the published network for {weights.kind!r}; "
-            "give weights of the token network"
+            f"{weights.path}: these are weights of another network, for {weights.kind!r}; give "
+            "weights of the token network"
         )
     try:
         # Weights written before there were hypotheses have one.

@@ -19,7 +19,7 @@ from clothtrack.geometry.camera import about_vertical
 from clothtrack.reconstruction.data.view import CroppedView, cloth_pixels, crop, points_of
 from clothtrack.reconstruction.depth_input import DepthInput
 from clothtrack.reconstruction.isometric_fit import Guide
-from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_examples import seen_by_network
 from clothtrack.reconstruction.tokens.token_learning import PREFIX, require_tokens

@@ -8,6 +8,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
 from clothtrack.files.run_manifest import as_plain
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
@@ -25,7 +26,6 @@ from clothtrack.reconstruction.training.processes import Processes
 
 def pretrain_tokens(
     states: Sequence[StateSet],
-    network: TokenNetworkConfig,
     config: LearningConfig,
     folder: Path,
     *,
@@ -41,8 +41,7 @@ def pretrain_tokens(
 
     Args:
         states: folders of states.
-        network: sizes of the network.
-        config: how.
+        config: how, and sizes of the network.
         folder: gets progress, scalars and `model.safetensors`.
         start: weights to begin with; the network may have more layers and hypotheses (`grown`).
         hours: of wall time after which the training pauses; None for no limit.
@@ -53,23 +52,28 @@ def pretrain_tokens(
         How it ended, and the file with the best weights.
 
     Raises:
-        InvalidConfigError: the states are too few.
+        InvalidConfigError: the states are too few, or nothing says when the training ends.
         InvalidResultError: states, progress or weights are damaged or of another training.
         StorageError: when the disk refuses.
     """
-    seed = config.tokens.seed
-    examples = TokenExamples(states, network, rendering=config.rendering, seed=seed)
-    training, held = split_by_digest(examples.groups, config.tokens.held_out_share)
+    loop, network = config.tokens, config.network or TokenNetworkConfig()
+    if loop.decay == "stable" and hours is None and not loop.fall_examples:
+        raise InvalidConfigError(
+            "the token network learns for as long as it is given time; add --hours N, or --set "
+            "tokens.fall_examples=N to let its rate fall and the training end"
+        )
+    examples = TokenExamples(states, network, seed=loop.seed)
+    training, held = split_by_digest(examples.groups, loop.held_out_share)
     data: dict[str, Any] = {
         "states": len(examples),
         "sets": [one.identity for one in states],
-        "rendering": config.rendering.as_dict(),
+        "rendering": RenderConfig().as_dict(),
     }
     weights = None
     if start is not None:
         weights = load_weights(start)
         data["start"] = as_plain(dict(weights.provenance))
-    learning = TokenLearning(network, config.tokens, folder, processes, progress, hours)
+    learning = TokenLearning(network, loop, folder, processes, progress, hours)
     return learning.of(Subset(examples, training), Subset(examples, held), data, weights)
 
 
@@ -83,9 +87,21 @@ def finetune_tokens(
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
-    """Train further on pseudo-labels; recordings are held out as a whole.
+    """Train further on pseudo-labels (paper, Sec. III-C); recordings are held out as a whole.
 
-    Arguments and errors are those of `fine_tuning.finetune`, but that the weights are read.
+    Args:
+        start: weights to begin with.
+        labels: labeled recordings; some are held out to select by.
+        config: how; `tokens.old_share` mixes in old states.
+        folder: gets progress, scalars and `model.safetensors`.
+        old: states of the old cloth, against forgetting.
+        processes: who trains together.
+        progress: called after every step.
+
+    Raises:
+        InvalidConfigError: there are too few labels, or old states are asked for and not given.
+        InvalidResultError: weights, states or progress are damaged or do not belong together.
+        StorageError: when the disk refuses.
     """
     network, training = require_tokens(start), config.tokens
     examples = LabelledTokenExamples(labels, network, seed=training.seed)
@@ -99,7 +115,7 @@ def finetune_tokens(
     if training.old_share > 0.0:
         if not old:
             raise InvalidConfigError("old_share is above 0, but no old states are given; name them")
-        others = TokenExamples(old, network, rendering=config.rendering, seed=training.seed)
+        others = TokenExamples(old, network, seed=training.seed)
         taught = Mixture(taught, others, training.old_share, seed=training.seed)
         data["old_states"] = len(others)
     learning = TokenLearning(network, training, folder, processes, progress)

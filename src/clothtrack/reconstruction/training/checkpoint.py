@@ -31,6 +31,9 @@ FORMAT = "clothtrack-weights"
 PROGRESS_FORMAT = "clothtrack-training-progress"
 FORMAT_VERSION = 1
 _DESCRIPTION = {"format", "version", "network", "kind", "provenance"}
+PACKAGES = ("torch", "numpy", "safetensors", "warp-lang")
+"""Distributions whose versions are stored with weights that were trained."""
+
 _REMEDY = "train again, or fetch an undamaged copy"
 
 

@@ -1,15 +1,11 @@
 """How long, how fast and on what a stage is trained."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Bounds, Checked, Count, Fraction, Natural, NotNegative, Positive
-
-StageName = Literal["canonicalisation", "completion", "tokens"]
-STAGES: tuple[StageName, ...] = ("canonicalisation", "completion")
-"""Those of the published network; the token network has one of its own."""
 
 
 @dataclass(frozen=True)
@@ -109,80 +105,3 @@ class TrainingConfig(Checked):
             phase = (step / rise) % 2.0
             height = phase if phase <= 1.0 else 2.0 - phase
         return self.low_rate + (self.high_rate - self.low_rate) * height
-
-
-TRAINING_PRESETS = ("pretrain", "pretrain_reference", "finetune", "finetune_short", "paper")
-
-
-def training_preset(name: str, stage: StageName) -> TrainingConfig:
-    """The settings of a kind of training.
-
-    Args:
-        name: "pretrain": the `small` network from nothing; "pretrain_reference": the `reference`
-            network, as MEDOR was trained (arXiv 2209.03287: 1e-4, 350 and 150 epochs);
-            "finetune": on pseudo-labels until it gets no better; "finetune_short": on the same, one
-            rise and fall of a rate 10 times as high, minutes instead of hours on a processor, and
-            three in ten held out, for one trajectory is too little to select by;
-            "paper": fine-tuning as published, 1,000 and 2,000 epochs.
-        stage: what is trained; batches are 8 for canonicalisation and 24 for completion, as in
-            the reference's pretraining (the paper does not say). The token network is fine-tuned as
-            canonicalisation is, but for "finetune_short": a rate six times as high that falls once.
-
-    Raises:
-        InvalidConfigError: there is no such preset.
-    """
-    if name not in TRAINING_PRESETS:
-        raise InvalidConfigError(
-            f"training preset is {name!r}; known are {', '.join(TRAINING_PRESETS)}"
-        )
-    if stage == "tokens":
-        return _of_tokens(name)
-    first = stage == "canonicalisation"
-    batch_size = 8 if first else 24
-    if name == "pretrain":
-        return TrainingConfig(epochs=100 if first else 60, batch_size=batch_size)
-    if name == "pretrain_reference":
-        epochs = 350 if first else 150
-        return TrainingConfig(epochs=epochs, batch_size=batch_size, low_rate=1e-4, high_rate=1e-4)
-    if name == "finetune_short":
-        epochs = 60 if first else 30
-        return TrainingConfig(
-            epochs=epochs,
-            low_rate=1e-5,
-            high_rate=1e-4,
-            rise_epochs=epochs / 2,
-            freeze_statistics=True,
-            held_out_share=0.3,
-            evaluate_epochs=5,
-        )
-    return TrainingConfig(
-        epochs=1000 if first else 2000,
-        batch_size=batch_size,
-        low_rate=1e-6,
-        high_rate=1e-5,
-        freeze_statistics=True,
-        evaluate_epochs=5,
-        patience=0 if name == "paper" else 20,
-    )
-
-
-def _of_tokens(name: str) -> TrainingConfig:
-    if name.startswith("pretrain"):
-        return TrainingConfig(
-            batch_size=16,
-            low_rate=1e-6,
-            high_rate=8e-4,
-            decay="stable",
-            average_examples=20_000,
-            gradient_limit=1.0,
-            held_out_share=0.03,
-            save_steps=100,
-            bfloat16=True,
-        )
-    fine = replace(training_preset(name, "canonicalisation"), gradient_limit=1.0, bfloat16=True)
-    if name == "finetune_short":
-        # On real labels, places came from 97 to 37 mm; in 24 epochs at half the rate, to 69.
-        return replace(
-            fine, epochs=80, low_rate=1e-6, high_rate=6e-4, rise_epochs=4.0, decay="cosine"
-        )
-    return fine

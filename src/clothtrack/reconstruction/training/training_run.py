@@ -247,7 +247,9 @@ class TrainingRun:
             return
         document = load_progress(path)
         identity = self._identity()
-        require_same(path, {name: document.get(name) for name in identity}, identity)
+        # Sizes by level are tuples in the progress, and lists in what is compared with.
+        stored = as_plain({name: document.get(name) for name in identity})
+        require_same(path, stored, identity)
         try:
             load_tensors(self.stage.trained, document["weights"], path)
             self.optimiser.load_state_dict(document["optimiser"])

@@ -10,22 +10,14 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.canonical_frame import canonical_frame
-from clothtrack.reconstruction.data.examples import (
-    Example,
-    ExampleConfig,
-    Garment,
-    LabelledPicture,
-    draw_example,
-)
+from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_noise
 from clothtrack.reconstruction.data.state_store import StateSet, StateShard, read_shard
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
 from clothtrack.reconstruction.training.batches import Draw
 from clothtrack.recordings.camera_view import flying_pixels
 
@@ -36,7 +28,6 @@ logger = logging.getLogger(__name__)
 
 _MARGIN_PIXELS = 6
 _ATTEMPTS, _STATES_TRIED = 8, 4
-_ROOM = 0.98
 
 
 class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
@@ -126,76 +117,6 @@ class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
     def _fitted(self, shard: StateShard) -> StateShard:
         """The states as the network can take them."""
         return shard
-
-
-class StateExamples(RenderedStates[Garment, Example]):
-    """Labelled states of simulated garments as examples of the published network.
-
-    Args:
-        sets: folders of states, all of one kind of garment.
-        network: what the pictures are for.
-        config: augmentation and numbers of queries.
-        rendering: the cameras.
-        seed: of everything random.
-
-    Raises:
-        InvalidConfigError: there is no state, or the sets are of several kinds.
-        InvalidResultError: a shard is damaged.
-    """
-
-    def __init__(
-        self,
-        sets: Sequence[StateSet],
-        network: NetworkConfig,
-        config: ExampleConfig | None = None,
-        *,
-        rendering: RenderConfig | None = None,
-        seed: int = 0,
-    ) -> None:
-        kinds = sorted({states.kind for states in sets})
-        if len(kinds) != 1:
-            raise InvalidConfigError(
-                f"states of {', '.join(kinds) or 'no garment'} were given; a network is trained "
-                "for one kind: give folders of states of that kind"
-            )
-        self.kind = kinds[0]
-        self.network = network
-        self.config = config or ExampleConfig()
-        super().__init__(sets, rendering or RenderConfig(), seed)
-        self.groups = [
-            (number, int(self._shard(number).episodes[state])) for number, state in self._places
-        ]
-
-    def _garment_of(self, shard: StateShard, number: int) -> Garment:
-        return Garment.of(shard.mesh, self.kind, self.config.winding, seed=number)
-
-    def _drawn(
-        self,
-        picture: LabelledPicture,
-        shard: StateShard,
-        garment: Garment,
-        rng: np.random.Generator,
-    ) -> Example:
-        del shard
-        return draw_example(picture, garment, self.network, self.config, rng)
-
-    def _fitted(self, shard: StateShard) -> StateShard:
-        return _in_cube(shard)
-
-
-def _in_cube(shard: StateShard) -> StateShard:
-    """The states as those of a garment that its category's canonical cube has room for.
-
-    A larger one is shown in a smaller world, as a picture of a garment of unknown size is
-    (`from_picture`); folds look much alike at all sizes.
-    """
-    reach_m = float(np.abs(np.asarray(shard.mesh.canonical)).max())
-    room_m = _ROOM * 0.5 / canonical_frame(shard.kind).scale
-    if reach_m <= room_m:
-        return shard
-    factor = room_m / reach_m
-    positions = (shard.positions * factor).astype(np.float32)
-    return replace(shard, mesh=shard.mesh.scaled(factor), positions=positions)
 
 
 def render(

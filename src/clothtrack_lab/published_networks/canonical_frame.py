@@ -51,15 +51,6 @@ SHEETS = ("towel",)
 
 _LEAST_INFLATION = 0.05
 
-_SYMMETRIES = {
-    # Turned by half about each axis: without marks nobody can tell. Turned by a quarter it would
-    # be a towel of other sides: `conventional` lays the longer one along x, so that only a square
-    # one has a quarter turn as well, and it is no member.
-    "towel": ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)),
-    # Turned over about the line from hem to neck: front and back look alike, left and right too.
-    "tshirt": ((1, 1, 1), (-1, 1, -1)),
-}
-
 
 def canonical_frame(kind: str) -> CanonicalFrame:
     """The unit cube of a category: all sizes of its garments, and a margin.
@@ -119,21 +110,6 @@ def check_canonical(canonical: Float[np.ndarray, "vertices 3"], kind: str) -> No
             f"the layers of the {kind}'s canonical pose are {1e3 * extent[2]:.0f} mm apart, so "
             "that front and back are one place; inflate it as garments.garment_meshes.tshirt does"
         )
-
-
-def symmetries(kind: str) -> Float[np.ndarray, "symmetries 3"]:
-    """Signs of x, y and z about the frame's centre that relabel the cloth as a look-alike.
-
-    The first one changes nothing. Each is a turn of the canonical pose by half, so the relabelled
-    cloth is a garment of the same category; which of them it is cannot be told from depth.
-
-    A towel has its longer side along x (`conventional`): a quarter turn is none of them.
-
-    Raises:
-        InvalidConfigError: for a category without a canonical pose.
-    """
-    _check_kind(kind)
-    return np.array(_SYMMETRIES[kind], dtype=np.float64)
 
 
 def _check_kind(kind: str) -> None:

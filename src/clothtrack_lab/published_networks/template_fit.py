@@ -9,22 +9,23 @@ is under the table.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, garment
-from clothtrack.geometry.camera import about_vertical
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import align
-from clothtrack.reconstruction.canonical_frame import CanonicalFrame
+from clothtrack.reconstruction.seen_points import SeenPoints
+from clothtrack.reconstruction.smoothness import smoothness_matrix
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
+from clothtrack_lab.published_networks.canonical_frame import CanonicalFrame
 
 CLOTH = ClothParameters(
     stretch_compliance=3e-3, bend_compliance=0.3, table_friction=0.0, particle_friction=0.0
@@ -69,29 +70,6 @@ class TemplateFitConfig:
     pull_s: float = 0.02
     pull: float = 0.9
     thickness_m: float = 0.003
-
-
-@dataclass(frozen=True, eq=False)
-class SeenPoints:
-    """What the canonicaliser says about one picture.
-
-    Attributes:
-        points: measured places [m], world, z up.
-        canonical: their canonical positions [m].
-        confidence: 0 to 1.
-    """
-
-    points: Float[np.ndarray, "points 3"]
-    canonical: Float[np.ndarray, "points 3"]
-    confidence: Float[np.ndarray, " points"]
-
-    def scaled(self, factor: float) -> "SeenPoints":
-        """The same in a world that is larger by a factor."""
-        return SeenPoints(self.points * factor, self.canonical * factor, self.confidence)
-
-    def turned(self, angle_rad: float) -> "SeenPoints":
-        """The same in a world that is turned about the vertical through its origin."""
-        return replace(self, points=self.points @ about_vertical(angle_rad).T)
 
 
 def template_of(
@@ -148,33 +126,6 @@ def fit_template(
         start = _below_what_is_seen(vertices, sightings, seen.points, table, config)
         vertices = _pulled_straight(template, start, sightings, table, config)
     return template.with_vertices(vertices)
-
-
-def smoothness_matrix(template: ClothMesh) -> sparse.csr_array:
-    """Rows that are zero for any flat sheet: a vertex less the mean of its neighbours.
-
-    The cotangents of the flat mesh weight the neighbours (U. Pinkall, K. Polthier, 1993), so that
-    an irregular mesh is as flat as a regular one. Rims and seams have no row: a flat shirt turns
-    back there.
-    """
-    corners = template.vertices[template.faces]
-    count = template.vertex_count
-    rows, columns, weights = [], [], []
-    for k in range(3):
-        a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        area = np.linalg.norm(np.cross(a, b), axis=1)
-        half = 0.5 * np.einsum("fi,fi->f", a, b) / np.maximum(area, 1e-12)
-        i, j = template.faces[:, (k + 1) % 3], template.faces[:, (k + 2) % 3]
-        rows += [i, j]
-        columns += [j, i]
-        weights += [half, half]
-    joined = sparse.coo_array(
-        (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), (count, count)
-    ).tocsr()
-    total = joined.sum(axis=1)
-    inside = ~(_on_rim(template) | _on_seam(template)) & (total > 1e-6)
-    share = sparse.diags_array(np.where(inside, 1.0 / np.where(inside, total, 1.0), 0.0))
-    return (sparse.diags_array(inside.astype(np.float64)) - share @ joined).tocsr()
 
 
 def _least_squares(
@@ -290,18 +241,3 @@ def _barycentric(
     rows = np.repeat(np.arange(len(face)), 3)
     places = (rows, template.faces[face].ravel())
     return sparse.coo_array((blend.ravel(), places), (len(face), template.vertex_count)).tocsr()
-
-
-def _on_rim(template: ClothMesh) -> Bool[np.ndarray, " vertices"]:
-    sides = np.sort(template.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, counts = np.unique(sides, axis=0, return_counts=True)
-    found = np.zeros(template.vertex_count, dtype=bool)
-    found[edges[counts == 1]] = True
-    return found
-
-
-def _on_seam(template: ClothMesh) -> Bool[np.ndarray, " vertices"]:
-    """Where the layers of an inflated garment meet."""
-    if template.canonical is None or not np.ptp(template.canonical[:, 2]) > 0:
-        return np.zeros(template.vertex_count, dtype=bool)
-    return np.abs(template.canonical[:, 2]) < 1e-6

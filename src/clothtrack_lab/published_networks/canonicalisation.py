@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from clothtrack.reconstruction.networks.hrnet import HRNet, ResidualBlock, convolution
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.hrnet import HRNet, ResidualBlock, convolution
+from clothtrack_lab.published_networks.network_config import NetworkConfig
 
 RELIEF_M = 0.03
 """Height over the cloth's mean [m] that the network is shown as 1."""

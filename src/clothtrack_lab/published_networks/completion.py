@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.network_config import NetworkConfig
 
 QUERIES_AT_ONCE = 1 << 17
 """A grid is decoded in pieces of this many nodes, to bound the memory."""

@@ -12,10 +12,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from clothtrack.reconstruction.alignment_frame import Alignment, align
-from clothtrack.reconstruction.canonical_frame import CanonicalFrame
-from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser, coordinates
-from clothtrack.reconstruction.networks.completion import ObservedPoints
-from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.reconstruction.seen_points import SeenPoints
+from clothtrack_lab.published_networks.canonical_frame import CanonicalFrame
+from clothtrack_lab.published_networks.canonicalisation import Canonicaliser, coordinates
+from clothtrack_lab.published_networks.completion import ObservedPoints
 
 
 class ObservedPictures(NamedTuple):

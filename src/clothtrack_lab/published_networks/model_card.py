@@ -5,17 +5,16 @@ Written beside the weights from what the weights file and the training know, and
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M
 from clothtrack.reconstruction.training.checkpoint import Weights
-from clothtrack.reconstruction.training.training_config import STAGES
+from clothtrack_lab.model_cards import CARD, made_in_words, markdown_table
+from clothtrack_lab.published_networks.published_config import STAGES
 
-CARD = "model_card.md"
-PACKAGES = ("torch", "numpy", "libigl", "safetensors", "warp-lang")
 NAMES = {"towel": "towel", "tshirt": "T-shirt"}
 
 _LIMITS = """\
@@ -98,22 +97,6 @@ def _training(weights: Weights, cpu_s: Mapping[str, float]) -> str:
         rows.append((stage, *values, str(provenance["step"]), f"{cpu_s[stage] / 60:.0f}"))
     titles = [name.replace("_", " ") for name in fields]
     return markdown_table(("stage", *titles, "kept step", "CPU minutes"), rows)
-
-
-def made_in_words(made: Mapping[str, Any]) -> str:
-    """Versions and machine in a sentence (`provenance.made_with` and the device)."""
-    packages = ", ".join(f"{name} {version}" for name, version in made["packages"].items())
-    commit = f" (`{made['commit']}`)" if made["commit"] else ""
-    return (
-        f"clothtrack {made['clothtrack']}{commit} on {made['device']}; {made['machine']}, Python "
-        f"{made['python']}; {packages}."
-    )
-
-
-def markdown_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of texts."""
-    lines = [titles, ["---"] * len(titles), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def write_model_card(weights: Weights, cpu_s: Mapping[str, float], made: Mapping[str, Any]) -> Path:

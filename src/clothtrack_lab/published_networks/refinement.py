@@ -23,18 +23,17 @@ from clothtrack.geometry.chamfer import two_way
 from clothtrack.geometry.closest_point import closest_on_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import VisibilityCheck
-from clothtrack.reconstruction.template_fit import CLOTH, SeenPoints
+from clothtrack.reconstruction.from_picture import Refinement
+from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.dynamics import ClothDynamics
-from clothtrack.simulation.parameters import SolverConfig
+from clothtrack.simulation.parameters import SETTLE_IN_S, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment
+from clothtrack_lab.published_networks.template_fit import CLOTH
 
 logger = logging.getLogger(__name__)
-
-SETTLE_IN_S = 1e-3
-"""Time [s] in which the solver learns on which side of each other a flat garment's layers are."""
 
 _LIFT_M = 0.05
 
@@ -93,23 +92,6 @@ class RefinementConfig(Checked):
                 "refinement.rigidity_weight is 0: nothing says where hidden vertices are to go; "
                 "give more than 0, or consistency_weight 0"
             )
-
-
-@dataclass(frozen=True, eq=False)
-class Refinement:
-    """What fine-tuning made of a mesh.
-
-    Attributes:
-        positions: vertices in the world [m]: of the start and all rounds, those nearest to the
-            cloud.
-        chamfer_m2: visible vertices against the cloud, both directions [m^2], at the start and
-            after each round.
-        chosen: whose positions these are; 0 is the start.
-    """
-
-    positions: Float[np.ndarray, "vertices 3"]
-    chamfer_m2: tuple[float, ...]
-    chosen: int
 
 
 class Refiner:

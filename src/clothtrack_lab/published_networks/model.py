@@ -2,18 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError, InvalidResultError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.reconstruction.alignment_frame import Alignment
-from clothtrack.reconstruction.canonical_frame import CanonicalFrame, canonical_frame, conventional
 from clothtrack.reconstruction.data.view import (
     ClothPixels,
     CroppedView,
@@ -21,57 +19,27 @@ from clothtrack.reconstruction.data.view import (
     crop,
     points_of,
 )
-from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
-from clothtrack.reconstruction.networks.completion import Completion
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
-from clothtrack.reconstruction.networks.surface import extract_surface, field_grid
-from clothtrack.reconstruction.networks.warp_field import WarpField
-from clothtrack.reconstruction.observation import observe_pictures
-from clothtrack.reconstruction.template_fit import (
+from clothtrack.reconstruction.from_picture import Method, Reconstruction
+from clothtrack.reconstruction.seen_points import SeenPoints
+from clothtrack.reconstruction.training.checkpoint import Weights, check_tensors
+from clothtrack.recordings.recording import Table
+from clothtrack_lab.published_networks.canonical_frame import (
+    CanonicalFrame,
+    canonical_frame,
+    conventional,
+)
+from clothtrack_lab.published_networks.canonicalisation import Canonicaliser
+from clothtrack_lab.published_networks.completion import Completion
+from clothtrack_lab.published_networks.network_config import PRESETS, NetworkConfig
+from clothtrack_lab.published_networks.observation import observe_pictures
+from clothtrack_lab.published_networks.surface import extract_surface, field_grid
+from clothtrack_lab.published_networks.template_fit import (
     NO_CANONICAL,
-    SeenPoints,
     TemplateFitConfig,
     fit_template,
     template_of,
 )
-from clothtrack.recordings.recording import Table
-
-Method = Literal["template", "implicit"]
-
-
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
-    """What one depth picture became.
-
-    Attributes:
-        mesh: the garment in the world [m], canonical coordinates filled; None without one.
-        status: "template", "surface", or why there is no mesh.
-        camera: the virtual camera of the network's picture.
-        canonical_image: canonical position [m] of each pixel of cloth; not a number elsewhere.
-        confidence: of that position, the least sure axis, 0 to 1; 0 where no cloth is.
-        seen: the measured points with their canonical positions.
-        rest: the flat garment that was carried, vertex by vertex the mesh's; None for a surface.
-    """
-
-    mesh: ClothMesh | None
-    status: str
-    camera: Camera
-    canonical_image: Float32[np.ndarray, "size size 3"]
-    confidence: Float32[np.ndarray, "size size"]
-    seen: SeenPoints
-    rest: ClothMesh | None = None
-
-    def scaled(self, factor: float) -> "Reconstruction":
-        """The same in a world that is larger by a factor."""
-        return Reconstruction(
-            None if self.mesh is None else self.mesh.scaled(factor),
-            self.status,
-            self.camera.scaled(factor),
-            self.canonical_image * np.float32(factor),
-            self.confidence,
-            self.seen.scaled(factor),
-            None if self.rest is None else self.rest.scaled(factor),
-        )
+from clothtrack_lab.published_networks.warp_field import WarpField
 
 
 class MeshReconstructor(nn.Module):
@@ -280,3 +248,29 @@ def _reconstruction(
     confidence[rows, columns] = observed.confidence
     camera = observed.view.camera
     return Reconstruction(mesh, status, camera, canonical, confidence, observed.seen, rest)
+
+
+def network_of(weights: Weights) -> NetworkConfig:
+    """The configuration of the networks that weights of both stages belong to.
+
+    The weights are compared with it before any network is built: what is built then is as large
+    as the file, and not as large as the file claims.
+
+    Raises:
+        InvalidResultError: it is none that this version knows, or its weights are others.
+    """
+    try:
+        values = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in weights.network.items()
+        }
+        network = NetworkConfig(**values)
+        with torch.device("meta"):
+            shapes = MeshReconstructor(network, weights.kind)
+    except (TypeError, InvalidConfigError) as error:
+        raise InvalidResultError(
+            f"{weights.path}: its network is none that this version knows ({error}); give weights "
+            f"of one of {', '.join(PRESETS)}"
+        ) from error
+    check_tensors(shapes, weights.tensors, weights.path)
+    return network

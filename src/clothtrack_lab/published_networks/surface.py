@@ -16,9 +16,9 @@ from skimage.measure import marching_cubes
 
 from clothtrack.errors import InvalidConfigError, InvalidMeshError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.canonical_frame import CanonicalFrame
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
-from clothtrack.reconstruction.networks.simplification import (
+from clothtrack_lab.published_networks.canonical_frame import CanonicalFrame
+from clothtrack_lab.published_networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.simplification import (
     compact,
     largest_piece,
     without_pinches,

@@ -1,6 +1,6 @@
 """The two stages of training: which point each pixel shows, then all of the cloth.
 
-Which of a garment's look-alike labellings is true cannot be seen (`canonical_frame.symmetries`).
+Which of a garment's look-alike labellings is true cannot be seen (`first_mesh.symmetries`).
 Both stages take, for each picture as a whole, the one that fits what the canonicaliser says; errors
 are measured for the labelling as it was drawn, and up to symmetry, which is what selects.
 """
@@ -13,22 +13,22 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from clothtrack.reconstruction.alignment_frame import Alignment
-from clothtrack.reconstruction.canonical_frame import (
+from clothtrack.reconstruction.first_mesh import symmetries
+from clothtrack.reconstruction.training.stage import Stage
+from clothtrack_lab.published_networks.canonical_frame import (
     SHEETS,
     canonical_frame,
-    symmetries,
 )
-from clothtrack.reconstruction.data.examples import Batch
-from clothtrack.reconstruction.networks.canonicalisation import (
+from clothtrack_lab.published_networks.canonicalisation import (
     Canonicaliser,
     canonical_loss,
     coordinates,
 )
-from clothtrack.reconstruction.networks.completion import Completion, ObservedPoints
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
-from clothtrack.reconstruction.networks.warp_field import RESIDUAL_M, WarpField
-from clothtrack.reconstruction.observation import observe_pictures
-from clothtrack.reconstruction.training.stage import Stage
+from clothtrack_lab.published_networks.completion import Completion, ObservedPoints
+from clothtrack_lab.published_networks.examples import Batch
+from clothtrack_lab.published_networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.observation import observe_pictures
+from clothtrack_lab.published_networks.warp_field import RESIDUAL_M, WarpField
 
 CLOSE = 0.05
 """A canonical coordinate nearer to the truth than this [unit cube] counts as found."""

@@ -1,4 +1,4 @@
-"""What the networks are trained on: a picture, what its pixels show, and where all the cloth is.
+"""What the published networks are trained on: a picture, its canonical labels, and all the cloth.
 
 Simulated states and pseudo-labels become examples here, by the same way and with the same
 augmentation: the camera and the cloth are mirrored and turned together about the vertical, so that
@@ -6,7 +6,7 @@ picture, canonical coordinates and points can never disagree.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import torch
@@ -15,13 +15,17 @@ from torch import Tensor
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Checked, Count, Positive
-from clothtrack.geometry.camera import Camera, about_vertical
-from clothtrack.geometry.closest_point import closest_on_triangle, interpolate
+from clothtrack.geometry.closest_point import interpolate
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.canonical_frame import canonical_frame, check_canonical, conventional
+from clothtrack.reconstruction.data.labelled_picture import LabelledPicture, faces_of_points
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of
-from clothtrack.reconstruction.data.winding import WindingConfig, WindingPool, winding_pool
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.canonical_frame import (
+    canonical_frame,
+    check_canonical,
+    conventional,
+)
+from clothtrack_lab.published_networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.winding import WindingConfig, WindingPool, winding_pool
 
 
 @dataclass(frozen=True)
@@ -104,50 +108,6 @@ class Garment:
         areas = np.linalg.norm(normals, axis=1)
         pool = winding_pool(unit, mesh.faces, config, seed=seed)
         return cls(kind, mesh.faces, unit, areas / areas.sum(), pool)
-
-
-@dataclass(frozen=True, eq=False)
-class LabelledPicture:
-    """A depth picture of a cloth of which every vertex is known.
-
-    Attributes:
-        depth_m: measured depth [m]; 0 where nothing was measured.
-        mask: where the cloth is thought to be.
-        camera: that took the picture.
-        faces: the face of the mesh that each pixel shows; -1 where none does.
-        positions: vertices in the world [m], z up.
-        weight: how much the label is worth, 0 to 1.
-    """
-
-    depth_m: Float[np.ndarray, "height width"]
-    mask: Bool[np.ndarray, "height width"]
-    camera: Camera
-    faces: Int[np.ndarray, "height width"]
-    positions: Float[np.ndarray, "vertices 3"]
-    weight: float = 1.0
-
-    def mirrored(self) -> "LabelledPicture":
-        """The same seen in a mirror: the world's x has the other sign."""
-        pose = self.camera.world_from_camera.copy()
-        # Two reflections, of the world and of the picture's columns, make a camera again.
-        pose[0, :] *= -1.0
-        pose[:3, 0] *= -1.0
-        camera = replace(
-            self.camera, cx=self.camera.width - 1 - self.camera.cx, world_from_camera=pose
-        )
-        return LabelledPicture(
-            self.depth_m[:, ::-1],
-            self.mask[:, ::-1],
-            camera,
-            self.faces[:, ::-1],
-            self.positions * (-1.0, 1.0, 1.0),
-            self.weight,
-        )
-
-    def turned(self, angle: float) -> "LabelledPicture":
-        """Camera and cloth turned about the vertical through the origin [rad]."""
-        positions = self.positions @ about_vertical(angle).T
-        return replace(self, camera=self.camera.turned(angle), positions=positions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,9 +201,6 @@ def canonical_of_points(
 ) -> tuple[Float[np.ndarray, "points 3"], Bool[np.ndarray, " points"]]:
     """Canonical coordinates [unit cube] of measured points, by projection to the mesh.
 
-    A point is projected to the face that the picture shows at the pixel where it was measured: of
-    the four pixels around it, the one whose depth is nearest to its own.
-
     Args:
         points: on the surface that the picture's pixels measured, in the world [m].
         picture: what shows which face.
@@ -256,38 +213,6 @@ def canonical_of_points(
     face, weights, near = faces_of_points(points, picture, garment.faces, cut_m=cut_m)
     unit = interpolate(weights, garment.unit[garment.faces[face]])
     return unit, near
-
-
-def faces_of_points(
-    points: Float[np.ndarray, "points 3"],
-    picture: LabelledPicture,
-    faces: Int[np.ndarray, "faces 3"],
-    *,
-    cut_m: float,
-) -> tuple[Int[np.ndarray, " points"], Float[np.ndarray, "points 3"], Bool[np.ndarray, " points"]]:
-    """Where on the mesh measured points lie: face, weights of its corners, and whether near.
-
-    Args:
-        points: as for `canonical_of_points`, and so are the others.
-        picture: what shows which face.
-        faces: of the mesh.
-        cut_m: points further from the mesh [m] are not on it.
-    """
-    pixels, depth = picture.camera.project(points)
-    height, width = picture.depth_m.shape
-    corner = np.floor(pixels).astype(np.int64)
-    steps = np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
-    columns, rows = np.moveaxis(corner[:, None] + steps, 2, 0)
-    columns, rows = columns.clip(0, width - 1), rows.clip(0, height - 1)
-    found = np.where(picture.mask, picture.depth_m, 0.0)[rows, columns]
-    gaps = np.where(found > 0, np.abs(found - depth[:, None]), np.inf)
-    nearest = gaps.argmin(axis=1)
-    face = np.take_along_axis(picture.faces[rows, columns], nearest[:, None], axis=1)[:, 0]
-    corners = faces[face]
-    weights = closest_on_triangle(points, picture.positions[corners])
-    on_mesh = interpolate(weights, picture.positions[corners])
-    near = np.linalg.norm(on_mesh - points, axis=1) <= cut_m
-    return face, weights, near & (face >= 0)
 
 
 @dataclass(frozen=True, eq=False)

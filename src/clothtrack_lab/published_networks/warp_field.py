@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from clothtrack.reconstruction.networks.completion import in_box, perceptron, sample
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.completion import in_box, perceptron, sample
+from clothtrack_lab.published_networks.network_config import NetworkConfig
 
 RESIDUAL_M = 0.1
 """What an output of 1 stands for [m]."""

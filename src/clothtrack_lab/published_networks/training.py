@@ -10,26 +10,15 @@ import torch
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.progress import Progress
 from clothtrack.files.provenance import made_with
-from clothtrack.reconstruction.data.examples import collate
-from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, PseudoLabelExamples
-from clothtrack.reconstruction.data.state_examples import StateExamples
+from clothtrack.files.run_manifest import as_plain
+from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
+from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
-from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
-from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.model_card import PACKAGES, write_model_card
-from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
-from clothtrack.reconstruction.networks.network_config import PRESETS, NetworkConfig
-from clothtrack.reconstruction.stages import (
-    CanonicalisationStage,
-    CompletionStage,
-    canonicalisation_stage,
-    completion_stage,
-)
 from clothtrack.reconstruction.training.batches import Examples, Mixture, Subset, split_by_group
 from clothtrack.reconstruction.training.checkpoint import (
+    PACKAGES,
     Weights,
-    check_tensors,
     load_weights,
     save_weights,
 )
@@ -37,17 +26,30 @@ from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.reconstruction.training.training_run import TrainingOutcome
+from clothtrack_lab.published_networks.canonicalisation import Canonicaliser
+from clothtrack_lab.published_networks.examples import collate
+from clothtrack_lab.published_networks.model import network_of
+from clothtrack_lab.published_networks.model_card import write_model_card
+from clothtrack_lab.published_networks.network_config import PRESETS, NetworkConfig
+from clothtrack_lab.published_networks.published_config import PublishedConfig
+from clothtrack_lab.published_networks.stages import (
+    CanonicalisationStage,
+    CompletionStage,
+    canonicalisation_stage,
+    completion_stage,
+)
+from clothtrack_lab.published_networks.state_examples import PseudoLabelExamples, StateExamples
 
 MODEL = "model.safetensors"
 
 
 def pretrain(
     states: Sequence[StateSet],
-    network: NetworkConfig,
-    config: LearningConfig,
+    config: PublishedConfig,
     folder: Path,
     *,
     start: Path | None = None,
+    hours: float | None = None,
     processes: Processes | None = None,
     progress: Progress | None = None,
 ) -> LearningOutcome:
@@ -55,28 +57,29 @@ def pretrain(
 
     Args:
         states: folders of one kind of garment.
-        network: sizes of the networks.
-        config: how.
+        config: how, and sizes of the networks.
         folder: gets a folder per stage and `model.safetensors`.
         start: weights of both stages to begin with, of the same garment and sizes.
+        hours: must be None: both stages learn for their epochs.
         processes: who trains together.
         progress: called after every step.
 
     Raises:
-        InvalidConfigError: the states are too few or of several kinds.
+        InvalidConfigError: the states are too few or of several kinds, or `hours` is given.
         InvalidResultError: states or progress are damaged or belong to another training, or the
             weights to begin with are of another garment or network.
         StorageError: when the disk refuses.
     """
+    if hours is not None:
+        raise InvalidConfigError("--hours: a published network learns for its epochs; leave it out")
+    network = config.network or PRESETS["small"]
     seed = config.canonicalisation.seed
-    examples = StateExamples(
-        states, network, config.examples, rendering=config.rendering, seed=seed
-    )
+    examples = StateExamples(states, network, config.examples, seed=seed)
     data = {
         "states": len(examples),
         "sets": [one.identity for one in states],
         "examples": asdict(config.examples),
-        "rendering": config.rendering.as_dict(),
+        "rendering": RenderConfig().as_dict(),
     }
     weights = None if start is None else load_weights(start)
     if weights is not None:
@@ -91,10 +94,10 @@ def pretrain(
     return learning.both(_Material(examples, examples.groups, data, weights))
 
 
-def finetune_two_stages(
+def finetune(
     start: Weights,
     labels: Sequence[LabelledRecording],
-    config: LearningConfig,
+    config: PublishedConfig,
     folder: Path,
     *,
     old: Sequence[StateSet] = (),
@@ -103,7 +106,19 @@ def finetune_two_stages(
 ) -> LearningOutcome:
     """Train both stages further on pseudo-labels (paper, Sec. III-C).
 
-    Arguments and errors are those of `fine_tuning.finetune`, but that the weights are read.
+    Args:
+        start: weights of both stages to begin with.
+        labels: labeled recordings of one kind; some are held out to select by.
+        config: how; `old_share` of each stage mixes in old states.
+        folder: gets a folder per stage and `model.safetensors`.
+        old: states of the old cloth, against forgetting.
+        processes: who trains together.
+        progress: called after every step.
+
+    Raises:
+        InvalidConfigError: there are too few labels, or old states are asked for and not given.
+        InvalidResultError: weights, states or progress are damaged or do not belong together.
+        StorageError: when the disk refuses.
     """
     network = network_of(start)
     seed = config.canonicalisation.seed
@@ -111,7 +126,7 @@ def finetune_two_stages(
     _require_kind(start, examples.kind, "labels")
     others = None
     if old:
-        others = StateExamples(old, network, config.examples, rendering=config.rendering, seed=seed)
+        others = StateExamples(old, network, config.examples, seed=seed)
         if others.kind != examples.kind:
             raise InvalidConfigError(f"old states are of {others.kind!r}, not {examples.kind!r}")
     elif config.canonicalisation.old_share or config.completion.old_share:
@@ -137,33 +152,7 @@ def _require_kind(weights: Weights, kind: str, material: str) -> None:
 
 def _beginning(weights: Weights) -> Mapping[str, Any]:
     """What is stored of the weights that a training begins with."""
-    return {"kind": weights.kind, "trained": _plain(dict(weights.provenance))}
-
-
-def network_of(weights: Weights) -> NetworkConfig:
-    """The configuration of the networks that weights of both stages belong to.
-
-    The weights are compared with it before any network is built: what is built then is as large
-    as the file, and not as large as the file claims.
-
-    Raises:
-        InvalidResultError: it is none that this version knows, or its weights are others.
-    """
-    try:
-        values = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in weights.network.items()
-        }
-        network = NetworkConfig(**values)
-        with torch.device("meta"):
-            shapes = MeshReconstructor(network, weights.kind)
-    except (TypeError, InvalidConfigError) as error:
-        raise InvalidResultError(
-            f"{weights.path}: its network is none that this version knows ({error}); give weights "
-            f"of one of {', '.join(PRESETS)}"
-        ) from error
-    check_tensors(shapes, weights.tensors, weights.path)
-    return network
+    return {"kind": weights.kind, "trained": as_plain(dict(weights.provenance))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +180,7 @@ class _Learning:
     def __init__(
         self,
         network: NetworkConfig,
-        config: LearningConfig,
+        config: PublishedConfig,
         folder: Path,
         *,
         processes: Processes | None,
@@ -233,7 +222,7 @@ class _Learning:
             write_model_card(
                 load_weights(path),
                 {name: outcome.cpu_s for name, outcome in self.outcomes.items()},
-                {**made_with(PACKAGES), "device": self.processes.machine},
+                {**made_with((*PACKAGES, "libigl")), "device": self.processes.machine},
             )
         self.processes.wait()
         return LearningOutcome(self.outcomes, path)
@@ -266,12 +255,3 @@ class _Learning:
         if outcome.status == "interrupted" or outcome.weights is None:
             return None
         return load_weights(outcome.weights)
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as lists, as they come back from a file."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return value

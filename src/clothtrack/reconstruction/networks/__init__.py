@@ -1,1 +1,0 @@
-"""The published method's three networks: canonicalisation, winding-number field, warp field."""

@@ -1,0 +1,104 @@
+"""Meshes of pictures by the token network: its rival answers, and the search among them."""
+
+import numpy as np
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.cuts import KnownGarment, sized
+from clothtrack.reconstruction.depth_input import DepthInput
+from clothtrack.reconstruction.finished_fit import finished
+from clothtrack.reconstruction.from_picture import Method, NetworkMesh, Reconstruction
+from clothtrack.reconstruction.search import Search
+from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
+from clothtrack.reconstruction.training.checkpoint import Weights
+from clothtrack.recordings.point_cloud import Observation
+
+
+class TokenMeshes:
+    """Meshes of pictures by the token network (`design.Reconstructor`).
+
+    Attributes:
+        states_error: the network says how far off each vertex may be.
+
+    Args:
+        network: answers for one garment in one picture.
+    """
+
+    states_error = True
+
+    def __init__(self, network: TokenReconstructor) -> None:
+        self.network = network
+
+    @classmethod
+    def load(cls, weights: Weights, kind: str, *, device: str = "cpu") -> "TokenMeshes":
+        """Return the network of weights that were read.
+
+        Args:
+            weights: of a token network.
+            kind: not asked: the network serves every garment.
+            device: where to compute.
+
+        Raises:
+            InvalidResultError: the weights are of another network.
+        """
+        del kind
+        return cls(TokenReconstructor.of(weights, device=device))
+
+    def mesh(
+        self,
+        picture: DepthInput,
+        kind: str,
+        *,
+        method: Method = "template",
+        size_m: tuple[float, float] | None = None,
+        template: ClothMesh | None = None,
+        vertex_count: int = 1000,
+        refined: bool = False,
+        untangle: bool = False,
+        observation: Observation | None = None,
+        device: str = "cpu",
+    ) -> NetworkMesh:
+        """Return the mesh whose answer explains the picture best.
+
+        Arguments and errors are those of `design.Reconstructor.mesh`. The picture's own points are
+        what is fitted to, and a mesh that is refined is untangled in any case.
+        """
+        del untangle, observation
+        if method != "template":
+            raise InvalidConfigError(
+                f"the token network makes no mesh by method {method!r}; take 'template', or name "
+                "weights of the published network, which knows towels and T-shirts only"
+            )
+        search = Search(self.network, picture, device=device)
+        if template is not None:
+            best = search.known(KnownGarment.of(template, device=device))
+        elif size_m is not None:
+            best = search.known(sized(kind, size_m, vertex_count, device=device))
+        else:
+            best = search.best(kind, None, vertex_count=vertex_count)
+        rest, answer, vertices, untangling = best.garment.mesh, best.answer, best.vertices, None
+        if refined:
+            untangling = finished(
+                best.garment.fit, answer.guide, search.cloth, table=picture.table, device=device
+            )
+            vertices = untangling.positions
+        mesh = rest.with_vertices(vertices)
+        size = self.network.config.output_size
+        canonical = np.full((size, size, 3), np.nan, np.float32)
+        confidence = np.zeros((size, size), np.float32)
+        rows, columns = answer.pixels.T
+        canonical[rows, columns], confidence[rows, columns] = (
+            answer.seen.canonical,
+            answer.seen.confidence,
+        )
+        spread_m = answer.guide.spread_m
+        return NetworkMesh(
+            mesh,
+            Reconstruction(
+                mesh, "template", answer.view.camera, canonical, confidence, answer.seen, rest=rest
+            ),
+            expected_error_m=float(np.mean(spread_m)),
+            spread_m=spread_m,
+            untangling=untangling,
+            choices=search.choices,
+        )

@@ -1,0 +1,1 @@
+"""The published reconstruction network: canonical coordinates, winding numbers and a warp field."""

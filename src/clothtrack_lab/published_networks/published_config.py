@@ -1,0 +1,102 @@
+"""How the published network is trained: the loops of its stages, its sizes and its examples."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.reconstruction.training.training_config import TrainingConfig
+from clothtrack_lab.published_networks.examples import ExampleConfig
+from clothtrack_lab.published_networks.network_config import NetworkConfig, preset
+
+StageName = Literal["canonicalisation", "completion"]
+STAGES: tuple[StageName, ...] = ("canonicalisation", "completion")
+
+TRAININGS = ("pretrain", "pretrain_reference", "finetune", "finetune_short", "paper")
+
+
+def training_preset(name: str, stage: StageName) -> TrainingConfig:
+    """The settings of a kind of training.
+
+    Args:
+        name: "pretrain": the `small` network from nothing; "pretrain_reference": the `reference`
+            network, as MEDOR was trained (arXiv 2209.03287: 1e-4, 350 and 150 epochs);
+            "finetune": on pseudo-labels until it gets no better; "finetune_short": on the same, one
+            rise and fall of a rate 10 times as high, minutes instead of hours on a processor, and
+            three in ten held out, for one trajectory is too little to select by;
+            "paper": fine-tuning as published, 1,000 and 2,000 epochs.
+        stage: what is trained; batches are 8 for canonicalisation and 24 for completion, as in
+            the reference's pretraining (the paper does not say).
+
+    Raises:
+        InvalidConfigError: there is no such preset.
+    """
+    if name not in TRAININGS:
+        raise InvalidConfigError(f"training preset is {name!r}; known are {', '.join(TRAININGS)}")
+    first = stage == "canonicalisation"
+    batch_size = 8 if first else 24
+    if name == "pretrain":
+        return TrainingConfig(epochs=100 if first else 60, batch_size=batch_size)
+    if name == "pretrain_reference":
+        epochs = 350 if first else 150
+        return TrainingConfig(epochs=epochs, batch_size=batch_size, low_rate=1e-4, high_rate=1e-4)
+    if name == "finetune_short":
+        epochs = 60 if first else 30
+        return TrainingConfig(
+            epochs=epochs,
+            low_rate=1e-5,
+            high_rate=1e-4,
+            rise_epochs=epochs / 2,
+            freeze_statistics=True,
+            held_out_share=0.3,
+            evaluate_epochs=5,
+        )
+    return TrainingConfig(
+        epochs=1000 if first else 2000,
+        batch_size=batch_size,
+        low_rate=1e-6,
+        high_rate=1e-5,
+        freeze_statistics=True,
+        evaluate_epochs=5,
+        patience=0 if name == "paper" else 20,
+    )
+
+
+@dataclass(frozen=True)
+class PublishedConfig:
+    """How the published network is trained.
+
+    Attributes:
+        canonicalisation: the loop of the first stage.
+        completion: the loop of the second stage.
+        examples: augmentation of the examples, and numbers of queries.
+        network: sizes of the networks that are pretrained; None: those of the weights that are
+            fine-tuned.
+    """
+
+    canonicalisation: TrainingConfig
+    completion: TrainingConfig
+    examples: ExampleConfig = field(default_factory=ExampleConfig)
+    network: NetworkConfig | None = None
+
+    @classmethod
+    def preset(cls, training: str, *, network: str = "small", seed: int = 0) -> "PublishedConfig":
+        """Return the settings of a kind of training for both stages.
+
+        Args:
+            training: "pretrain", "finetune", "finetune_short" or "paper" (`training_preset`).
+            network: the sizes to pretrain: "small" or "reference".
+            seed: of weights, order and everything random in the examples.
+
+        Raises:
+            InvalidConfigError: there is no such training or network.
+        """
+        if (training, network) == ("pretrain", "reference"):
+            training = "pretrain_reference"
+        stages = {stage: replace(training_preset(training, stage), seed=seed) for stage in STAGES}
+        sizes = preset(network) if training.startswith("pretrain") else None
+        return cls(**stages, network=sizes)
+
+    def mixing(self, old_share: float) -> "PublishedConfig":
+        """Return the same with a share of the examples replaced by old states."""
+        stages = {stage: replace(getattr(self, stage), old_share=old_share) for stage in STAGES}
+        return replace(self, **stages)
