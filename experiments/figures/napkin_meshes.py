@@ -17,14 +17,14 @@ import _path  # noqa: F401
 import numpy as np
 from real.learned_cloth import KIND
 from real.robot_learning import Napkin, napkins
+from real.table2_real import NETWORKS
 from shared.bench_measures import Row
 from shared.figures import say, write_png
 from shared.reconstruction_pictures import HEIGHT, WIDTH, Picture, line, mesh_picture
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.geometry import ClothMesh, quiet_warp
-from clothtrack.reconstruction import load_model, network_mesh
-from clothtrack.reconstruction.availability import SHIPPED
+from clothtrack.reconstruction import load_model
 from clothtrack.report.viewpoint import three_quarter_view
 from clothtrack.tracking import TrackedTrajectory
 
@@ -59,7 +59,7 @@ def sheet(data: Path, rows: Path, network: str, labels: str) -> Picture:
     report, keep = json.loads(rows.read_text(encoding="utf-8")), rows.with_suffix("")
     judged = report["provenance"]["sequences"]["choose"]
     cloths = [one for one in napkins(data, keep / "recordings") if one.name in judged]
-    before = SHIPPED / str(row_of(report, network, "none")["weights"])
+    before = NETWORKS[network]
     after = keep / str(row_of(report, network, labels)["weights"])
     models = [load_model(KIND, weights) for weights in (before, after)]
     tiles = []
@@ -67,7 +67,7 @@ def sheet(data: Path, rows: Path, network: str, labels: str) -> Picture:
         tracked = TrackedTrajectory.load(keep / "tracked" / "default" / f"{cloth.name}.zarr")
         picture, size_m = cloth.picture(frame), cloth.size_m
         meshes: list[ClothMesh | None] = [
-            network_mesh(model, picture, KIND, size_m=size_m).mesh for model in models
+            model.mesh(picture, KIND, size_m=size_m).mesh for model in models
         ]
         known = tracked.mesh.with_vertices(np.asarray(tracked.positions[frame], np.float64))
         camera = three_quarter_view(

@@ -32,7 +32,7 @@ from shared.reconstruction_pictures import (
 
 from clothtrack.errors import ClothTrackError, InvalidRecordingError
 from clothtrack.geometry import Camera, one_way, quiet_warp
-from clothtrack.reconstruction import DepthInput, load_model, network_mesh
+from clothtrack.reconstruction import DepthInput, load_model
 from clothtrack.reconstruction.data.pseudo_labels import cloth_picture
 from clothtrack.reconstruction.from_picture import observation_of
 from clothtrack.recordings import read_recording
@@ -93,7 +93,7 @@ def reconstructed(folder: Path, kind: str, weights: Path, image: Path) -> dict[s
     view = three_quarter_view(points, width=WIDTH, height=HEIGHT)
     pictures, figures = [depth_picture(depth, mask)], {}
     for how in (plain, refined(plain, "fine-tuned at test time")):
-        found = network_mesh(model, given, kind, refinement=how.refinement)
+        found = model.mesh(given, kind, refined=how.refined)
         if how is plain:
             pictures.append(canonical_picture(found.reconstruction, kind))
         status = found.reconstruction.status

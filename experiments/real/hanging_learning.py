@@ -15,7 +15,7 @@ from shared.bench_measures import Row
 from clothtrack.evaluation import chamfer_surface, material_map, material_points
 from clothtrack.geometry import Camera, ClothMesh, Rasteriser, crossings, edge_strain
 from clothtrack.reconstruction import DepthInput
-from clothtrack.reconstruction.data.examples import LabelledPicture
+from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import (
     LabelledRecording,
     cloth_picture,

@@ -36,10 +36,10 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecord
 from clothtrack.files import content_hash
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import ClothMesh, quiet_warp, two_way
-from clothtrack.reconstruction import MeshReconstructor, RefinementConfig, load_model, network_mesh
+from clothtrack.reconstruction import load_model
 from clothtrack.reconstruction.availability import shipped_weights
+from clothtrack.reconstruction.design import Reconstructor
 from clothtrack.reconstruction.from_picture import figures_of
-from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
 from clothtrack.recordings import read_mesh, write_mesh
 from real import drawn_topdown
 from real.picture_scores import Points, assigned, moved_in, silhouette_iou, sticker_places
@@ -78,9 +78,9 @@ class Networks:
 
     weights: Mapping[str, Path] = field(default_factory=dict)
     device: str = "cpu"
-    _models: dict[str, MeshReconstructor | TokenReconstructor] = field(default_factory=dict)
+    _models: dict[str, Reconstructor] = field(default_factory=dict)
 
-    def model(self, kind: str) -> MeshReconstructor | TokenReconstructor:
+    def model(self, kind: str) -> Reconstructor:
         """The network for a garment.
 
         Raises:
@@ -92,7 +92,7 @@ class Networks:
 
     def digests(self) -> dict[str, str]:
         """SHA-256 of the weights for each garment."""
-        files = {kind: self._weights(kind) or shipped_weights(kind) for kind in ("towel", "tshirt")}
+        files = {kind: self._weights(kind) or shipped_weights() for kind in ("towel", "tshirt")}
         return {kind: content_hash(path) for kind, path in files.items() if path is not None}
 
     def _weights(self, kind: str) -> Path | None:
@@ -110,12 +110,11 @@ def judged(entry: Entry, networks: Networks, keep: Path | None) -> Row:
         return {**row, "error": str(error)}
     mesh = None
     try:
-        made = network_mesh(
-            model,
+        made = model.mesh(
             picture.depth,
             entry.kind,
             size_m=picture.size_m,
-            refinement=RefinementConfig(),
+            refined=True,
             untangle=True,
             device=networks.device,
         )

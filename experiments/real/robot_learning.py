@@ -19,7 +19,7 @@ from clothtrack.evaluation import chamfer_surface
 from clothtrack.geometry import ClothMesh, Rasteriser, crossings, distance_to_mesh
 from clothtrack.reconstruction import DepthInput
 from clothtrack.reconstruction.data.cloud_picture import LEAST_POINTS, cloud_picture
-from clothtrack.reconstruction.data.examples import LabelledPicture
+from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import (
     LabelledRecording,
     PseudoLabel,

@@ -41,23 +41,29 @@ from shared.learning_runs import Tuner, content_digest
 from shared.run_tracker import track
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.files import finished_in_workers, with_settings
+from clothtrack.files import finished_in_workers
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import quiet_warp
-from clothtrack.reconstruction import LearningConfig, load_model, network_mesh
+from clothtrack.reconstruction import load_model
 from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.data.pseudo_labels import (
     LabelledRecording,
     read_labels,
     write_labels,
 )
+from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack.tracking import TrackedTrajectory
+from clothtrack_lab.published_networks.registered import SHIPPED as PUBLISHED
 from real import drawn_robot_clouds
 from real.hanging_learning import hanging_frames
 from real.learned_cloth import KIND, Answer, Ask, Cloth
 from real.robot_learning import TO_CHOOSE, napkins, refuse_shared
 
-NETWORKS = {"tokens": SHIPPED / "tokens.safetensors", "published": SHIPPED / f"{KIND}.safetensors"}
+NETWORKS = {
+    "tokens": SHIPPED / "tokens.safetensors",
+    "published": PUBLISHED / f"{KIND}.safetensors",
+}
+"""Shipped weights of each network."""
 NONE, CONTROL, TRACKER = "none", "simulated_control", "tracker"
 JOINED = "default_and_simulated"
 """Labels of the default tracker and the control's pictures, learned from together."""
@@ -166,7 +172,7 @@ def _network(cloth: Cloth, weights: Path) -> Ask:
     model = load_model(KIND, weights)
 
     def ask(frame: int) -> Answer:
-        found = network_mesh(model, cloth.picture(frame), KIND, size_m=cloth.size_m)
+        found = model.mesh(cloth.picture(frame), KIND, size_m=cloth.size_m)
         return found.mesh, found.reconstruction.rest
 
     return ask
@@ -254,7 +260,12 @@ def _stamp(plan: Plan) -> dict[str, object]:
     return {
         "commit": commit(),
         "world": "real: robot-lift-fold-clouds, hanging-cloth-rgbd",
-        "training": json.loads(json.dumps(asdict(plan.tuner.config), default=str)),
+        "training": {
+            name: json.loads(
+                json.dumps(asdict(plan.tuner.config_of(load_weights(path))), default=str)
+            )
+            for name, path in plan.starts.items()
+        },
         "sequences": {name: [one.name for one in own] for name, own in plan.splits.items()},
     }
 
@@ -327,13 +338,9 @@ def planned(options: argparse.Namespace) -> Plan:
             )
         if name != "train":
             refuse_shared(splits["train"], sequences)
-    config = LearningConfig.preset(options.training)
-    # One sequence of the eight selects the best weights.
-    stages = ("canonicalisation", "completion", "tokens")
-    shares = {one: replace(getattr(config, one), held_out_share=0.13) for one in stages}
-    config = with_settings(replace(config, **shares), options.settings)
     starts = {name: NETWORKS[name] for name in options.networks}
-    tuner = Tuner(keep / "networks", config)
+    # One sequence of the eight selects the best weights.
+    tuner = Tuner(keep / "networks", options.training, tuple(options.settings), held_out_share=0.13)
     return Plan(keep, splits, starts, tuner, workers=options.workers)
 
 

@@ -26,16 +26,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
-from clothtrack.files import with_settings
 from clothtrack.geometry import quiet_warp
-from clothtrack.reconstruction import LearningConfig, MeshReconstructor, open_states
+from clothtrack.reconstruction import open_states
 from clothtrack.reconstruction.data.garment_draws import GarmentRanges
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
-from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
 from clothtrack.reconstruction.tokens.token_learning import KIND as ANY_GARMENT
 from clothtrack.reconstruction.training.checkpoint import save_weights
+from clothtrack_lab.published_networks.model import MeshReconstructor
+from clothtrack_lab.published_networks.network_config import TINY_NETWORK
 from clothtrack_lab.world import SMALL_WORLD, simulate
 from clothtrack_lab.world.bench import vary
 from shared import tables
@@ -243,7 +243,6 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
         smoke=options.smoke,
     )
     settings = (*(SMOKE_SETTINGS if options.smoke else ()), *options.settings)
-    config = with_settings(LearningConfig.preset(options.training, seed=options.seed), settings)
     old = {open_states(path).kind: path for path in options.old}
     if options.smoke:
         simulate(bench, "towel", SMOKE_TOWELS, config=SMALL_WORLD)
@@ -257,7 +256,14 @@ def prepared(options: argparse.Namespace, temporary: Path) -> LearningSetup:
     return LearningSetup(
         tracking=tracking,
         weights=weights,
-        tuner=Tuner(out / "networks", config, options.device, old),
+        tuner=Tuner(
+            out / "networks",
+            options.training,
+            settings,
+            seed=options.seed,
+            device=options.device,
+            old=old,
+        ),
         old=old,
         train_split=options.train,
         limit=options.limit,
@@ -332,9 +338,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def refined(how: Reconstructor, name: str) -> Reconstructor:
     """The same with fine-tuning at test time."""
-    from clothtrack.reconstruction import RefinementConfig
-
-    return replace(how, name=name, refinement=RefinementConfig())
+    return replace(how, name=name, refined=True)
 
 
 def _progress(text: str) -> None:

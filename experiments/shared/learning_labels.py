@@ -17,7 +17,7 @@ from clothtrack.reconstruction.data.pseudo_labels import (
     label_recording,
 )
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.state_examples import render
+from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.recordings import read_recording
 from shared.bench_runs import Task, Trajectory, kept_labels

@@ -16,10 +16,11 @@ from clothtrack.evaluation import (
 )
 from clothtrack.geometry import ClothMesh, Rasteriser, closest_on_mesh, visible_vertices
 from clothtrack.reconstruction import NetworkMesh
-from clothtrack.reconstruction.canonical_frame import conventional, symmetries
-from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.reconstruction.first_mesh import symmetries
+from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings import Recording, observe
 from clothtrack.simulation import SolverConfig
+from clothtrack_lab.published_networks.canonical_frame import conventional
 from shared.bench_measures import Row
 
 LEARNING_ROW_FORMAT = 2

@@ -11,30 +11,31 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation import Truth
+from clothtrack.files import with_settings
 from clothtrack.reconstruction import (
     DepthInput,
-    LearningConfig,
-    MeshReconstructor,
     NetworkMesh,
-    RefinementConfig,
-    finetune,
+    design_of,
     load_model,
-    network_mesh,
     open_states,
 )
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, cloth_picture
 from clothtrack.reconstruction.data.state_store import StateSet
-from clothtrack.reconstruction.tokens.token_reconstruction import TokenReconstructor
-from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.reconstruction.design import Reconstructor as NetworkOfPictures
+from clothtrack.reconstruction.model_loading import designs
+from clothtrack.reconstruction.token_meshes import TokenMeshes
+from clothtrack.reconstruction.tokens.token_learning import MODEL
+from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 from clothtrack.reconstruction.training.processes import Processes
-from clothtrack.reconstruction.two_stages import MODEL
+from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.recordings import Recording, read_recording
 from clothtrack.tracking import RunConfig
 from clothtrack.tracking.pipeline import provenance
@@ -54,14 +55,14 @@ class Reconstructor:
         name: as the tables call it.
         weights: file of the network.
         method: "template" or "implicit".
-        refinement: the fine-tuning at test time; None leaves it out.
+        refined: fine-tune at test time.
         vertex_count: of a template, about.
     """
 
     name: str
     weights: Path
     method: str = "template"
-    refinement: RefinementConfig | None = None
+    refined: bool = False
     vertex_count: int = 1000
 
     @property
@@ -70,7 +71,7 @@ class Reconstructor:
         settings = {
             "weights": content_digest(self.weights),
             "method": self.method,
-            "refinement": None if self.refinement is None else asdict(self.refinement),
+            "refined": self.refined,
             "vertex_count": self.vertex_count,
         }
         return _digest(settings)
@@ -82,13 +83,19 @@ class Tuner:
 
     Attributes:
         store: folder of all fine-tuned networks.
-        config: the training.
+        training: name of the training, of every design.
+        settings: changes of its configuration; each design takes those of its own groups.
+        held_out_share: of every stage; None: as the training says.
+        seed: of the training.
         device: where it computes.
         old: folders of simulated states by garment, mixed in where the training asks for them.
     """
 
     store: Path
-    config: LearningConfig = field(default_factory=lambda: LearningConfig.preset("finetune"))
+    training: str = "finetune"
+    settings: tuple[str, ...] = ()
+    held_out_share: float | None = None
+    seed: int = 0
     device: str = "cpu"
     old: Mapping[str, Path] = field(default_factory=dict)
 
@@ -100,12 +107,14 @@ class Tuner:
         """
         folder = self.folder(start, labels)
         if not (folder / MODEL).exists():
-            outcome = finetune(
-                start,
+            begun = load_weights(start)
+            config = self.config_of(begun)
+            outcome = design_of(begun).finetune(
+                begun,
                 labels,
-                self.config,
+                config,
                 folder,
-                old=self._old(labels[0].kind),
+                old=self._old(config, labels[0].kind),
                 processes=Processes(device=self.device),
             )
             if outcome.model is None:
@@ -115,21 +124,44 @@ class Tuner:
                 )
         return folder / MODEL
 
+    def config_of(self, start: Weights) -> Any:
+        """Return how a network that begins with these weights is trained.
+
+        Raises:
+            InvalidConfigError: a setting is wrong, or of no design.
+        """
+        config = design_of(start).configuration(self.training, seed=self.seed)
+        loops = [one.name for one in fields(config) if _is_loop(getattr(config, one.name))]
+        if self.held_out_share is not None:
+            share = self.held_out_share
+            changed = {one: replace(getattr(config, one), held_out_share=share) for one in loops}
+            config = replace(config, **changed)
+        others = {
+            one.name for design in designs() for one in fields(design.configuration(self.training))
+        } - {one.name for one in fields(config)}
+        own = [one for one in self.settings if one.partition(".")[0] not in others]
+        return with_settings(config, own)
+
     def folder(self, start: Path, labels: Sequence[LabelledRecording]) -> Path:
         """Where the network is kept that begins with these weights and learns from these labels."""
+        config = self.config_of(load_weights(start))
         settings: dict[str, object] = {
             "start": content_digest(start),
             "labels": digest_of(labels),
-            "config": asdict(self.config),
+            "config": asdict(config),
         }
-        if old := self._old(labels[0].kind):
+        if old := self._old(config, labels[0].kind):
             settings["old"] = [len(one.shards) for one in old]
         return self.store / labels[0].kind / _digest(settings)
 
-    def _old(self, kind: str) -> tuple[StateSet, ...]:
-        stages = self.config.canonicalisation, self.config.completion, self.config.tokens
-        mixed = any(one.old_share > 0.0 for one in stages)
+    def _old(self, config: Any, kind: str) -> tuple[StateSet, ...]:
+        loops = [getattr(config, one.name) for one in fields(config)]
+        mixed = any(_is_loop(one) and one.old_share > 0.0 for one in loops)
         return (open_states(self.old[kind]),) if mixed and kind in self.old else ()
+
+
+def _is_loop(value: object) -> bool:
+    return isinstance(value, TrainingConfig)
 
 
 def content_digest(path: Path) -> str:
@@ -152,7 +184,7 @@ def kind_of(weights: Path) -> str:
 
 
 def reconstruct_frame(
-    model: MeshReconstructor | TokenReconstructor,
+    model: NetworkOfPictures,
     recording: Recording,
     frame: int,
     kind: str,
@@ -164,15 +196,14 @@ def reconstruct_frame(
     where it has one. The published network knows the kind alone.
     """
     depth, mask, camera = cloth_picture(recording, recording.frames[frame])
-    told = recording.cloth.template if isinstance(model, TokenReconstructor) else None
-    return network_mesh(
-        model,
+    told = recording.cloth.template if isinstance(model, TokenMeshes) else None
+    return model.mesh(
         DepthInput(depth, mask, camera, recording.table, kind),
         kind,
         method=how.method,
         template=told,
         vertex_count=how.vertex_count,
-        refinement=how.refinement,
+        refined=how.refined,
     )
 
 

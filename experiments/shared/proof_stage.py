@@ -21,7 +21,7 @@ TRAINING = (
     "tokens.epochs=2", "tokens.batch_size=2", "tokens.held_out_share=0.5", "tokens.save_steps=1",
     "tokens.log_steps=1", "tokens.decay=cosine",
 )  # fmt: skip
-SMALL_NETWORK = ("tokens.width=16", "tokens.layers=1", "tokens.image_size=32")
+SMALL_NETWORK = ("network.width=16", "network.layers=1", "network.image_size=32")
 ROLL_OUTS = (
     "roll_outs.vertex_count=150", "roll_outs.starts=1", "roll_outs.actions=4",
     "roll_outs.coarse.spacing_m=0.035", "roll_outs.motion.speed=0.8",

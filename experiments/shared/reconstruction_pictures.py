@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.geometry import Camera, ClothMesh
 from clothtrack.reconstruction import Reconstruction
-from clothtrack.reconstruction.canonical_frame import canonical_frame
 from clothtrack.recordings import Table
 from clothtrack.report.lettering import caption, write
 from clothtrack.report.palette import PAPER, rgb255
 from clothtrack.report.shading import Shader, ShadingConfig
+from clothtrack_lab.published_networks.canonical_frame import canonical_frame
 
 Picture = UInt8[np.ndarray, "height width 3"]
 HEIGHT, WIDTH = 132, 168

@@ -297,7 +297,7 @@ def preload() -> None:
         "zarr",
         "clothtrack.front.many", "clothtrack.front.look", "clothtrack.front.learning",
         "clothtrack_lab.many_episodes", "clothtrack_capture.importing.import_recording",
-        "clothtrack_lab.graph_dynamics.roll_outs", "clothtrack.reconstruction.fine_tuning",
+        "clothtrack_lab.graph_dynamics.roll_outs", "clothtrack.reconstruction.model_loading",
         "clothtrack.reconstruction.tokens.token_training", "clothtrack.report.page",
         "clothtrack_capture.segmentation_setup", "clothtrack.tracking.pipeline",
         "clothtrack_lab.world.bench_generation", "clothtrack_lab.world.filming",

@@ -327,9 +327,9 @@ def tiny_network(path: Path) -> Path | None:
         return None
     import torch
 
-    from clothtrack.reconstruction import MeshReconstructor
-    from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
     from clothtrack.reconstruction.training.checkpoint import save_weights
+    from clothtrack_lab.published_networks.model import MeshReconstructor
+    from clothtrack_lab.published_networks.network_config import TINY_NETWORK
 
     torch.manual_seed(0)
     model = MeshReconstructor(TINY_NETWORK, "towel")

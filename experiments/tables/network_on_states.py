@@ -40,14 +40,12 @@ from clothtrack.files.provenance import commit
 from clothtrack.geometry import ClothMesh, Rasteriser, closest_on_mesh, quiet_warp
 from clothtrack.reconstruction import (
     DepthInput,
-    RefinementConfig,
     load_model,
-    network_mesh,
     open_states,
     read_shard,
 )
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.state_examples import render
+from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.from_picture import figures_of
 from clothtrack.recordings import Table
 from clothtrack.report.viewpoint import three_quarter_view
@@ -93,7 +91,6 @@ def run(options: argparse.Namespace) -> list[Row]:
     """One row per state and network."""
     states, rows = open_states(options.states), []
     models = {path: load_model(states.kind, path) for path in options.weights}
-    refinement = RefinementConfig() if options.refined else None
     shards = [read_shard(path) for path in states.shards]
     places = [(n, k) for n, shard in enumerate(shards) for k in range(len(shard.positions))]
     places = places[:: options.every]
@@ -118,8 +115,8 @@ def run(options: argparse.Namespace) -> list[Row]:
             }  # fmt: skip
             start = time.process_time()
             try:
-                result = network_mesh(
-                    model, picture, states.kind, template=shard.mesh, refinement=refinement
+                result = model.mesh(
+                    picture, states.kind, template=shard.mesh, refined=options.refined
                 )
             except ClothTrackError as error:
                 rows.append({**row, "error": str(error)})

@@ -79,14 +79,16 @@ def trained(options: argparse.Namespace, states: Sequence[StateSet]) -> Path:
     Raises:
         SystemExit: the training was interrupted.
     """
-    sizes = TokenNetworkConfig(**({"width": 16, "layers": 1} if options.smoke else {}))
     config = LearningConfig.preset("pretrain", seed=0)
     if options.smoke:
-        config = with_settings(config, ["tokens.batch_size=4", "tokens.held_out_share=0.3"])
+        config = with_settings(config, [
+            "network.width=16", "network.layers=1", "tokens.batch_size=4",
+            "tokens.held_out_share=0.3",
+        ])  # fmt: skip
     config = replace(config, tokens=replace(config.tokens, fall_examples=options.fall))
     with joined("cpu") as alone:
         outcome = pretrain_tokens(
-            states, sizes, config, options.output / "run", start=options.start,
+            states, config, options.output / "run", start=options.start,
             hours=options.hours, processes=alone, progress=progress,
         )  # fmt: skip
     if outcome.model is None:
@@ -224,7 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.hours, options.states, options.judge_states = 0.002, 12, 4
             options.judge_every, options.fall = 2, 0
         elif options.start is None:
-            options.start = shipped_weights("towel")
+            options.start = shipped_weights()
         try:
             run(options)
         except ClothTrackError as error:

@@ -39,12 +39,12 @@ def test_wishes_that_exclude_each_other_are_usage_errors(tmp_path, capsys):
 
 def test_what_cannot_be_read_is_refused_before_a_start_is_made(tmp_path, monkeypatch, capsys):
     weights = "clothtrack.reconstruction.model_loading.shipped_weights"
-    monkeypatch.setattr(weights, lambda kind: None)
+    monkeypatch.setattr(weights, lambda: None)
     bad = tmp_path / "bad.safetensors"
     bad.write_bytes(b"not weights")
     out = tmp_path / "out"
     for words, told in (
-        ([], "no weights for 'towel'"),
+        ([], "no weights come with"),
         (["--weights", str(bad)], "not a whole safetensors file"),
         (["--set", f"perception.weights={tmp_path / 'none'}"], "no such weights"),
         (

@@ -93,7 +93,6 @@ def setting_names(verb):
     """Settings that a verb takes with --set, by the groups that it knows."""
     from clothtrack.planning import FlattenConfig
     from clothtrack.reconstruction import LearningConfig
-    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
     from clothtrack.tracking import RunConfig
     from clothtrack_lab.graph_dynamics.mesh_training import DynamicsTrainingConfig
     from clothtrack_lab.world import EpisodeConfig
@@ -108,11 +107,7 @@ def setting_names(verb):
         "pretrain": [LearningConfig.preset("pretrain")],
         "finetune": [LearningConfig.preset("finetune")],
     }
-    names = {setting.name for config in known[verb] for setting in settings_of(config)}
-    if verb == "pretrain":
-        # Sizes of the token network go to the network itself.
-        names |= {setting.name for setting in settings_of(TokenNetworkConfig(), "tokens")}
-    return names
+    return {setting.name for config in known[verb] for setting in settings_of(config)}
 
 
 @pytest.mark.parametrize(

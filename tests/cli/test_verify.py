@@ -11,8 +11,8 @@ import clothtrack as ct
 import clothtrack_lab as lab
 from clothtrack.cli.command_line import main
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
+from clothtrack_lab.published_networks.registered import SHIPPED
 
 
 @pytest.fixture(scope="module")

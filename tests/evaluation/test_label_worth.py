@@ -29,8 +29,9 @@ def test_a_label_is_no_better_than_the_mesh_that_it_began_with():
 
 def test_a_network_that_states_no_error_is_not_asked():
     pytest.importorskip("torch", reason="the extra [learn] brings it")
-    from clothtrack.reconstruction.model import MeshReconstructor
-    from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
+    from clothtrack_lab.published_networks.model import MeshReconstructor
+    from clothtrack_lab.published_networks.network_config import TINY_NETWORK
+    from clothtrack_lab.published_networks.published_meshes import PublishedMeshes
 
-    model = MeshReconstructor(TINY_NETWORK, "towel")
+    model = PublishedMeshes(MeshReconstructor(TINY_NETWORK, "towel"))
     assert network_error_mm(model, Path("no recording"), 0, kind="towel") is None

@@ -29,11 +29,11 @@ import clothtrack
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation import Truth, material_map, material_points
 from clothtrack.geometry import ClothMesh
-from clothtrack.reconstruction.canonical_frame import conventional
 from clothtrack.reconstruction.data.recipes import CrumplingConfig
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
-from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings import read_recording
+from clothtrack_lab.published_networks.canonical_frame import conventional
 
 VARIANTS = {"table2": 7, "label_count": 3, "network_alone": 4}
 ALWAYS = ("has_mesh", "canonical_median_mm", "cpu_s", "status")

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from real.picture_scores import assigned, moved_in, silhouette_iou, sticker_plac
 
 from clothtrack.garments import garment
 from clothtrack.reconstruction import NetworkMesh, Reconstruction
-from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.reconstruction.seen_points import SeenPoints
 
 REAL = os.environ.get("CLOTHTRACK_TOPDOWN_REAL")
 KEYS = {
@@ -35,7 +36,7 @@ def told_the_truth(data, monkeypatch):
     """A network that answers with the mesh that was drawn."""
     flat = garment("towel", vertex_count=400, size_m=(drawn_topdown.SIDE_M, drawn_topdown.SIDE_M))
 
-    def truth(_, picture, *_args, **_settings):
+    def truth(picture, *_args, **_settings):
         # Only the flat towel lies no higher than the first layer.
         points = picture.camera.back_project(picture.depth_m, picture.mask)
         mesh = flat if points[:, 2].max() < 0.004 else drawn_topdown.folded()
@@ -47,8 +48,9 @@ def told_the_truth(data, monkeypatch):
             mesh, Reconstruction(mesh, "template", picture.camera, image, sure, seen)
         )
 
-    monkeypatch.setattr(real_pictures, "network_mesh", truth)
-    monkeypatch.setattr(real_pictures, "load_model", lambda *_, **__: None)
+    network = SimpleNamespace(mesh=truth)
+    monkeypatch.setattr(real_pictures, "load_model", lambda *_, **__: network)
+    return network
 
 
 def placed(vertices, camera):
@@ -96,10 +98,8 @@ def test_a_run_goes_on_where_it_stopped(data, told_the_truth, tmp_path, monkeypa
     (keep / "stickers" / "square_01.ply").unlink()
     capsys.readouterr()
     asked = []
-    answer = real_pictures.network_mesh
-    monkeypatch.setattr(
-        real_pictures, "network_mesh", lambda *a, **k: asked.append(1) or answer(*a, **k)
-    )
+    answer = told_the_truth.mesh
+    monkeypatch.setattr(told_the_truth, "mesh", lambda *a, **k: asked.append(1) or answer(*a, **k))
     _, second = scored(data, tmp_path, "--keep", str(keep))
     assert len(asked) == 1
     assert second["garments"] == first["garments"]

@@ -16,6 +16,8 @@ from real.robot_learning import (
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry import Camera
+from clothtrack.reconstruction.tokens import token_learning
+from clothtrack_lab.published_networks import training
 
 NAMES = ("lift_white", "lift_grey", "lift_tan2")
 
@@ -184,8 +186,9 @@ def test_everything_runs_and_a_second_call_learns_nothing(tmp_path, capsys, monk
     assert json.loads(out.read_text())["rows"] == report["rows"]
 
     monkeypatch.setattr(table2_real, "track", None)
-    monkeypatch.setattr(table2_real, "network_mesh", None)
-    monkeypatch.setattr("shared.learning_runs.finetune", None)
+    monkeypatch.setattr(table2_real, "load_model", None)
+    for module in (token_learning, training):
+        monkeypatch.setattr(module, "train", None)
     assert table2_real.main(arguments) == 0
     assert json.loads(out.read_text())["rows"] == report["rows"]
 

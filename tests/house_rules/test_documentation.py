@@ -59,20 +59,20 @@ def known_settings():
     from clothtrack.planning import FlattenConfig
     from clothtrack.reconstruction import LearningConfig
     from clothtrack.reconstruction.data.states import StatesConfig
-    from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
     from clothtrack.tracking import RunConfig
     from clothtrack_lab.graph_dynamics.mesh_training import DynamicsTrainingConfig
     from clothtrack_lab.graph_dynamics.roll_outs import RollOutConfig
+    from clothtrack_lab.published_networks.published_config import PublishedConfig
     from clothtrack_lab.world import EpisodeConfig
     from clothtrack_lab.world.self_improvement import ImprovementConfig
 
     configs = [
         RunConfig(), FlattenConfig(), DynamicsTrainingConfig(), LearningConfig.preset("pretrain"),
-        StatesConfig(), EpisodeConfig(), ImprovementConfig(),
+        PublishedConfig.preset("pretrain"), StatesConfig(), EpisodeConfig(), ImprovementConfig(),
     ]  # fmt: skip
     names = {setting.name for config in configs for setting in settings_of(config)}
     names |= {setting.name for setting in settings_of(RollOutConfig(), "roll_outs")}
-    return names | {setting.name for setting in settings_of(TokenNetworkConfig(), "tokens")}
+    return names
 
 
 def anchors_of(page):

@@ -11,20 +11,24 @@ from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, garment
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
 from clothtrack.planning.planning_dynamics import PlannedCloth
-from clothtrack.reconstruction.availability import SHIPPED as NETWORKS
+from clothtrack.reconstruction.availability import SHIPPED as TOKENS
 from clothtrack.reconstruction.training.checkpoint import load_weights
 from clothtrack_lab.graph_dynamics.mesh_dynamics import MeshDynamics
 from clothtrack_lab.graph_dynamics.mesh_network import MeshNetwork, MeshNetworkConfig
 from clothtrack_lab.graph_dynamics.mesh_training import whole_roll_outs
 from clothtrack_lab.graph_dynamics.registered import SHIPPED_WEIGHTS
 from clothtrack_lab.graph_dynamics.roll_outs import RollOutConfig, generate_roll_outs
+from clothtrack_lab.published_networks.registered import SHIPPED as PUBLISHED
 
 UNSEEN_SEED = 4711
 
 
+NETWORKS = [path for one in (TOKENS, PUBLISHED) for path in sorted(one.glob("*.safetensors"))]
+
+
 @pytest.mark.parametrize(
     ("weights", "limit_mb"),
-    [(SHIPPED_WEIGHTS, 2.0), *((path, 10.0) for path in sorted(NETWORKS.glob("*.safetensors")))],
+    [(SHIPPED_WEIGHTS, 2.0), *((path, 10.0) for path in NETWORKS)],
     ids=lambda value: getattr(value, "stem", None),
 )
 def test_a_card_lies_beside_the_weights_and_is_of_them(weights, limit_mb):

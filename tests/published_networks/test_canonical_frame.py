@@ -3,12 +3,12 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.reconstruction.canonical_frame import (
+from clothtrack.reconstruction.first_mesh import symmetries
+from clothtrack_lab.published_networks.canonical_frame import (
     LARGEST_SIZE_M,
     canonical_frame,
     check_canonical,
     conventional,
-    symmetries,
 )
 from clothtrack_lab.world.bench import Ranges
 

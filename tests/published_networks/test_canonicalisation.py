@@ -7,9 +7,10 @@ from torch.nn import functional
 
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.canonical_frame import canonical_frame, symmetries
 from clothtrack.reconstruction.data.view import cloth_pixels, view_camera
-from clothtrack.reconstruction.networks.canonicalisation import (
+from clothtrack.reconstruction.first_mesh import symmetries
+from clothtrack_lab.published_networks.canonical_frame import canonical_frame
+from clothtrack_lab.published_networks.canonicalisation import (
     Canonicaliser,
     bin_of,
     canonical_loss,
@@ -17,7 +18,7 @@ from clothtrack.reconstruction.networks.canonicalisation import (
     relabelled,
     symmetry_losses,
 )
-from clothtrack.reconstruction.networks.network_config import preset
+from clothtrack_lab.published_networks.network_config import preset
 
 SMALL = preset("small")
 TINY_REFERENCE = replace(preset("reference"), image_size=32)

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 import torch
 
-from clothtrack.reconstruction.canonical_frame import canonical_frame
-from clothtrack.reconstruction.networks import completion
-from clothtrack.reconstruction.networks.completion import (
+from clothtrack_lab.published_networks import completion
+from clothtrack_lab.published_networks.canonical_frame import canonical_frame
+from clothtrack_lab.published_networks.completion import (
     Completion,
     ObservedPoints,
     in_box,
     sample,
     scatter_max,
 )
-from clothtrack.reconstruction.networks.network_config import NetworkConfig, preset
-from clothtrack.reconstruction.networks.warp_field import RESIDUAL_M, WarpField
+from clothtrack_lab.published_networks.network_config import NetworkConfig, preset
+from clothtrack_lab.published_networks.warp_field import RESIDUAL_M, WarpField
 
 TINY = NetworkConfig(volume=8, volume_channels=8, volume_widths=(8, 16), decoder_hidden=16, grid=9)
 

@@ -9,8 +9,8 @@ from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
 from clothtrack.reconstruction.data.view import crop
-from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.networks.network_config import preset
+from clothtrack_lab.published_networks.model import MeshReconstructor
+from clothtrack_lab.published_networks.network_config import preset
 
 SMALL = preset("small")
 

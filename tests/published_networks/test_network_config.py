@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.reconstruction.networks.network_config import PRESETS, preset
+from clothtrack_lab.published_networks.network_config import PRESETS, preset
 
 
 def test_presets_have_the_published_and_the_small_sizes():

@@ -12,14 +12,14 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import edge_strain
 from clothtrack.geometry.visibility import Rasteriser
-from clothtrack.reconstruction.refinement import (
+from clothtrack.reconstruction.seen_points import SeenPoints
+from clothtrack.recordings.point_cloud import Observation, thin
+from clothtrack.recordings.recording import Table
+from clothtrack_lab.published_networks.refinement import (
     RefinementConfig,
     Refiner,
     consistent_displacement,
 )
-from clothtrack.reconstruction.template_fit import SeenPoints
-from clothtrack.recordings.point_cloud import Observation, thin
-from clothtrack.recordings.recording import Table
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -123,7 +123,7 @@ def test_nothing_stays_under_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     start = mesh.with_vertices(truth - (0.0, 0.0, 0.008))
     no_cloud = replace(cloud, points=cloud.points[:1])
     alignment = AlignmentConfig(iterations=100, chamfer_weight=0.0, two_way_weight=0.0)
-    monkeypatch.setattr("clothtrack.reconstruction.refinement.ALIGNMENT", alignment)
+    monkeypatch.setattr("clothtrack_lab.published_networks.refinement.ALIGNMENT", alignment)
     refiner = Refiner(start, no_cloud, replace(ALONE, rounds=1), table=TABLE)
     # One point far below what it can see: only the table term moves anything.
     moved = refiner.refine()

@@ -3,7 +3,7 @@ import pytest
 
 from clothtrack.garments.garment_meshes import towel, tshirt
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.networks.simplification import (
+from clothtrack_lab.published_networks.simplification import (
     compact,
     largest_piece,
     without_pinches,

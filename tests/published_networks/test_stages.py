@@ -7,24 +7,24 @@ import pytest
 import torch
 
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.reconstruction.canonical_frame import canonical_frame
-from clothtrack.reconstruction.data.examples import ExampleConfig, collate
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.reconstruction.data.state_examples import StateExamples
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
-from clothtrack.reconstruction.data.winding import WindingConfig
-from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
-from clothtrack.reconstruction.networks.network_config import NetworkConfig
-from clothtrack.reconstruction.observation import observe_pictures
-from clothtrack.reconstruction.stages import (
+from clothtrack.reconstruction.training.batches import Subset
+from clothtrack.reconstruction.training.training_config import TrainingConfig
+from clothtrack.reconstruction.training.training_loop import train
+from clothtrack_lab.published_networks.canonical_frame import canonical_frame
+from clothtrack_lab.published_networks.canonicalisation import Canonicaliser
+from clothtrack_lab.published_networks.examples import ExampleConfig, collate
+from clothtrack_lab.published_networks.network_config import NetworkConfig
+from clothtrack_lab.published_networks.observation import observe_pictures
+from clothtrack_lab.published_networks.stages import (
     canonicalisation_stage,
     completion_stage,
     nearest_labelling,
 )
-from clothtrack.reconstruction.training.batches import Subset
-from clothtrack.reconstruction.training.training_config import TrainingConfig
-from clothtrack.reconstruction.training.training_loop import train
+from clothtrack_lab.published_networks.state_examples import StateExamples
+from clothtrack_lab.published_networks.winding import WindingConfig
 
 TINY = NetworkConfig(
     image_size=64,

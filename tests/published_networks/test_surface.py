@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.sampling import sample_surface
-from clothtrack.reconstruction.canonical_frame import canonical_frame
-from clothtrack.reconstruction.networks.network_config import preset
-from clothtrack.reconstruction.networks.surface import extract_surface, field_grid
+from clothtrack_lab.published_networks.canonical_frame import canonical_frame
+from clothtrack_lab.published_networks.network_config import preset
+from clothtrack_lab.published_networks.surface import extract_surface, field_grid
 
 igl = pytest.importorskip("igl")
 

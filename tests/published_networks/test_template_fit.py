@@ -6,16 +6,16 @@ import pytest
 from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import garment, towel
 from clothtrack.geometry.quality import crossings, edge_strain
-from clothtrack.reconstruction.canonical_frame import canonical_frame
 from clothtrack.reconstruction.data.view import points_of
-from clothtrack.reconstruction.template_fit import (
-    SeenPoints,
+from clothtrack.reconstruction.seen_points import SeenPoints
+from clothtrack.reconstruction.smoothness import smoothness_matrix
+from clothtrack.recordings.recording import Table
+from clothtrack_lab.published_networks.canonical_frame import canonical_frame
+from clothtrack_lab.published_networks.template_fit import (
     TemplateFitConfig,
     fit_template,
-    smoothness_matrix,
     template_of,
 )
-from clothtrack.recordings.recording import Table
 
 TABLE = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 UNPULLED = TemplateFitConfig(pulls=0)

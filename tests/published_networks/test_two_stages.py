@@ -11,18 +11,24 @@ import torch
 
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.front import learning_extra as learning
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.reconstruction.data.examples import LabelledPicture
+from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
 from clothtrack.reconstruction.data.state_store import StateShard, write_states
-from clothtrack.reconstruction.learning_config import LearningConfig
-from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.networks.canonicalisation import Canonicaliser
-from clothtrack.reconstruction.networks.network_config import PRESETS, TINY_NETWORK
-from clothtrack.reconstruction.training.checkpoint import load_weights, save_weights
-from clothtrack.reconstruction.training.training_config import STAGES
-from clothtrack.reconstruction.two_stages import network_of
+from clothtrack.reconstruction.training.checkpoint import (
+    load_progress,
+    load_weights,
+    save_weights,
+)
+from clothtrack.reconstruction.training.training_run import PROGRESS
+from clothtrack_lab.published_networks.canonicalisation import Canonicaliser
+from clothtrack_lab.published_networks.model import MeshReconstructor, network_of
+from clothtrack_lab.published_networks.network_config import PRESETS, TINY_NETWORK
+from clothtrack_lab.published_networks.published_config import (
+    STAGES,
+    PublishedConfig,
+    training_preset,
+)
 
 FEW = [
     "canonicalisation.epochs=2",
@@ -55,7 +61,7 @@ def towels(tmp_path, monkeypatch):
 def labels_of(folder, count=3):
     mesh = garment("towel", vertex_count=150)
     from clothtrack.reconstruction.data.render_config import RenderConfig
-    from clothtrack.reconstruction.data.state_examples import render
+    from clothtrack.reconstruction.data.rendered_states import render
 
     flat = np.asarray(mesh.vertices) + (0.0, 0.0, 0.005)
     for number in range(count):
@@ -180,30 +186,17 @@ def test_a_network_that_nobody_knows_is_refused(tmp_path):
 
 
 def test_the_presets_differ_as_they_say():
-    tuned, paper = (LearningConfig.preset(name, seed=4) for name in ("finetune", "paper"))
+    tuned, paper = (PublishedConfig.preset(name, seed=4) for name in ("finetune", "paper"))
     assert tuned.completion.patience > 0 == paper.completion.patience
     assert tuned.canonicalisation.seed == paper.completion.seed == 4
     for one in (tuned.canonicalisation, paper.completion):
         assert (one.low_rate, one.high_rate) == (1e-6, 1e-5)
         assert one.freeze_statistics
-    short = LearningConfig.preset("finetune_short").completion
+    short = PublishedConfig.preset("finetune_short").completion
     assert short.freeze_statistics
     # One triangle: the rate is highest half way, and ends where it began.
     assert short.rate(10 * short.epochs // 2, 10) == pytest.approx(short.high_rate)
     assert short.rate(10 * short.epochs, 10) == pytest.approx(short.low_rate)
-
-
-def test_a_missing_extra_is_named_with_its_remedy(monkeypatch):
-    monkeypatch.setattr(learning, "EXTRA", ("torch", "no_such_module"))
-    with pytest.raises(InvalidConfigError, match=r"no_such_module.*install with: .*learn"):
-        learning.require_learning()
-
-
-@pytest.mark.parametrize("verb", ["label", "pretrain"])
-def test_nothing_to_work_on_is_wrong_usage(verb, tmp_path, capsys):
-    more = ["--recordings", str(tmp_path)] if verb == "label" else []
-    assert cli.main([verb, "--output", str(tmp_path), *more]) == 2
-    assert "given" in capsys.readouterr().err
 
 
 def test_a_file_that_claims_a_huge_network_takes_no_memory(tmp_path):
@@ -222,3 +215,25 @@ def test_a_file_that_claims_a_huge_network_takes_no_memory(tmp_path):
             network_of(type(found)(path, found.tensors, {**asdict(TINY_NETWORK), **wrong}, "towel"))
     with pytest.raises(InvalidResultError, match="sock"):
         network_of(type(found)(path, found.tensors, asdict(TINY_NETWORK), "sock"))
+
+
+def test_the_paper_preset_is_the_paper():
+    epochs = [
+        training_preset("paper", stage).epochs for stage in ("canonicalisation", "completion")
+    ]
+    assert epochs == [1000, 2000]
+    assert training_preset("paper", "completion").patience == 0
+    assert training_preset("finetune", "completion").patience > 0
+    with pytest.raises(InvalidConfigError, match="paper"):
+        training_preset("papier", "completion")
+
+
+def test_more_epochs_go_on_from_the_progress_of_fewer(towels):
+    words = ["pretrain", str(towels / "states"), "--network", "small"]
+    words += ["--output", str(towels / "run")]
+    assert cli.main([*words, *settings()]) == 0
+    assert cli.main([*words, *settings("canonicalisation.epochs=3", "completion.epochs=3")]) == 0
+    for stage, batch_size in (("canonicalisation", 8), ("completion", 4)):
+        progress = load_progress(towels / "run" / stage / PROGRESS)
+        # Seven of the eight states are learned from.
+        assert progress["step"] == 3 * (7 // min(batch_size, 7))

@@ -6,7 +6,7 @@ import trimesh
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import garment
-from clothtrack.reconstruction.data.winding import (
+from clothtrack_lab.published_networks.winding import (
     WindingConfig,
     winding_numbers,
     winding_pool,

@@ -16,10 +16,10 @@ from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError, InvalidResultError
 from clothtrack.reconstruction.availability import SHIPPED
 from clothtrack.reconstruction.depth_input import from_depth, from_picture
-from clothtrack.reconstruction.model import MeshReconstructor
 from clothtrack.reconstruction.model_loading import load_model
-from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
 from clothtrack.reconstruction.training.checkpoint import save_weights
+from clothtrack_lab.published_networks.model import MeshReconstructor
+from clothtrack_lab.published_networks.network_config import TINY_NETWORK
 
 
 @pytest.fixture
@@ -66,8 +66,7 @@ def test_a_mask_of_another_size_is_refused(picture, tmp_path):
 
 
 def test_weights_come_whole_or_not_at_all(weights):
-    model = load_model("towel", weights)
-    assert model.config == TINY_NETWORK
+    assert load_model("towel", weights).network.config == TINY_NETWORK
     with pytest.raises(InvalidResultError, match="is for 'towel'"):
         load_model("tshirt", weights)
     weights.write_bytes(weights.read_bytes()[:-100])

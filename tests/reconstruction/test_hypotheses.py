@@ -11,7 +11,7 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry import ClothMesh
 from clothtrack.reconstruction.data.render_config import RenderConfig
-from clothtrack.reconstruction.data.state_examples import render
+from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.token_examples import token_example
 from clothtrack.reconstruction.tokens.token_learning import (

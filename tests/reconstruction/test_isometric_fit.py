@@ -7,7 +7,7 @@ import seen_above as above
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.quality import crossings
 from clothtrack.reconstruction.isometric_fit import GAP_M, Guide, IsometricFit
-from clothtrack.reconstruction.template_fit import SeenPoints
+from clothtrack.reconstruction.seen_points import SeenPoints
 
 SIZE_M = (0.4, 0.3)
 

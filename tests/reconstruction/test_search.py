@@ -142,7 +142,7 @@ def test_an_answer_turned_and_back_is_the_same(answer):
 
 @pytest.fixture(scope="module")
 def shipped():
-    assert shipped_weights("towel") is not None
+    assert shipped_weights() is not None
     return load_model("towel")
 
 

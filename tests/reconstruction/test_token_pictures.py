@@ -12,8 +12,8 @@ from scipy.stats import ks_2samp
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.render_config import RenderConfig
+from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
-from clothtrack.reconstruction.data.state_examples import render
 from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 from clothtrack.reconstruction.tokens.packed_states import (
     STEP_M,

@@ -19,7 +19,7 @@ from clothtrack.reconstruction.training import batches
 from clothtrack.reconstruction.training.batches import BatchOrder, Mixture, loader, split_by_group
 from clothtrack.reconstruction.training.checkpoint import load_progress, load_weights
 from clothtrack.reconstruction.training.processes import Processes
-from clothtrack.reconstruction.training.training_config import TrainingConfig, training_preset
+from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_log import read_scalars
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.reconstruction.training.training_run import PROGRESS, freeze_statistics
@@ -232,23 +232,12 @@ def test_tensorboard_reads_the_same_scalars(line, tmp_path):
 def test_the_rate_is_constant_or_a_triangle():
     constant = TrainingConfig(low_rate=1e-3, high_rate=1e-3)
     assert {constant.rate(step, 10) for step in range(200)} == {1e-3}
-    cyclic = training_preset("paper", "completion")
+    cyclic = TrainingConfig(low_rate=1e-6, high_rate=1e-5)
     rates = [cyclic.rate(step, 10) for step in range(161)]
     assert rates[0] == rates[80] == rates[160] == pytest.approx(1e-6)
     assert rates[40] == rates[120] == max(rates) == pytest.approx(1e-5)
     slopes = np.diff(rates)
     np.testing.assert_allclose(np.abs(slopes), 9e-6 / 40, rtol=1e-9)
-
-
-def test_the_paper_preset_is_the_paper():
-    epochs = [
-        training_preset("paper", stage).epochs for stage in ("canonicalisation", "completion")
-    ]
-    assert epochs == [1000, 2000]
-    assert training_preset("paper", "completion").patience == 0
-    assert training_preset("finetune", "completion").patience > 0
-    with pytest.raises(InvalidConfigError, match="paper"):
-        training_preset("papier", "completion")
 
 
 def test_groups_are_not_parted():

@@ -91,7 +91,7 @@ def vertices_of(mesh):
 
 
 def test_trousers_of_known_size_with_the_shipped_weights(picture, size_m, tmp_path, capsys):
-    assert shipped_weights("trousers") is not None
+    assert shipped_weights() is not None
     mesh = tmp_path / "mesh.obj"
     words = ["--garment", "trousers", "--size", *size_m, "--output", mesh, "--json"]
     assert cli.main(asked(picture, *words)) == 0

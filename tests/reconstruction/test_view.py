@@ -9,7 +9,7 @@ from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.reconstruction.data.view import cloth_pixels, crop, points_of, view_camera
-from clothtrack.reconstruction.networks.network_config import preset
+from clothtrack_lab.published_networks.network_config import preset
 
 CONFIG = preset("small")
 

@@ -60,9 +60,9 @@ def seen(towels, cloud):
 def weights(tmp_path_factory) -> Path:
     """Untrained: bad, and a network like any other."""
     torch = pytest.importorskip("torch")
-    from clothtrack.reconstruction.model import MeshReconstructor
-    from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
     from clothtrack.reconstruction.training.checkpoint import save_weights
+    from clothtrack_lab.published_networks.model import MeshReconstructor
+    from clothtrack_lab.published_networks.network_config import TINY_NETWORK
 
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "towel.safetensors"
@@ -263,7 +263,7 @@ def test_weights_that_are_not_there_are_refused_even_beside_a_template(tmp_path,
 def test_weights_for_another_garment_are_one_clear_line(filmed, weights, tmp_path, capsys):
     other = tmp_path / "shirt.safetensors"
     from clothtrack.reconstruction.training.checkpoint import load_weights, save_weights
-    from clothtrack.reconstruction.two_stages import network_of
+    from clothtrack_lab.published_networks.model import network_of
 
     found = load_weights(weights)
     save_weights(other, found.tensors, network_of(found), kind="tshirt")

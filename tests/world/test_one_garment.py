@@ -12,9 +12,9 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.outlines import ShirtOutline, draw_shirt
 from clothtrack.planning.flatten_config import FlattenConfig, episode_identity
 from clothtrack.planning.perception import PerceptionConfig
-from clothtrack.reconstruction.canonical_frame import check_canonical
 from clothtrack.reconstruction.data.garment_draws import GarmentRanges
 from clothtrack.recordings.store import read_recording
+from clothtrack_lab.published_networks.canonical_frame import check_canonical
 from clothtrack_lab.world.bench import Ranges, vary
 from clothtrack_lab.world.episodes import EpisodeConfig
 from clothtrack_lab.world.filming import simulate

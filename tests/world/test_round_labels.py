@@ -14,7 +14,7 @@ from clothtrack.evaluation.label_worth import LabelWorth, better_than_network, e
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.geometry.camera import Camera
 from clothtrack.reconstruction import model_loading
-from clothtrack.reconstruction.data.examples import LabelledPicture
+from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
 from clothtrack.tracking.pipeline import Outcome
 from clothtrack_lab.world import round_labels

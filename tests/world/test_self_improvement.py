@@ -15,13 +15,13 @@ from clothtrack.planning.perception import PerceptionConfig
 from clothtrack.planning.planner import PlannerConfig
 from clothtrack.planning.planning_dynamics import MotionConfig, SimulatorConfig
 from clothtrack.reconstruction.data.state_store import LIST_FILE
-from clothtrack.reconstruction.learning_config import LearningConfig
-from clothtrack.reconstruction.model import MeshReconstructor
-from clothtrack.reconstruction.networks.network_config import TINY_NETWORK
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.configuration import InitialStateConfig, RunConfig
 from clothtrack.tracking.search import SearchConfig
+from clothtrack_lab.published_networks.model import MeshReconstructor
+from clothtrack_lab.published_networks.network_config import TINY_NETWORK
+from clothtrack_lab.published_networks.published_config import PublishedConfig
 from clothtrack_lab.world import self_improvement
 from clothtrack_lab.world.episodes import SMALL_WORLD
 from clothtrack_lab.world.round_labels import EpisodeLabels
@@ -29,7 +29,7 @@ from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rou
 from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 LEARNING = with_settings(
-    LearningConfig.preset("finetune"),
+    PublishedConfig.preset("finetune"),
     (
         "canonicalisation.epochs=1", "completion.epochs=1", "canonicalisation.evaluate_epochs=1",
         "completion.evaluate_epochs=1", "examples.winding.pool=1024",
