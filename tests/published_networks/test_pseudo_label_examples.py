@@ -26,12 +26,13 @@ def labelled():
     x, y, _ = np.asarray(TOWEL.vertices).T
     folded = np.column_stack([-np.abs(x), y, np.where(x > 0, 0.01, 0.004)])
     pictures = []
-    for positions in (np.asarray(TOWEL.vertices) + (0.0, 0.0, 0.004), folded):
+    flat = np.asarray(TOWEL.vertices) + (0.0, 0.0, 0.004)
+    for positions, weight in ((flat, 1.0), (folded, 0.4)):
         drawn = Rasteriser(TOWEL.faces, CAMERA).render(positions)
         seen = drawn.faces >= 0
         depth = np.where(seen, drawn.depth, 0.7).astype(np.float32)
         shown = projected_faces(depth, seen, CAMERA, positions, TOWEL.faces, cut_m=0.02)
-        pictures.append(LabelledPicture(depth, seen, CAMERA, shown, positions))
+        pictures.append(LabelledPicture(depth, seen, CAMERA, shown, positions, weight))
     return LabelledRecording("fold", "towel", TOWEL, (0, 1), tuple(pictures))
 
 

@@ -86,10 +86,11 @@ def test_every_place_of_a_reconstruction_grows_with_its_world(model, picture):
     np.testing.assert_allclose(larger.camera.position, 2.0 * found.camera.position)
 
 
-class OneSize:
+class OneSize(MeshReconstructor):
     """A network that lays the towel right at one size only, and far off at all others."""
 
     def __init__(self, picture, right):
+        super().__init__(TINY_NETWORK, "towel")
         self.mesh = garment("towel", vertex_count=300, size_m=(0.2, 0.3))
         self.picture, self.right, self.asked = picture, right, []
 

@@ -11,7 +11,6 @@ from clothtrack.front import learning_extra as learning
 from clothtrack.reconstruction import model_loading
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.design import Reconstructor
-from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.model_loading import (
     TOKENS,
     design_named,
@@ -19,6 +18,7 @@ from clothtrack.reconstruction.model_loading import (
     designs,
     load_model,
 )
+from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
 from clothtrack_lab.published_networks.registered import PUBLISHED, SHIPPED
 

@@ -20,8 +20,8 @@ from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.reconstruction.data.state_store import open_states
 from clothtrack.reconstruction.data.states import StatesConfig, generate_states
 from clothtrack.reconstruction.depth_input import DepthInput
-from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.garment_tokens import TOKENS, GarmentTokens
+from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.token_examples import (
     LabelledTokenExamples,
     TokenExamples,

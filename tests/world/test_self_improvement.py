@@ -188,7 +188,7 @@ def test_what_cannot_be_read_is_refused_before_anything_is_written(tmp_path):
         good, MeshReconstructor(TINY_NETWORK, "towel").state_dict(), TINY_NETWORK, kind="towel"
     )
     bad.write_bytes(good.read_bytes()[:100])
-    out, config = tmp_path / "out", ImprovementConfig()
+    out, config = tmp_path / "out", ImprovementConfig(finetune=LEARNING)
     learned = replace(config, flatten=FlattenConfig(dynamics="mesh", dynamics_weights=str(bad)))
     for weights, kind, asked, old in (
         (bad, "towel", config, None),

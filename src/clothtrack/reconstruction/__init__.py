@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from clothtrack.reconstruction.data.state_store import open_states, read_shard, write_states
     from clothtrack.reconstruction.depth_input import DepthInput, from_depth, from_recording
     from clothtrack.reconstruction.from_picture import NetworkMesh, Reconstruction, Refinement
-    from clothtrack.reconstruction.learning_config import LearningConfig
     from clothtrack.reconstruction.model_loading import design_named, design_of, load_model
+    from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 

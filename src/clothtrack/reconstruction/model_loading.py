@@ -8,8 +8,8 @@ from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.extras import require_extra
 from clothtrack.reconstruction.availability import EXTRA, shipped_weights
 from clothtrack.reconstruction.design import Design, Reconstructor
-from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.token_meshes import TokenMeshes
+from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.token_learning import is_of_tokens
 from clothtrack.reconstruction.tokens.token_training import finetune_tokens, pretrain_tokens
 from clothtrack.reconstruction.training.checkpoint import Weights, load_weights

@@ -66,7 +66,7 @@ STOPPED = "fewer than two recordings have a label that is expected to be better 
 
 
 def _finetune() -> Any:
-    from clothtrack.reconstruction.learning_config import LearningConfig
+    from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 
     return LearningConfig.preset("finetune_short")
 

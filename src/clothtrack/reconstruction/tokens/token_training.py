@@ -10,8 +10,8 @@ from clothtrack.files.run_manifest import as_plain
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
-from clothtrack.reconstruction.learning_config import LearningConfig
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
+from clothtrack.reconstruction.tokens.learning_config import LearningConfig
 from clothtrack.reconstruction.tokens.token_examples import LabelledTokenExamples, TokenExamples
 from clothtrack.reconstruction.tokens.token_learning import (
     TokenLearning,
