@@ -24,8 +24,6 @@ from clothtrack.reconstruction.refinement import RefinementConfig
 from clothtrack.reconstruction.template_fit import SeenPoints
 from clothtrack.reconstruction.training.checkpoint import save_weights
 from clothtrack.recordings.recording import Table
-from clothtrack_lab.world.episodes import SMALL_WORLD
-from clothtrack_lab.world.filming import simulate
 
 TABLE = Table(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 1.0]))
 POSE = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -143,18 +141,22 @@ def test_a_garment_of_another_size_is_tried_at_other_sizes(picture):
     assert network_mesh(OneSize(picture, 9.0), picture, "towel").scale == 1.0
 
 
+@pytest.fixture(scope="module")
+def weights(model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("weights") / "towel.safetensors"
+    save_weights(path, model.state_dict(), TINY_NETWORK, kind="towel")
+    return path
+
+
 @pytest.mark.parametrize("limits", [(0.999, 1.0), (0.0, 1e-12), (0.0, 10.0)])
 def test_a_mesh_that_does_not_fit_is_not_to_be_trusted(
-    limits, model, tmp_path, capsys, monkeypatch
+    limits, weights, napkin, capsys, monkeypatch
 ):
     least_iou, largest_m2 = limits
     monkeypatch.setattr("clothtrack.reconstruction.trust.LEAST_IOU", least_iou)
     monkeypatch.setattr("clothtrack.reconstruction.trust.LARGEST_CHAMFER_M2", largest_m2)
-    (recording,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)
-    weights = tmp_path / "towel.safetensors"
-    save_weights(weights, model.state_dict(), TINY_NETWORK, kind="towel")
-    words = ["reconstruct", str(recording), "--weights", str(weights), "--no-refined", "--json"]
-    assert cli.main([*words, "--output", str(tmp_path / "mesh.obj")]) == 0
+    words = ["reconstruct", str(napkin), "--weights", str(weights), "--no-refined", "--json"]
+    assert cli.main([*words, "--output", str(weights.with_name(f"{limits}.obj"))]) == 0
     said = capsys.readouterr()
     report, trusted = json.loads(said.out), largest_m2 == 10.0
     assert report["trusted"] == trusted == (not report["why_not"])
@@ -175,13 +177,10 @@ def test_the_flat_garment_is_laid_where_the_cloth_is(over):
     assert flat.vertices[:, 2].min() == pytest.approx(0.1015, abs=1e-6)
 
 
-def test_the_command_fine_tunes_unless_told_not_to(model, tmp_path, capsys):
-    (recording,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)
-    weights = tmp_path / "towel.safetensors"
-    save_weights(weights, model.state_dict(), TINY_NETWORK, kind="towel")
+def test_the_command_fine_tunes_unless_told_not_to(weights, napkin, tmp_path, capsys):
     told = []
     for more in ([], ["--no-refined"]):
-        words = ["reconstruct", str(recording), "--weights", str(weights), "--json", "--force"]
+        words = ["reconstruct", str(napkin), "--weights", str(weights), "--json", "--force"]
         assert cli.main([*words, "--output", str(tmp_path / "mesh.obj"), *more]) == 0
         told.append(json.loads(capsys.readouterr().out))
     assert len(told[0]["chamfer_m2"]) == 3
