@@ -14,7 +14,11 @@ import pytest
 from clothtrack.cli import command_line as cli
 from clothtrack.tracking import TrackedTrajectory
 
-FAST = ("--set", "search.method=none")
+# What is tracked does not matter here: long substeps and few iterations.
+FAST = (
+    "--set", "search.method=none", "--set", "cloth.substep_s=3.3e-3",
+    "--set", "objective.iterations=20",
+)  # fmt: skip
 # As the process that a terminal starts, whatever the shell above the tests has set.
 MAIN = (
     "import signal, sys\n"
@@ -69,7 +73,7 @@ def wait_for(path, process):
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_ctrl_c_in_the_middle(many, tmp_path, workers):
     out = tmp_path / "out"
     first = out / "towel_a.zarr"
@@ -93,6 +97,7 @@ def test_ctrl_c_in_the_middle(many, tmp_path, workers):
         assert len(TrackedTrajectory.load(path).actions) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -signal.SIGKILL)]
 )
@@ -114,6 +119,7 @@ def test_no_worker_outlives_a_run_that_is_ended(many, tmp_path, number, code):
         assert len(TrackedTrajectory.load(path).actions) == 1
 
 
+@pytest.mark.slow
 def test_sigterm_ends_a_run_without_workers(many, tmp_path):
     out = tmp_path / "out"
     with started(tmp_path, "track", *many, "--output", out, *FAST) as process:
@@ -127,6 +133,7 @@ def test_sigterm_ends_a_run_without_workers(many, tmp_path):
     assert not leftovers(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143)]
 )

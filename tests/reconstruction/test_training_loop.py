@@ -95,6 +95,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):
     assert without_time(whole) == without_time(broken)
 
 
+@pytest.mark.slow
 def test_two_trainings_in_one_folder_do_the_work_once(line, tmp_path):
     whole, shared = tmp_path / "whole", tmp_path / "shared"
     line.train_line(whole)

@@ -248,6 +248,7 @@ def test_a_trajectory_that_always_diverges_is_an_error(
         generate_bench(tmp_path, PAIR[:1])
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
     out = tmp_path / "bench"
     file = tmp_path / "script.py"
