@@ -25,6 +25,11 @@ PYTEST_ARGS ?= -n auto --maxprocesses 4 --dist loadfile
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
+# What `make test` leaves out because it takes long: experiments, learning, runs that are killed.
+PROOFS := tests/experiments tests/reconstruction tests/planning tests/world/test_bench.py \
+  tests/end_to_end/test_interruption.py tests/end_to_end/test_many_processes.py \
+  tests/files/test_ray_tasks.py tests/files/test_worker_pool.py
+
 .DEFAULT_GOAL := help
 .PHONY: help install learn demo test test-all pages proofs wheel release check docs format bench clean
 
@@ -67,7 +72,7 @@ pages: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -rs -m "slow and not gpu and not data" tests/report tests/capture
 
 proofs: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "slow and not gpu and not data" tests/experiments tests/reconstruction
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "slow and not gpu and not data" $(PROOFS)
 
 wheel: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow tests/end_to_end/test_wheel.py

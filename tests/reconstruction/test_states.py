@@ -116,11 +116,9 @@ def test_states_are_sound_cloth_on_the_table_near_the_origin(made: Path) -> None
         assert np.ptp(vertices[:, :2], axis=0).prod() >= 0.98 * measured["coverage"] * flat
 
 
-def test_a_shard_depends_on_its_seed_and_number_alone(made: Path, tmp_path: Path) -> None:
+def test_a_shard_depends_on_its_seed_and_number_alone(made: Path) -> None:
     alone = make_shard("towel", 1, 3, TINY)
     assert np.array_equal(alone.positions, read_shard(shard_path(made, 1)).positions)
-    generate_states(tmp_path, "towel", 8, seed=3, config=TINY, processes=2)
-    assert bytes_of(tmp_path) == bytes_of(made)
     assert not np.array_equal(make_shard("towel", 1, 4, TINY).positions, alone.positions)
 
 
@@ -195,7 +193,7 @@ def test_garments_of_every_cut_are_drawn() -> None:
     assert np.ptp(draw_garment("tshirt", robes, 300, np.random.default_rng(0)).vertices[:, 1]) > 0.7
     for kind, low, high in (("towel", 0.2, 2.0), ("tshirt", 0.3, 2.5), ("trousers", 0.2, 1.5)):
         sizes = []
-        for number in range(12):
+        for number in range(5):
             rng = np.random.default_rng(number)
             mesh = draw_garment(kind, GarmentRanges(), 150, rng)
             sizes.append(np.ptp(mesh.vertices[:, :2], axis=0).max())

@@ -150,6 +150,7 @@ def test_the_list_tells_all_that_varied(made: Path) -> None:
         assert len(truth[name]) == len(truth["frames"])
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_bytes_in_another_process(made: Path, tmp_path: Path) -> None:
     generate_bench(tmp_path, PAIR, processes=2)
     for ours, theirs in zip(
