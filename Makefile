@@ -5,7 +5,7 @@
 #   make demo      install, track the shipped recording, name the report
 #   make test      install the test tools too, run the tests
 #   make pages     open every page in a headless Chromium, where there is one
-#   make proofs    every experiment in its small form, and the longest tests of learning
+#   make proofs    every experiment in its small form, learning, runs that are killed
 #   make wheel     build a wheel, run the demo from it away from this folder
 #   make release   build what is released twice, compare, try it on every Python; bill of materials
 #   make check     lint, format, types, direction of imports

@@ -217,7 +217,7 @@ def test_a_batch_keeps_every_pixel_with_its_picture(shirts):
 
 
 def test_examples_travel_to_other_processes(shirts):
-    """The way there is that of any examples (test_training_loop): what travels must arrive whole."""
+    """How they travel is tested with the training loop; here, that they arrive whole."""
     examples = StateExamples([shirts], NETWORK, CONFIG, seed=6)
     order = [[(0, 0), (3, 1)]]
     travelled = pickle.loads(pickle.dumps(examples))
