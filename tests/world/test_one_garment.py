@@ -53,8 +53,8 @@ def test_without_a_garment_seed_all_is_drawn_as_before(kind, tmp_path):
     assert knowing_the_garment(config, None, tmp_path) is config
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_one_garment_is_the_same_for_every_seed_and_starts_are_not(kind):
+def test_one_garment_is_the_same_for_every_seed_and_starts_are_not():
+    kind = "tshirt"
     first, second = (
         SimulatedRobot(one.kind, one.seed, garment=one.garment)
         for one in (SimulatedEpisode(kind, seed, garment_seed=5) for seed in (1, 2))
@@ -73,7 +73,7 @@ def test_one_garment_is_the_same_for_every_seed_and_starts_are_not(kind):
     assert len(starts) == 3
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_shipped_network_was_trained_on_such_a_garment(seed):
     usual, states = Ranges(), GarmentRanges()
     rng = np.random.default_rng(0)
