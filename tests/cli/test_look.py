@@ -223,7 +223,14 @@ VIEW = (
 )
 
 
-@pytest.mark.parametrize("artefact", ["towel.obj", "recordings/lift", "tracked/lift.zarr"])
+@pytest.mark.parametrize(
+    "artefact",
+    [
+        pytest.param("towel.obj", marks=pytest.mark.slow),
+        pytest.param("recordings/lift", marks=pytest.mark.slow),
+        "tracked/lift.zarr",
+    ],
+)
 def test_a_page_is_served_at_an_address_that_is_said_until_ctrl_c(world, artefact):
     words = ["view", artefact, *(["--recordings", "recordings"] if "zarr" in artefact else [])]
     with subprocess.Popen(
