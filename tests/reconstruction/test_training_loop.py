@@ -78,6 +78,7 @@ def test_no_more_workers_than_cores(monkeypatch):
     assert loader([], [], list, workers=3).num_workers == 1
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     line.train_line(whole)
