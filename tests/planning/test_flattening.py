@@ -241,6 +241,7 @@ def test_the_control_plans_is_labelled_and_leaves_a_normal_recording(tmp_path):
     assert len(starts) == 1
 
 
+@pytest.mark.slow
 def test_a_killed_simulated_episode_ends_like_one_that_was_not(tmp_path):
     config = FlattenConfig(policy="heuristic", actions=2)
     # Patches without depth drift from picture to picture: they are to drift on.

@@ -60,6 +60,7 @@ def test_training_gets_better_and_its_weights_are_read_again(trained):
     assert not np.allclose(moved, other)
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_arrives_at_the_same_weights(trained, roll_outs, tmp_path):
     _, outcome = trained
     half = replace(TINY, loop=replace(TINY.loop, epochs=1))

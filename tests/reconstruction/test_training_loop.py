@@ -297,6 +297,7 @@ def test_processes_share_a_batch():
         BatchOrder(8, config, Processes(0, 3))
 
 
+@pytest.mark.slow
 def test_examples_made_elsewhere_are_the_same(line, monkeypatch):
     monkeypatch.syspath_prepend(SCRIPT.parent)
     examples = line.LineExamples(8)
