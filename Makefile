@@ -29,7 +29,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 PROOFS := tests/experiments tests/reconstruction tests/planning tests/world/test_bench.py \
   tests/end_to_end/test_interruption.py tests/end_to_end/test_many_processes.py \
   tests/files/test_ray_tasks.py tests/files/test_worker_pool.py \
-  tests/cli/test_on_a_terminal.py tests/cli/test_look.py tests/examples/test_notebooks.py
+  tests/cli/test_on_a_terminal.py tests/cli/test_look.py tests/examples/test_notebooks.py \
+  tests/verification/test_cuda_compiles.py
 
 .DEFAULT_GOAL := help
 .PHONY: help install learn demo test test-all pages proofs wheel release check docs format bench clean
