@@ -24,6 +24,8 @@ PYTEST_ARGS ?= -n auto --maxprocesses 4 --dist loadfile
 # The operations are small: a second thread per process waits more than it works.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Half the start of a test worker is compiling what was compiled in the last run.
+unexport PYTHONDONTWRITEBYTECODE
 
 # What `make test` leaves out because it takes long: experiments, learning, runs that are killed.
 PROOFS := tests/experiments tests/reconstruction tests/planning tests/world/test_bench.py \
