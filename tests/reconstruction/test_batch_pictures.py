@@ -170,7 +170,9 @@ def test_cameras_are_drawn_as_those_of_single_states():
     )
     spread = expected.std(0)
     # Four standard errors of a difference of means.
-    assert (np.abs(found.mean(0) - expected.mean(0)) < 4 * spread * (1 / 200 + 1 / 400) ** 0.5).all()
+    assert (
+        np.abs(found.mean(0) - expected.mean(0)) < 4 * spread * (1 / 200 + 1 / 400) ** 0.5
+    ).all()
     np.testing.assert_allclose(found.std(0), spread, rtol=0.25)
 
 
