@@ -81,11 +81,10 @@ def test_no_shipped_network_was_trained_on_such_a_garment(seed):
     for kind in KINDS:
         garment = OneGarment(kind, seed)
         outline, (width_m, length_m) = garment.cut
-        assert np.ptp(garment.flat().vertices[:, :2], axis=0) == pytest.approx(
-            (width_m, length_m), rel=1e-6
-        )
+        flat = garment.flat(vertex_count=300)
+        assert np.ptp(flat.vertices[:, :2], axis=0) == pytest.approx((width_m, length_m), rel=1e-6)
         # The published network's cube has room for it, so that it can learn it.
-        check_canonical(np.asarray(garment.flat().canonical), kind)
+        check_canonical(np.asarray(flat.canonical), kind)
         assert garment.config.fabric.thickness_m > usual.thickness_m[1]
         assert garment.config.sensor.white_m > usual.white_m[1]
         if kind == "towel":
