@@ -168,6 +168,7 @@ assert not set(EXTRA) & set(sys.modules)
 """
 
 
+@pytest.mark.slow
 def test_without_the_extra_all_but_learning_works_and_learning_says_what_it_needs():
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_THE_EXTRA],

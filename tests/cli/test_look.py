@@ -104,6 +104,7 @@ def test_a_folder_has_an_index_that_names_what_is_broken(world, tmp_path, capsys
     assert (tmp_path / "lift.html").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_is_served_and_stays_clean(world):
     words = ["view", "tracked", "--recordings", "recordings", "--json"]
     before = sorted((world / "tracked").rglob("*"))

@@ -89,6 +89,7 @@ def terminal(command, cwd):
             os.close(keyboard)
 
 
+@pytest.mark.slow
 def test_a_tracking_run_has_one_line_that_is_rewritten(world):
     searched = "--set search.stop_score=0"
     command = f"{VERB} track recordings/towel_0001 --output tracked {searched}"

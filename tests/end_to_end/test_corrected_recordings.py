@@ -92,9 +92,11 @@ def test_another_recording_of_the_same_name_is_tracked(towels, tracked):
     ("verb", "more"),
     [
         ("evaluate", []),
-        ("label", ["--output", "labels"]),
-        ("view", ["--html", "page.html"]),
-        ("export", ["--format", "sheet", "--output", "sheet.png"]),
+        pytest.param("label", ["--output", "labels"], marks=pytest.mark.slow),
+        pytest.param("view", ["--html", "page.html"], marks=pytest.mark.slow),
+        pytest.param(
+            "export", ["--format", "sheet", "--output", "sheet.png"], marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_result_that_is_older_than_its_recording_is_told(
@@ -117,8 +119,8 @@ def test_a_result_that_is_older_than_its_recording_is_told(
     ("verb", "more"),
     [
         ("evaluate", []),
-        ("evaluate", ["--output", "measures.json"]),
-        ("label", ["--output", "labels"]),
+        pytest.param("evaluate", ["--output", "measures.json"], marks=pytest.mark.slow),
+        pytest.param("label", ["--output", "labels"], marks=pytest.mark.slow),
     ],
 )
 def test_a_refusal_of_a_damaged_picture_is_one_line(tracked, monkeypatch, capsys, verb, more):

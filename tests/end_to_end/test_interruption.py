@@ -73,7 +73,8 @@ def wait_for(path, process):
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_in_the_middle(many, tmp_path, workers):
     out = tmp_path / "out"
     first = out / "towel_a.zarr"
@@ -170,6 +171,7 @@ def test_the_same_command_goes_on_from_there(many, tmp_path, capsys):
     assert {path: path.stat().st_mtime_ns for path in written} == written
 
 
+@pytest.mark.slow
 def test_a_full_disk(many, tmp_path, clothtrack):
     """No file may grow beyond a kilobyte: the system refuses the write as a full disk does."""
     out = tmp_path / "out"

@@ -177,6 +177,7 @@ def test_the_flat_garment_is_laid_where_the_cloth_is(over):
     assert flat.vertices[:, 2].min() == pytest.approx(0.1015, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_command_fine_tunes_unless_told_not_to(weights, napkin, tmp_path, capsys):
     told = []
     for more in ([], ["--no-refined"]):

@@ -71,7 +71,8 @@ def test_weights_from_before_there_were_hypotheses_have_one() -> None:
     assert require_tokens(replace(weights, network=old)) == SMALL
 
 
-@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 2])
 def test_two_foldings_of_one_picture_become_two_hypotheses(drawn: TokenExample, count: int) -> None:
     torch.manual_seed(1)
     network = TokenNetwork(replace(SMALL, hypotheses=count))

@@ -50,6 +50,7 @@ def without_time(folder):
     return [json.dumps(line, sort_keys=True) for line in read_scalars(folder)]
 
 
+@pytest.mark.slow
 def test_training_learns_and_keeps_the_best(line, tmp_path):
     _, outcome = line.train_line(tmp_path, epochs=60, high_rate=1e-2, low_rate=1e-2)
     held = [one["error"] for one in read_scalars(tmp_path) if one["split"] == "held_out"]

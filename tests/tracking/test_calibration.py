@@ -92,7 +92,7 @@ def test_a_search_goes_on_from_the_mean_of_its_candidates(recording, searched):
     assert not np.array_equal(mean.positions[-1], best.positions[-1])
 
 
-@pytest.mark.parametrize("method", ["grid", "descent"])
+@pytest.mark.parametrize("method", [pytest.param("grid", marks=pytest.mark.slow), "descent"])
 def test_the_papers_calibration_rolls_out_and_tracks_one_candidate(recording, method):
     axes = {"bend_compliance": (0.1, 10.0), "table_friction": (0.3, 1.0)}
     search = SearchConfig(method=method, axes=axes)

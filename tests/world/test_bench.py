@@ -276,6 +276,7 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
     assert list((out / "recordings").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_picks_of_folded_cloth_are_told(tmp_path: Path) -> None:
     truth = film_tiny("folded", tmp_path, actions=2)
     assert truth["picked_folded"].tolist() == [False, True]

@@ -53,6 +53,7 @@ def test_without_a_garment_seed_all_is_drawn_as_before(kind, tmp_path):
     assert knowing_the_garment(config, None, tmp_path) is config
 
 
+@pytest.mark.slow
 def test_one_garment_is_the_same_for_every_seed_and_starts_are_not():
     kind = "tshirt"
     first, second = (
@@ -97,6 +98,7 @@ def test_no_shipped_network_was_trained_on_such_a_garment(seed):
                 assert getattr(outline, name) > max(one[name] for one in drawn), name
 
 
+@pytest.mark.slow
 def test_recordings_of_one_garment_differ_in_all_but_the_garment(tmp_path):
     garment = OneGarment("towel", 2)
     sensor = replace(garment.config.sensor, width=160, height=120, focal=125.0)
