@@ -30,7 +30,7 @@ from clothtrack_lab.graph_dynamics.mesh_training import (
 TINY = DynamicsTrainingConfig(
     network=MeshNetworkConfig(width=16, message_steps=2, collision_radius_m=0.06, projections=2),
     loop=TrainingConfig(
-        epochs=2, batch_size=1, low_rate=3e-3, high_rate=3e-3, save_steps=5, held_out_share=0.3
+        epochs=6, batch_size=1, low_rate=3e-3, high_rate=3e-3, save_steps=5, held_out_share=0.3
     ),
     windows=4,
     unrolled=2,
@@ -64,7 +64,7 @@ def test_training_gets_better_and_its_weights_are_read_again(trained):
 @pytest.mark.slow
 def test_an_interrupted_training_arrives_at_the_same_weights(trained, roll_outs, tmp_path):
     _, outcome = trained
-    half = replace(TINY, loop=replace(TINY.loop, epochs=1))
+    half = replace(TINY, loop=replace(TINY.loop, epochs=3))
     train_mesh_dynamics(roll_outs, "towel", half, tmp_path)
     again = train_mesh_dynamics(roll_outs, "towel", TINY, tmp_path)
     assert again.best_score == outcome.best_score
