@@ -5,7 +5,7 @@
 #   make demo      install, track the shipped recording, name the report
 #   make test      install the test tools too, run the tests
 #   make pages     open every page in a headless Chromium, where there is one
-#   make proofs    every experiment in its small form, and the longest tests of learning
+#   make proofs    every experiment in its small form, learning, runs that are killed
 #   make wheel     build a wheel, run the demo from it away from this folder
 #   make release   build what is released twice, compare, try it on every Python; bill of materials
 #   make check     lint, format, types, direction of imports
@@ -24,6 +24,18 @@ PYTEST_ARGS ?= -n auto --maxprocesses 4 --dist loadfile
 # The operations are small: a second thread per process waits more than it works.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Half the start of a test worker is compiling what was compiled in the last run.
+unexport PYTHONDONTWRITEBYTECODE
+
+# What `make test` leaves out because it takes long: experiments, learning, runs that are killed.
+PROOFS := tests/experiments tests/reconstruction tests/planning tests/tracking \
+  tests/world/test_bench.py tests/world/test_one_garment.py \
+  tests/end_to_end/test_interruption.py tests/end_to_end/test_many_processes.py \
+  tests/end_to_end/test_corrected_recordings.py \
+  tests/files/test_ray_tasks.py tests/files/test_worker_pool.py \
+  tests/cli/test_command_line.py tests/cli/test_on_a_terminal.py tests/cli/test_look.py \
+  tests/examples/test_notebooks.py \
+  tests/verification/test_cuda_compiles.py
 
 .DEFAULT_GOAL := help
 .PHONY: help install learn demo test test-all pages proofs wheel release check docs format bench clean
@@ -67,7 +79,7 @@ pages: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -rs -m "slow and not gpu and not data" tests/report tests/capture
 
 proofs: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "slow and not gpu and not data" tests/experiments tests/reconstruction
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "slow and not gpu and not data" $(PROOFS)
 
 wheel: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow tests/end_to_end/test_wheel.py

@@ -104,6 +104,20 @@ def write(camera, table, square):
     return writer
 
 
+@pytest.fixture(scope="session")
+def napkin(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of `SMALL_WORLD`, simulated once per process, for tests that only read it.
+
+    Its truth is in `truth/` beside the folder `recordings/` that it is in.
+    """
+    pytest.importorskip("mujoco", reason="the extra [lab] brings it")
+    from clothtrack_lab.world.episodes import SMALL_WORLD
+    from clothtrack_lab.world.filming import simulate
+
+    (folder,) = simulate(tmp_path_factory.mktemp("napkin"), "towel", 1, config=SMALL_WORLD)
+    return folder
+
+
 @pytest.fixture
 def edit():
     """Changes recording.json of a folder through a function."""

@@ -150,6 +150,7 @@ def film(tmp_path_factory):
     return filmed(tmp_path_factory.mktemp("film") / "towel", "towel", "pink", "purple")
 
 
+@pytest.mark.slow
 def test_a_tip_over_a_tshirt_is_found_too(tmp_path):
     test_the_tip_is_found_to_a_few_millimetres_and_the_pick_to_two_frames(
         filmed(tmp_path / "tshirt", "tshirt", "cyan", "blue")

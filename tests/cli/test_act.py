@@ -1,6 +1,7 @@
 """The verbs that act."""
 
 import json
+import shutil
 
 import pytest
 
@@ -63,13 +64,11 @@ def test_what_cannot_be_read_is_refused_before_a_start_is_made(tmp_path, monkeyp
     assert not out.exists()
 
 
-def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(tmp_path, capsys):
+def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(napkin, tmp_path, capsys):
     from clothtrack.recordings.pictures import read_depth
     from clothtrack.recordings.store import read_recording
-    from clothtrack_lab.world.episodes import SMALL_WORLD
-    from clothtrack_lab.world.filming import simulate
 
-    (folder,) = simulate(tmp_path / "world", "towel", 1, config=SMALL_WORLD)
+    folder = shutil.copytree(napkin, tmp_path / napkin.name)
     frame = read_recording(folder).frames[-1]
     (path,) = frame.depth.values()
     assert read_depth(path, 0.001).any()
@@ -80,25 +79,17 @@ def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(tmp_path, ca
     assert not (tmp_path / "plan").exists()
 
 
-def test_a_dry_run_without_a_mesh_needs_a_recording_only(tmp_path, capsys):
-    from clothtrack_lab.world.episodes import SMALL_WORLD
-    from clothtrack_lab.world.filming import simulate
-
-    (recording,) = simulate(tmp_path / "world", "towel", 1, config=SMALL_WORLD)
+def test_a_dry_run_without_a_mesh_needs_a_recording_only(napkin, tmp_path, capsys):
     words = ["flatten", str(tmp_path / "plan"), "--robot", "dry-run", "--policy", "heuristic"]
-    assert cli.main([*words, "--recording", str(recording)]) == 0
+    assert cli.main([*words, "--recording", str(napkin)]) == 0
     assert "action_00.png" in capsys.readouterr().out
     told = json.loads((tmp_path / "plan" / "action_00.json").read_text())
     assert len(told["waypoints"]) == 6
 
 
-def test_the_truth_is_not_to_be_had_in_a_dry_run(tmp_path, capsys):
-    from clothtrack_lab.world.episodes import SMALL_WORLD
-    from clothtrack_lab.world.filming import simulate
-
-    (recording,) = simulate(tmp_path / "world", "towel", 1, config=SMALL_WORLD)
+def test_the_truth_is_not_to_be_had_in_a_dry_run(napkin, tmp_path, capsys):
     words = ["flatten", str(tmp_path / "plan"), "--robot", "dry-run", "--perception", "truth"]
-    assert cli.main([*words, "--recording", str(recording)]) == 1
+    assert cli.main([*words, "--recording", str(napkin)]) == 1
     assert "only the simulated robot" in capsys.readouterr().err
 
 

@@ -104,6 +104,7 @@ def test_a_folder_has_an_index_that_names_what_is_broken(world, tmp_path, capsys
     assert (tmp_path / "lift.html").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_is_served_and_stays_clean(world):
     words = ["view", "tracked", "--recordings", "recordings", "--json"]
     before = sorted((world / "tracked").rglob("*"))
@@ -223,7 +224,14 @@ VIEW = (
 )
 
 
-@pytest.mark.parametrize("artefact", ["towel.obj", "recordings/lift", "tracked/lift.zarr"])
+@pytest.mark.parametrize(
+    "artefact",
+    [
+        pytest.param("towel.obj", marks=pytest.mark.slow),
+        pytest.param("recordings/lift", marks=pytest.mark.slow),
+        "tracked/lift.zarr",
+    ],
+)
 def test_a_page_is_served_at_an_address_that_is_said_until_ctrl_c(world, artefact):
     words = ["view", artefact, *(["--recordings", "recordings"] if "zarr" in artefact else [])]
     with subprocess.Popen(

@@ -89,6 +89,7 @@ def terminal(command, cwd):
             os.close(keyboard)
 
 
+@pytest.mark.slow
 def test_a_tracking_run_has_one_line_that_is_rewritten(world):
     searched = "--set search.stop_score=0"
     command = f"{VERB} track recordings/towel_0001 --output tracked {searched}"
@@ -113,6 +114,7 @@ def test_a_tracking_run_has_one_line_that_is_rewritten(world):
     assert {candidate for _, candidate, _, _ in steps} >= {1, 2, 3}
 
 
+@pytest.mark.slow
 def test_a_page_shows_the_mesh_while_it_is_tracked(world):
     command = f"{VERB} track recordings/towel_0001 --output live --live"
     with terminal(command, world) as on:
@@ -141,6 +143,7 @@ def test_several_recordings_at_once_are_not_watched(world, capsys):
     assert "one recording after the other can be watched: --workers 1" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_pipe_gets_a_line_every_half_minute_at_most(world):
     began_s = time.monotonic()
     done = subprocess.run(
@@ -153,6 +156,7 @@ def test_a_pipe_gets_a_line_every_half_minute_at_most(world):
     assert done.stderr.count("\n") <= (time.monotonic() - began_s) / 30.0
 
 
+@pytest.mark.slow
 def test_ctrl_c_is_one_line_and_130_and_ends_a_loop_of_the_shell(world):
     track = f"{VERB} track recordings/towel_0001 --output broken"
     with terminal(f"for i in 1 2 3; do {track}; echo rc $?; done", world) as on:
@@ -170,6 +174,7 @@ def test_ctrl_c_is_one_line_and_130_and_ends_a_loop_of_the_shell(world):
     assert "rc 130" in on.shown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("verb", "address"),
     [

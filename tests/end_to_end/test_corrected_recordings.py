@@ -10,7 +10,11 @@ from clothtrack.cli import command_line as cli
 from clothtrack.files import with_settings
 from clothtrack.tracking import RunConfig, TrackedTrajectory, track_recordings
 
-FAST = ("--set", "search.method=none")
+# What is tracked does not matter here: long substeps and few iterations.
+FAST = (
+    "--set", "search.method=none", "--set", "cloth.substep_s=3.3e-3",
+    "--set", "objective.iterations=20",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +82,7 @@ def test_another_recording_of_the_same_name_is_tracked(towels, tracked):
     recording = tracked / "recordings" / "towel"
     shutil.rmtree(recording)
     shutil.copytree(towels / "recordings" / "towel_0002", recording)
-    config = with_settings(RunConfig(), FAST[1:])
+    config = with_settings(RunConfig(), FAST[1::2])
     (outcome,) = track_recordings([recording], tracked / "tracked", config)
     assert outcome.tracked_again
     assert not outcome.skipped
@@ -88,9 +92,11 @@ def test_another_recording_of_the_same_name_is_tracked(towels, tracked):
     ("verb", "more"),
     [
         ("evaluate", []),
-        ("label", ["--output", "labels"]),
-        ("view", ["--html", "page.html"]),
-        ("export", ["--format", "sheet", "--output", "sheet.png"]),
+        pytest.param("label", ["--output", "labels"], marks=pytest.mark.slow),
+        pytest.param("view", ["--html", "page.html"], marks=pytest.mark.slow),
+        pytest.param(
+            "export", ["--format", "sheet", "--output", "sheet.png"], marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_result_that_is_older_than_its_recording_is_told(
@@ -113,8 +119,8 @@ def test_a_result_that_is_older_than_its_recording_is_told(
     ("verb", "more"),
     [
         ("evaluate", []),
-        ("evaluate", ["--output", "measures.json"]),
-        ("label", ["--output", "labels"]),
+        pytest.param("evaluate", ["--output", "measures.json"], marks=pytest.mark.slow),
+        pytest.param("label", ["--output", "labels"], marks=pytest.mark.slow),
     ],
 )
 def test_a_refusal_of_a_damaged_picture_is_one_line(tracked, monkeypatch, capsys, verb, more):

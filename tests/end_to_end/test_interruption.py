@@ -14,7 +14,11 @@ import pytest
 from clothtrack.cli import command_line as cli
 from clothtrack.tracking import TrackedTrajectory
 
-FAST = ("--set", "search.method=none")
+# What is tracked does not matter here: long substeps and few iterations.
+FAST = (
+    "--set", "search.method=none", "--set", "cloth.substep_s=3.3e-3",
+    "--set", "objective.iterations=20",
+)  # fmt: skip
 # As the process that a terminal starts, whatever the shell above the tests has set.
 MAIN = (
     "import signal, sys\n"
@@ -69,6 +73,7 @@ def wait_for(path, process):
         time.sleep(0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_ctrl_c_in_the_middle(many, tmp_path, workers):
     out = tmp_path / "out"
@@ -93,6 +98,7 @@ def test_ctrl_c_in_the_middle(many, tmp_path, workers):
         assert len(TrackedTrajectory.load(path).actions) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -signal.SIGKILL)]
 )
@@ -114,6 +120,7 @@ def test_no_worker_outlives_a_run_that_is_ended(many, tmp_path, number, code):
         assert len(TrackedTrajectory.load(path).actions) == 1
 
 
+@pytest.mark.slow
 def test_sigterm_ends_a_run_without_workers(many, tmp_path):
     out = tmp_path / "out"
     with started(tmp_path, "track", *many, "--output", out, *FAST) as process:
@@ -127,6 +134,7 @@ def test_sigterm_ends_a_run_without_workers(many, tmp_path):
     assert not leftovers(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143)]
 )
@@ -163,6 +171,7 @@ def test_the_same_command_goes_on_from_there(many, tmp_path, capsys):
     assert {path: path.stat().st_mtime_ns for path in written} == written
 
 
+@pytest.mark.slow
 def test_a_full_disk(many, tmp_path, clothtrack):
     """No file may grow beyond a kilobyte: the system refuses the write as a full disk does."""
     out = tmp_path / "out"

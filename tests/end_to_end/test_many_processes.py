@@ -14,7 +14,9 @@ import pytest
 
 from clothtrack.cli import command_line as cli
 
-FAST = ("--set", "search.method=none")
+pytestmark = pytest.mark.slow
+
+FAST = ("--set", "search.method=none", "--set", "cloth.substep_s=3.3e-3")
 TINY = (
     "size_m=[0.2, 0.2]",
     "vertex_count=120",

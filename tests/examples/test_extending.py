@@ -4,16 +4,14 @@ import re
 from pathlib import Path
 
 import clothtrack as ct
-from clothtrack_lab.world import SMALL_WORLD, simulate
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
-def test_the_page_can_be_followed(tmp_path, monkeypatch, capsys):
-    (small,) = simulate(tmp_path, "towel", 1, config=SMALL_WORLD)
+def test_the_page_can_be_followed(napkin, monkeypatch, capsys):
     # The page takes the shipped recording; a smaller one says the same sooner.
-    monkeypatch.setattr(ct, "shipped_recording", lambda: small, raising=False)
+    monkeypatch.setattr(ct, "shipped_recording", lambda: napkin, raising=False)
     names: dict = {}
     for block in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
         exec(compile(block, str(PAGE), "exec"), names)

@@ -14,7 +14,6 @@ from clothtrack.garments import towel
 from clothtrack.planning import Estimate
 from clothtrack.recordings import read_color, read_depth, read_recording
 from clothtrack_capture import CapturedFrame
-from clothtrack_lab.world import SMALL_WORLD, simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 _spec = importlib.util.spec_from_file_location(
@@ -98,16 +97,10 @@ class Known:
         return Estimate(FLAT, FLAT.vertices + middle, "network")
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    (folder,) = simulate(tmp_path_factory.mktemp("world"), "towel", 1, config=SMALL_WORLD)
-    return folder
-
-
 @pytest.fixture
-def cell(tmp_path, recorded, monkeypatch):
+def cell(tmp_path, napkin, monkeypatch):
     """Writes cell.json, and gives the arm that answers."""
-    arm, recording = Franky(), read_recording(recorded)
+    arm, recording = Franky(), read_recording(napkin)
     monkeypatch.setitem(sys.modules, "franky", arm.module)
     monkeypatch.setattr(example, "open_realsense", lambda **_: Still(recording))
     monkeypatch.setattr(example, "perception_of", lambda *_: Known())
@@ -115,7 +108,7 @@ def cell(tmp_path, recorded, monkeypatch):
     told = json.loads((EXAMPLES / "franka_cell.json").read_text())
     box = {"x_m": [-0.4, 0.4], "y_m": [-0.4, 0.4], "z_m": [0.0, 0.5]}
     told |= {
-        "recording": str(recorded), "garment": "towel", "size_m": [SIDE_M, SIDE_M],
+        "recording": str(napkin), "garment": "towel", "size_m": [SIDE_M, SIDE_M],
         "color": recording.cloth.color, "workspace": box, "home_m": [0.0, 0.0, 0.35],
     }  # fmt: skip
 

@@ -2,10 +2,12 @@
 
 import json
 
+import pytest
 from shared.wrong_geometry import KINDS
 from tables import geometry_checks
 
 
+@pytest.mark.slow
 def test_wrong_geometry_of_a_small_towel_is_found(tmp_path, capsys):
     file = tmp_path / "found.json"
     assert geometry_checks.main(["--smoke", "--json", str(file)]) == 0

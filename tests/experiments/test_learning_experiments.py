@@ -48,13 +48,8 @@ def bench(tmp_path_factory):
     return tmp_path_factory.mktemp("bench")
 
 
-CASES = [
-    pytest.param(name, count, marks=() if name == "network_alone" else pytest.mark.slow)
-    for name, count in VARIANTS.items()
-]
-
-
-@pytest.mark.parametrize(("name", "variants"), CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "variants"), VARIANTS.items())
 def test_an_experiment_runs_and_a_second_call_makes_nothing(name, variants, bench, capsys):
     module = importlib.import_module(f"tables.{name}")
     assert module.main(["--smoke", "--bench", str(bench)]) == 0
@@ -81,6 +76,7 @@ def test_an_experiment_runs_and_a_second_call_makes_nothing(name, variants, benc
     assert capsys.readouterr().out == first.out
 
 
+@pytest.mark.slow
 def test_the_token_network_serves_every_garment_and_is_told_it(bench, tmp_path):
     tokens = Path(clothtrack.__file__).parent / "reconstruction/weights/tokens.safetensors"
     words = ["--smoke", "--bench", str(bench), "--weights", str(tokens), "--out", str(tmp_path)]
@@ -103,6 +99,7 @@ def _kept(bench):
     ]
 
 
+@pytest.mark.slow
 def test_ten_states_are_drawn(bench, tmp_path, capsys):
     image = tmp_path / "states.png"
     arguments = ["--smoke", "--bench", str(bench), "--image", str(image)]
@@ -129,6 +126,7 @@ def test_a_sheet_of_states_is_drawn(tmp_path, capsys):
     assert states_sheet.main(["--states", str(tmp_path), "--image", str(image)]) == 1
 
 
+@pytest.mark.slow
 def test_states_come_evenly_from_all(bench):
     simulated = trajectories(bench)
     towels = [one for one in simulated if one.name in ("towel_0000", "towel_0001", "towel_0002")]
@@ -136,6 +134,7 @@ def test_states_come_evenly_from_all(bench):
     assert names == ["towel_0000", "towel_0002"]
 
 
+@pytest.mark.slow
 def test_real_recordings_are_drawn_and_absent_ones_say_why(tmp_path, capsys):
     images = tmp_path / "images"
     assert real_reconstruction.main(["--smoke", "--images", str(images)]) == 0
@@ -157,6 +156,7 @@ def test_splits_that_overlap_are_refused(bench, capsys):
     assert "must not be learned from" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_recording_to_learn_from_is_found_again_under_another_name(bench, tmp_path, capsys):
     """Two towels without a list, and a copy of the first that comes last, to be measured on."""
     importlib.import_module("tables.network_alone").main(["--smoke", "--bench", str(bench)])
@@ -187,6 +187,7 @@ def runs(bench):
     return setup, tasks
 
 
+@pytest.mark.slow
 def test_labels_are_the_trackers_the_truths_or_the_old_cloths(runs):
     setup, tasks = runs
     tracked = [tracked_labels(task) for task in tasks]
@@ -212,6 +213,7 @@ def test_labels_are_the_trackers_the_truths_or_the_old_cloths(runs):
         old_labels(setup.old_states("towel"), shirt)
 
 
+@pytest.mark.slow
 def test_the_truth_has_no_error_and_its_look_alike_none_up_to_symmetry(runs):
     _, tasks = runs
     trajectory = tasks[0].trajectory

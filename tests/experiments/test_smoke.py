@@ -30,14 +30,8 @@ def bench(tmp_path_factory):
     return tmp_path_factory.mktemp("bench")
 
 
-LONG = {"table1", "default_ablations", "sensitivity", "final_alignment"}
-CASES = [
-    pytest.param(name, count, marks=pytest.mark.slow if name in LONG else ())
-    for name, count in EXPERIMENTS.items()
-]
-
-
-@pytest.mark.parametrize(("name", "variants"), CASES)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "variants"), EXPERIMENTS.items())
 def test_an_experiment_runs(name, variants, bench, capsys):
     if name == "table1":
         pytest.importorskip("torch", reason="the extra [learn] brings it")
@@ -60,6 +54,7 @@ def test_an_experiment_runs(name, variants, bench, capsys):
     assert tables.markdown(name, rows) in printed
 
 
+@pytest.mark.slow
 def test_settings_reach_the_tracker(bench):
     """Runs that differ in one setting differ in what they track."""
     file = bench / "experiments" / "sensitivity.jsonl"
@@ -82,6 +77,7 @@ def test_a_second_call_tracks_nothing(bench, capsys):
     assert "open_loop" in captured.out
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_from_the_rows(bench, tmp_path, capsys):
     table1 = importlib.import_module("tables.table1")
     table1.main(["--smoke", "--bench", str(bench), "--only", "default", "open_loop"])
@@ -98,6 +94,7 @@ def test_pictures_are_drawn_from_the_rows(bench, tmp_path, capsys):
     assert "error by action" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_labels_are_judged_from_what_a_run_leaves(bench, tmp_path, capsys):
     table1 = importlib.import_module("tables.table1")
     table1.main(["--smoke", "--bench", str(bench), "--only", "default"])

@@ -193,6 +193,7 @@ def test_everything_runs_and_a_second_call_learns_nothing(tmp_path, capsys, monk
     assert json.loads(out.read_text())["rows"] == report["rows"]
 
 
+@pytest.mark.slow
 def test_labels_that_teach_nothing_are_a_row_that_says_so(tmp_path):
     out = tmp_path / "rows.json"
     arguments = ["--smoke", "--json", str(out), "--networks", "tokens", "--labels", "open_loop"]

@@ -55,6 +55,7 @@ def test_a_file_has_garments_of_all_kinds(packs):
     assert [one["kind"] for one in provenance["sets"]] == ["towel", "tshirt"]
 
 
+@pytest.mark.slow
 def test_a_training_goes_on_elsewhere_from_its_pieces(packs, tmp_path, capsys):
     first, second = tmp_path / "first", tmp_path / "second"
     # No time is left after what the end takes: one step.
@@ -75,6 +76,7 @@ def test_a_training_goes_on_elsewhere_from_its_pieces(packs, tmp_path, capsys):
     assert TokenReconstructor.load(third / "model.safetensors").model.config.width == 16
 
 
+@pytest.mark.slow
 def test_what_rendering_and_learning_cost_is_said(packs, tmp_path, capsys):
     words = [*options(packs, tmp_path), "--measure", "2", "4", "--repeats", "1"]
     assert train_pieces.main(words) == 0

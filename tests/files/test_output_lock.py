@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 
 import pytest
 
@@ -23,10 +23,9 @@ with locked_output(Path(sys.argv[1])):
 """
 
 
-@pytest.fixture
-def other(tmp_path):
-    """Another process that holds the lock of `tmp_path / "out"`."""
-    out = tmp_path / "out"
+@contextmanager
+def holding(out):
+    """Another process that holds the lock of a folder."""
     with subprocess.Popen([sys.executable, "-c", HOLD, str(out)], start_new_session=True) as held:
         try:
             while not (out / "held").exists():
@@ -36,6 +35,13 @@ def other(tmp_path):
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(held.pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def other(tmp_path):
+    """Another process that holds the lock of `tmp_path / "out"`."""
+    with holding(tmp_path / "out") as process:
+        yield process
 
 
 def test_another_process_is_refused_until_the_first_one_dies(other, tmp_path):
@@ -67,9 +73,20 @@ def test_a_place_that_cannot_be_locked_is_named(tmp_path):
         pass
 
 
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    """A folder that another process has locked, and that process."""
+    out = tmp_path_factory.mktemp("held") / "out"
+    with holding(out) as process:
+        yield out, process
+
+
 @pytest.mark.parametrize("verb", ["simulate", "bench", "track", "evaluate", "flatten", "train"])
-def test_a_second_run_is_refused_in_one_line_and_changes_nothing(other, verb, tmp_path, capsys):
-    out = tmp_path / "out"
+def test_a_second_run_is_refused_in_one_line_and_changes_nothing(held, verb, tmp_path, capsys):
+    out, other = held
+    if verb == "evaluate":
+        # Its output is a file, beside which the locked folder is.
+        out = out.rename(out.with_name(f".{out.name}.measured"))
     words = {
         "simulate": ["simulate", str(out)],
         "bench": ["bench", str(out)],
@@ -78,13 +95,13 @@ def test_a_second_run_is_refused_in_one_line_and_changes_nothing(other, verb, tm
         "train": ["train-dynamics", str(out), "--only-roll-outs"],
     }.get(verb)
     if words is None:
-        hidden = tmp_path / ".out.measured"
-        out.rename(hidden)
         words = ["evaluate", str(tmp_path / "a.zarr"), "--recordings", str(tmp_path)]
-        words += ["--output", str(out)]
-        out = hidden
-    assert cli.main(words) == 1
-    complained = capsys.readouterr().err
-    assert f"{out}: another run writes here (process {other.pid} on " in complained
-    assert complained.count("\n") == 1
-    assert {path.name for path in out.iterdir()} == {"held", LOCK_FILE}
+        words += ["--output", str(held[0])]
+    try:
+        assert cli.main(words) == 1
+        complained = capsys.readouterr().err
+        assert f"{out}: another run writes here (process {other.pid} on " in complained
+        assert complained.count("\n") == 1
+        assert {path.name for path in out.iterdir()} == {"held", LOCK_FILE}
+    finally:
+        out.rename(held[0])

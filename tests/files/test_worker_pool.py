@@ -12,6 +12,7 @@ import pytest
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.files.worker_pool import finished_in_workers, require_workers
+from clothtrack.recordings.shipped import shipped_recording
 
 LONG_S = 120.0
 
@@ -75,6 +76,20 @@ def test_a_worker_that_dies_ends_the_others_and_what_was_under_way_is_named(tmp_
     assert time.monotonic() - begin < 0.5 * LONG_S
 
 
+def test_wrong_ways_to_ask_for_ray_are_refused(tmp_path, capsys):
+    words = ["track", str(shipped_recording()), "--output", str(tmp_path)]
+    assert cli.main([*words, "--ray", "local", "--live"]) == 1
+    assert "leave out --ray" in capsys.readouterr().err
+    assert cli.main(["flatten", str(tmp_path), "--ray", "local", "--live"]) == 2
+    assert "or --live" in capsys.readouterr().err
+
+
+def test_without_ray_one_line_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InvalidConfigError, match="needs ray; install with: "):
+        list(finished_in_workers(abs, [1], 2, ray="local"))
+
+
 SLOW = """
 import time
 from pathlib import Path
@@ -90,6 +105,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_no_maker_of_examples_outlives_a_training_that_is_killed(tmp_path):
     (tmp_path / "slow.py").write_text(SLOW)
     with subprocess.Popen(

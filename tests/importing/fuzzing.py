@@ -1,6 +1,6 @@
 """Damages files of one format in many ways and imports each: run by `test_fuzz.py`, alone.
 
-    python fuzzing.py FORMAT FIRST COUNT FOLDER
+    python fuzzing.py FORMAT[,FORMAT...] FIRST COUNT FOLDER
 
 A process of its own, so that its memory can be limited and a crash of a library is seen. Ends with
 1 and says which case did what it must not.
@@ -140,31 +140,37 @@ def on_alarm(*_):
     raise HangError
 
 
-def main(kind, first, count, folder):
+def main(kinds, first, count, folder):
     quiet_warp()
-    place = Path(folder)
+    signal.signal(signal.SIGALRM, on_alarm)
+    for kind in kinds.split(","):
+        damage_and_import(kind, int(first), int(count), Path(folder) / kind)
+
+
+def damage_and_import(kind, first, count, place):
+    """Import damaged files of one format; exit with the case that did what it must not."""
     (place / "seeds").mkdir(parents=True)
     made = place / "made"
     made.mkdir()
     seed = seed_file(kind, made)
     shutil.move(seed, place / "seeds" / seed.name)
     shutil.rmtree(made)
-    signal.signal(signal.SIGALRM, on_alarm)
     # The first import compiles and loads; what it takes is not the file's doing.
     one_case(kind, 2**31, place)
     shutil.rmtree(place / "case", ignore_errors=True)
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123
         used = int(file.read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_MEMORY, used + MOST_MEMORY))
+    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_MEMORY, hard))
     outcomes = Counter()
-    for number in range(int(first), int(first) + int(count)):
+    for number in range(first, first + count):
         outcome = one_case(kind, number, place)
         outcomes[outcome] += 1
         if outcome not in ("imported", "refused"):
             sys.exit(f"{kind}, case {number}: {outcome}")
     sys.stdout.write(f"{kind}: {dict(outcomes)}\n")
     # Damage that always or never stops the import would test nothing.
-    if min(outcomes["imported"], outcomes["refused"]) < int(count) // 20:
+    if min(outcomes["imported"], outcomes["refused"]) < count // 20:
         sys.exit(f"{kind}: {dict(outcomes)}")
 
 

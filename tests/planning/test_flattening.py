@@ -217,16 +217,6 @@ def test_a_pixel_of_the_table_is_as_large_as_it_is():
     assert table_pixel_areas(camera, TABLE)[20, 10] == pytest.approx(area, rel=0.01)
 
 
-@pytest.mark.parametrize("policy", ["random", "outwards", "heuristic"])
-def test_policies_without_a_mesh_need_no_weights(tmp_path, policy):
-    config = FlattenConfig(policy=policy, actions=2)
-    episode, parts = SimulatedEpisode("towel", 3), EpisodeParts(propose=POLICIES[policy])
-    store = flatten_simulated(tmp_path, episode, config, robot_config=SMALL, parts=parts)
-    assert len(store.steps) == 3
-    assert not store.document["asked"]["label"]["control"]
-    assert not list((tmp_path / "episodes" / "towel_0003").glob("estimates/*"))
-
-
 def test_the_control_plans_is_labelled_and_leaves_a_normal_recording(tmp_path):
     simulator = SimulatorConfig(motion=MotionConfig(speed=0.8, rest_s=0.1))
     planner = PlannerConfig(candidates=10)
@@ -251,13 +241,19 @@ def test_the_control_plans_is_labelled_and_leaves_a_normal_recording(tmp_path):
     assert len(starts) == 1
 
 
+@pytest.mark.slow
 def test_a_killed_simulated_episode_ends_like_one_that_was_not(tmp_path):
     config = FlattenConfig(policy="heuristic", actions=2)
     # Patches without depth drift from picture to picture: they are to drift on.
     sensor = replace(SMALL_WORLD.sensor, patch_dropout=0.1)
     robot = replace(SMALL, episode=replace(SMALL_WORLD, sensor=sensor))
-    options = {"robot_config": robot, "parts": EpisodeParts(propose=POLICIES["heuristic"])}
+    parts = EpisodeParts(propose=POLICIES["heuristic"], starts=tmp_path / "starts")
+    options = {"robot_config": robot, "parts": parts}
     whole = flatten_simulated(tmp_path / "whole", SimulatedEpisode("towel", 4), config, **options)
+    # A policy that needs no mesh is asked without weights, and is no control.
+    assert len(whole.steps) == 3
+    assert not whole.document["asked"]["label"]["control"]
+    assert not list((tmp_path / "whole" / "episodes" / "towel_0004").glob("estimates/*"))
 
     def stop(store, decision):
         if len(store.document["steps"]) == 2:

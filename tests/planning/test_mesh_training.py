@@ -47,6 +47,7 @@ def trained(roll_outs, tmp_path_factory):
     return folder, train_mesh_dynamics(roll_outs, "towel", TINY, folder)
 
 
+@pytest.mark.slow
 def test_training_gets_better_and_its_weights_are_read_again(trained):
     _, outcome = trained
     assert outcome.best_step > 0
@@ -60,6 +61,7 @@ def test_training_gets_better_and_its_weights_are_read_again(trained):
     assert not np.allclose(moved, other)
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_arrives_at_the_same_weights(trained, roll_outs, tmp_path):
     _, outcome = trained
     half = replace(TINY, loop=replace(TINY.loop, epochs=3))
@@ -70,6 +72,7 @@ def test_an_interrupted_training_arrives_at_the_same_weights(trained, roll_outs,
     np.testing.assert_array_equal(one.predict(LYING, [ACTION]), other.predict(LYING, [ACTION]))
 
 
+@pytest.mark.slow
 def test_another_training_is_not_gone_on_with(trained, roll_outs):
     folder, _ = trained
     with pytest.raises(InvalidConfigError, match="noise_m"):

@@ -86,6 +86,7 @@ class Learned(Canonicaliser):
         return self.answers
 
 
+@pytest.mark.slow
 def test_stage_one_learns_what_it_is_shown(tmp_path):
     """Median error down to less than half on fixed pictures, in a few dozen steps."""
     examples = examples_of(tmp_path / "states", "tshirt")
@@ -99,6 +100,7 @@ def test_stage_one_learns_what_it_is_shown(tmp_path):
     assert outcome.best_score < 0.5 * before
 
 
+@pytest.mark.slow
 def test_stage_two_learns_what_it_is_shown(tmp_path):
     examples = examples_of(tmp_path / "states", "tshirt")
     first = canonicalisation_stage(TINY, "tshirt")

@@ -1,5 +1,6 @@
 """Examples of simulated states: picture, labels and points say the same, however turned."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -51,9 +52,9 @@ def states(folder, kind="tshirt", count=4, vertices=600, shards=2):
     return write_states(folder, kind, parts, {})
 
 
-@pytest.fixture
-def shirts(tmp_path):
-    return states(tmp_path / "shirts")
+@pytest.fixture(scope="module")
+def shirts(tmp_path_factory):
+    return states(tmp_path_factory.mktemp("states") / "shirts")
 
 
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])
@@ -217,9 +218,11 @@ def test_a_batch_keeps_every_pixel_with_its_picture(shirts):
 
 
 def test_examples_travel_to_other_processes(shirts):
+    """How they travel is tested with the training loop; here, that they arrive whole."""
     examples = StateExamples([shirts], NETWORK, CONFIG, seed=6)
     order = [[(0, 0), (3, 1)]]
-    here, there = (next(iter(loader(examples, order, collate, workers=n))) for n in (0, 1))
+    travelled = pickle.loads(pickle.dumps(examples))
+    here, there = (next(iter(loader(one, order, collate))) for one in (examples, travelled))
     assert torch.equal(here.depth, there.depth)
     assert torch.equal(here.unit, there.unit)
 

@@ -55,7 +55,7 @@ def test_a_towel_is_measured_within_one_percent(size_m: tuple[float, float], ang
     assert mesh.vertices[:, 2].min() == pytest.approx(0.1 + RESTING_HEIGHT_M)
 
 
-@pytest.mark.parametrize("angle", [0.3, 2.0, -2.5])
+@pytest.mark.parametrize("angle", [0.3, -2.5])
 def test_a_shirt_is_found_whichever_way_it_lies(angle: float) -> None:
     size_m = (0.46, 0.40)
     points = laid_out("tshirt", size_m, angle)

@@ -93,6 +93,7 @@ def test_the_garments_held_out_are_those_of_any_training(tmp_path: Path, pack: P
             np.testing.assert_array_equal(found, wanted)
 
 
+@pytest.mark.slow
 def test_a_run_that_is_carried_away_in_pieces_goes_on_as_if_it_had_not(
     tmp_path: Path, pack: Path
 ) -> None:
@@ -114,6 +115,7 @@ def test_a_run_that_is_carried_away_in_pieces_goes_on_as_if_it_had_not(
     assert TokenReconstructor.load(learned.model).model.config == TINY
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_other_packs(tmp_path: Path, pack: Path) -> None:
     other = pack_of(folder_of(tmp_path / "states", seed=1), tmp_path / "other.safetensors")
     pretrain_packed([pack], TINY, CONFIG, tmp_path / "run", progress=StopAfter(3))

@@ -39,11 +39,17 @@ def make(kind: str = "towel", states: int = 4) -> StateShard:
     )
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    target = tmp_path / "0000.zarr"
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("written") / "0000.zarr"
     write_shard(make("tshirt"), target)
     return target
+
+
+@pytest.fixture
+def path(written: Path, tmp_path: Path) -> Path:
+    """A copy of a shard, for a test to damage."""
+    return Path(shutil.copytree(written, tmp_path / written.name))
 
 
 def chunk_of(path: Path, array: str) -> Path:

@@ -116,11 +116,9 @@ def test_states_are_sound_cloth_on_the_table_near_the_origin(made: Path) -> None
         assert np.ptp(vertices[:, :2], axis=0).prod() >= 0.98 * measured["coverage"] * flat
 
 
-def test_a_shard_depends_on_its_seed_and_number_alone(made: Path, tmp_path: Path) -> None:
+def test_a_shard_depends_on_its_seed_and_number_alone(made: Path) -> None:
     alone = make_shard("towel", 1, 3, TINY)
     assert np.array_equal(alone.positions, read_shard(shard_path(made, 1)).positions)
-    generate_states(tmp_path, "towel", 8, seed=3, config=TINY, processes=2)
-    assert bytes_of(tmp_path) == bytes_of(made)
     assert not np.array_equal(make_shard("towel", 1, 4, TINY).positions, alone.positions)
 
 
@@ -173,7 +171,7 @@ def test_a_pressed_stack_stays_one_until_the_end() -> None:
         mesh, config, SolverConfig(edge_contact=False, damping=4.0), thickness_m=0.001
     )
     softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
-    for seed in range(4):
+    for seed in range(2):
         states = list(crumpler.episode(softness, np.random.default_rng(seed)))
         assert len(states) == 5 or states[-1].exploded
         assert all(state.recipe in NEAT for state in states)
@@ -195,7 +193,7 @@ def test_garments_of_every_cut_are_drawn() -> None:
     assert np.ptp(draw_garment("tshirt", robes, 300, np.random.default_rng(0)).vertices[:, 1]) > 0.7
     for kind, low, high in (("towel", 0.2, 2.0), ("tshirt", 0.3, 2.5), ("trousers", 0.2, 1.5)):
         sizes = []
-        for number in range(12):
+        for number in range(5):
             rng = np.random.default_rng(number)
             mesh = draw_garment(kind, GarmentRanges(), 150, rng)
             sizes.append(np.ptp(mesh.vertices[:, :2], axis=0).max())
@@ -250,7 +248,7 @@ def test_a_smoothed_cloth_is_flat_and_a_dropped_one_is_not() -> None:
 
 
 def test_a_fold_halves_a_towel_and_keeps_its_layers_in_order() -> None:
-    for seed in range(4):
+    for seed in range(2):
         crumpler, folded = one_state("towel", only("fold", pressed=0.0), seed)
         mesh = crumpler.mesh
         covered = projected_area(folded, mesh.faces) / projected_area(mesh.vertices, mesh.faces)
@@ -267,7 +265,7 @@ def test_a_shirt_is_folded_further_and_further() -> None:
         mesh, crumpling, SolverConfig(edge_contact=False, damping=4.0), thickness_m=0.001
     )
     softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
-    for seed in range(4):
+    for seed in range(2):
         folded = list(crumpler.episode(softness, np.random.default_rng(seed)))
         assert [state.recipe for state in folded] == ["fold"] * 2
         areas = [projected_area(state.positions, mesh.faces) for state in folded]
@@ -279,7 +277,7 @@ def test_held_cloth_hangs_in_the_air_and_falls_when_it_is_let_go() -> None:
     crumpler = Crumpler(mesh, only("held", states=2), SolverConfig(edge_contact=False, damping=4.0))
     softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
     heights = []
-    for seed in range(6):
+    for seed in range(3):
         held, released = crumpler.episode(softness, np.random.default_rng(seed))
         assert (held.recipe, released.recipe) == ("held", "release")
         top = int(held.positions[:, 2].argmax())
@@ -290,13 +288,14 @@ def test_held_cloth_hangs_in_the_air_and_falls_when_it_is_let_go() -> None:
 
 def test_a_push_moves_cloth_over_the_table_and_wrinkles_it() -> None:
     moved = []
-    for seed in range(4):
+    for seed in range(2):
         crumpler, pushed = one_state("towel", only("push", turned_over=0.0), seed)
         moved.append(np.linalg.norm((pushed - crumpler.mesh.vertices)[:, :2], axis=1).max())
         assert pushed[:, 2].min() > 0.0
     assert min(moved) > 0.02
 
 
+@pytest.mark.slow
 def test_pulling_opens_a_heap() -> None:
     mesh = garment("towel", vertex_count=300, pattern="random")
     softness = ClothParameters(stretch_compliance=2e-3, bend_compliance=30.0)
@@ -328,6 +327,7 @@ def test_a_garment_may_lie_with_either_side_up() -> None:
         assert gap * (1.0 - 2.0 * turned_over) > 0.001
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_nothing_half_written_and_can_go_on(tmp_path: Path) -> None:
     out, script = tmp_path / "states", tmp_path / "script.py"
     words = ["simulate", str(out), "--states", "400", "--workers", "2",
@@ -359,6 +359,7 @@ def test_an_interrupt_leaves_nothing_half_written_and_can_go_on(tmp_path: Path) 
         read_shard(path)
 
 
+@pytest.mark.slow
 def test_an_interrupt_between_two_shards_ends_the_workers(tmp_path: Path) -> None:
     """It may come while a finished shard is listed; a traceback must not keep workers going."""
 
@@ -408,7 +409,7 @@ def test_states_are_not_filmed(
 
 
 def test_a_towel_is_at_least_as_wide_as_long() -> None:
-    for number in range(20):
+    for number in range(8):
         mesh = draw_garment("towel", TINY.garments, 120, np.random.default_rng(number))
         width, length, _ = np.ptp(mesh.vertices, axis=0)
         assert width >= length

@@ -255,6 +255,7 @@ def summary(batch):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_batches_are_statistically_those_of_single_states(states, shapes, tokens):
     """Cameras, sensors, masks, hands and cuts as they are in training, each state seen twice."""
     config, singles = RenderConfig(), []
@@ -298,6 +299,7 @@ NOT_THERE = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_machine_that_only_trains_needs_pytorch_alone():
     script = f"""
 import sys

@@ -50,6 +50,7 @@ def without_time(folder):
     return [json.dumps(line, sort_keys=True) for line in read_scalars(folder)]
 
 
+@pytest.mark.slow
 def test_training_learns_and_keeps_the_best(line, tmp_path):
     _, outcome = line.train_line(tmp_path, epochs=60, high_rate=1e-2, low_rate=1e-2)
     held = [one["error"] for one in read_scalars(tmp_path) if one["split"] == "held_out"]
@@ -78,6 +79,7 @@ def test_no_more_workers_than_cores(monkeypatch):
     assert loader([], [], list, workers=3).num_workers == 1
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     line.train_line(whole)
@@ -95,6 +97,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(line, tmp_path):
     assert without_time(whole) == without_time(broken)
 
 
+@pytest.mark.slow
 def test_two_trainings_in_one_folder_do_the_work_once(line, tmp_path):
     whole, shared = tmp_path / "whole", tmp_path / "shared"
     line.train_line(whole)
@@ -284,6 +287,7 @@ def test_processes_share_a_batch():
         BatchOrder(8, config, Processes(0, 3))
 
 
+@pytest.mark.slow
 def test_examples_made_elsewhere_are_the_same(line, monkeypatch):
     monkeypatch.syspath_prepend(SCRIPT.parent)
     examples = line.LineExamples(8)

@@ -90,6 +90,7 @@ def vertices_of(mesh):
     return mesh.read_text().count("\nv ") + mesh.read_text().startswith("v ")
 
 
+@pytest.mark.slow
 def test_trousers_of_known_size_with_the_shipped_weights(picture, size_m, tmp_path, capsys):
     assert shipped_weights() is not None
     mesh = tmp_path / "mesh.obj"
@@ -103,6 +104,7 @@ def test_trousers_of_known_size_with_the_shipped_weights(picture, size_m, tmp_pa
     np.testing.assert_allclose(chosen["size_m"], size_m, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_trousers_of_unknown_size_are_said_to_be_some_of_some_size(
     picture, untrained, tmp_path, capsys
 ):

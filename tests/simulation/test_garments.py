@@ -70,8 +70,8 @@ def test_an_open_front_joins_hem_and_neck(
     assert smallest_angle_deg(opened) > 15.0
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("count", [500, 1000, 2500])
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("count", [500, 1500])
 def test_tshirt_is_a_sphere_with_four_holes(count: int, seed: int) -> None:
     mesh = garment("tshirt", vertex_count=count, seed=seed)
     assert components(mesh) == 1
@@ -92,7 +92,7 @@ def test_towel_is_a_disk_of_the_asked_size(pattern: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["towel", "tshirt"])
-@pytest.mark.parametrize("count", [500, 1500, 10_000])
+@pytest.mark.parametrize("count", [500, 3000])
 def test_garment_has_the_wanted_number_of_vertices(kind: str, count: int) -> None:
     assert abs(garment(kind, vertex_count=count).vertex_count / count - 1.0) < 0.08
 

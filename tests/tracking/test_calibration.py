@@ -1,5 +1,6 @@
 """Candidates that are tracked: each once, and the one whose outline fits is taken."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -26,8 +27,30 @@ def best_only(components: Components) -> Assembled:
     return replace(assembled, method=replace(assembled.method, calibrate=calibrate))
 
 
-def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recording):
-    tracked = track_recording(recording, CONFIG, assemble=best_only)
+@contextmanager
+def counting():
+    """Every action that is tracked, with the arguments that it is tracked with."""
+    called = []
+    track_action = algorithm.track_action
+
+    def counted(*arguments, **named):
+        called.append(arguments)
+        return track_action(*arguments, **named)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(algorithm, "track_action", counted)
+        yield called
+
+
+@pytest.fixture(scope="module")
+def searched(recording):
+    """Tracked with the best candidate, and how many times an action was tracked for it."""
+    with counting() as called:
+        return track_recording(recording, CONFIG, assemble=best_only), len(called)
+
+
+def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recording, searched):
+    tracked, _ = searched
     (action,) = tracked.actions
     found = action.calibration
     assert (found.method, found.judge) == ("descent", "tracking")
@@ -50,25 +73,17 @@ def test_the_candidate_with_the_best_outline_is_the_one_that_is_tracked(recordin
     np.testing.assert_array_equal(tracked.steps.loss_after, again.steps.loss_after)
 
 
-def test_where_one_layer_lies_no_second_one_is_tracked(recording, monkeypatch):
-    tracked = []
-    track_action = algorithm.track_action
-
-    def counted(*arguments, **named):
-        tracked.append(arguments)
-        return track_action(*arguments, **named)
-
-    monkeypatch.setattr(algorithm, "track_action", counted)
-    (action,) = track_recording(recording, CONFIG, assemble=best_only).actions
-    assert len(tracked) == len(AXES["bend_compliance"])
+def test_where_one_layer_lies_no_second_one_is_tracked(searched):
+    tracked, times = searched
+    (action,) = tracked.actions
+    assert times == len(AXES["bend_compliance"])
     # The second layer shares the candidate of the first.
     first, second = action.calibration.scores[:2]
     assert first == second
 
 
-def test_a_search_goes_on_from_the_mean_of_its_candidates(recording):
-    mean = track_recording(recording, CONFIG)
-    best = track_recording(recording, CONFIG, assemble=best_only)
+def test_a_search_goes_on_from_the_mean_of_its_candidates(recording, searched):
+    mean, (best, _) = track_recording(recording, CONFIG), searched
     (one,), (other,) = mean.actions, best.actions
     np.testing.assert_array_equal(one.calibration.scores, other.calibration.scores)
     np.testing.assert_array_equal(
@@ -77,20 +92,14 @@ def test_a_search_goes_on_from_the_mean_of_its_candidates(recording):
     assert not np.array_equal(mean.positions[-1], best.positions[-1])
 
 
-@pytest.mark.parametrize("method", ["grid", "descent"])
-def test_the_papers_calibration_rolls_out_and_tracks_one_candidate(recording, method, monkeypatch):
-    tracked = []
-    track_action = algorithm.track_action
-    monkeypatch.setattr(
-        algorithm,
-        "track_action",
-        lambda *args, **named: tracked.append(args) or track_action(*args, **named),
-    )
+@pytest.mark.parametrize("method", [pytest.param("grid", marks=pytest.mark.slow), "descent"])
+def test_the_papers_calibration_rolls_out_and_tracks_one_candidate(recording, method):
     axes = {"bend_compliance": (0.1, 10.0), "table_friction": (0.3, 1.0)}
     search = SearchConfig(method=method, axes=axes)
-    (action,) = track_recording(recording, replace(CONFIG, search=search)).actions
+    with counting() as called:
+        (action,) = track_recording(recording, replace(CONFIG, search=search)).actions
     found = action.calibration
-    assert len(tracked) == 1
+    assert len(called) == 1
     assert (found.method, found.judge) == (method, "open_loop")
     assert len(found.scores) <= 4
     assert found.scores[found.best] == found.scores.min()

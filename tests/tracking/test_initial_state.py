@@ -303,6 +303,7 @@ print(code, sorted(loaded))
 """
 
 
+@pytest.mark.slow
 def test_torch_stays_where_it_is_unless_the_network_is_used(filmed, none_shipped, tmp_path):
     settings = [word for one in SHORT for word in ("--set", one)]
     done = subprocess.run(

@@ -19,6 +19,7 @@ ARCHITECTURES = (75, 90)
 """A T4 and an H100: the oldest card that people still buy time on, and a new one."""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp's build for macOS has no CUDA compiler")
 @pytest.mark.parametrize("name", MODULES)
 def test_kernels_compile_for_cuda(name, tmp_path):

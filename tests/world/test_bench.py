@@ -150,6 +150,7 @@ def test_the_list_tells_all_that_varied(made: Path) -> None:
         assert len(truth[name]) == len(truth["frames"])
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_bytes_in_another_process(made: Path, tmp_path: Path) -> None:
     generate_bench(tmp_path, PAIR, processes=2)
     for ours, theirs in zip(
@@ -248,6 +249,7 @@ def test_a_trajectory_that_always_diverges_is_an_error(
         generate_bench(tmp_path, PAIR[:1])
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
     out = tmp_path / "bench"
     file = tmp_path / "script.py"
@@ -274,16 +276,24 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
     assert list((out / "recordings").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_picks_of_folded_cloth_are_told(tmp_path: Path) -> None:
     truth = film_tiny("folded", tmp_path, actions=2)
     assert truth["picked_folded"].tolist() == [False, True]
 
 
-def test_an_arm_hides_much_more_than_a_rod(tmp_path: Path) -> None:
-    hidden = film_tiny("hidden", tmp_path / "arm")
-    usual = film_tiny("none", tmp_path / "rod")
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny trajectory that the hard ones are held against."""
+    out = tmp_path_factory.mktemp("usual")
+    film_tiny("none", out)
+    return out
+
+
+def test_an_arm_hides_much_more_than_a_rod(usual: Path, tmp_path: Path) -> None:
+    hidden, plain = film_tiny("hidden", tmp_path), np.load(usual / "truth" / "one.npz")
     (arm, rod), (with_arm, with_rod) = (
-        [truth[name][truth["gripper_closed"]] for truth in (hidden, usual)]
+        [truth[name][truth["gripper_closed"]] for truth in (hidden, plain)]
         for name in ("hidden_by_tool", "positions")
     )
     assert arm.mean() > 0.3
@@ -292,12 +302,9 @@ def test_an_arm_hides_much_more_than_a_rod(tmp_path: Path) -> None:
     assert hidden["hidden_by_tool"][-1] == 0.0
 
 
-def test_a_calibration_error_is_in_the_recording_alone(tmp_path: Path) -> None:
-    film_tiny("calibration", tmp_path / "wrong")
-    film_tiny("none", tmp_path / "right")
-    wrong, right = (
-        read_recording(tmp_path / name / "recordings" / "one") for name in ("wrong", "right")
-    )
+def test_a_calibration_error_is_in_the_recording_alone(usual: Path, tmp_path: Path) -> None:
+    film_tiny("calibration", tmp_path)
+    wrong, right = (read_recording(out / "recordings" / "one") for out in (tmp_path, usual))
     offset = wrong.cameras[0].position - right.cameras[0].position
     assert np.linalg.norm(offset) == pytest.approx(0.005)
     for mine, theirs in zip(wrong.frames, right.frames, strict=True):

@@ -53,8 +53,9 @@ def test_without_a_garment_seed_all_is_drawn_as_before(kind, tmp_path):
     assert knowing_the_garment(config, None, tmp_path) is config
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_one_garment_is_the_same_for_every_seed_and_starts_are_not(kind):
+@pytest.mark.slow
+def test_one_garment_is_the_same_for_every_seed_and_starts_are_not():
+    kind = "tshirt"
     first, second = (
         SimulatedRobot(one.kind, one.seed, garment=one.garment)
         for one in (SimulatedEpisode(kind, seed, garment_seed=5) for seed in (1, 2))
@@ -73,7 +74,7 @@ def test_one_garment_is_the_same_for_every_seed_and_starts_are_not(kind):
     assert len(starts) == 3
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_shipped_network_was_trained_on_such_a_garment(seed):
     usual, states = Ranges(), GarmentRanges()
     rng = np.random.default_rng(0)
@@ -81,11 +82,10 @@ def test_no_shipped_network_was_trained_on_such_a_garment(seed):
     for kind in KINDS:
         garment = OneGarment(kind, seed)
         outline, (width_m, length_m) = garment.cut
-        assert np.ptp(garment.flat().vertices[:, :2], axis=0) == pytest.approx(
-            (width_m, length_m), rel=1e-6
-        )
+        flat = garment.flat(vertex_count=300)
+        assert np.ptp(flat.vertices[:, :2], axis=0) == pytest.approx((width_m, length_m), rel=1e-6)
         # The published network's cube has room for it, so that it can learn it.
-        check_canonical(np.asarray(garment.flat().canonical), kind)
+        check_canonical(np.asarray(flat.canonical), kind)
         assert garment.config.fabric.thickness_m > usual.thickness_m[1]
         assert garment.config.sensor.white_m > usual.white_m[1]
         if kind == "towel":
@@ -98,6 +98,7 @@ def test_no_shipped_network_was_trained_on_such_a_garment(seed):
                 assert getattr(outline, name) > max(one[name] for one in drawn), name
 
 
+@pytest.mark.slow
 def test_recordings_of_one_garment_differ_in_all_but_the_garment(tmp_path):
     garment = OneGarment("towel", 2)
     sensor = replace(garment.config.sensor, width=160, height=120, focal=125.0)
