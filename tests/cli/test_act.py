@@ -3,9 +3,9 @@
 import json
 
 import pytest
+from clothtrack_lab.cli.act import train_dynamics
 
 from clothtrack.cli import command_line as cli
-from clothtrack_lab.cli.act import train_dynamics
 
 QUICK = [
     "--set", "simulator.motion.speed=0.8", "--set", "simulator.motion.rest_s=0.1",

@@ -9,9 +9,9 @@ import subprocess
 import sys
 
 import pytest
+from clothtrack.cli.track import Mode
 
 from clothtrack.cli import command_line as cli
-from clothtrack.cli.track import Mode
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.extras import install_command
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from clothtrack.api import learning_extra as learning
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.front import learning_extra as learning
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.reconstruction.data.examples import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels

@@ -1,0 +1,77 @@
+"""Look through artefacts: is it readable, is it still what was written, what is wrong with it?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clothtrack.api.verification import Verification
+    from clothtrack.files.progress import Progress
+    from clothtrack.recordings.inspection import Inspection
+
+
+@dataclass(frozen=True)
+class Inspections:
+    """What was found of many artefacts.
+
+    Attributes:
+        each: of each one, in order.
+    """
+
+    each: "tuple[Inspection | Verification, ...]"
+
+    @property
+    def exit_code(self) -> int:
+        """1 where something is wrong with one of them."""
+        return 0 if all(one.ok for one in self.each) else 1
+
+    def text(self) -> str:
+        """Return what was found of each."""
+        return "\n".join(map(str, self.each))
+
+    def as_dict(self) -> Any:
+        """Return the same as JSON holds it: of one artefact a document, of several a list."""
+        documents = [one.as_dict() for one in self.each]
+        return documents[0] if len(documents) == 1 else documents
+
+
+def inspect_many(
+    artefacts: Sequence[Path | str],
+    *,
+    recordings: Path | str | None = None,
+    progress: "Progress | None" = None,
+) -> Inspections:
+    """Is it readable, and still what was written? What is in it, what is wrong with it?
+
+    Of a recording: what it holds, what is wrong with it, and which of its geometry its own pictures
+    contradict. Of everything else one line: ok, or what is damaged. Checksums are compared where
+    there are some, and everything is read. With --recordings the first action of a tracked
+    trajectory is tracked again and compared to the bit; a line says so where that cannot be done,
+    as with another version or on another machine. Exit code 1: something is wrong.
+
+    Args:
+        artefacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights
+            (.safetensors), folders of states or of the benchmark.
+        recordings: the recording, or the folder in which recordings lie by name.
+        progress: called with how much is done.
+    """
+    from clothtrack.api.verification import verify
+    from clothtrack.files.progress import one_of
+    from clothtrack.recordings.inspection import inspect
+
+    found = []
+    for done, artefact in enumerate(map(Path, artefacts)):
+        is_recording = artefact.is_dir() and not _is_other(artefact)
+        if is_recording:
+            found.append(inspect(artefact))
+        else:
+            of_all = one_of(progress, done, len(artefacts))
+            found.append(verify(artefact, recordings, progress=of_all))
+    return Inspections(tuple(found))
+
+
+def _is_other(folder: Path) -> bool:
+    """Whether a folder is anything but a recording; one without a sign is taken for a recording."""
+    signs = ("bench.json", "states.json")
+    return folder.suffix == ".zarr" or any((folder / name).is_file() for name in signs)
