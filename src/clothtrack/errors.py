@@ -38,7 +38,7 @@ class InvalidConfigError(ClothTrackError):
 
 
 class WrongUsageError(InvalidConfigError):
-    """What was asked for cannot be understood, or excludes itself; the command line exits with 2."""
+    """What was asked for cannot be understood, or excludes itself; the exit code is 2."""
 
 
 class StorageError(ClothTrackError):

@@ -134,7 +134,7 @@ def garment_template(
     picture, output = Path(picture), Path(output)
     places = _places(openings)
     require_template_format(output)
-    options = _named(mask=mask, depth_unit_m=depth_unit_m, focal=focal)
+    options = _named(mask=mask and Path(mask), depth_unit_m=depth_unit_m, focal=focal)
     if picture.is_dir():
         _refuse(options | _named(metres_per_pixel=metres_per_pixel), f"{picture} is a recording")
         flat = flat_recording(picture, frame or 0)
@@ -142,14 +142,14 @@ def garment_template(
         _refuse(_named(frame=frame, metres_per_pixel=metres_per_pixel), f"{picture} has depth")
         flat = flat_depth(picture, **options)
     else:
-        mask = options.pop("mask", None)
+        options.pop("mask", None)
         _refuse(options | _named(frame=frame), f"{picture} has no depth")
         if metres_per_pixel is None:
             raise InvalidConfigError(
                 f"{picture}: a picture without depth does not say how large the garment is; add "
                 "--metres-per-pixel, a known length on the table over its pixels"
             )
-        flat = flat_color(picture, metres_per_pixel, mask=mask)
+        flat = flat_color(picture, metres_per_pixel, mask=mask and Path(mask))
     template = make_template(
         flat.outline,
         kind,

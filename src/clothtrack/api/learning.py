@@ -337,7 +337,7 @@ def reconstruct(
         picture, garment, frame=frame, size_m=size_m, template=template, weights=weights,
         refined=refined, device=device,
         of_picture={
-            "mask": mask, "depth_unit_m": depth_unit_m, "focal": focal,
+            "mask": mask and Path(mask), "depth_unit_m": depth_unit_m, "focal": focal,
             "table_distance_m": table_distance_m,
         },
     )  # fmt: skip

@@ -136,7 +136,8 @@ def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:
 
 def _opened(verb: str, address: str, *, json: bool) -> None:
     """Say where a page is; --json leaves standard output to the result, which a view has not."""
-    text = f"{address}   open this; Ctrl-C ends"
+    watched = verb in ("track", "flatten")
+    text = f"{address}   open this{' to watch' if watched else '; Ctrl-C ends'}"
     if verb == "view":
         say_result(text, {"address": address}, json=json)
     elif json:

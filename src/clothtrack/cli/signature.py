@@ -16,7 +16,8 @@ import inspect
 import re
 import types
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import partial, reduce
+from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -109,27 +110,25 @@ def configuration_of(function: Callable[..., Any]) -> Callable[..., Any] | None:
 
 def _given(annotation: Any) -> Any:
     """The type that a command line gives for an annotation; None where it can give nothing."""
-    if isinstance(annotation, _Unloaded) or annotation in (None, type(None)):
-        return None
-    if isinstance(annotation, str):
+    if isinstance(annotation, _Unloaded | str | None):
         return None
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         inner = _given(arguments[0])
         return None if inner is None else Annotated[inner, *annotation.__metadata__]
-    if origin is _CALLABLE:
-        return None
     if origin in (types.UnionType, Union):
-        some = [one for one in (_given(each) for each in arguments) if one is not None]
-        if Path in some:
-            some = [one for one in some if one is not str]
-        if not some:
-            return None
-        optional = (None,) if type(None) in arguments else ()
-        return Union[(*some, *optional)]
+        given = _any_of([one for one in arguments if _given(one) is not None])
+        return given | None if given is not None and type(None) in arguments else given
     if origin is _SEQUENCE:
         return tuple[_given(arguments[0]), ...]
-    return annotation
+    return None if origin is _CALLABLE or annotation is type(None) else annotation
+
+
+def _any_of(members: Sequence[Any]) -> Any:
+    """A union of types that can be given; any text is the name of a file where one is wanted."""
+    some = [_given(one) for one in members]
+    wanted = [one for one in some if one is not str or Path not in some]
+    return reduce(or_, wanted) if wanted else None
 
 
 _CALLABLE = get_origin(Callable[[], None])

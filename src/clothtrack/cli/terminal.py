@@ -19,7 +19,7 @@ from clothtrack.errors import ClothTrackError, StorageError, WrongUsageError
 WRONG_USAGE = 2
 INTERRUPTED = 128 + signal.SIGINT
 TERMINATED = 128 + signal.SIGTERM
-"""The exit codes of wrong usage, and of a verb that Ctrl-C or SIGTERM has ended, as shells number them."""
+"""The exit codes of wrong usage, and of a verb that Ctrl-C or SIGTERM has ended (see any shell)."""
 
 _SAME_REQUEST_S = 1.0
 

@@ -61,6 +61,7 @@ class Flattened:
 
 
 def flattening_config(
+    *,
     perception: Perception = "network",
     weights: Path | str | None = None,
     policy: Policy = "planned",
@@ -162,8 +163,9 @@ def flatten_many(
     quiet_warp()
     output = Path(output)
     config = flattening_config(
-        perception, weights, policy, dynamics, dynamics_weights, template, actions, settings
-    )
+        perception=perception, weights=weights, policy=policy, dynamics=dynamics,
+        dynamics_weights=dynamics_weights, template=template, actions=actions, settings=settings,
+    )  # fmt: skip
     dry = recording is not None
     if garment_seed is not None and (dry or template is not None):
         given = "--template" if template is not None else "--recording"
