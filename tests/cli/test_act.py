@@ -3,8 +3,8 @@
 import json
 
 import pytest
-import clothtrack_lab as lab
 
+import clothtrack_lab as lab
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidResultError
 

@@ -9,8 +9,8 @@ import subprocess
 import sys
 
 import pytest
-from clothtrack.api.options import Garment, Mode
 
+from clothtrack.api.options import Garment, Mode
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.extras import install_command

@@ -113,9 +113,7 @@ def setting_names(verb):
     return names
 
 
-@pytest.mark.parametrize(
-    "verb", [name for name in VERBS if "--set" in options_of(VERBS[name])]
-)
+@pytest.mark.parametrize("verb", [name for name in VERBS if "--set" in options_of(VERBS[name])])
 def test_the_example_of_a_setting_is_one_of_its_verb(verb, capsys):
     pytest.importorskip("torch")
     text = re.sub(r"[│\s]+", " ", helped(verb, capsys))

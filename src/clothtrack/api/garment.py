@@ -41,6 +41,11 @@ class GarmentTemplate:
         return self.template.mesh
 
     @property
+    def measures(self) -> dict[str, float]:
+        """Width, length, and the mean length of each kind of stretch [m]; area [m^2]."""
+        return dict(self.template.measures)
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """What may be wrong, and what to do about it."""
         found = []

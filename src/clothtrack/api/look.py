@@ -57,27 +57,6 @@ class Page:
         return {"page": self.page} | ({} if self.reports is None else {"reports": self.reports})
 
 
-@dataclass(frozen=True)
-class Exported:
-    """What `export` has written.
-
-    Attributes:
-        written: the file or folder.
-        format: which of the formats it has.
-    """
-
-    written: Path
-    format: Format
-
-    def text(self) -> str:
-        """Return where it is."""
-        return str(self.written)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the same as JSON holds it."""
-        return {"written": self.written, "format": self.format}
-
-
 def view(
     thing: "TrackedTrajectory | Recording | ClothMesh | Path | str",
     recordings: "Recording | Path | str | None" = None,
@@ -195,7 +174,8 @@ def export(
     *,
     recordings: Path | str | None = None,
     truth: "Truth | Path | str | None" = None,
-) -> Exported:
+    rows: int = 6,
+) -> Path:
     """Write a tracked trajectory in a format that other programs read, or as pictures for a paper.
 
     Args:
@@ -208,11 +188,17 @@ def export(
         recordings: for sheet, mp4 and rrd: the recording, or the folder in which it lies by name;
             by default it is looked for as by `load`.
         truth: for rrd: truth file, or the folder in which NAME.npz lie.
+        rows: frames on the sheet.
+
+    Returns:
+        Where it is.
 
     Raises:
-        InvalidConfigError: there is no such format, or it contradicts the suffix.
+        InvalidConfigError: there is no such format, it contradicts the suffix, or there is no row.
         InvalidRecordingError: pictures need the recording, and it is not known.
     """
+    if rows < 1:
+        raise InvalidConfigError(f"rows is {rows}; a sheet needs 1 or more")
     kind = export_format(Path(output), format)
     from clothtrack.api.run import load, recording_of, truth_of
     from clothtrack.report import mesh_export
@@ -220,9 +206,9 @@ def export(
 
     whole = load(run, recordings) if isinstance(run, Path | str) else run
     if kind not in ("sheet", "mp4", "rrd"):
-        return Exported(mesh_export.export(whole, Path(output), kind), kind)
+        return mesh_export.export(whole, Path(output), kind)
     source, known = recording_of(whole), truth_of(whole, truth)
-    return Exported(export_pictures(whole, source, Path(output), kind, truth=known), kind)
+    return export_pictures(whole, source, Path(output), kind, rows=rows, truth=known)
 
 
 def review_of(run: "TrackedTrajectory") -> "LabelReview":

@@ -150,16 +150,15 @@ def _say(result: Any, *, json: bool, said: bool) -> int:
     """Say what came of a verb, and give its exit code.
 
     Args:
-        result: with `text()` and `as_dict()`, and perhaps `doubts` and `exit_code`; or a list of
-            files; or nothing.
+        result: with `text()` and `as_dict()`, and perhaps `doubts` and `exit_code`; or the file
+            that was written; or nothing.
         json: whether to say it as JSON.
         said: whether its text was said already, piece by piece.
     """
     if result is None:
         return 0
-    if isinstance(result, Path | list):
-        files = result if isinstance(result, list) else [result]
-        say_result("\n".join(map(str, files)), result, json=json)
+    if isinstance(result, Path):
+        say_result(str(result), {"written": result}, json=json)
         return 0
     if json:
         say_result("", result.as_dict(), json=True)
