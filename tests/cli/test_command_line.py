@@ -65,7 +65,7 @@ def test_help_loads_no_stage():
         ["trak"],
         ["track", "folder"],
         ["track", "--output", "out"],
-        ["demo", "--mode", "best"],
+        ["track", "x", "--output", "y", "--mode", "best"],
         ["evaluate", "--recordings", "folder"],
     ],
 )

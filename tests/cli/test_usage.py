@@ -42,7 +42,10 @@ def helped(verb, capsys):
         (["track", "rec", "--ouput", "x"], "--ouput is no option of track; did you mean --output?"),
         (["import", "a", "b", "--depth-unt-m=1"], "did you mean --depth-unit-m?"),
         (["view", "x", "--qqq"], "--qqq is no option of view; clothtrack view --help lists them"),
-        (["demo", "--mode", "best"], "invalid choice 'best' for argument '--mode'"),
+        (
+            ["track", "x", "--output", "y", "--mode", "best"],
+            "invalid choice 'best' for argument '--mode'",
+        ),
         (["export"], "Missing from clothtrack export: RUN, --output PATH;"),
         (["import"], "Missing from clothtrack import: SOURCE, RECORDING;"),
         (["simulate", "x", "--states", "few"], "--states INT cannot be 'few'"),

@@ -1,9 +1,10 @@
 """Look through artefacts: is it readable, is it still what was written, what is wrong with it?"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from clothtrack.api.results import Many
 
 if TYPE_CHECKING:
     from clothtrack.api.verification import Verification
@@ -11,37 +12,12 @@ if TYPE_CHECKING:
     from clothtrack.recordings.inspection import Inspection
 
 
-@dataclass(frozen=True)
-class Inspections:
-    """What was found of many artefacts.
-
-    Attributes:
-        each: of each one, in order.
-    """
-
-    each: "tuple[Inspection | Verification, ...]"
-
-    @property
-    def exit_code(self) -> int:
-        """1 where something is wrong with one of them."""
-        return 0 if all(one.ok for one in self.each) else 1
-
-    def text(self) -> str:
-        """Return what was found of each."""
-        return "\n".join(map(str, self.each))
-
-    def as_dict(self) -> Any:
-        """Return the same as JSON holds it: of one artefact a document, of several a list."""
-        documents = [one.as_dict() for one in self.each]
-        return documents[0] if len(documents) == 1 else documents
-
-
 def inspect_many(
     artefacts: Sequence[Path | str],
     *,
     recordings: Path | str | None = None,
     progress: "Progress | None" = None,
-) -> Inspections:
+) -> "Many[Inspection | Verification]":
     """Is it readable, and still what was written? What is in it, what is wrong with it?
 
     Of a recording: what it holds, what is wrong with it, and which of its geometry its own pictures
@@ -68,7 +44,7 @@ def inspect_many(
         else:
             of_all = one_of(progress, done, len(artefacts))
             found.append(verify(artefact, recordings, progress=of_all))
-    return Inspections(tuple(found))
+    return Many(tuple(found))
 
 
 def _is_other(folder: Path) -> bool:

@@ -3,11 +3,12 @@
 import json
 from collections.abc import Sequence
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clothtrack.api.options import Garment, Ray
+from clothtrack.api.results import Many
 from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
@@ -56,33 +57,15 @@ class LabelFile:
     weights: tuple[float, ...]
     rejected: int
 
-
-@dataclass(frozen=True)
-class LabelFiles:
-    """The labels of many trajectories.
-
-    Attributes:
-        each: of each trajectory, in order.
-    """
-
-    each: tuple[LabelFile, ...]
-
     def text(self) -> str:
-        """Return a line for each file."""
-        lines = []
-        for one in self.each:
-            text = " ".join(f"{weight:.2f}" for weight in one.weights)
-            left_out = f"; {one.rejected} rejected in review left out" if one.rejected else ""
-            lines.append(f"{one.labels}   {len(one.weights)} labels, weights {text}{left_out}")
-        return "\n".join(lines)
+        """Return one line."""
+        text = " ".join(f"{weight:.2f}" for weight in self.weights)
+        left_out = f"; {self.rejected} rejected in review left out" if self.rejected else ""
+        return f"{self.labels}   {len(self.weights)} labels, weights {text}{left_out}"
 
-    def as_dict(self) -> list[dict[str, Any]]:
-        """Return the files as JSON holds them."""
-        return [
-            {"labels": str(one.labels), "frames": list(one.frames), "weights": list(one.weights),
-             "rejected": one.rejected}
-            for one in self.each
-        ]  # fmt: skip
+    def as_dict(self) -> dict[str, Any]:
+        """Return the same as JSON holds it."""
+        return {**asdict(self), "labels": str(self.labels)}
 
 
 def label_many(
@@ -95,7 +78,7 @@ def label_many(
     ray: Ray = "",
     device: str = "cpu",
     progress: "Progress | None" = None,
-) -> LabelFiles:
+) -> Many[LabelFile]:
     """Make pseudo-labels of tracked trajectories: the data set that `finetune` learns from.
 
     Labels that a person rejected (`clothtrack view`, NAME.review.json) are left out.
@@ -139,7 +122,7 @@ def label_many(
         weights = tuple(picture.weight for picture in labels.pictures)
         rejected = len(labels.provenance["rejected_actions"])
         found.append(LabelFile(file, tuple(labels.frames), weights, rejected))
-    return LabelFiles(tuple(found))
+    return Many(tuple(found))
 
 
 def evaluate_many(

@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.reconstruction.depth_input import DepthInput
-from clothtrack.reconstruction.from_picture import NetworkMesh, figures_of
+
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.depth_input import DepthInput
+    from clothtrack.reconstruction.from_picture import NetworkMesh
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -22,15 +24,15 @@ class ReconstructedMesh(ClothMesh):
         path: where it was written; None when it was not.
     """
 
-    network: NetworkMesh = None  # pyright: ignore[reportAssignmentType]
-    picture: DepthInput = None  # pyright: ignore[reportAssignmentType]
+    network: "NetworkMesh" = None  # pyright: ignore[reportAssignmentType]
+    picture: "DepthInput" = None  # pyright: ignore[reportAssignmentType]
     named: str = ""
     asked: bool = False
     path: Path | None = None
 
     @classmethod
     def of(
-        cls, network: NetworkMesh, picture: DepthInput, *, named: str, asked: bool
+        cls, network: "NetworkMesh", picture: "DepthInput", *, named: str, asked: bool
     ) -> "ReconstructedMesh":
         """The mesh of a network's answer that has one."""
         mesh = network.mesh
@@ -43,6 +45,8 @@ class ReconstructedMesh(ClothMesh):
     @cached_property
     def figures(self) -> dict[str, Any]:
         """How well it fits the picture, its expected error, and whether to trust it."""
+        from clothtrack.reconstruction.from_picture import figures_of
+
         return figures_of(self.network, self, self.picture)
 
     @property

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clothtrack.api.options import Mode, Ray, Settings, configured_by, require_file
+from clothtrack.api.results import Many
 
 if TYPE_CHECKING:
     from clothtrack.evaluation.results import Evaluation
@@ -19,36 +20,34 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TrackedRecordings:
-    """What became of many recordings.
+class TrackedRecording:
+    """What became of one recording.
 
     Attributes:
-        outcomes: one for each, in order.
-        verdicts: what each result deserves; None where there is none.
+        outcome: where the result lies, or why there is none.
+        verdict: what the result deserves; None where there is none.
     """
 
-    outcomes: "tuple[Outcome, ...]"
-    verdicts: "tuple[Verdict | None, ...]"
+    outcome: "Outcome"
+    verdict: "Verdict | None"
+
+    @property
+    def ok(self) -> bool:
+        """Whether it was tracked."""
+        return self.outcome.result is not None
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What was wrong with those that were not tracked."""
-        return tuple(one.error for one in self.outcomes if one.result is None)
-
-    @property
-    def exit_code(self) -> int:
-        """1 where a recording was not tracked."""
-        return 1 if self.doubts else 0
+        """Why it was not tracked."""
+        return () if self.ok else (self.outcome.error,)
 
     def text(self) -> str:
-        """Return where each result lies and what it deserves, two lines each."""
-        pairs = zip(self.outcomes, self.verdicts, strict=True)
-        return "\n".join(f"{_line(one)}\n  {word}" for one, word in pairs if one.result is not None)
+        """Return where the result lies and what it deserves; nothing where there is none."""
+        return f"{_line(self.outcome)}\n  {self.verdict}" if self.ok else ""
 
-    def as_dict(self) -> list[dict[str, Any]]:
-        """Return the outcomes with their verdicts as JSON holds them."""
-        pairs = zip(self.outcomes, self.verdicts, strict=True)
-        return [{**asdict(one), "verdict": _fields(word)} for one, word in pairs]
+    def as_dict(self) -> dict[str, Any]:
+        """Return the outcome with its verdict as JSON holds them."""
+        return {**asdict(self.outcome), "verdict": _fields(self.verdict)}
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,7 @@ def track_many(
     live: bool = False,
     progress: "Progress | None" = None,
     opened: "Callable[[str], None] | None" = None,
-) -> TrackedRecordings:
+) -> Many[TrackedRecording]:
     """Track recordings: the full mesh at every observation (Algorithm 1).
 
     A trajectory ends with a word: trust, look (at it first), or reject; and the expected error.
@@ -175,8 +174,12 @@ def track_many(
             [Path(one) for one in recordings], Path(output), config, workers=workers,
             device=device, progress=told, force=force, watch=shown and shown.watch, ray=ray,
         )  # fmt: skip
-        verdicts = [one.result and load(one.result, one.recording).verdict for one in outcomes]
-        tracked = TrackedRecordings(tuple(outcomes), tuple(verdicts))
+        tracked = Many(
+            tuple(
+                TrackedRecording(one, one.result and load(one.result, one.recording).verdict)
+                for one in outcomes
+            )
+        )
         if shown:
             shown.end("\n".join(filter(None, [tracked.text(), *tracked.doubts])))
     return tracked
@@ -205,7 +208,7 @@ def demo(
 
     folder = shipped_recording("")
     tracked = track_many([folder], output=output, device=device, progress=progress)
-    (outcome,) = tracked.outcomes
+    (outcome,) = (one.outcome for one in tracked)
     if outcome.result is None:
         raise InvalidRecordingError(outcome.error)
     run = load(outcome.result, folder)

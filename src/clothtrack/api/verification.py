@@ -52,6 +52,10 @@ class Verification:
         """Whether nothing is wrong."""
         return not self.problems
 
+    def text(self) -> str:
+        """The same as `str`."""
+        return str(self)
+
     def as_dict(self) -> dict[str, Any]:
         """The same as JSON holds it."""
         return {**asdict(self), "path": str(self.path), "ok": self.ok}

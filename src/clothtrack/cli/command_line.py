@@ -131,7 +131,7 @@ def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:
     }
     known = inspect.signature(function).parameters
     heard = {name: value for name, value in offered.items() if name in known}
-    return _say(function(**chosen, **heard), json=json, said="each" in known and not json)
+    return _say(verb, function(**chosen, **heard), json=json, said="each" in known and not json)
 
 
 def _opened(verb: str, address: str, *, json: bool) -> None:
@@ -146,10 +146,11 @@ def _opened(verb: str, address: str, *, json: bool) -> None:
         say(text)
 
 
-def _say(result: Any, *, json: bool, said: bool) -> int:
+def _say(verb: str, result: Any, *, json: bool, said: bool) -> int:
     """Say what came of a verb, and give its exit code.
 
     Args:
+        verb: which.
         result: with `text()` and `as_dict()`, and perhaps `doubts` and `exit_code`; or the file
             that was written; or nothing.
         json: whether to say it as JSON.
@@ -161,7 +162,11 @@ def _say(result: Any, *, json: bool, said: bool) -> int:
         say_result(str(result), {"written": result}, json=json)
         return 0
     if json:
-        say_result("", result.as_dict(), json=True)
+        document = result.as_dict()
+        # Of one artefact that was inspected, the document is its own.
+        say_result(
+            "", document[0] if verb == "inspect" and len(document) == 1 else document, json=True
+        )
     elif not said and (text := result.text()):
         say(text)
     for doubt in getattr(result, "doubts", ()):

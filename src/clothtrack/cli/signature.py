@@ -105,7 +105,7 @@ def _of_the_terminal(function: Callable[..., Any]) -> list[inspect.Parameter]:
 
 def configuration_of(function: Callable[..., Any]) -> Callable[..., Any] | None:
     """What makes the configuration that the settings of a function change, if it has some."""
-    return getattr(inspect.unwrap(function), "configuration", None)
+    return getattr(function, "configuration", None)
 
 
 def _given(annotation: Any) -> Any:

@@ -47,10 +47,6 @@ class Inspection:
         """The same, as of everything that can be inspected."""
         return self.valid
 
-    def __str__(self) -> str:
-        """The inspection for a person."""
-        return self.text()
-
     def text(self) -> str:
         """The inspection for a person, at most some 40 lines."""
         if self.violations:

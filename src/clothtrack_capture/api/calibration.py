@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
+from clothtrack.api.results import Result
 from clothtrack.errors import WrongUsageError
-from clothtrack_capture.api.result import SetUp
 
 if TYPE_CHECKING:
     from clothtrack.geometry.camera import Camera
@@ -30,7 +30,7 @@ def calibrate_camera(
     dictionary: str = "4X4_50",
     output: Path | str | None = None,
     force: bool = False,
-) -> SetUp:
+) -> Result:
     """Find the table and put the world on it: z up, the table at z = 0; written to the recording.
 
     With --robot-poses the world is the robot's base, and its gripper holds the board.
@@ -119,7 +119,7 @@ def _placement(
 
 def _placed(
     folder: Path, placement: "CameraPlacement", output: Path | None, *, force: bool
-) -> SetUp:
+) -> Result:
     """Save a placement where it was wanted, and say what it is."""
     from clothtrack.recordings.store import read_recording
     from clothtrack_capture.camera_pose import place_camera, placement_doubt, save_placement
@@ -135,7 +135,7 @@ def _placed(
         f"{folder}: {doubt}: is the plane found the table? Let a bare table fill the picture, "
         "or give a board with --charuco",
     )
-    return SetUp("\n".join(lines), placement.as_dict(), doubts if doubt else ())
+    return Result("\n".join(lines), placement.as_dict(), doubts if doubt else ())
 
 
 def _lines(name: str, value: Any) -> list[str]:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import UseAppendAction, arg
 
+from clothtrack.api.results import Result
 from clothtrack.errors import WrongUsageError
-from clothtrack_capture.api.result import SetUp
 
 if TYPE_CHECKING:
     from clothtrack.geometry.camera import Camera
@@ -28,7 +28,7 @@ def find_picker(
     camera: str = "",
     force: bool = False,
     opened: "Callable[[str], None] | None" = None,
-) -> SetUp:
+) -> Result:
     """Find what moved the cloth, and its pick-and-places: a coloured tip, or a hand, by clicks.
 
     Args:
@@ -67,7 +67,7 @@ def find_picker(
     return _by_tip(source, chosen, tip_color or tip_click)
 
 
-def _by_tip(recording: "Recording", camera: "Camera", tip: str | Place | None) -> SetUp:
+def _by_tip(recording: "Recording", camera: "Camera", tip: str | Place | None) -> Result:
     """Picks and places from a coloured tip."""
     from clothtrack_capture.picker_detection import find_picker as find
     from clothtrack_capture.picker_detection import keep_picker, tip_members
@@ -99,7 +99,7 @@ def _by_tip(recording: "Recording", camera: "Camera", tip: str | Place | None) -
         *([] if vertex is None else [f"the first pick takes vertex {vertex} of the template"]),
         _written(recording.folder),
     ]
-    return SetUp("\n".join(lines), report)
+    return Result("\n".join(lines), report)
 
 
 def _by_hand(
@@ -107,7 +107,7 @@ def _by_hand(
     camera: "Camera",
     clicks: tuple[Sequence[Place], Sequence[Place]],
     opened: Callable[[str], None] | None,
-) -> SetUp:
+) -> Result:
     """Picks and places from clicks, given or made on a page."""
     from clothtrack_capture.clicked_picking import ClickedPicking
     from clothtrack_capture.cloth_views import Click
@@ -124,7 +124,7 @@ def _by_hand(
 
         kept = pick_live(picking, name, None, opened=opened)
     if kept is None:
-        return SetUp("nothing was saved", {"picker": name, "actions": []})
+        return Result("nothing was saved", {"picker": name, "actions": []})
     rows = [
         {"first_frame": span.first_frame, "last_frame": span.last_frame, **picking.summary(action)}
         for action, span in kept
@@ -135,7 +135,9 @@ def _by_hand(
         + ("" if row["seen"] else " (as clicked: the cloth's rise was not seen)")
         for number, row in enumerate(rows, start=1)
     ]
-    return SetUp("\n".join([*lines, _written(recording.folder)]), {"picker": name, "actions": rows})
+    return Result(
+        "\n".join([*lines, _written(recording.folder)]), {"picker": name, "actions": rows}
+    )
 
 
 def _written(folder: Path) -> str:

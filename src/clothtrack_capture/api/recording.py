@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clothtrack_capture.api.result import SetUp
+from clothtrack.api.results import Result
 
 if TYPE_CHECKING:
     from clothtrack_capture.live_capture import DepthCamera
@@ -20,7 +20,7 @@ def record(
     salvage: bool = False,
     source: "DepthCamera | None" = None,
     opened: "Callable[[str], None] | None" = None,
-) -> SetUp:
+) -> Result:
     """Record from a RealSense camera, with a page that shows the picture and says what to do.
 
     Args:
@@ -61,6 +61,6 @@ def record(
             recording = record_live(session, None, opened=opened)
     if recording is None:
         nothing = "left before the start; nothing was recorded"
-        return SetUp("", {"recording": output, "frames": 0}, (nothing,))
+        return Result("", {"recording": output, "frames": 0}, (nothing,))
     count = len(recording.frames)
-    return SetUp(f"{output}   ({count} frames)", {"recording": output, "frames": count})
+    return Result(f"{output}   ({count} frames)", {"recording": output, "frames": count})

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from clothtrack_capture.api.result import SetUp
+from clothtrack.api.results import Result
 
 
 def segment(
@@ -18,7 +18,7 @@ def segment(
     keep: bool = False,
     sheet: Path | str = Path("masks.png"),
     opened: "Callable[[str], None] | None" = None,
-) -> SetUp:
+) -> Result:
     """Show which pixels are cloth, by one click: on a page, or with --click.
 
     Args:
@@ -48,7 +48,7 @@ def segment(
 
         kept = segment_live(setup, None, opened=opened)
         if kept is None:
-            return SetUp("nothing was kept", {"masks": 0, "recording": folder})
+            return Result("nothing was kept", {"masks": 0, "recording": folder})
     else:
         from clothtrack_capture.mask_pictures import write_mask_sheet
 
@@ -59,4 +59,4 @@ def segment(
         lines.append(f"{kept} masks are in {folder}")
     summary = summary_of(setup)
     report = {**summary.as_dict(), "masks": kept, "recording": folder}
-    return SetUp("\n".join([str(summary), *lines]), report)
+    return Result("\n".join([str(summary), *lines]), report)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from clothtrack.api.options import Ray, Settings, configured_by, require_file
+from clothtrack.api.results import Many
 from clothtrack.errors import InvalidConfigError, InvalidResultError, WrongUsageError
 from clothtrack_lab.extra import require_lab
 
@@ -38,26 +39,26 @@ class Episode:
             f"{row['actions']} actions; {row['status']}{control}"
         )
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the summary."""
+        return self.summary
+
 
 @dataclass(frozen=True)
-class Flattened:
-    """What became of all episodes, or the plans of a dry run.
+class Plan:
+    """What a dry run plans.
 
     Attributes:
-        episodes: in the order of their seeds; none of a dry run.
-        plans: pictures of what a dry run plans.
+        picture: of the action.
     """
 
-    episodes: tuple[Episode, ...]
-    plans: tuple[Path, ...] = ()
+    picture: Path
 
     def text(self) -> str:
-        """Return a line for each."""
-        return "\n".join([*(one.text() for one in self.episodes), *map(str, self.plans)])
+        """Return where it is."""
+        return str(self.picture)
 
-    def as_dict(self) -> list[Any]:
-        """Return them as JSON holds them."""
-        return [*(one.summary for one in self.episodes), *self.plans]
+    as_dict = text
 
 
 def flattening_config(
@@ -118,8 +119,8 @@ def flatten_many(
     seed: int = 0,
     progress: "Progress | None" = None,
     opened: "Callable[[str], None] | None" = None,
-    each: "Callable[[Episode | Flattened], None] | None" = None,
-) -> Flattened:
+    each: "Callable[[Episode | Plan], None] | None" = None,
+) -> Many[Episode | Plan]:
     """Flatten a crumpled garment in the simulated world: perceive, plan, act, and look again.
 
     With --recording nothing moves: one action is planned for its last picture and written down.
@@ -175,8 +176,9 @@ def flatten_many(
     if recording is not None:
         plans = _dry_run(output, Path(recording), config, device=device, seed=seed)
         if each is not None:
-            each(Flattened((), plans))
-        return Flattened((), plans)
+            for plan in plans:
+                each(plan)
+        return Many(plans)
     if episodes < 1:
         raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
     if live and (workers != 1 or ray):
@@ -200,18 +202,18 @@ def flatten_many(
                 found.append(Episode(row))
                 if each is not None:
                     each(found[-1])
-    return Flattened(tuple(found))
+    return Many(tuple(found))
 
 
 def _dry_run(
     output: Path, recording: Path, config: "FlattenConfig", *, device: str, seed: int
-) -> tuple[Path, ...]:
+) -> tuple[Plan, ...]:
     """Plan one action for the last picture of a recording; the pictures of the plan."""
     require_lab()
     from clothtrack_lab.flattening import plan_flattening
 
     store = plan_flattening(recording, output, config, seed=seed, device=device)
-    plans = tuple(sorted(output.glob("action_*.png")))
+    plans = tuple(map(Plan, sorted(output.glob("action_*.png"))))
     if not plans:
         raise InvalidResultError(f"no plan: {store.document['status']}")
     return plans

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from clothtrack.api.options import Garment, Ray, Settings
+from clothtrack.api.results import Result
 from clothtrack.errors import InvalidConfigError, WrongUsageError
 from clothtrack_lab.extra import require_lab
 
@@ -16,32 +17,18 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Simulated:
+class Simulated(Result):
     """What was simulated.
 
     Attributes:
         folders: of the recordings, or of the shards of states.
-        words: the same for a person.
-        report: the same as JSON holds it.
-        exit_code: 1 where some could not be made.
     """
 
-    folders: tuple[Path, ...]
-    words: str
-    report: Any
-    exit_code: int = 0
+    folders: tuple[Path, ...] = ()
 
     def __iter__(self) -> Iterator[Path]:
         """Give the folders."""
         return iter(self.folders)
-
-    def text(self) -> str:
-        """Return it for a person."""
-        return self.words
-
-    def as_dict(self) -> Any:
-        """Return it as JSON holds it."""
-        return self.report
 
 
 def simulate(
@@ -132,7 +119,8 @@ def simulate(
         garment=one, processes=workers, progress=progress, ray=ray,
     )  # fmt: skip
     enough = len(folders) == count
-    return Simulated(tuple(folders), "\n".join(map(str, folders)), folders, 0 if enough else 1)
+    words = "\n".join(map(str, folders))
+    return Simulated(words, folders, exit_code=0 if enough else 1, folders=tuple(folders))
 
 
 def _world(
@@ -176,7 +164,7 @@ def _crumple(
     )  # fmt: skip
     card, garments = store.folder / "README.md", len(store.shards)
     report = {"states": store.folder, "card": card, "garments": garments}
-    return Simulated(tuple(store.shards), f"{card}   ({garments} garments)", report)
+    return Simulated(f"{card}   ({garments} garments)", report, folders=tuple(store.shards))
 
 
 def _benchmark(
@@ -199,7 +187,7 @@ def _benchmark(
         output, listed, processes=workers, progress=progress, ray=ray
     )
     folders = tuple(output / "recordings" / one.name for one in listed)
-    return Simulated(folders, generation.table(entries), entries)
+    return Simulated(generation.table(entries), entries, folders=folders)
 
 
 def _refuse(given: dict[str, Any], meant: tuple[str, ...], why: str) -> None:
