@@ -67,15 +67,14 @@ def test_a_place_that_cannot_be_locked_is_named(tmp_path):
         pass
 
 
-@pytest.mark.parametrize("verb", ["simulate", "bench", "track", "evaluate", "flatten", "train"])
+@pytest.mark.parametrize("verb", ["simulate", "bench", "track", "evaluate", "flatten"])
 def test_a_second_run_is_refused_in_one_line_and_changes_nothing(other, verb, tmp_path, capsys):
     out = tmp_path / "out"
     words = {
         "simulate": ["simulate", str(out)],
-        "bench": ["bench", str(out)],
+        "bench": ["simulate", str(out), "--benchmark", "all"],
         "track": ["track", str(tmp_path / "none"), "--output", str(out)],
         "flatten": ["flatten", str(out), "--policy", "heuristic"],
-        "train": ["train-dynamics", str(out), "--only-roll-outs"],
     }.get(verb)
     if words is None:
         hidden = tmp_path / ".out.measured"

@@ -195,4 +195,4 @@ def _refuse(given: dict[str, Any], meant: tuple[str, ...], why: str) -> None:
     wrong = [name for name, value in given.items() if value is not None and name not in meant]
     if wrong:
         names = " and ".join(f"--{name.replace('_', '-')}" for name in wrong)
-        raise WrongUsageError(f"{why}, so that {names} would mean nothing; leave it out")
+        raise WrongUsageError(f"{why}; leave {names} out")
