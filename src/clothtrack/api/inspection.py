@@ -38,8 +38,7 @@ def inspect_many(
 
     found = []
     for done, artefact in enumerate(map(Path, artefacts)):
-        is_recording = artefact.is_dir() and not _is_other(artefact)
-        if is_recording:
+        if _is_recording(artefact):
             found.append(inspect(artefact))
         else:
             of_all = one_of(progress, done, len(artefacts))
@@ -47,7 +46,12 @@ def inspect_many(
     return Many(tuple(found))
 
 
-def _is_other(folder: Path) -> bool:
-    """Whether a folder is anything but a recording; one without a sign is taken for a recording."""
-    signs = ("bench.json", "states.json")
-    return folder.suffix == ".zarr" or any((folder / name).is_file() for name in signs)
+def _is_recording(path: Path) -> bool:
+    """Whether it is a recording; a folder without any sign is taken for one."""
+    if path.suffix in (".zarr", ".npz", ".safetensors"):
+        return False
+    try:
+        return not any(one.is_file() for one in (path, path / "bench.json", path / "states.json"))
+    except OSError:
+        # Whoever reads it says that it may not be read.
+        return True

@@ -98,6 +98,8 @@ def view(
     show = opened or _say_address
     trajectories = _trajectories(thing)
     if trajectories:
+        if recordings is None:
+            _require_recording(trajectories[0])
         if html is None:
             _serve_folder(trajectories, recordings, truth, show, progress)
             return None
@@ -283,6 +285,20 @@ def _trajectories(thing: object) -> list[Path]:
     if not isinstance(thing, Path | str) or (Path(thing) / "recording.json").exists():
         return []
     return sorted(Path(thing).glob("*.zarr"))
+
+
+def _require_recording(trajectory: Path) -> None:
+    """Refuse a folder whose first trajectory has no recording near it, before a page is served."""
+    from clothtrack.api.run import load, recording_of
+    from clothtrack.errors import InvalidRecordingError
+
+    try:
+        recording_of(load(trajectory))
+    except InvalidRecordingError:
+        raise
+    except ClothTrackError:
+        # A damaged one gets a line in the index.
+        return
 
 
 def _write_folder(

@@ -24,7 +24,7 @@ from clothtrack.tracking.replay import replay
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 VERIFIED = (
-    "verify takes a recording, NAME.zarr that `track` wrote, labels or truth (.npz), weights "
+    "inspect takes a recording, NAME.zarr that `track` wrote, labels or truth (.npz), weights "
     "(.safetensors), or a folder of states or of the benchmark"
 )
 _LISTED = 3

@@ -69,6 +69,10 @@ class Inspection:
     def as_dict(self) -> dict[str, object]:
         """The inspection for a program: strings, lists and dictionaries, as JSON holds them."""
         return {
+            "path": str(self.folder),
+            "kind": "recording",
+            "ok": self.ok,
+            "problems": grouped(self.violations),
             "folder": str(self.folder),
             "valid": self.valid,
             "facts": dict(self.facts),
