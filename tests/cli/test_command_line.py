@@ -199,6 +199,9 @@ def test_track_lists_what_can_be_set_without_tracking(tmp_path, monkeypatch, cap
     assert cli.main(words) == 0
     listed = capsys.readouterr().out.splitlines()
     assert any(line.startswith("search.sweeps=3    ") for line in listed)
+    assert cli.main([*words, "a", "--output", "b"]) == 0
+    assert cli.main(["flatten", "out", "--policy", "random", "--show-settings"]) == 0
+    assert "policy=random" in capsys.readouterr().out
     assert not list(tmp_path.iterdir())
 
 

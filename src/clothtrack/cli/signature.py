@@ -75,10 +75,6 @@ def parameters_of(function: Callable[..., Any]) -> list[inspect.Parameter]:
         given = _given(annotation)
         if given is None:
             continue
-        if one.name == "settings":
-            given = Annotated[
-                tuple[str, ...], arg(name="set", metavar="NAME=VALUE"), UseAppendAction
-            ]
         kind = one.KEYWORD_ONLY
         first = not any(other.kind is not other.KEYWORD_ONLY for other in found)
         if (
@@ -171,9 +167,9 @@ def _optional(option: inspect.Parameter) -> inspect.Parameter:
     """An argument that may be left out."""
     if option.default is not option.empty:
         return option
-    return option.replace(
-        annotation=option.annotation | None, default=None, kind=option.KEYWORD_ONLY
-    )
+    if get_origin(option.annotation) is tuple:
+        return option.replace(default=())
+    return option.replace(annotation=option.annotation | None, default=None)
 
 
 def options_of(function: Callable[..., Any]) -> set[str]:
