@@ -167,8 +167,8 @@ def improve_rounds(
 
 
 def _rounds(
-    weights: Path | str,
-    out: Path | str,
+    weights: Path,
+    out: Path,
     kind: GarmentKind,
     config: ImprovementConfig,
     *,
