@@ -21,15 +21,16 @@ What is listed here is what clothtrack promises. Each name is imported when it i
 CHAPTERS = {
     "Track and look": [
         "track", "load", "Run", "Label", "evaluate", "judge_labels", "Truth", "view",
-        "write_report", "export", "verify", "Verification",
+        "write_report", "export", "verify", "Verification", "demo",
     ],
+    "Many at once": ["track_many", "evaluate_many", "label_many", "inspect_many"],
     "Configure": ["mode", "MODES", "RunConfig", "with_settings"],
     "Recordings": [
         "read_recording", "inspect_recording", "shipped_recording", "RecordingWriter", "Recording",
         "Camera", "Table", "PickerPath", "ClothDescription", "ClothMesh", "observe",
         "ColorSegmenter", "read_color", "read_depth",
     ],
-    "Learn": ["garment_template", "reconstruct", "label"],
+    "Learn": ["garment_template", "reconstruct", "label", "pretrain", "finetune"],
     "Errors": [
         "ClothTrackError", "InvalidRecordingError", "InvalidMeshError", "InvalidResultError",
         "InvalidConfigError", "SimulationDivergedError", "StorageError",

@@ -11,7 +11,7 @@ the path, and the extra [experiments] installed.
 
 import argparse
 import json
-import socket
+import queue
 import tempfile
 import threading
 import time
@@ -26,11 +26,15 @@ from tables.bare_hand import holds
 
 import clothtrack as ct
 from clothtrack.report.palette import HIDDEN, INK, OUTSIDE
+from clothtrack_capture import find_picker
 from clothtrack_capture.carried_path import highest_cloth
 from clothtrack_capture.clicked_picking import ClickedPicking
 from clothtrack_capture.cloth_views import Click
 from figures.docs_screenshots import READY, TURN, opened, save
 from figures.own_recording_pictures import run, strip
+
+PATIENCE_S = 60.0
+"""A page is served within this time [s]."""
 
 LATE_FRAMES = 2
 """A person stops the film a little after the fingers have closed, and after they have opened."""
@@ -80,15 +84,12 @@ def timed(*words: object) -> None:
 def clicked_in_browser(film: ct.Recording, towel: Path, image: Path) -> None:
     """The page of `find-picker --by-hand`, used with a mouse and saved."""
     camera, path = film.cameras[0], film.picker_paths["gripper"]
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = ("find-picker", towel, "--by-hand", "--port", port)
-    server = threading.Thread(target=timed, args=command)
+    addresses: queue.Queue[str] = queue.Queue()
+    server = threading.Thread(
+        target=find_picker, args=(towel,), kwargs={"by_hand": True, "opened": addresses.put}
+    )
     server.start()
-    while server.is_alive() and not answers(port):
-        time.sleep(0.2)
-    with opened(f"http://127.0.0.1:{port}/") as page:
+    with opened(addresses.get(timeout=PATIENCE_S)) as page:
         page.wait_for("!!document.querySelector('#list li') && wanted === null")
         for frame in np.concatenate(holds(path)).tolist():
             (pixel,), _ = camera.project(path.positions[frame][None])
@@ -101,12 +102,6 @@ def clicked_in_browser(film: ct.Recording, towel: Path, image: Path) -> None:
         page.press("s", "KeyS")
         page.wait_for("saved")
     server.join()
-
-
-def answers(port: int) -> bool:
-    """Whether somebody listens on a port of this machine."""
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def mouse_click(page: Any, click: Click, width: int) -> None:

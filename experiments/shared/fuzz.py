@@ -30,7 +30,7 @@ ECHO = 300
 
 LONGEST_LINE = 1000
 
-SILENT = ("verify", "inspect")
+SILENT = ("inspect",)
 """Verbs that say on standard output what is wrong."""
 
 

@@ -48,7 +48,7 @@ def recording(rng: np.random.Generator, stage: Path, box: Path) -> Words:
             ["label", tracked, "--recordings", folder, "--output", out],
             ["export", tracked, "--recordings", folder, "--output", out / "s.png"],
             ["garment", folder, "--kind", "towel", "--output", out / "t.npz"],
-            ["verify", folder, tracked],
+            ["inspect", folder, tracked],
         ),
         rng,
     )
@@ -65,7 +65,7 @@ def trajectory(rng: np.random.Generator, stage: Path, box: Path) -> Words:
     out, at = box / "out", ["--recordings", stage / "world" / "recordings"]
     return chosen(
         (
-            ["verify", folder],
+            ["inspect", folder],
             ["evaluate", folder, *at],
             ["evaluate", folder, *at, "--truth", stage / "world" / "truth"],
             ["label", folder, *at, "--output", out],
@@ -89,11 +89,11 @@ def labels(rng: np.random.Generator, stage: Path, box: Path) -> Words:
     if source.parent.name == "truth":
         tracked = stage / "tracked" / "towel_0001.zarr"
         at = ["--recordings", stage / "world" / "recordings", "--truth", path.parent]
-        return chosen((["verify", path], ["evaluate", tracked, *at]), rng)
+        return chosen((["inspect", path], ["evaluate", tracked, *at]), rng)
     if source.parent.name == "labels" and rng.random() < 0.3:
         # A start that is none: labels are read first, and nothing is trained.
         return ["finetune", stage / "bags" / "lens.json", path, "--output", box / "out"]
-    return ["verify", path]
+    return ["inspect", path]
 
 
 def weights(rng: np.random.Generator, stage: Path, box: Path) -> Words:
@@ -115,12 +115,11 @@ def weights(rng: np.random.Generator, stage: Path, box: Path) -> Words:
     out = box / "out"
     return chosen(
         (
-            *[["verify", path]] * 3,
+            *[["inspect", path]] * 3,
             ["track", picture, "--weights", path, "--output", out,
              *settings("initial_state.source=network", *FAST)],
             ["flatten", out, "--weights", path, "--actions", 1],
             ["finetune", path, stage / "labels", "--output", out, "--set", "tokens.epochs=0"],
-            ["improve", path, "--output", out, "--set", "finetune.tokens.epochs=0"],
         ),
         rng,
     )  # fmt: skip
@@ -166,7 +165,7 @@ def other_files(rng: np.random.Generator, stage: Path, box: Path) -> Words:
         else:
             damage_file(_any_file(folder / "states" / "shards", rng), rng)
         more = ["simulate", folder / "states", "--states", 8, *settings(*STATES)]
-        return chosen((["verify", folder / "states"], more), rng)
+        return chosen((["inspect", folder / "states"], more), rng)
     if kind == "episode":
         shutil.copytree(stage / "episodes", folder / "episodes")
         path = folder / "episodes" / "episodes" / "towel_0003" / "episode.json"
@@ -183,8 +182,8 @@ def other_files(rng: np.random.Generator, stage: Path, box: Path) -> Words:
     path.write_text("frame,x,y,z,qx,qy,qz,qw\n" + "".join(
         f"{n},0.{n},0.1,0.5,0,0,0,1\n" for n in range(6)))  # fmt: skip
     _spoil_text(path, rng)
-    return ["calibrate-hand-eye", stage / "world" / "recordings" / "towel_0001", path, "--charuco",
-            7, 5, 0.03, 0.02]  # fmt: skip
+    return ["calibrate-camera", stage / "world" / "recordings" / "towel_0001", "--robot-poses",
+            path, "--charuco", 7, 5, 0.03, 0.02]  # fmt: skip
 
 
 def imported(rng: np.random.Generator, stage: Path, box: Path) -> Words:

@@ -1,6 +1,5 @@
 """Command lines that mean nothing good: settings and arguments, drawn at random."""
 
-import inspect
 import shutil
 from pathlib import Path
 from typing import Any
@@ -13,16 +12,16 @@ from shared.proof_stage import FAST, TOWEL, settings
 
 Words = list[object]
 
-FIRST_WORDS = {"track": "tracker.", "flatten": "planner.", "improve": "finetune."}
+FIRST_WORDS = {"track": "tracker.", "flatten": "planner."}
 """Verbs that list their settings, and where some of them lie."""
 
-DEAR = ("demo", "record", "improve", "bench", "flatten", "train-dynamics", "pretrain")
+DEAR = ("demo", "record", "flatten", "pretrain")
 """Verbs that do something long with any arguments, or wait for a person."""
 
 
 def setting(rng: np.random.Generator, stage: Path, box: Path) -> Words:
     """One or two settings with values that may be none; sometimes the verb runs with them."""
-    verb = chosen(("track", "track", "flatten", "improve"), rng)
+    verb = chosen(("track", "track", "flatten"), rng)
     changes = [_change(verb, rng) for _ in range(int(rng.integers(1, 3)))]
     out, kind = box / "out", rng.random()
     if verb == "track" and kind < 0.4:
@@ -30,30 +29,36 @@ def setting(rng: np.random.Generator, stage: Path, box: Path) -> Words:
         return [*words, *settings(*FAST, *changes)]
     if kind < 0.6:
         return ["simulate", out, "--actions", 1, *settings(*TOWEL, _simulated(rng))]
-    words = [verb, *({"track": [], "flatten": [out], "improve": ["w", "--output", out]}[verb])]
+    words = [verb, *({"track": [], "flatten": [out]}[verb])]
     return [*words, "--show-settings", *settings(*changes)]
 
 
 def arguments(rng: np.random.Generator, stage: Path, box: Path) -> Words:
     """A verb with options of its own, each with a value that may be none."""
     from clothtrack.cli import VERBS
-    from clothtrack.cli.signature import name_of, options_of
+    from clothtrack.cli.signature import options_of, parameters_of
 
-    verb = chosen([verb for verb in VERBS if name_of(verb) not in DEAR], rng)
-    words: Words = [name_of(verb)]
-    for option in inspect.signature(verb).parameters.values():
+    verb = chosen([verb for verb in VERBS if verb not in DEAR], rng)
+    function = VERBS[verb]()
+    words: Words = [verb]
+    for option in parameters_of(function):
         if option.kind is not option.KEYWORD_ONLY and rng.random() < 0.8:
             words.append(_place(rng, stage, box))
-    known = sorted(options_of(verb) - {"--live", "--by-hand", "--help", "-h", "--seconds"})
+    known = sorted(
+        options_of(function) - {"--benchmark", "--live", "--by-hand", "--help", "-h", "--seconds"}
+    )
     for _ in range(int(rng.integers(0, 4))):
         words.append(chosen(known, rng) if rng.random() < 0.9 else chosen(TEXTS, rng))
         if rng.random() < 0.8:
             words.append(_place(rng, stage, box) if rng.random() < 0.4 else chosen(TEXTS, rng))
     if rng.random() < 0.5:
         words += ["--output", box / "out" / "result"]
-    if name_of(verb) in ("segment", "find-picker", "view"):
-        # They may serve a page until somebody comes.
-        words += ["--port", "-1"]
+    # Otherwise they may serve a page until somebody comes.
+    alone = {
+        "segment": ("--click", "1", "1"), "find-picker": ("--tip-color", "pink"),
+        "view": ("--html", str(box / "out" / "page.html")),
+    }  # fmt: skip
+    words += alone.get(verb, ())
     # No word of the command line can hold a NUL, or what is no text.
     return [str(word).replace("\x00", "").replace("\ud800", "") for word in words]
 
@@ -97,13 +102,9 @@ def _change(verb: str, rng: np.random.Generator) -> str:
 def _config(verb: str) -> Any:
     if verb == "track":
         return RunConfig()
-    if verb == "flatten":
-        from clothtrack.planning import FlattenConfig
+    from clothtrack.planning import FlattenConfig
 
-        return FlattenConfig()
-    from clothtrack_lab.world.self_improvement import ImprovementConfig
-
-    return ImprovementConfig()
+    return FlattenConfig()
 
 
 def _simulated(rng: np.random.Generator) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 from clothtrack.recordings import shipped_recording
 from shared.proof_stage import (
     FAST,
-    ROLL_OUTS,
     SMALL_NETWORK,
     STATES,
     TOWEL,
@@ -74,16 +73,13 @@ VERBS = (
         "simulate", o, "--trajectories", 2, "--actions", 1, "--seed", 5, *settings(*TOWEL)]),
     Verb("simulate --states", lambda _, o: [
         "simulate", o, "--states", 8, "--seed", 2, *settings(*STATES)]),
-    Verb("bench", lambda _, o: ["bench", o, "--split", "dev"]),
+    Verb("simulate --benchmark", lambda _, o: ["simulate", o, "--benchmark", "dev"]),
     Verb("import (MCAP)", lambda s, o: ["import", s / "bags" / "mcap", o / "recording"],
          keeps=False),
     Verb("import (ROS 1)", lambda s, o: ["import", s / "bags" / "ros1.bag", o / "recording"],
          keeps=False),
     Verb("flatten", lambda _, o: [
         "flatten", o, "--policy", "heuristic", "--actions", 2, "--seed", 3]),
-    Verb("train-dynamics", lambda _, o: [
-        "train-dynamics", o, "--garment", "towel", "--roll-outs", 6, "--only-roll-outs",
-        *settings(*ROLL_OUTS)]),
     Verb("pretrain", lambda s, o: [
         "pretrain", s / "states", "--output", o, *settings(*TRAINING, *SMALL_NETWORK)]),
     Verb("finetune", lambda s, o: [
@@ -109,4 +105,4 @@ VERBS = (
         "--no-refined", "--output", o / "mesh.obj"], keeps=False, dear=True),
 )  # fmt: skip
 """The verbs that write, but for those that wait for a person or a camera (record, find-picker,
-calibrate-hand-eye), `demo`, which is `track` and `view`, and `improve`, which takes minutes."""
+calibrate-camera with a robot), and `demo`, which is `track` and `view`."""

@@ -295,7 +295,7 @@ def preload() -> None:
     for name in (
         "cv2", "mujoco", "scipy.optimize", "torch", "torch._dynamo", "torch.utils.tensorboard",
         "zarr",
-        "clothtrack.front.many", "clothtrack.front.look", "clothtrack.front.learning",
+        "clothtrack.api.many", "clothtrack.api.look", "clothtrack.api.learning",
         "clothtrack_lab.many_episodes", "clothtrack_capture.importing.import_recording",
         "clothtrack_lab.graph_dynamics.roll_outs", "clothtrack.reconstruction.model_loading",
         "clothtrack.reconstruction.tokens.token_training", "clothtrack.report.page",

@@ -42,10 +42,11 @@ def named(name):
                 return getattr(module, name)()
 
 from clothtrack.cli import command_line
-import inspect
+from clothtrack.cli.signature import options_of
 verbs = command_line.VERBS
-parameters = [p for v in verbs for p in inspect.signature(v).parameters.values()]
-options = sum(p.kind is p.KEYWORD_ONLY for p in parameters)
+# In an older checkout these are functions, not what loads them.
+functions = [verbs[name]() for name in verbs] if isinstance(verbs, Mapping) else verbs
+options = sum(len(options_of(one) - {"-h", "--help", "--verbose"}) for one in functions)
 found = {n: leaves(named(n)) for n in ("RunConfig", "FlattenConfig")}
 print(json.dumps({**found, "verbs": len(verbs), "options": options}))
 """

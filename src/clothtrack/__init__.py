@@ -15,6 +15,14 @@ from clothtrack._lazy import lazy_names
 from clothtrack.version import __version__
 
 if TYPE_CHECKING:
+    from clothtrack.api.garment import garment_template
+    from clothtrack.api.inspection import inspect_many
+    from clothtrack.api.learning import finetune, label, pretrain, reconstruct
+    from clothtrack.api.look import export, view, write_report
+    from clothtrack.api.many import evaluate_many, label_many
+    from clothtrack.api.run import Label, Run, evaluate, load, track
+    from clothtrack.api.tracking import demo, track_many
+    from clothtrack.api.verification import Verification, verify
     from clothtrack.errors import (
         ClothTrackError,
         InvalidConfigError,
@@ -27,11 +35,6 @@ if TYPE_CHECKING:
     from clothtrack.evaluation.label_quality import judge_labels
     from clothtrack.evaluation.truth import Truth
     from clothtrack.files.settings import with_settings
-    from clothtrack.front.garment import garment_template
-    from clothtrack.front.learning import label, reconstruct
-    from clothtrack.front.look import export, view, write_report
-    from clothtrack.front.run import Label, Run, evaluate, load, track
-    from clothtrack.front.verification import Verification, verify
     from clothtrack.geometry.camera import Camera
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.recordings.inspection import inspect as inspect_recording
@@ -68,21 +71,28 @@ __all__ = [
     "Truth",
     "Verification",
     "__version__",
+    "demo",
     "evaluate",
+    "evaluate_many",
     "export",
+    "finetune",
     "garment_template",
+    "inspect_many",
     "inspect_recording",
     "judge_labels",
     "label",
+    "label_many",
     "load",
     "mode",
     "observe",
+    "pretrain",
     "read_color",
     "read_depth",
     "read_recording",
     "reconstruct",
     "shipped_recording",
     "track",
+    "track_many",
     "verify",
     "view",
     "with_settings",

@@ -13,10 +13,6 @@ class ClothTrackError(Exception):
     """The root of all errors that clothtrack raises on purpose; the command line exits with 1."""
 
 
-class WrongUsageError(Exception):
-    """The command line cannot be understood; one line that says why. It exits with 2."""
-
-
 class InvalidRecordingError(ClothTrackError):
     """A recording on disk cannot be used as it is."""
 
@@ -39,6 +35,10 @@ class InvalidResultError(ClothTrackError):
 
 class InvalidConfigError(ClothTrackError):
     """Settings that contradict each other or the data they are used with."""
+
+
+class WrongUsageError(InvalidConfigError):
+    """What was asked for cannot be understood, or excludes itself; the exit code is 2."""
 
 
 class StorageError(ClothTrackError):

@@ -9,9 +9,15 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.recordings.recorded_table import fit_recorded_table
+    from clothtrack_capture.api.calibration import calibrate_camera
+    from clothtrack_capture.api.importing import import_recording
+    from clothtrack_capture.api.picker import find_picker
+    from clothtrack_capture.api.recording import record
+    from clothtrack_capture.api.segmentation import segment
     from clothtrack_capture.board import Board, BoardPose, locate_board, locate_boards
     from clothtrack_capture.franka import FrankaConfig, FrankaRobot, FrankyArm
     from clothtrack_capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye, read_robot_poses
+    from clothtrack_capture.importing.import_options import ImportOptions
     from clothtrack_capture.live_capture import (
         CapturedFrame,
         CaptureWriter,
@@ -34,15 +40,21 @@ __all__ = [
     "FrankaRobot",
     "FrankyArm",
     "HandEye",
+    "ImportOptions",
     "RealSenseCamera",
     "ReplayedCamera",
     "RobotPose",
     "SegmentationSetup",
     "TipFinder",
+    "calibrate_camera",
     "calibrate_hand_eye",
+    "find_picker",
     "fit_recorded_table",
+    "import_recording",
     "locate_board",
     "locate_boards",
     "open_realsense",
     "read_robot_poses",
+    "record",
+    "segment",
 ]

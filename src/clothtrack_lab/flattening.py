@@ -1,4 +1,4 @@
-"""Flatten and record cloth in the simulated world, and plan for a recorded one."""
+"""Flatten cloth in the simulated world once, and plan for a recorded one."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,8 +19,6 @@ from clothtrack.planning.seen import seen_area
 from clothtrack.recordings.store import read_recording
 from clothtrack_lab.baselines.flattening_policies import POLICIES
 from clothtrack_lab.world.bench import vary
-from clothtrack_lab.world.episodes import SMALL_WORLD, EpisodeConfig
-from clothtrack_lab.world.filming import simulate as film_many
 from clothtrack_lab.world.one_garment import OneGarment
 from clothtrack_lab.world.simulated_episodes import (
     EpisodeParts,
@@ -148,56 +146,3 @@ def plan_flattening(
         seed=seed,
     )
     return flattening.run(output / "episode")
-
-
-def simulate(
-    output: Path | str,
-    garment: GarmentKind = "towel",
-    trajectories: int = 1,
-    *,
-    seed: int = 0,
-    template: Path | str | None = None,
-    garment_seed: int | None = None,
-    small: bool = False,
-    settings: Sequence[str] = (),
-    workers: int = 1,
-    progress: Progress | None = None,
-    ray: str = "",
-) -> list[Path]:
-    """Record pick-and-places in a simulated world that knows the truth.
-
-    Args:
-        output: folder for recordings/ and truth/; what is finished there is kept.
-        garment: what lies on the table.
-        trajectories: how many recordings, with the seeds `seed`, `seed` + 1 and so on.
-        seed: of garment, pose, actions, camera and noise.
-        template: file of the garment's own template (`clothtrack garment`); a usual cut by default.
-        garment_seed: one garment for all recordings, which no shipped network was trained on,
-            before one camera; by default fabric and mesh of each are drawn from its seed.
-        small: one action with a napkin before a small camera, in a few seconds.
-        settings: changes to what is recorded, such as "sensor.width=320" or "actions=2".
-        workers: processes.
-        progress: called first, and after each recording.
-        ray: address of Ray, which is to do it; worker processes by default.
-
-    Returns:
-        The folders of the recordings.
-
-    Raises:
-        InvalidConfigError: both a template and a garment seed are given, or a setting is not known.
-    """
-    quiet_warp()
-    one = None if garment_seed is None else OneGarment(garment, garment_seed)
-    if one is not None and (template is not None or small):
-        raise InvalidConfigError(
-            "garment_seed draws a garment of its own cut and size; leave "
-            f"{'template' if template is not None else 'small'} out"
-        )
-    usual = SMALL_WORLD if small else EpisodeConfig()
-    config = with_settings(usual if one is None else one.config, settings)
-    if template is not None:
-        config = replace(config, size_m=None, garment=str(template))
-    return film_many(
-        Path(output), garment, trajectories, seed=seed, config=config, garment=one,
-        processes=workers, progress=progress, ray=ray,
-    )  # fmt: skip

@@ -21,7 +21,7 @@ Row = dict[str, Any]
 """What a program wants to know of an episode."""
 
 
-def flatten_many(
+def run_episodes(
     output: Path,
     garment: GarmentKind,
     config: FlattenConfig,

@@ -5,8 +5,9 @@ import shutil
 
 import pytest
 
+import clothtrack_lab as lab
 from clothtrack.cli import command_line as cli
-from clothtrack_lab.cli.act import train_dynamics
+from clothtrack.errors import InvalidResultError
 
 QUICK = [
     "--set", "simulator.motion.speed=0.8", "--set", "simulator.motion.rest_s=0.1",
@@ -28,10 +29,11 @@ def test_the_control_is_labelled_on_the_command_line(tmp_path, capsys):
 
 def test_wishes_that_exclude_each_other_are_usage_errors(tmp_path, capsys):
     out = str(tmp_path / "out")
-    assert cli.main(["flatten", out, "--robot", "dry-run", "--policy", "random"]) == 2
-    assert "--recording" in capsys.readouterr().err
-    words = ["flatten", out, "--policy", "random", "--recording", str(tmp_path)]
+    words = ["flatten", out, "--garment-seed", "1", "--recording", str(tmp_path)]
     assert cli.main(words) == 2
+    assert "leave --recording out" in capsys.readouterr().err
+    assert cli.main(["flatten", out, "--policy", "random", "--live", "--workers", "2"]) == 2
+    assert "--live shows one process" in capsys.readouterr().err
     assert cli.main(["flatten", out, "--weights", str(tmp_path / "none.safetensors")]) == 1
     assert "no such weights" in capsys.readouterr().err
     assert cli.main(["flatten", out, "--policy", "random", "--set", "actions=0"]) == 1
@@ -53,14 +55,13 @@ def test_what_cannot_be_read_is_refused_before_a_start_is_made(tmp_path, monkeyp
             "not a whole safetensors file",
         ),
         (["--perception", "truth", "--episodes", "0"], "--episodes is 0"),
-        (["--robot", "dry-run", "--recording", str(tmp_path), "--policy", "random"], "recording"),
+        (["--recording", str(tmp_path), "--policy", "random"], "recording"),
     ):
         assert cli.main(["flatten", str(out), *words]) == 1
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert told in line
-    words = ["improve", str(bad), "--output", str(out)]
-    assert cli.main(words) == 1
-    assert "not a whole safetensors file" in capsys.readouterr().err
+    with pytest.raises(InvalidResultError, match="not a whole safetensors file"):
+        lab.improve_rounds(bad, out, "towel", lab.ImprovementConfig())
     assert not out.exists()
 
 
@@ -73,14 +74,14 @@ def test_a_picture_without_cloth_is_refused_before_a_dry_run_begins(napkin, tmp_
     (path,) = frame.depth.values()
     assert read_depth(path, 0.001).any()
     path.write_bytes(b"no picture")
-    words = ["flatten", str(tmp_path / "plan"), "--robot", "dry-run", "--policy", "heuristic"]
+    words = ["flatten", str(tmp_path / "plan"), "--policy", "heuristic"]
     assert cli.main([*words, "--recording", str(folder)]) == 1
     assert path.name in capsys.readouterr().err
     assert not (tmp_path / "plan").exists()
 
 
 def test_a_dry_run_without_a_mesh_needs_a_recording_only(napkin, tmp_path, capsys):
-    words = ["flatten", str(tmp_path / "plan"), "--robot", "dry-run", "--policy", "heuristic"]
+    words = ["flatten", str(tmp_path / "plan"), "--policy", "heuristic"]
     assert cli.main([*words, "--recording", str(napkin)]) == 0
     assert "action_00.png" in capsys.readouterr().out
     told = json.loads((tmp_path / "plan" / "action_00.json").read_text())
@@ -88,23 +89,21 @@ def test_a_dry_run_without_a_mesh_needs_a_recording_only(napkin, tmp_path, capsy
 
 
 def test_the_truth_is_not_to_be_had_in_a_dry_run(napkin, tmp_path, capsys):
-    words = ["flatten", str(tmp_path / "plan"), "--robot", "dry-run", "--perception", "truth"]
+    words = ["flatten", str(tmp_path / "plan"), "--perception", "truth"]
     assert cli.main([*words, "--recording", str(napkin)]) == 1
     assert "only the simulated robot" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_dynamics_are_made_and_trained_by_one_command(tmp_path, capsys):
+def test_dynamics_are_made_and_trained_by_one_call(tmp_path):
     settings = (
         "roll_outs.vertex_count=150", "roll_outs.starts=1", "roll_outs.actions=3",
         "roll_outs.motion.speed=0.8", "roll_outs.states.crumpling.states=1",
         "network.width=16", "network.message_steps=2", "loop.epochs=1", "examples_per_shard=2",
         "loop.held_out_share=0.4",
     )  # fmt: skip
-    asked = {"garment": ("towel", "tshirt"), "roll_outs": 3, "settings": settings}
-    assert train_dynamics(tmp_path, **asked) == 0
-    told = capsys.readouterr().out
-    assert "best.safetensors" in told
+    outcome = lab.train_dynamics(tmp_path, roll_outs=3, settings=settings)
+    assert outcome.weights.name == "best.safetensors"
     assert len(list((tmp_path / "roll_outs").glob("*/shards/*.npz"))) == 2
     card = (tmp_path / "model" / "model_card.md").read_text()
     assert "towel, tshirt" in card

@@ -45,7 +45,7 @@ def test_calibrate_camera_can_leave_the_recording_alone(table_film, tmp_path, ca
 
 
 def test_hand_eye_wants_a_board(table_film, tmp_path, capsys):
-    words = ["calibrate-hand-eye", str(table_film), str(tmp_path / "poses.csv")]
+    words = ["calibrate-camera", str(table_film), "--robot-poses", str(tmp_path / "poses.csv")]
     assert cli.main(words) == 2
     assert "--charuco" in capsys.readouterr().err
     assert cli.main([*words, "--charuco", "7", "5", "0.03", "0.02"]) == 1

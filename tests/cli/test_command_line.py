@@ -10,8 +10,8 @@ import sys
 
 import pytest
 
+from clothtrack.api.options import Garment, Mode
 from clothtrack.cli import command_line as cli
-from clothtrack.cli.track import Mode
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.extras import install_command
 
@@ -45,7 +45,7 @@ def test_help_is_quick_and_lists_the_verbs_in_groups():
     listed = re.findall(r"^  ([a-z-]+)  ", shown.stdout, re.MULTILINE)
     # The main path first, then every other verb once, in its group.
     assert listed[:5] == ["demo", "import", "track", "evaluate", "view"]
-    assert sorted(listed) == sorted(cli.name_of(verb) for verb in cli.VERBS)
+    assert sorted(listed) == sorted(cli.VERBS)
     # 3 times here, 0.27 s on a quiet machine; one stage that is loaded (Warp, MuJoCo) makes it 10.
     assert min(ours) < 5.0 * min(bare)
 
@@ -86,7 +86,7 @@ def test_an_unusable_recording_is_inspected_with_exit_code_1(tmp_path, capsys):
 
 
 def raising(error):
-    def verb() -> int:
+    def verb() -> None:
         """Fail."""
         raise error
 
@@ -104,8 +104,7 @@ def raising(error):
 )
 def test_what_can_go_wrong_is_said_in_one_line(monkeypatch, capsys, error, code, told):
     fail = raising(error)
-    fail.__name__ = "fail"
-    monkeypatch.setattr(cli, "VERBS", [fail, cli.inspect])
+    monkeypatch.setattr(cli, "VERBS", {"fail": lambda: fail})
     assert cli.main(["fail"]) == code
     shown = capsys.readouterr()
     assert told in shown.err
@@ -115,8 +114,7 @@ def test_what_can_go_wrong_is_said_in_one_line(monkeypatch, capsys, error, code,
 
 def test_a_value_of_any_length_leaves_the_file_and_the_next_step_in_sight(monkeypatch, capsys):
     fail = raising(InvalidRecordingError(f"a.json: kind is {'x' * 5_000}; write towel"))
-    fail.__name__ = "fail"
-    monkeypatch.setattr(cli, "VERBS", [fail])
+    monkeypatch.setattr(cli, "VERBS", {"fail": lambda: fail})
     assert cli.main(["fail"]) == 1
     shown = capsys.readouterr().err
     assert len(shown) < 1_100
@@ -126,8 +124,7 @@ def test_a_value_of_any_length_leaves_the_file_and_the_next_step_in_sight(monkey
 
 def test_a_defect_of_ours_is_not_hidden(monkeypatch):
     fail = raising(ZeroDivisionError())
-    fail.__name__ = "fail"
-    monkeypatch.setattr(cli, "VERBS", [fail, cli.inspect])
+    monkeypatch.setattr(cli, "VERBS", {"fail": lambda: fail})
     with pytest.raises(ZeroDivisionError):
         cli.main(["fail"])
 
@@ -136,6 +133,12 @@ def test_every_mode_of_the_tracker_is_offered():
     from clothtrack.tracking.configuration import MODES
 
     assert set(Mode.__args__) == set(MODES)
+
+
+def test_every_garment_of_the_networks_is_offered():
+    from clothtrack.garments.garment_meshes import ClothKind
+
+    assert Garment.__args__ == ClothKind.__args__
 
 
 WITHOUT_THE_EXTRA = """
@@ -188,6 +191,9 @@ def test_track_lists_what_can_be_set_without_tracking(tmp_path, monkeypatch, cap
     assert cli.main(words) == 0
     listed = capsys.readouterr().out.splitlines()
     assert any(line.startswith("search.sweeps=3    ") for line in listed)
+    assert cli.main([*words, "a", "--output", "b"]) == 0
+    assert cli.main(["flatten", "out", "--policy", "random", "--show-settings"]) == 0
+    assert "policy=random" in capsys.readouterr().out
     assert not list(tmp_path.iterdir())
 
 

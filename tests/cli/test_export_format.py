@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from clothtrack.api.export_format import export_format
 from clothtrack.errors import InvalidConfigError
-from clothtrack.front.export_format import export_format
 
 
 @pytest.mark.parametrize(

@@ -188,7 +188,6 @@ def test_a_name_in_a_result_leads_out_of_no_folder(world, tmp_path, capsys):
         (["view", "half.zarr"], "has no zarr.json: it was not finished"),
         (["view", "none.ply"], "none.ply"),
         (["export", "tracked/lift.zarr", "--output", "x", "--format", "mp4"], "--recordings"),
-        (["export", "tracked/lift.zarr", "--output", "x", "--rows", "0"], "rows is 0"),
         (["export", "tracked/lift.zarr", "--output", "x.mp4", "--format", "obj"], "contradicts"),
         (["view", "towel.obj", "--html", "truth"], "truth is a folder; name a file in it"),
         (

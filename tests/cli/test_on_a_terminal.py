@@ -118,7 +118,7 @@ def test_a_tracking_run_has_one_line_that_is_rewritten(world):
 def test_a_page_shows_the_mesh_while_it_is_tracked(world):
     command = f"{VERB} track recordings/towel_0001 --output live --live"
     with terminal(command, world) as on:
-        address = on.until(r"(http://127\.0\.0\.1:\d+/)   open this to see the mesh grow\r\n")[1]
+        address = on.until(r"(http://127\.0\.0\.1:\d+/)   open this to watch\r\n")[1]
         frames, words = set(), ""
         for _ in range(400):
             with suppress(OSError, urllib.error.URLError):
@@ -180,10 +180,10 @@ def test_ctrl_c_is_one_line_and_130_and_ends_a_loop_of_the_shell(world):
     [
         ("view tracked --recordings recordings", r"(http://\S+)   open this; Ctrl-C ends"),
         ("view recordings/towel_0001", r"(http://\S+)   open this; Ctrl-C ends"),
-        ("segment recordings/towel_0001", r"choose the cloth: (http://\S+)   Ctrl-C ends"),
+        ("segment recordings/towel_0001", r"(http://\S+)   open this; Ctrl-C ends"),
         (
             "record filmed --replay recordings/towel_0001",
-            r"record at: (http://\S+)   Ctrl-C ends",
+            r"(http://\S+)   open this; Ctrl-C ends",
         ),
     ],
 )

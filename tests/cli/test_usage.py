@@ -1,7 +1,6 @@
 """Wrong usage is one line that names what may have been meant; help has no empty words."""
 
 import importlib.metadata
-import inspect
 import io
 import json
 import logging
@@ -10,13 +9,13 @@ import re
 import pytest
 
 from clothtrack.cli import command_line as cli
-from clothtrack.cli.signature import name_of, options_of
+from clothtrack.cli.signature import options_of
 from clothtrack.cli.terminal import complain, say
 from clothtrack.cli.warnings_once import logged
 from clothtrack.files.settings import settings_of
 from clothtrack.version import __version__
 
-VERBS = {name_of(verb): verb for verb in cli.VERBS}
+VERBS = {name: load() for name, load in cli.VERBS.items()}
 
 
 def helped(verb, capsys):
@@ -35,13 +34,19 @@ def helped(verb, capsys):
             ["calibrate_camera", "rec"],
             "did you mean calibrate-camera?",
         ),
+        (["verify", "x"], "verify is no verb any more; did you mean clothtrack inspect PATH...?"),
+        (["bench", "x"], "did you mean clothtrack simulate OUT --benchmark all?"),
+        (["track", "--output", "x"], "no recordings given; name at least one"),
         (["qqq"], "qqq is no verb; clothtrack --help lists the verbs"),
         (["--json"], "--json is no option; options stand behind the verb"),
         (["track", "rec", "--ouput", "x"], "--ouput is no option of track; did you mean --output?"),
         (["import", "a", "b", "--depth-unt-m=1"], "did you mean --depth-unit-m?"),
         (["view", "x", "--qqq"], "--qqq is no option of view; clothtrack view --help lists them"),
-        (["demo", "--mode", "best"], "invalid choice 'best' for argument '--mode'"),
-        (["export"], "Missing from clothtrack export: PATH, --output PATH;"),
+        (
+            ["track", "x", "--output", "y", "--mode", "best"],
+            "invalid choice 'best' for argument '--mode'",
+        ),
+        (["export"], "Missing from clothtrack export: RUN, --output PATH;"),
         (["import"], "Missing from clothtrack import: SOURCE, RECORDING;"),
         (["simulate", "x", "--states", "few"], "--states INT cannot be 'few'"),
         (["segment", "x", "--click", "3"], "--click COLUMN ROW cannot be '3'"),
@@ -94,25 +99,19 @@ def setting_names(verb):
     from clothtrack.planning import FlattenConfig
     from clothtrack.reconstruction import LearningConfig
     from clothtrack.tracking import RunConfig
-    from clothtrack_lab.graph_dynamics.mesh_training import DynamicsTrainingConfig
     from clothtrack_lab.world import EpisodeConfig
-    from clothtrack_lab.world.self_improvement import ImprovementConfig
 
     known = {
         "flatten": [FlattenConfig()],
         "track": [RunConfig()],
         "simulate": [EpisodeConfig()],
-        "improve": [ImprovementConfig()],
-        "train-dynamics": [DynamicsTrainingConfig()],
         "pretrain": [LearningConfig.preset("pretrain")],
         "finetune": [LearningConfig.preset("finetune")],
     }
     return {setting.name for config in known[verb] for setting in settings_of(config)}
 
 
-@pytest.mark.parametrize(
-    "verb", [name for name in VERBS if "settings" in inspect.signature(VERBS[name]).parameters]
-)
+@pytest.mark.parametrize("verb", [name for name in VERBS if "--set" in options_of(VERBS[name])])
 def test_the_example_of_a_setting_is_one_of_its_verb(verb, capsys):
     pytest.importorskip("torch")
     text = re.sub(r"[│\s]+", " ", helped(verb, capsys))
@@ -138,11 +137,11 @@ def test_the_version_comes_with_commit_devices_and_packages(capsys):
 def test_a_defect_of_ours_is_not_taken_for_wrong_usage(monkeypatch):
     """What parses options takes a ValueError for a wrong one."""
 
-    def fail() -> int:
+    def fail() -> None:
         """Fail."""
         raise ValueError("ours")
 
-    monkeypatch.setattr(cli, "VERBS", [fail, cli.inspect])
+    monkeypatch.setattr(cli, "VERBS", {"fail": lambda: fail})
     with pytest.raises(ValueError, match="ours"):
         cli.main(["fail"])
 

@@ -136,7 +136,7 @@ def test_a_killed_run_goes_on_to_the_bits_of_one_that_was_not(start, towels, tmp
     assert len(written) == 4
     assert cli.main(["label", *map(str, (*tracked, *at, labels))]) == 0
     assert files_of(labels) == written
-    assert cli.main(["label", *map(str, (*tracked[:1], *at, labels)), "--flat-weight", "0.5"]) == 0
+    assert cli.main(["label", *map(str, (*tracked[:1], *at, labels)), "--garment", "towel"]) == 0
     changed = {path for path, when in files_of(labels).items() if written[path] != when}
     assert changed == {labels / "towel_a.labels.npz"}
 

@@ -81,7 +81,7 @@ def held(tmp_path_factory):
         yield out, process
 
 
-@pytest.mark.parametrize("verb", ["simulate", "bench", "track", "evaluate", "flatten", "train"])
+@pytest.mark.parametrize("verb", ["simulate", "bench", "track", "evaluate", "flatten"])
 def test_a_second_run_is_refused_in_one_line_and_changes_nothing(held, verb, tmp_path, capsys):
     out, other = held
     if verb == "evaluate":
@@ -89,10 +89,9 @@ def test_a_second_run_is_refused_in_one_line_and_changes_nothing(held, verb, tmp
         out = out.rename(out.with_name(f".{out.name}.measured"))
     words = {
         "simulate": ["simulate", str(out)],
-        "bench": ["bench", str(out)],
+        "bench": ["simulate", str(out), "--benchmark", "all"],
         "track": ["track", str(tmp_path / "none"), "--output", str(out)],
         "flatten": ["flatten", str(out), "--policy", "heuristic"],
-        "train": ["train-dynamics", str(out), "--only-roll-outs"],
     }.get(verb)
     if words is None:
         words = ["evaluate", str(tmp_path / "a.zarr"), "--recordings", str(tmp_path)]

@@ -111,9 +111,14 @@ def test_closed_results_end_their_tasks(tmp_path):
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1"])
 def test_an_address_where_nobody_listens_is_refused_at_once(address, tmp_path):
     # In a process of its own: a Ray that runs here already is used, whatever the address.
-    command = [sys.executable, "-m", "clothtrack.cli", "bench", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "clothtrack.cli", "simulate", str(tmp_path / "out")]
+    command += ["--benchmark", "all", "--ray", address]
     done = subprocess.run(
-        [*command, "--ray", address], check=False, capture_output=True, text=True, timeout=60
+        [*command, "--benchmark", "all", "--ray", address],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert done.returncode == 1
     assert f"Ray at '{address}' does not answer" in done.stderr

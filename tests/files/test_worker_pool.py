@@ -23,9 +23,9 @@ def test_no_workers_are_refused(number):
         require_workers(number)
 
 
-@pytest.mark.parametrize("verb", ["simulate", "bench"])
-def test_the_command_line_refuses_no_workers(verb, tmp_path, capsys):
-    assert cli.main([verb, str(tmp_path / "out"), "--workers", "0"]) == 1
+@pytest.mark.parametrize("more", [[], ["--benchmark", "all"]])
+def test_the_command_line_refuses_no_workers(more, tmp_path, capsys):
+    assert cli.main(["simulate", str(tmp_path / "out"), *more, "--workers", "0"]) == 1
     assert "number of workers is 0" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 

@@ -2,13 +2,13 @@
 
 import inspect
 import re
-from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from clothtrack.cli import command_line as cli
+from clothtrack.cli import signature
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
@@ -25,9 +25,7 @@ FLAG = re.compile(r"(?<![\w-])--([a-z][\w-]*)")
 SETTING = re.compile(r"--set ([a-z][\w.]*)=|`(?!dotted\.name)(\w+(?:\.\w+)+)(=[^`]*)?`")
 RECORDED = {"cloth", "template"}
 """Groups of settings that share their names with parts of recording.json."""
-VERBS = {verb.__name__.replace("_", "-"): verb for verb in cli.VERBS}
-OTHER_NAMES = {"settings": "set", "printed": "print"}
-OF_ALL_VERBS = {"help", "verbose"}
+VERBS = {name: load() for name, load in cli.VERBS.items()}
 
 
 def ids(path):
@@ -40,17 +38,8 @@ def text_of(document):
 
 
 def options_of(verb):
-    """Options of a verb as they are written; one that is a dataclass stands for its fields."""
-    found = set(OF_ALL_VERBS)
-    for name, option in inspect.signature(VERBS[verb]).parameters.items():
-        inside = (
-            [field.name for field in fields(option.annotation)]
-            if is_dataclass(option.annotation)
-            else [OTHER_NAMES.get(name, name)]
-        )
-        for written in inside:
-            found |= {written.replace("_", "-"), "no-" + written.replace("_", "-")}
-    return found
+    """Options of a verb as they are written, without dashes."""
+    return {written.lstrip("-") for written in signature.options_of(VERBS[verb])}
 
 
 def known_settings():
@@ -180,7 +169,7 @@ def test_every_verb_writes_json_as_the_page_says():
     text = (ROOT / "docs" / "cli.md").read_text()
     assert "Every verb takes `--verbose`" in text
     for name, verb in VERBS.items():
-        assert "json" in inspect.signature(inspect.unwrap(verb)).parameters, name
+        assert "--json" in signature.options_of(verb), name
 
 
 def test_the_readme_shows_the_first_verbs_and_leads_to_the_others():

@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src"
-OBEYING = ("tests/end_to_end", "tests/examples", "tests/front", "tests/verification", "examples")
+OBEYING = ("tests/end_to_end", "tests/examples", "tests/api", "tests/verification", "examples")
 SCRIPTS = [path for folder in OBEYING for path in sorted((ROOT / folder).rglob("*.py"))]
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

@@ -50,6 +50,15 @@ def test_what_a_style_does_not_say_is_asked_for(style, left_out, flag, film, tmp
         import_recording(source, tmp_path / "out", chosen)
 
 
+def test_all_that_a_folder_does_not_say_is_asked_for_at_once(film, tmp_path):
+    source = write_folder(tmp_path / "film", film, "bop")
+    (source / "scene_camera.json").unlink()
+    with pytest.raises(InvalidRecordingError) as refused:
+        import_recording(source, tmp_path / "out", ImportOptions())
+    for flag in ("--fps", "--intrinsics FILE", "--depth-unit-m"):
+        assert flag in str(refused.value)
+
+
 def test_a_picture_that_is_missing_leaves_its_moment_empty(film, tmp_path):
     source = write_folder(tmp_path / "film", film, "open3d")
     (source / "depth" / "000001.png").unlink()

@@ -47,7 +47,7 @@ def test_json(source, tmp_path, capsys):
         ["--depth-topic", "/no"], ["--color-topic", "/no"], ["--depth-unit-m", "-1"],
         ["--depth-unit-m", "nan"], ["--fps", "0"], ["--picker-csv", "no.csv"],
         ["--intrinsics", "no.json"], ["--world-from-camera", "no.json"], ["--actions", "0-3"],
-        ["--cloth-color", "mauve"], ["--camera-name", "a b"], ["--depth-unit-m", "1.0"],
+        ["--cloth-color", "mauve"], ["--depth-unit-m", "1.0"],
         ["--picker-topic", "/camera/color/image_raw"],
     ],
 )  # fmt: skip

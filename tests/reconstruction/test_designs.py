@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from clothtrack.api import learning_extra as learning
 
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
-from clothtrack.front import learning_extra as learning
 from clothtrack.reconstruction import model_loading
 from clothtrack.reconstruction.availability import shipped_weights
 from clothtrack.reconstruction.design import Reconstructor

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import clothtrack as ct
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_quality import judge_labels
@@ -135,9 +136,9 @@ def test_the_verb_labels_what_was_tracked(recording, tracked, tmp_path, capsys):
     assert 0.0 < judged.label_quality < 1.0
     assert found.frames == (0, 1)
     np.testing.assert_allclose(found.pictures[1].positions, end, atol=1e-6)
-    plain = ["--output", str(tmp_path / "plain"), "--no-weighted", "--flat-weight", "0"]
-    assert cli.main([*words, *plain]) == 0
-    (only,) = read_labels(tmp_path / "plain" / "fold.labels.npz").pictures
+    run = ct.load(tmp_path / "fold.zarr", source.folder)
+    plain = ct.label(run, tmp_path / "plain.labels.npz", weighted=False, flat_weight=0.0)
+    (only,) = read_labels(plain).pictures
     assert only.weight == 1.0
 
 
@@ -152,8 +153,9 @@ def test_the_verb_leaves_out_what_a_person_rejected(recording, tracked, tmp_path
     found = read_labels(tmp_path / "labels" / "fold.labels.npz")
     assert found.frames == (0,)
     assert found.provenance["rejected_actions"] == [0]
-    assert cli.main([*words, "--flat-weight", "0"]) == 1
-    assert "no label is left (1 of 1 rejected in review)" in capsys.readouterr().err
+    run = ct.load(tmp_path / "fold.zarr", source.folder)
+    with pytest.raises(InvalidResultError, match=r"no label is left \(1 of 1 rejected in review"):
+        ct.label(run, tmp_path / "none.labels.npz", flat_weight=0.0)
     (tmp_path / "fold.review.json").write_text("{}")
     assert cli.main(words) == 1
     assert "fold.review.json: not a review" in capsys.readouterr().err

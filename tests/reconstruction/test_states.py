@@ -404,7 +404,7 @@ def test_states_are_not_filmed(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["simulate", str(tmp_path / "out"), "--states", "5", *words]) == 2
-    assert "leave them out" in capsys.readouterr().err
+    assert "--states records nothing; leave" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -155,7 +155,6 @@ def test_the_width_over_the_length_says_whether_trousers_are_short(width_m):
         (["--garment", "sofa"], "'sofa'"),
         (["--garment", "trousers", "--size", "0.5"], "--size WIDTH LENGTH"),
         (["--garment", "trousers", "--size", "0.5", "nan"], "the size is 0.5 x nan m"),
-        (["--garment", "trousers", "--method", "implicit"], "which knows towels and T-shirts only"),
         ([], "one of towel, tshirt, trousers"),
     ],
 )

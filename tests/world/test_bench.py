@@ -259,7 +259,8 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path: Path) -> None:
         "from clothtrack.cli.command_line import main\n"
         "if __name__ == '__main__':\n"
         "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        f"    raise SystemExit(main(['bench', {str(out)!r}, '--workers', '2']))\n"
+        f"    words = ['simulate', {str(out)!r}, '--benchmark', 'all', '--workers', '2']\n"
+        "    raise SystemExit(main(words))\n"
     )
     with subprocess.Popen([sys.executable, str(file)], stderr=subprocess.PIPE, text=True) as run:
         try:

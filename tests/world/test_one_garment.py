@@ -141,7 +141,7 @@ def test_two_garments_at_once_are_refused_and_nothing_is_written(tmp_path, capsy
         improve_rounds(weights, out, "towel", ImprovementConfig(flatten=named), garment_seed=1)
     for words, told in (
         (["flatten", str(out), "--template", "a.npz"], "leave --template out"),
-        (["flatten", str(out), "--robot", "dry-run"], "leave --robot dry-run out"),
+        (["flatten", str(out), "--recording", "a"], "leave --recording out"),
         (["simulate", str(out), "--template", "a.npz"], "leave template out"),
         (["simulate", str(out), "--states", "3"], "leave --garment-seed out"),
         (["simulate", str(out)], "garment_seed is -1"),

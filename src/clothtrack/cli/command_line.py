@@ -1,53 +1,81 @@
 """The command line: one verb per stage, in the order of the method.
 
-A verb parses its options, calls what `import clothtrack` offers or one function of a room, and says
-what came of it. The stages are imported when their verb is called, so that `--help` is instant.
-Exit codes: 0 done, 1 bad input or a full disk (one clear line on standard error), 2 wrong usage
-(one line, too), 130 an interrupt.
+A verb is a function that `import clothtrack`, `import clothtrack_capture` or `import
+clothtrack_lab` offers. The command line parses its arguments (`cli.signature`), calls it, and says
+what came of it: the result's `text()`, or with --json its `as_dict()`; its `doubts`, one line each,
+on standard error; its `exit_code`. The stages are imported when their verb is called, so that
+`--help` is instant. Exit codes: 0 done, 1 bad input or a full disk (one clear line on standard
+error), 2 wrong usage (one line, too), 130 an interrupt.
 """
 
+import inspect
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from importlib.metadata import entry_points
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
 
-from clothtrack.cli.garment import garment
-from clothtrack.cli.learn import finetune, label, pretrain, reconstruct
-from clothtrack.cli.look import evaluate, export, view
-from clothtrack.cli.recordings import inspect
-from clothtrack.cli.signature import name_of
-from clothtrack.cli.terminal import INTERRUPTED, complain, end_by_interrupt, exit_code, say
-from clothtrack.cli.track import demo, track
-from clothtrack.cli.usage import WRONG_USAGE, WrongUsageError, overview, parse
-from clothtrack.cli.verify import verify
+import clothtrack
+from clothtrack.cli.signature import configuration_of
+from clothtrack.cli.terminal import (
+    INTERRUPTED,
+    WRONG_USAGE,
+    complain,
+    end_by_interrupt,
+    exit_code,
+    progress,
+    say,
+    say_result,
+)
+from clothtrack.cli.usage import Function, overview, parse
 from clothtrack.cli.versions import versions
 from clothtrack.cli.warnings_once import logged
+from clothtrack.errors import WrongUsageError
 
-OWN: tuple[Callable[..., int], ...] = (
-    demo, inspect, garment, track, label, pretrain, finetune, reconstruct, evaluate, view, export,
-    verify,
-)  # fmt: skip
-"""The functions behind the verbs of the core."""
+OWN: Mapping[str, str] = {
+    "demo": "demo",
+    "inspect": "inspect_many",
+    "garment": "garment_template",
+    "track": "track_many",
+    "label": "label_many",
+    "pretrain": "pretrain",
+    "finetune": "finetune",
+    "reconstruct": "reconstruct",
+    "evaluate": "evaluate_many",
+    "view": "view",
+    "export": "export",
+}
+"""The verbs of the core, and the functions of `clothtrack` behind them."""
 
-VERBS: tuple[Callable[..., int], ...] = (
-    *OWN,
-    *(found.load() for found in entry_points(group="clothtrack.verbs")),
-)
-"""The same with those of other packages, which name theirs as entry points."""
+VERBS: Mapping[str, Callable[[], Function]] = {
+    **{verb: partial(getattr, clothtrack, name) for verb, name in OWN.items()},
+    **{found.name: found.load for found in entry_points(group="clothtrack.verbs")},
+}
+"""What loads the functions of all verbs; other packages name theirs as entry points."""
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "the main path": ("demo", "import", "track", "evaluate", "view"),
     "recordings": (
-        "inspect", "record", "calibrate-camera", "calibrate-hand-eye", "segment", "find-picker",
-        "garment",
+        "inspect", "record", "calibrate-camera", "segment", "find-picker", "garment",
     ),
     "learning": ("reconstruct", "label", "finetune", "pretrain"),
-    "a robot": ("flatten", "train-dynamics", "improve"),
-    "results": ("export", "verify"),
-    "the simulated world": ("simulate", "bench"),
+    "results": ("export",),
+    "the simulated world": ("simulate", "flatten"),
 }  # fmt: skip
 """The order of `--help`; a verb that is in no group comes last."""
 
+GONE: Mapping[str, str] = {
+    "verify": "clothtrack inspect PATH...",
+    "bench": "clothtrack simulate OUT --benchmark all",
+    "calibrate-hand-eye": "clothtrack calibrate-camera RECORDING --robot-poses POSES.csv",
+    "train-dynamics": "clothtrack_lab.train_dynamics(OUT) in Python",
+    "improve": "clothtrack_lab.improve_rounds(WEIGHTS, ...) in Python",
+}
+"""What to type instead of verbs that there were."""
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that numeric libraries read when they are loaded. The operations here are small, and
@@ -67,26 +95,95 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[:1] == ["--version"]:
         return exit_code(lambda: versions(json="--json" in words))
     try:
-        verbs = {name_of(verb): verb for verb in VERBS}
         if words[:1] in (["-h"], ["--help"]):
-            say(overview(verbs, GROUPS))
+            say(overview(VERBS, GROUPS))
             return 0
-        run = parse(words, verbs)
+        function, chosen = parse(words, VERBS, GONE)
     except WrongUsageError as wrong:
         complain(str(wrong))
         return WRONG_USAGE
     for variable in THREADS:
         os.environ.setdefault(variable, "1")
-    with logged(verbose="--verbose" in words):
-        code = exit_code(lambda: _quietly(run))
+    with logged(verbose=chosen.pop("verbose")):
+        code = exit_code(lambda: _run(words[0], function, chosen))
     if code == INTERRUPTED and arguments is None:
         end_by_interrupt()
     return code
 
 
-def _quietly(run: Callable[[], int]) -> int:
-    """Tell Warp first not to greet on standard output, where our results go."""
+def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:
+    """Call the function of a verb, and say what came of it."""
     from clothtrack.geometry.devices import quiet_warp
 
+    # Warp would greet on standard output, where our results go.
     quiet_warp()
-    return run()
+    json = chosen.pop("json")
+    if chosen.pop("show_settings", False):
+        return list_settings(function, chosen)
+    if verb == "reconstruct" and chosen["output"] is None:
+        from clothtrack.api.learning import default_mesh
+
+        chosen["output"] = default_mesh(chosen["picture"], chosen["frame"])
+    offered = {
+        "progress": progress,
+        "opened": partial(_opened, verb, json=json),
+        "each": lambda one: None if json else say(one.text()),
+    }
+    known = inspect.signature(function).parameters
+    heard = {name: value for name, value in offered.items() if name in known}
+    return _say(verb, function(**chosen, **heard), json=json, said="each" in known and not json)
+
+
+def _opened(verb: str, address: str, *, json: bool) -> None:
+    """Say where a page is; --json leaves standard output to the result, which a view has not."""
+    watched = verb in ("track", "flatten")
+    text = f"{address}   open this{' to watch' if watched else '; Ctrl-C ends'}"
+    if verb == "view":
+        say_result(text, {"address": address}, json=json)
+    elif json:
+        complain(text)
+    else:
+        say(text)
+
+
+def _say(verb: str, result: Any, *, json: bool, said: bool) -> int:
+    """Say what came of a verb, and give its exit code.
+
+    Args:
+        verb: which.
+        result: with `text()` and `as_dict()`, and perhaps `doubts` and `exit_code`; or the file
+            that was written; or nothing.
+        json: whether to say it as JSON.
+        said: whether its text was said already, piece by piece.
+    """
+    if result is None:
+        return 0
+    if isinstance(result, Path):
+        say_result(str(result), {"written": result}, json=json)
+        return 0
+    if json:
+        document = result.as_dict()
+        # Of one artefact that was inspected, the document is its own.
+        say_result(
+            "", document[0] if verb == "inspect" and len(document) == 1 else document, json=True
+        )
+    elif not said and (text := result.text()):
+        say(text)
+    for doubt in getattr(result, "doubts", ()):
+        complain(doubt)
+    return getattr(result, "exit_code", 0)
+
+
+def list_settings(function: Function, chosen: Mapping[str, Any]) -> int:
+    """Write every setting of a verb with its value and its meaning, group by group."""
+    from clothtrack.files.settings import settings_of
+
+    make = configuration_of(function)
+    assert make is not None
+    names = inspect.signature(make).parameters
+    config = make(**{name: chosen[name] for name in names if chosen.get(name) is not None})
+    for group, members in groupby(settings_of(config), attrgetter("group")):
+        say(f"\n[{group}]" if group else "[top]")
+        for setting in members:
+            say(f"{setting.name}={setting.value}    {setting.meaning}")
+    return 0

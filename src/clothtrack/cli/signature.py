@@ -1,59 +1,181 @@
-"""A verb as the command line sees it: parsed first, run later, with help that says no empty things.
+"""A verb of the command line, made from the signature and the docstring of a function.
 
-Every verb gets --verbose. What tyro would write of a default that is none ("(default: None)") is
-left out, and so is the type None: the sentence about an option says what happens without it.
+Positional arguments without a default are words, the others are options, and so is an output that
+does not come first; their help is the docstring's. What a
+command line cannot give (a recording that was read, an array, a function) is left out: the names of
+such types are not loaded, so that `--help` is instant. Every verb gets --verbose and --json, and
+--show-settings where the function says what its settings change
+(`clothtrack.api.options.configured_by`).
+
+What tyro would write of a default that is none ("(default: None)") is left out, and so is the type
+None: the sentence about an option says what happens without it.
 """
 
 import dataclasses
 import inspect
+import re
 import types
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial, reduce
+from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from tyro.conf import UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
-Verbose = Annotated[bool, arg(name="verbose", help="log what happens, on standard error")]
+OF_THE_TERMINAL: Mapping[str, Any] = {
+    "json": Annotated[bool, arg(name="json", help="write one JSON document to standard output")],
+    "show_settings": Annotated[bool, arg(help="list what --set can change, and do nothing else")],
+    "verbose": Annotated[bool, arg(name="verbose", help="log what happens, on standard error")],
+}
+"""Options of every verb, and of those that have settings."""
+
+SHOW_SETTINGS = "--show-settings"
 
 _METAVARS = {Path: "PATH", int: "INT", float: "FLOAT", str: "TEXT"}
 _NOTHING = (None, "", (), False, True)
 """Defaults that need no word: flags are named after what they change."""
 
 
-def name_of(verb: Callable[..., int]) -> str:
-    """The verb as it is written."""
-    return verb.__name__.replace("_", "-")
+class _Unloaded:
+    """A type that is imported for type checkers alone; a union with it is the rest of the union."""
+
+    def __or__(self, other: Any) -> Any:
+        return other
+
+    __ror__ = __or__
+
+    def __getattr__(self, name: str) -> "_Unloaded":
+        return self
+
+    def __getitem__(self, item: Any) -> "_Unloaded":
+        return self
 
 
-def command(verb: Callable[..., int]) -> Callable[..., Callable[[], int]]:
-    """The verb for tyro: called with its options, it gives what runs it.
+class _Names(dict[str, Any]):
+    """The names of a module, and those that it imports for type checkers alone."""
+
+    def __missing__(self, name: str) -> Any:
+        builtins = __builtins__ if isinstance(__builtins__, dict) else vars(__builtins__)
+        return builtins[name] if name in builtins else _Unloaded()
+
+
+def parameters_of(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    """The arguments of a function that a command line can give, with the types that it gives."""
+    plain = inspect.unwrap(function)
+    names = _Names(plain.__globals__)
+    found = []
+    for one in inspect.signature(plain).parameters.values():
+        if one.kind in (one.VAR_KEYWORD, one.VAR_POSITIONAL):
+            continue
+        annotation = one.annotation
+        if isinstance(annotation, str):
+            # Our own source, as type checkers read it.
+            annotation = eval(annotation, names)
+        given = _given(annotation)
+        if given is None:
+            continue
+        kind = one.KEYWORD_ONLY
+        first = not any(other.kind is not other.KEYWORD_ONLY for other in found)
+        if (
+            one.default is one.empty
+            and one.kind is not one.KEYWORD_ONLY
+            and (first or one.name != "output")
+        ):
+            kind = one.POSITIONAL_OR_KEYWORD
+        found.append(one.replace(annotation=given, kind=kind))
+    return [*found, *_of_the_terminal(function)]
+
+
+def _of_the_terminal(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    names = ["json", "verbose"]
+    if configuration_of(function) is not None:
+        names.insert(0, "show_settings")
+    return [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=OF_THE_TERMINAL[name]
+        )
+        for name in names
+    ]
+
+
+def configuration_of(function: Callable[..., Any]) -> Callable[..., Any] | None:
+    """What makes the configuration that the settings of a function change, if it has some."""
+    return getattr(function, "configuration", None)
+
+
+def _given(annotation: Any) -> Any:
+    """The type that a command line gives for an annotation; None where it can give nothing."""
+    if isinstance(annotation, _Unloaded | str | None):
+        return None
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        inner = _given(arguments[0])
+        return None if inner is None else Annotated[inner, *annotation.__metadata__]
+    if origin in (types.UnionType, Union):
+        given = _any_of([one for one in arguments if _given(one) is not None])
+        return given | None if given is not None and type(None) in arguments else given
+    if origin is _SEQUENCE:
+        return tuple[_given(arguments[0]), ...]
+    return None if origin is _CALLABLE or annotation is type(None) else annotation
+
+
+def _any_of(members: Sequence[Any]) -> Any:
+    """A union of types that can be given; any text is the name of a file where one is wanted."""
+    some = [_given(one) for one in members]
+    wanted = [one for one in some if one is not str or Path not in some]
+    return reduce(or_, wanted) if wanted else None
+
+
+_CALLABLE = get_origin(Callable[[], None])
+_SEQUENCE = get_origin(Sequence[int])
+
+
+def command(
+    function: Callable[..., Any], name: str, *, lenient: bool = False
+) -> Callable[..., Callable[[], dict[str, Any]]]:
+    """A verb for tyro: called with its options, it gives what hands them on.
 
     Options are refused by tyro alone, so that an error inside a verb is never taken for one.
+
+    Args:
+        function: the verb's.
+        name: the verb, as it is written.
+        lenient: nothing is missing, as nothing is done.
     """
-    signature = inspect.signature(verb)
-    options = [_plain(one) for one in signature.parameters.values()]
-    verbose = inspect.Parameter(
-        "verbose", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_hinted(Verbose, False)
-    )
+    parameters = parameters_of(function)
+    if lenient:
+        parameters = [_optional(one) for one in parameters]
+    options = [_plain(one) for one in parameters]
 
-    def parsed(*arguments: Any, verbose: bool, **chosen: Any) -> Callable[[], int]:
-        del verbose  # heard before anything is parsed
-        return partial(verb, *arguments, **chosen)
+    def parsed(*arguments: Any, **chosen: Any) -> Callable[[], dict[str, Any]]:
+        words = [one.name for one in options if one.kind is not one.KEYWORD_ONLY]
+        whole = dict(zip(words, arguments, strict=False)) | chosen
+        return partial(dict, whole)
 
-    parsed.__name__, parsed.__doc__ = verb.__name__, verb.__doc__
-    every = [*options, verbose]
-    parsed.__annotations__ = {one.name: one.annotation for one in every}
-    parsed.__dict__["__signature__"] = signature.replace(parameters=every)
+    parsed.__name__ = name
+    # The lines of an argument are one sentence; the terminal breaks it where it likes.
+    parsed.__doc__ = re.sub(r"\n {8}(?=\S)", " ", inspect.getdoc(inspect.unwrap(function)) or "")
+    parsed.__annotations__ = {one.name: one.annotation for one in options}
+    parsed.__dict__["__signature__"] = inspect.Signature(options)
     # What checks types in tests wraps a function, and tyro would look at the one inside.
     parsed.__dict__.pop("__wrapped__", None)
     return parsed
 
 
-def options_of(verb: Callable[..., int]) -> set[str]:
+def _optional(option: inspect.Parameter) -> inspect.Parameter:
+    """An argument that may be left out."""
+    if option.default is not option.empty:
+        return option
+    if get_origin(option.annotation) is tuple:
+        return option.replace(default=())
+    return option.replace(annotation=option.annotation | None, default=None)
+
+
+def options_of(function: Callable[..., Any]) -> set[str]:
     """The options of a verb as they are written, such as "--output"."""
-    written = {"--help", "-h", "--verbose"}
-    for option in inspect.signature(verb).parameters.values():
+    written = {"--help", "-h"}
+    for option in parameters_of(function):
         if option.kind is not option.KEYWORD_ONLY:
             continue
         if dataclasses.is_dataclass(option.annotation):
@@ -82,8 +204,10 @@ def _plain(option: inspect.Parameter) -> inspect.Parameter:
         fields = dataclasses.fields(option.default)
         same = {one.name: getattr(option.default, one.name) for one in fields}
         return option.replace(annotation=group, default=group(**same))
+    if option.kind is not option.KEYWORD_ONLY:
+        return option.replace(annotation=_word(option))
     if option.default is option.empty:
-        return option.replace(annotation=_listed(option.annotation))
+        return option
     return option.replace(annotation=_hinted(option.annotation, option.default))
 
 
@@ -98,13 +222,13 @@ def _plain_fields(group: Any) -> type:
     return made
 
 
-def _listed(annotation: Any) -> Any:
-    """A list of files, of which tyro thinks that it may be empty; other types stay as they are."""
-    if get_origin(next(iter(get_args(annotation)), None)) is not tuple:
-        return annotation
-    return Annotated[
-        annotation, arg(metavar="PATH...", help_behavior_hint=lambda _: "(at least one)")
-    ]
+def _word(option: inspect.Parameter) -> Any:
+    """The type of a word, called by its name; tyro thinks that a list of them may be empty."""
+    name = option.name.upper().rstrip("_")
+    if get_origin(option.annotation) is not tuple:
+        return Positional[Annotated[option.annotation, arg(metavar=name)]]
+    hint = arg(metavar=f"{name}...", help_behavior_hint=lambda _: "(at least one)")
+    return Positional[Annotated[option.annotation, hint]]
 
 
 def _hinted(annotation: Any, default: Any) -> Any:
@@ -112,8 +236,9 @@ def _hinted(annotation: Any, default: Any) -> Any:
     if not any(default is one or (default == one == ()) for one in _NOTHING):
         return annotation
     metavar = None
-    if get_origin(annotation) in (types.UnionType, Union):
-        some = [one for one in get_args(annotation) if one is not type(None)]
+    inner = get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
+    if get_origin(inner) in (types.UnionType, Union):
+        some = [one for one in get_args(inner) if one is not type(None)]
         metavar = _METAVARS.get(some[0]) if len(some) == 1 else None
         if get_origin(some[0]) is Literal:
             metavar = f"{{{','.join(get_args(some[0]))}}}"

@@ -14,11 +14,12 @@ from contextlib import contextmanager
 from types import FrameType
 
 from clothtrack.cli.progress_line import ProgressLine
-from clothtrack.errors import ClothTrackError, StorageError
+from clothtrack.errors import ClothTrackError, StorageError, WrongUsageError
 
+WRONG_USAGE = 2
 INTERRUPTED = 128 + signal.SIGINT
 TERMINATED = 128 + signal.SIGTERM
-"""The exit codes of a verb that Ctrl-C or SIGTERM has ended, as shells number them."""
+"""The exit codes of wrong usage, and of a verb that Ctrl-C or SIGTERM has ended (see any shell)."""
 
 _SAME_REQUEST_S = 1.0
 
@@ -75,6 +76,9 @@ def exit_code(run: Callable[[], int]) -> int:
 def _exit_code(run: Callable[[], int], terminations: list[float]) -> int:
     try:
         return run()
+    except WrongUsageError as wrong:
+        complain(str(wrong))
+        return WRONG_USAGE
     except ClothTrackError as error:
         # Whoever read a file may have taken any refusal of the system for a damaged file.
         refused = error.__cause__

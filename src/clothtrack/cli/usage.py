@@ -5,17 +5,19 @@ besides (a missing option, a value that is none of the choices) it draws in a bo
 sentence of that is kept.
 """
 
+import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
 from difflib import get_close_matches
 from io import StringIO
 from textwrap import fill, shorten
+from typing import Any
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
-from clothtrack.cli.signature import command, options_of
+from clothtrack.cli.signature import SHOW_SETTINGS, command, options_of, parameters_of
 from clothtrack.errors import WrongUsageError
 
 DESCRIPTION = (
@@ -23,7 +25,7 @@ DESCRIPTION = (
     "--verbose, to log what happens, and --json, to write one JSON document in place of text; "
     "clothtrack --version says what is installed."
 )
-WRONG_USAGE = 2
+Function = Callable[..., Any]
 
 _WIDTH = 100
 
@@ -38,38 +40,51 @@ _HELP_INDENT = 8
 """Spaces that tyro puts before the help of an option, in the list of those that are missing."""
 
 
-def parse(words: Sequence[str], verbs: Mapping[str, Callable[..., int]]) -> Callable[[], int]:
-    """What runs the verb that the words ask for, with its options.
+def parse(
+    words: Sequence[str], verbs: Mapping[str, Callable[[], Function]], gone: Mapping[str, str]
+) -> tuple[Function, dict[str, Any]]:
+    """The function of the verb that the words ask for, and its arguments.
 
     Args:
         words: after `clothtrack`.
-        verbs: functions by the names of their verbs.
+        verbs: what loads the functions, by the names of their verbs.
+        gone: what to type instead of verbs that there were.
 
     Raises:
         WrongUsageError: there is no such verb or option, or one is missing or has another value.
         SystemExit: help was asked for, and written.
     """
-    _refuse_unknown(words, verbs)
+    function = _known(words, verbs, gone)
     drawn = StringIO()
     try:
         with redirect_stderr(drawn):
-            return tyro.cli(
-                command(verbs[words[0]]),
+            found = tyro.cli(
+                command(function, words[0], lenient=SHOW_SETTINGS in words),
                 prog=f"clothtrack {words[0]}",
                 args=words[1:],
                 config=(FlagCreatePairsOff, OmitArgPrefixes),
-            )
+            )()
     except SystemExit as end:
         if not end.code:
             raise
         raise WrongUsageError(_first_sentence(drawn.getvalue(), words[0])) from None
+    for word in parameters_of(function):
+        if (
+            word.default is word.empty
+            and found.get(word.name) == ()
+            and not found.get("show_settings")
+        ):
+            raise WrongUsageError(f"no {word.name} given; name at least one")
+    return function, found
 
 
-def overview(verbs: Mapping[str, Callable[..., int]], groups: Mapping[str, Sequence[str]]) -> str:
+def overview(
+    verbs: Mapping[str, Callable[[], Function]], groups: Mapping[str, Sequence[str]]
+) -> str:
     """Return what `clothtrack --help` shows: every verb in its group, with one sentence.
 
     Args:
-        verbs: functions by the names of their verbs.
+        verbs: what loads the functions, by the names of their verbs.
         groups: names by the title of their group, in order; those that are missing are left out.
     """
     named = {name for names in groups.values() for name in names}
@@ -78,7 +93,7 @@ def overview(verbs: Mapping[str, Callable[..., int]], groups: Mapping[str, Seque
     parts = ["usage: clothtrack VERB ...", fill(DESCRIPTION, _WIDTH)]
     for title, names in whole.items():
         rows = [
-            f"  {name:<{width}}  {_sentence(verbs[name], _WIDTH - width - 4)}"
+            f"  {name:<{width}}  {_sentence(verbs[name](), _WIDTH - width - 4)}"
             for name in names
             if name in verbs
         ]
@@ -88,9 +103,9 @@ def overview(verbs: Mapping[str, Callable[..., int]], groups: Mapping[str, Seque
     return "\n\n".join(parts)
 
 
-def _sentence(verb: Callable[..., int], width: int) -> str:
-    """Return the first line of what a verb's docstring says."""
-    first = (verb.__doc__ or "").strip().split("\n\n")[0]
+def _sentence(function: Function, width: int) -> str:
+    """Return the first line of what a function's docstring says."""
+    first = (inspect.unwrap(function).__doc__ or "").strip().split("\n\n")[0]
     return shorten(" ".join(first.split()), width, placeholder=" ...")
 
 
@@ -100,20 +115,27 @@ def meant(word: str, known: Sequence[str]) -> str:
     return f"; did you mean {close[0]}?" if close else ""
 
 
-def _refuse_unknown(words: Sequence[str], verbs: Mapping[str, Callable[..., int]]) -> None:
+def _known(
+    words: Sequence[str], verbs: Mapping[str, Callable[[], Function]], gone: Mapping[str, str]
+) -> Function:
+    """The function of a verb, whose options are all known."""
     if not words:
         raise WrongUsageError("say what to do: clothtrack VERB; clothtrack --help lists the verbs")
     verb = words[0]
+    if verb in gone:
+        raise WrongUsageError(f"{verb} is no verb any more; did you mean {gone[verb]}?")
     if verb not in verbs:
         kind = "option; options stand behind the verb" if verb.startswith("-") else "verb"
         guess = meant(verb, list(verbs)) or "; clothtrack --help lists the verbs"
         raise WrongUsageError(f"{verb} is no {kind}{guess}")
-    known = options_of(verbs[verb])
+    function = verbs[verb]()
+    known = options_of(function)
     for word in words[1:]:
         option = word.partition("=")[0]
         if option.startswith("--") and option.replace("_", "-") not in known:
             guess = meant(option, sorted(known)) or f"; clothtrack {verb} --help lists them"
             raise WrongUsageError(f"{option} is no option of {verb}{guess}")
+    return function
 
 
 def _first_sentence(drawn: str, verb: str) -> str:

@@ -28,13 +28,19 @@ class Truth:
     frames: Int[np.ndarray, " frames"]
     canonical: Float[np.ndarray, "vertices 3"] | None = None
 
+    def __repr__(self) -> str:
+        """One line, without the positions."""
+        frames, vertices = self.positions.shape[:2]
+        return f"Truth({frames} frames, {vertices} vertices)"
+
     @classmethod
-    def load(cls, path: Path) -> "Truth":
+    def load(cls, path: Path | str) -> "Truth":
         """Read `positions`, `faces`, `frames` and, when there, `canonical` from an NPZ file.
 
         Raises:
             InvalidResultError: naming the file and the array that is missing or misshapen.
         """
+        path = Path(path)
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}

@@ -39,6 +39,10 @@ class ClothMesh:
         """
         _check(self)
 
+    def __repr__(self) -> str:
+        """One line, without the positions."""
+        return f"{type(self).__name__}({self.vertex_count} vertices, {len(self.faces)} faces)"
+
     @property
     def vertex_count(self) -> int:
         """Number of vertices."""

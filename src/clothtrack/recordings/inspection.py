@@ -42,6 +42,11 @@ class Inspection:
         """Whether the recording can be read and tracked."""
         return not self.violations
 
+    @property
+    def ok(self) -> bool:
+        """The same, as of everything that can be inspected."""
+        return self.valid
+
     def text(self) -> str:
         """The inspection for a person, at most some 40 lines."""
         if self.violations:
@@ -64,6 +69,10 @@ class Inspection:
     def as_dict(self) -> dict[str, object]:
         """The inspection for a program: strings, lists and dictionaries, as JSON holds them."""
         return {
+            "path": str(self.folder),
+            "kind": "recording",
+            "ok": self.ok,
+            "problems": grouped(self.violations),
             "folder": str(self.folder),
             "valid": self.valid,
             "facts": dict(self.facts),
@@ -73,8 +82,9 @@ class Inspection:
         }
 
 
-def inspect(folder: Path) -> Inspection:
+def inspect(folder: Path | str) -> Inspection:
     """Look through a recording: every picture is decoded, and its geometry held against them."""
+    folder = Path(folder)
     checked = check_recording(folder, thorough=True)
     recording = checked.recording
     if recording is None:

@@ -63,12 +63,13 @@ def read_header(path: Path) -> PngHeader:
     return parse_header(path, start, end)
 
 
-def read_color(path: Path) -> UInt8[np.ndarray, "height width 3"]:
+def read_color(path: Path | str) -> UInt8[np.ndarray, "height width 3"]:
     """Colour picture, red first.
 
     Raises:
         InvalidRecordingError: the file is missing, damaged or not an 8-bit PNG.
     """
+    path = Path(path)
     header, data = _read_png(path)
     if header.bits > 8:
         raise InvalidRecordingError(
@@ -78,7 +79,7 @@ def read_color(path: Path) -> UInt8[np.ndarray, "height width 3"]:
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
 
 
-def read_depth(path: Path, unit_m: float) -> Float[np.ndarray, "height width"]:
+def read_depth(path: Path | str, unit_m: float) -> Float[np.ndarray, "height width"]:
     """Depth along the optical axis [m], float32; 0 where nothing was measured.
 
     Args:
@@ -88,6 +89,7 @@ def read_depth(path: Path, unit_m: float) -> Float[np.ndarray, "height width"]:
     Raises:
         InvalidRecordingError: the file is missing, damaged or not a 16-bit grey PNG.
     """
+    path = Path(path)
     header, data = _read_png(path)
     if (header.bits, header.color_type) != (16, GREY):
         raise InvalidRecordingError(
@@ -103,6 +105,7 @@ def read_mask(path: Path) -> Bool[np.ndarray, "height width"]:
     Raises:
         InvalidRecordingError: the file is missing, damaged or not a grey PNG of at most 8 bits.
     """
+    path = Path(path)
     header, data = _read_png(path)
     if header.bits > 8 or header.color_type != GREY:
         raise InvalidRecordingError(

@@ -41,13 +41,14 @@ TEMPLATE_FILE = "template.obj"
 CANONICAL_FILE = "template_canonical.csv"
 
 
-def read_recording(folder: Path) -> Recording:
+def read_recording(folder: Path | str) -> Recording:
     """Read the recording in a folder; pictures stay on disk.
 
     Raises:
         InvalidRecordingError: with the first violation and how many there are
             (`clothtrack.recordings.inspection.inspect` gives all).
     """
+    folder = Path(folder)
     checked = check_recording(folder)
     if checked.recording is None:
         first, *more = checked.violations
@@ -101,7 +102,7 @@ class RecordingWriter:
 
     def __init__(
         self,
-        folder: Path,
+        folder: Path | str,
         cameras: Sequence[Camera],
         depth_units_m: Mapping[str, float],
         *,

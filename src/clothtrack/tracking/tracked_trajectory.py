@@ -168,13 +168,22 @@ class TrackedTrajectory:
         with atomic_folder(Path(path), replace=True) as temporary:
             _write(zarr.open_group(temporary, mode="w"), self)
 
+    def __repr__(self) -> str:
+        """One line, without the positions."""
+        frames, vertices = self.positions.shape[:2]
+        return (
+            f"{type(self).__name__}({self.name!r}, {frames} frames, {vertices} vertices, "
+            f"{len(self.actions)} actions)"
+        )
+
     @classmethod
-    def load(cls, path: Path) -> "TrackedTrajectory":
+    def load(cls, path: Path | str) -> "TrackedTrajectory":
         """Read a group that `save` has written.
 
         Raises:
             InvalidResultError: when it is missing, unfinished, damaged, or from another version.
         """
+        path = Path(path)
         if not (path / "zarr.json").is_file():
             raise InvalidResultError(
                 f"{path} is not a tracked trajectory (no zarr.json); "

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
-
-from tyro.conf import arg
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,6 @@ class ImportOptions:
             default.
         cloth: what is filmed.
         cloth_color: its colour's name, to tell it from the rest.
-        camera_name: the camera's name in the recording.
         workers: threads; as many as processors, at most four, by default.
     """
 
@@ -53,9 +50,6 @@ class ImportOptions:
     gripper_topic: str | None = None
     gripper_closed_below: float | None = None
     actions: tuple[str, ...] = ()
-    cloth: Annotated[Literal["towel", "tshirt", "trousers", "other"], arg(aliases=["--kind"])] = (
-        "other"
-    )
+    cloth: Literal["towel", "tshirt", "trousers", "other"] = "other"
     cloth_color: str | None = None
-    camera_name: str = "camera"
     workers: int | None = None

@@ -35,6 +35,10 @@ from clothtrack_capture.importing.source import Content, Source, Streams
 _MOST_WORKERS = 4
 
 
+CAMERA = "camera"
+"""What the camera is called in the recording."""
+
+
 def open_source(path: Path, options: ImportOptions) -> Source:
     """The source that a file or folder is.
 
@@ -107,7 +111,7 @@ def import_recording(
             posed=known,
         )  # fmt: skip
         registration = Registration(streams.calibration)
-        camera = _camera(source, registration, options.camera_name, pose)
+        camera = _camera(source, registration, CAMERA, pose)
         cloth = ClothDescription(kind=options.cloth, color=options.cloth_color)
         with RecordingWriter(
             folder,

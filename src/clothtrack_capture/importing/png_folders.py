@@ -115,9 +115,7 @@ class FolderSource:
         color_files = _pictures(self._path, _COLOR_FOLDERS)
         fps = options.fps or self._fps()
         if fps is None:
-            raise InvalidRecordingError(
-                f"{self._path}: nothing says when the pictures were taken; give --fps"
-            )
+            raise InvalidRecordingError(f"{self._path}: {self._missing(options)}")
         # The same name is the same moment; a picture that is missing leaves its moment empty.
         stems = sorted({file.stem for file in (*depth_files, *(color_files or ()))}, key=_natural)
         times = {stem: round(1e9 * number / fps) for number, stem in enumerate(stems)}
@@ -148,17 +146,31 @@ class FolderSource:
             if unit is None:
                 unit, origin = scale_m, f"depth_scale in {_BOP}"
         else:
-            raise InvalidRecordingError(
-                f"{self._path}: no intrinsics (looked for {', '.join((*_INTRINSICS, _BOP))}); give "
-                "--intrinsics FILE"
-            )
+            raise InvalidRecordingError(f"{self._path}: {self._missing(options)}")
         if unit is None:
-            raise InvalidRecordingError(
-                f"{self._path}: nothing says how long a unit of depth is; give --depth-unit-m "
-                "(0.001 for millimetres, 0.0002 for the data sets of TUM)"
-            )
+            raise InvalidRecordingError(f"{self._path}: {self._missing(options)}")
         color = given.color if with_color else None
         return StereoCalibration(given.depth, color, given.color_from_depth, unit, origin)
+
+    def _missing(self, options: ImportOptions) -> str:
+        """What a folder does not say, all of it, and how to say it."""
+        file = options.intrinsics or self._intrinsics_file()
+        given = None if file is None else read_intrinsics(file)
+        is_bop = given is None and (self._path / _BOP).is_file()
+        wanted = []
+        if not (self._path / "depth.txt").is_file() and not (
+            options.fps or (given is not None and given.fps)
+        ):
+            wanted.append(("when the pictures were taken", "--fps"))
+        if given is None and not is_bop:
+            looked_for = ", ".join((*_INTRINSICS, _BOP))
+            wanted.append((f"the intrinsics (looked for {looked_for})", "--intrinsics FILE"))
+        known = is_bop or (given is not None and given.depth_unit_m is not None)
+        if options.depth_unit_m is None and not known:
+            unit = "--depth-unit-m (0.001 for millimetres, 0.0002 for the data sets of TUM)"
+            wanted.append(("how long a unit of depth is", unit))
+        what, options_ = zip(*wanted, strict=True)
+        return f"nothing says {' or '.join(what)}; give {' and '.join(options_)}"
 
     def _bop(self) -> tuple[IntrinsicsFile, float]:
         """Intrinsics and unit [m] of `scene_camera.json`, the same for every picture."""

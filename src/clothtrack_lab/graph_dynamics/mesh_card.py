@@ -71,7 +71,7 @@ def dynamics_card(
         f"{count / 1e3:.0f} thousand numbers, {len(content) / 1e6:.1f} MB.",
         f"`{weights.path.name}`, SHA-256 `{hashlib.sha256(content).hexdigest()}`",
         "## Data\n\n"
-        f"{data['roll_outs']} roll-outs of the simulator (`clothtrack train-dynamics`) in "
+        f"{data['roll_outs']} roll-outs of the simulator (`clothtrack_lab.train_dynamics`) in "
         f"{data['shards']} shards of one garment each: {weights.kind}.",
         "## Held-out measures\n\n"
         "One shard in ten, which training never saw and by which the weights were selected.\n\n"

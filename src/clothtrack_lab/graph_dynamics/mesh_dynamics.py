@@ -152,7 +152,7 @@ def load_mesh_dynamics(
     known = {one.name for one in fields(MeshNetworkConfig)}
     if set(weights.network) != known:
         raise InvalidResultError(
-            f"{path}: not weights of mesh dynamics; train some with clothtrack train-dynamics"
+            f"{path}: not weights of mesh dynamics; train some with clothtrack_lab.train_dynamics"
         )
     try:
         network = MeshNetwork(MeshNetworkConfig(**weights.network))

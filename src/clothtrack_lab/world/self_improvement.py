@@ -113,8 +113,8 @@ class ImprovementConfig(Checked):
 
 
 def improve_rounds(
-    weights: Path,
-    out: Path,
+    weights: Path | str,
+    out: Path | str,
     kind: GarmentKind,
     config: ImprovementConfig,
     *,
@@ -152,6 +152,7 @@ def improve_rounds(
             it, or both a template and a garment seed are given; nothing is written.
         ClothTrackError: a stage fails.
     """
+    weights, out = Path(weights), Path(out)
     garment = None if garment_seed is None else OneGarment(kind, garment_seed)
     require_one_garment(config.flatten, garment)
     _require_inputs(weights, kind, config, old=old, device=device)

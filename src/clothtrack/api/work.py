@@ -1,128 +1,35 @@
-"""Label and evaluate many tracked trajectories, in several processes or by Ray."""
+"""What is done with one of many tracked trajectories: label it, measure it."""
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import closing, nullcontext, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.api.learning import label
+from clothtrack.api.run import Run, evaluate, load, recording_of
+from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_review import review_path
 from clothtrack.evaluation.results import Evaluation, as_plain, from_plain
 from clothtrack.files.atomic_write import content_hash, write_file
-from clothtrack.files.many_items import attempts, results_of
-from clothtrack.files.output_lock import locked_output
-from clothtrack.files.progress import Progress
-from clothtrack.front.learning import label
-from clothtrack.front.run import Run, evaluate, recording_of
 from clothtrack.recordings.identity import recording_digest
+from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder, warn_of_age
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.version import __version__
 
 MADE_FROM = "made_from_sha256"
 """Field of the labels' provenance: digest of all that they depend on."""
 
 
-def label_many(
-    tracked: Sequence[Path],
-    recordings: Path,
-    output: Path,
-    options: Mapping[str, Any],
-    *,
-    workers: int = 1,
-    ray: str = "",
-    progress: Progress | None = None,
-) -> list[Path]:
-    """Write the pseudo-labels of many runs; those that are there from the same input are kept.
-
-    Args:
-        tracked: NAME.zarr folders.
-        recordings: the recording, or the folder in which recordings lie by name.
-        output: folder for NAME.labels.npz.
-        options: of `label`.
-        workers: processes.
-        ray: address of Ray, which is to do it; worker processes by default.
-        progress: called first, and after each run.
-
-    Returns:
-        The files, in the order of the runs.
-
-    Raises:
-        InvalidConfigError: two runs have one name, or another run writes to `output`.
-        ClothTrackError: a run cannot be labelled, after all others; or a worker died.
-    """
-    work = _Labelling(_Source(recordings, _without_twins(tracked), dict(options)), output)
-    labelled = attempts(
-        work, tracked, kind="trajectories", workers=workers, ray=ray, device=options["device"],
-        progress=progress,
-    )  # fmt: skip
-    with locked_output(output), closing(labelled) as tries:
-        files = dict(results_of(tries))
-    return [files[path] for path in tracked]
-
-
-def evaluate_many(
-    tracked: Sequence[Path],
-    recordings: Path,
-    output: Path | None,
-    options: Mapping[str, Any],
-    *,
-    workers: int = 1,
-    ray: str = "",
-    progress: Progress | None = None,
-) -> list[Evaluation]:
-    """Measure many runs; with an output, what was measured for it before is kept.
-
-    Args:
-        tracked: NAME.zarr folders.
-        recordings: the recording, or the folder in which recordings lie by name.
-        output: JSON file for all measures. Beside it, a hidden folder keeps those of each run.
-        options: of `evaluate`.
-        workers: processes.
-        ray: address of Ray, which is to do it; worker processes by default.
-        progress: called first, and after each run.
-
-    Returns:
-        The measures, in the order of the runs.
-
-    Raises:
-        InvalidConfigError: another run writes to `output`.
-        ClothTrackError: a run cannot be measured, after all others; or a worker died.
-    """
-    source = _Source(recordings, tuple(tracked), dict(options))
-    folder = None if output is None else output.with_name(f".{output.name}.measured")
-    measuring = attempts(
-        _Measuring(source, folder), tracked, kind="trajectories", workers=workers, ray=ray,
-        device=options["device"], progress=progress,
-    )  # fmt: skip
-    with nullcontext() if folder is None else locked_output(folder), closing(measuring) as tries:
-        measured = dict(results_of(tries))
-        found = [measured[path] for path in tracked]
-        if output is not None:
-            rows = [as_plain(one) for one in found]
-            write_file(output, (json.dumps(rows, indent=2, allow_nan=False) + "\n").encode())
-    return found
-
-
-def _without_twins(tracked: Sequence[Path]) -> tuple[Path, ...]:
-    names = [path.stem for path in tracked]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise InvalidConfigError(
-            f"two trajectories are called {min(twice)!r}, their labels would overwrite each "
-            "other; give each a folder of its own with --output"
-        )
-    return tuple(tracked)
-
-
 @dataclass(frozen=True)
-class _Source:
+class Source:
     """Runs with their recordings, and what is asked of them."""
 
-    recordings: Path
+    recordings: Path | None
     tracked: tuple[Path, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
 
@@ -134,7 +41,7 @@ class _Source:
     def digest(self, path: Path) -> str:
         """SHA-256 over all that the result of a run depends on."""
         tracked = load_tracked(path)
-        recording = read_recording(recording_folder(tracked, self.recordings))
+        recording = self._recording(tracked, path)
         files = [path / "zarr.json", review_path(path)]
         if truth := self.options.get("truth"):
             files.append(inside(Path(truth), f"{tracked.name}.npz"))
@@ -145,19 +52,25 @@ class _Source:
     def run(self, path: Path) -> Run:
         """A run with its recording, whether or not that has changed since."""
         tracked = load_tracked(path)
-        return Run.of(tracked, read_recording(recording_folder(tracked, self.recordings)), path)
+        return Run.of(tracked, self._recording(tracked, path), path)
+
+    def _recording(self, tracked: TrackedTrajectory, path: Path) -> Recording:
+        """The recording where it is named; otherwise where `load` finds it."""
+        if self.recordings is not None:
+            return read_recording(recording_folder(tracked, self.recordings))
+        return recording_of(load(path))
 
     def tell(self, path: Path, run: Run) -> None:
         """Warn when the recording has changed since; afterwards, as a refusal is one line."""
-        folder = recording_folder(run, self.recordings)
-        warn_of_age(run, recording_of(run), artefact=path, folder=folder)
+        source = recording_of(run)
+        warn_of_age(run, source, artefact=path, folder=source.folder)
 
 
 @dataclass(frozen=True)
-class _Labelling:
+class Labelling:
     """Label a run, as `clothtrack.files.many_items.Work`."""
 
-    source: _Source
+    source: Source
     output: Path
 
     def name(self, path: Path) -> str:
@@ -194,10 +107,10 @@ class _Labelling:
 
 
 @dataclass(frozen=True)
-class _Measuring:
+class Measuring:
     """Measure a run, as `clothtrack.files.many_items.Work`."""
 
-    source: _Source
+    source: Source
     folder: Path | None
 
     def name(self, path: Path) -> str:

@@ -162,11 +162,11 @@ def test_decisions_that_are_made_in_a_view_are_kept_beside_the_run(
 
 def test_the_page_of_a_view_can_be_a_file(run, world, tmp_path):
     run.save(tmp_path / "napkin.zarr")
-    page = ct.view(
+    shown = ct.view(
         tmp_path / "napkin.zarr", world / "recordings", truth=world / "truth",
         html=tmp_path / "napkin.html",
     )  # fmt: skip
-    assert "Error against the truth" in page.read_text("utf-8")
+    assert "Error against the truth" in shown.page.read_text("utf-8")
     with pytest.raises(ct.InvalidConfigError, match="is not tracked"):
         ct.view(world / "recordings" / "towel_0003", truth=world / "truth")
     with pytest.raises(ct.InvalidConfigError, match="there is no such file"):
@@ -190,3 +190,28 @@ def test_labels_that_were_rejected_are_not_learned_from(run, recording, tmp_path
 def test_a_mode_is_no_setting(recording):
     with pytest.raises(ct.InvalidConfigError, match="give --mode paper"):
         ct.track(recording, settings=["mode=paper"])
+
+
+def test_what_is_printed_is_one_short_line(run):
+    for thing in (run, run.mesh, run.labels[0]):
+        assert len(repr(thing)) < 120
+        assert "\n" not in repr(thing)
+    assert repr(run).startswith("Run('towel_0003', ")
+
+
+def test_places_may_be_texts(world):
+    folder = world / "recordings" / "towel_0003"
+    recording = ct.read_recording(str(folder))
+    assert ct.inspect_recording(str(folder)).valid
+    (depth,) = recording.frames[0].depth.values()
+    assert ct.read_depth(str(depth), 0.001).any()
+    truth = ct.Truth.load(str(world / "truth" / "towel_0003.npz"))
+    assert len(repr(truth)) < 120
+
+
+def test_many_runs_find_their_recordings_beside_them(run, world):
+    run.save(world / "tracked" / "towel_0003.zarr")
+    evaluations = ct.evaluate_many([str(world / "tracked" / "towel_0003.zarr")])
+    (found,) = evaluations.each
+    assert found.name == "towel_0003"
+    assert evaluations.text().startswith("recording ")

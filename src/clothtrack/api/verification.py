@@ -4,17 +4,17 @@ import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from clothtrack.api.learning_extra import require_learning
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.files.array_digest import DIGEST
 from clothtrack.files.atomic_write import content_hash
 from clothtrack.files.progress import Progress
-from clothtrack.front.learning_extra import require_learning
 from clothtrack.geometry.devices import quiet_warp
 from clothtrack.recordings.store import read_recording
 from clothtrack.recordings.validation import check_recording
@@ -24,7 +24,7 @@ from clothtrack.tracking.replay import replay
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 VERIFIED = (
-    "verify takes a recording, NAME.zarr that `track` wrote, labels or truth (.npz), weights "
+    "inspect takes a recording, NAME.zarr that `track` wrote, labels or truth (.npz), weights "
     "(.safetensors), or a folder of states or of the benchmark"
 )
 _LISTED = 3
@@ -51,6 +51,14 @@ class Verification:
     def ok(self) -> bool:
         """Whether nothing is wrong."""
         return not self.problems
+
+    def text(self) -> str:
+        """The same as `str`."""
+        return str(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same as JSON holds it."""
+        return {**asdict(self), "path": str(self.path), "ok": self.ok}
 
     def __str__(self) -> str:
         """One line: the path; ok, damaged or not known; and what was found."""

@@ -47,6 +47,13 @@ class Label:
         vertex_errors_m: the error to expect of each vertex [m]; their mean is the same error.
     """
 
+    def __repr__(self) -> str:
+        """One line, without the positions."""
+        return (
+            f"Label(action={self.action}, frame={self.frame}, quality={self.quality:.2f}, "
+            f"expected_error_mm={self.expected_error_mm:.1f}, {len(self.positions)} vertices)"
+        )
+
     action: int
     frame: int
     positions: Float[np.ndarray, "vertices 3"]
@@ -75,6 +82,8 @@ class Run(TrackedTrajectory):
 
     recording: Recording | None = None
     path: Path | None = field(default=None, init=False)
+
+    __repr__ = TrackedTrajectory.__repr__
 
     @classmethod
     def of(

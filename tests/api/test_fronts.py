@@ -12,7 +12,7 @@ import clothtrack
 
 PACKAGE = Path(clothtrack.__file__).parent
 ROOMS = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
-FRONTS = ["clothtrack", *(f"clothtrack.{name}" for name in ROOMS if name not in ("cli", "front"))]
+FRONTS = ["clothtrack", *(f"clothtrack.{name}" for name in ROOMS if name not in ("cli", "api"))]
 HEAVY = ("cv2", "jaxtyping", "mujoco", "numpy", "scipy", "torch", "warp", "zarr")
 
 

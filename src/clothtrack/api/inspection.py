@@ -1,0 +1,57 @@
+"""Look through artefacts: is it readable, is it still what was written, what is wrong with it?"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clothtrack.api.results import Many
+
+if TYPE_CHECKING:
+    from clothtrack.api.verification import Verification
+    from clothtrack.files.progress import Progress
+    from clothtrack.recordings.inspection import Inspection
+
+
+def inspect_many(
+    artefacts: Sequence[Path | str],
+    *,
+    recordings: Path | str | None = None,
+    progress: "Progress | None" = None,
+) -> "Many[Inspection | Verification]":
+    """Is it readable, and still what was written? What is in it, what is wrong with it?
+
+    Of a recording: what it holds, what is wrong with it, and which of its geometry its own pictures
+    contradict. Of everything else one line: ok, or what is damaged. Checksums are compared where
+    there are some, and everything is read. With --recordings the first action of a tracked
+    trajectory is tracked again and compared to the bit; a line says so where that cannot be done,
+    as with another version or on another machine. Exit code 1: something is wrong.
+
+    Args:
+        artefacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights
+            (.safetensors), folders of states or of the benchmark.
+        recordings: the recording, or the folder in which recordings lie by name.
+        progress: called with how much is done.
+    """
+    from clothtrack.api.verification import verify
+    from clothtrack.files.progress import one_of
+    from clothtrack.recordings.inspection import inspect
+
+    found = []
+    for done, artefact in enumerate(map(Path, artefacts)):
+        if _is_recording(artefact):
+            found.append(inspect(artefact))
+        else:
+            of_all = one_of(progress, done, len(artefacts))
+            found.append(verify(artefact, recordings, progress=of_all))
+    return Many(tuple(found))
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether it is a recording; a folder without any sign is taken for one."""
+    if path.suffix in (".zarr", ".npz", ".safetensors"):
+        return False
+    try:
+        return not any(one.is_file() for one in (path, path / "bench.json", path / "states.json"))
+    except OSError:
+        # Whoever reads it says that it may not be read.
+        return True

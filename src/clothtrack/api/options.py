@@ -1,0 +1,48 @@
+"""Types of arguments that several verbs share, with what the command line calls them."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from tyro.conf import UseAppendAction, arg
+
+from clothtrack.errors import InvalidConfigError
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+Garment = Literal["towel", "tshirt", "trousers"]
+Mode = Literal["default", "paper", "open_loop"]
+DepthUnit = Annotated[float | None, arg(name="depth-unit")]
+TableDistance = Annotated[float | None, arg(name="table-distance")]
+Ray = Annotated[str, arg(metavar="ADDRESS")]
+Settings = Annotated[Sequence[str], arg(name="set", metavar="NAME=VALUE"), UseAppendAction]
+
+
+def configured_by(make: Callable[..., Any]) -> Callable[[Function], Function]:
+    """Say which function makes the configuration that the `settings` of another one change.
+
+    The command line lists that configuration with --show-settings.
+
+    Args:
+        make: takes some of the arguments of the function, under the same names.
+    """
+
+    def note(function: Function) -> Function:
+        function.__dict__["configuration"] = make
+        return function
+
+    return note
+
+
+def require_file(path: Path | str | None, kind: str) -> None:
+    """Refuse a file that is not there.
+
+    Args:
+        path: its name, if one was given.
+        kind: what it is, such as "weights".
+
+    Raises:
+        InvalidConfigError: naming the file.
+    """
+    if path is not None and not Path(path).is_file():
+        raise InvalidConfigError(f"{path}: there is no such {kind} file; check the name")

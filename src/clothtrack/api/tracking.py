@@ -1,0 +1,229 @@
+"""Track many recordings, or the one that comes with clothtrack."""
+
+import json
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clothtrack.api.options import Mode, Ray, Settings, configured_by, require_file
+from clothtrack.api.results import Many
+
+if TYPE_CHECKING:
+    from clothtrack.evaluation.results import Evaluation
+    from clothtrack.evaluation.verdict import Verdict
+    from clothtrack.files.progress import Progress
+    from clothtrack.tracking.configuration import RunConfig
+    from clothtrack.tracking.pipeline import Outcome
+
+
+@dataclass(frozen=True)
+class TrackedRecording:
+    """What became of one recording.
+
+    Attributes:
+        outcome: where the result lies, or why there is none.
+        verdict: what the result deserves; None where there is none.
+    """
+
+    outcome: "Outcome"
+    verdict: "Verdict | None"
+
+    @property
+    def ok(self) -> bool:
+        """Whether it was tracked."""
+        return self.outcome.result is not None
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why it was not tracked."""
+        return () if self.ok else (self.outcome.error,)
+
+    def text(self) -> str:
+        """Return where the result lies and what it deserves; nothing where there is none."""
+        return f"{_line(self.outcome)}\n  {self.verdict}" if self.ok else ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the outcome with its verdict as JSON holds them."""
+        return {**asdict(self.outcome), "verdict": _fields(self.verdict)}
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """What came of the demo.
+
+    Attributes:
+        outcome: where the result lies.
+        verdict: what it deserves.
+        evaluation: its measures.
+        report: the page.
+    """
+
+    outcome: "Outcome"
+    verdict: "Verdict"
+    evaluation: "Evaluation"
+    report: Path
+
+    def text(self) -> str:
+        """Return the table of measures, and where everything lies."""
+        return (
+            f"{self.evaluation}\ntracked  {_line(self.outcome)}\nverdict  {self.verdict}\n"
+            f"report   {self.report}   (open it in a browser; it needs no network)"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the same as JSON holds it."""
+        from clothtrack.evaluation.results import as_plain
+
+        evaluation = as_plain(self.evaluation)
+        return {**asdict(self.outcome), "report": self.report, "evaluation": evaluation}
+
+
+def tracking_config(
+    mode: str = "default",
+    template: Path | str | None = None,
+    weights: Path | str | None = None,
+    settings: Sequence[str] = (),
+    seed: int = 0,
+) -> "RunConfig":
+    """Return the configuration that `track_many` uses; the arguments are the same.
+
+    Raises:
+        InvalidConfigError: unknown mode or setting, or a file that is missing.
+    """
+    from clothtrack.api.run import run_config
+
+    files = {"template": template, "weights": weights}
+    for name, path in files.items():
+        require_file(path, name)
+    named = [
+        f"initial_state.{name}={json.dumps(str(path))}" for name, path in files.items() if path
+    ]
+    return run_config(mode, [*named, *settings], seed=seed)
+
+
+@configured_by(tracking_config)
+def track_many(
+    recordings: Sequence[Path | str],
+    *,
+    output: Path | str,
+    mode: Mode = "default",
+    template: Path | str | None = None,
+    weights: Path | str | None = None,
+    settings: Settings = (),
+    workers: int = 1,
+    ray: Ray = "",
+    device: str = "cpu",
+    seed: int = 0,
+    force: bool = False,
+    live: bool = False,
+    progress: "Progress | None" = None,
+    opened: "Callable[[str], None] | None" = None,
+) -> Many[TrackedRecording]:
+    """Track recordings: the full mesh at every observation (Algorithm 1).
+
+    A trajectory ends with a word: trust, look (at it first), or reject; and the expected error.
+
+    Args:
+        recordings: recording folders.
+        output: folder that gets one NAME.zarr per recording; those that are there are skipped,
+            so that an interrupted run goes on when it is started again. One whose recording has
+            changed since is tracked again.
+        mode: our default, the paper's method, or its dynamics alone.
+        template: the garment's own mesh (`clothtrack garment`), laid on the flat cloth of the first
+            frame; the recording's, or a fit, by default.
+        weights: of the network that makes the first mesh of a recording without a template; the
+            ones that come with clothtrack by default, and without any a flat garment is fitted.
+        settings: changes to the mode, such as search.method=none, or
+            initial_state.source=template (network, flat).
+        workers: processes; each tracks one recording at a time.
+        ray: let Ray do it: 'local' with WORKERS processes here, or the address of a cluster, such
+            as auto or ray://HOST:10001; docs/many_machines.md.
+        device: where to compute: cpu, or cuda:0.
+        seed: stored with the result.
+        force: go on although the first mesh lies more than 2 cm (rms) from its cloud.
+        live: show the mesh as it grows, on a page for this machine only; ends with the tracking.
+        progress: called after every frame with its place in the work, and how much of the work is
+            done and in all.
+        opened: called with the address of that page.
+
+    Raises:
+        InvalidConfigError: an argument is wrong, or another run writes to `output`.
+    """
+    from clothtrack.api.run import load
+    from clothtrack.geometry.devices import quiet_warp, require_device
+    from clothtrack.report.live_tracking import live_tracking
+    from clothtrack.tracking.pipeline import track_recordings
+
+    quiet_warp()
+    if not ray:
+        require_device(device)
+    config = tracking_config(mode, template, weights, settings, seed)
+    words = [""]
+
+    def told(place: str, done: int, total: int) -> None:
+        words[0] = f"{100 * done // total} %   {place}" if total else place
+        if progress is not None:
+            progress(place, done, total)
+
+    page = live_tracking(lambda: words[0], None, opened=opened) if live else nullcontext()
+    with page as shown:
+        outcomes = track_recordings(
+            [Path(one) for one in recordings], Path(output), config, workers=workers,
+            device=device, progress=told, force=force, watch=shown and shown.watch, ray=ray,
+        )  # fmt: skip
+        tracked = Many(
+            tuple(
+                TrackedRecording(one, one.result and load(one.result, one.recording).verdict)
+                for one in outcomes
+            )
+        )
+        if shown:
+            shown.end("\n".join(filter(None, [tracked.text(), *tracked.doubts])))
+    return tracked
+
+
+def demo(
+    *,
+    output: Path | str = Path("out/demo"),
+    device: str = "cpu",
+    progress: "Progress | None" = None,
+) -> Demonstration:
+    """Track a recording that comes with clothtrack, and write its report.
+
+    Args:
+        output: folder for the tracked trajectory and the report.
+        device: where to compute: cpu, or cuda:0.
+        progress: as for `track`.
+
+    Raises:
+        InvalidRecordingError: it cannot be tracked.
+    """
+    from clothtrack.api.look import write_report
+    from clothtrack.api.run import evaluate, load
+    from clothtrack.errors import InvalidRecordingError
+    from clothtrack.recordings.shipped import shipped_recording
+
+    folder = shipped_recording("")
+    tracked = track_many([folder], output=output, device=device, progress=progress)
+    (outcome,) = (one.outcome for one in tracked)
+    if outcome.result is None:
+        raise InvalidRecordingError(outcome.error)
+    run = load(outcome.result, folder)
+    page = write_report(run, Path(output) / f"{run.name}.html")
+    return Demonstration(outcome, run.verdict, evaluate(run, device=device), page)
+
+
+def _line(outcome: "Outcome") -> str:
+    """Where a result lies, and why it was tracked again or was not."""
+    again = "   (recording changed, tracked again)" if outcome.tracked_again else ""
+    return f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)
+
+
+def _fields(verdict: "Verdict | None") -> dict[str, Any] | None:
+    if verdict is None:
+        return None
+    expected = verdict.expected_error_m
+    return {**asdict(verdict), "expected_error_m": expected if isfinite(expected) else None}

@@ -1,0 +1,144 @@
+"""Find where the camera of a recording is: from the table, from a board, or from a robot."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import arg
+
+from clothtrack.api.results import Result
+from clothtrack.errors import WrongUsageError
+
+if TYPE_CHECKING:
+    from clothtrack.geometry.camera import Camera
+    from clothtrack.recordings.recording import Recording
+    from clothtrack_capture.board import Board
+    from clothtrack_capture.camera_pose import CameraPlacement
+
+Charuco = Annotated[
+    tuple[int, int, float, float] | None, arg(metavar="SQUARES_X SQUARES_Y SQUARE_M MARKER_M")
+]
+
+
+def calibrate_camera(
+    recording: Path | str,
+    *,
+    charuco: Charuco = None,
+    robot_poses: Path | str | None = None,
+    camera_on_hand: bool = False,
+    keep_world: bool = False,
+    camera: str = "",
+    dictionary: str = "4X4_50",
+    output: Path | str | None = None,
+    force: bool = False,
+) -> Result:
+    """Find the table and put the world on it: z up, the table at z = 0; written to the recording.
+
+    With --robot-poses the world is the robot's base, and its gripper holds the board.
+
+    Args:
+        recording: folder with a recording.json.
+        charuco: the printed board gives the world, instead of the table's depth: squares along both
+            sides, side of a square and of a marker [m].
+        robot_poses: CSV file with picture,x_m,y_m,z_m,qx,qy,qz,qw: pictures of the board that a
+            robot holds, and the gripper in the robot's base; needs --charuco.
+        camera_on_hand: the camera is on the gripper and the board lies still; needs --output.
+        keep_world: the camera's pose is known, from a robot or TF: find the table alone, in the
+            world that camera and picker path stand in.
+        camera: which one, when there are several; the others keep their place beside it.
+        dictionary: of the board's markers.
+        output: write the result to this JSON file, and leave the recording as it is.
+        force: although a picker path, template or clouds stand in the present world already, or
+            the depth lies more than 10 mm (rms) from the plane found.
+
+    Raises:
+        InvalidConfigError: what is asked for excludes itself, or there is no such camera.
+        InvalidRecordingError: no table or board is found.
+    """
+    from clothtrack.recordings.store import read_recording
+    from clothtrack_capture.board import Board
+    from clothtrack_capture.camera_pose import camera_named
+
+    _refuse_contradictions(
+        robot_poses=robot_poses, charuco=charuco, camera_on_hand=camera_on_hand,
+        keep_world=keep_world, output=output,
+    )  # fmt: skip
+    folder = Path(recording)
+    source = read_recording(folder)
+    board = None if charuco is None else Board(*charuco, dictionary=dictionary)
+    placement = _placement(
+        source, camera_named(source, camera), board, robot_poses,
+        camera_on_hand=camera_on_hand, keep_world=keep_world, force=force,
+    )  # fmt: skip
+    return _placed(folder, placement, output and Path(output), force=force)
+
+
+def _refuse_contradictions(
+    *, robot_poses: object, charuco: object, camera_on_hand: bool, keep_world: bool, output: object
+) -> None:
+    if keep_world and charuco is not None:
+        raise WrongUsageError(
+            "give --keep-world or --charuco, not both: the board makes a world of its own"
+        )
+    if (robot_poses is not None and charuco is None) or (camera_on_hand and output is None):
+        raise WrongUsageError(
+            "give --charuco with --robot-poses, and --output with --camera-on-hand: a recording's "
+            "camera rests"
+        )
+    if camera_on_hand and robot_poses is None:
+        raise WrongUsageError("--camera-on-hand says how --robot-poses are meant; give both")
+
+
+def _placement(
+    source: "Recording",
+    camera: "Camera",
+    board: "Board | None",
+    robot_poses: Path | str | None,
+    *,
+    camera_on_hand: bool,
+    keep_world: bool,
+    force: bool,
+) -> "CameraPlacement":
+    """Where the camera is, by what was asked for."""
+    from clothtrack_capture.camera_pose import (
+        place_by_board,
+        place_by_robot,
+        place_by_table,
+        table_in_world,
+    )
+    from clothtrack_capture.hand_eye import read_robot_poses
+
+    if keep_world:
+        return table_in_world(source, camera, force=force)
+    if board is None:
+        return place_by_table(source, camera, force=force)
+    if robot_poses is None:
+        return place_by_board(source, camera, board)
+    poses = read_robot_poses(Path(robot_poses))
+    return place_by_robot(source, camera, board, poses, camera_on_hand=camera_on_hand)[0]
+
+
+def _placed(
+    folder: Path, placement: "CameraPlacement", output: Path | None, *, force: bool
+) -> Result:
+    """Save a placement where it was wanted, and say what it is."""
+    from clothtrack.recordings.store import read_recording
+    from clothtrack_capture.camera_pose import place_camera, placement_doubt, save_placement
+
+    if output is not None:
+        save_placement(output, placement)
+    else:
+        place_camera(read_recording(folder), placement, force=force)
+    lines = [line for name, value in placement.fit.items() for line in _lines(name, value)]
+    lines.append(f"written to             {output or folder / 'recording.json'}")
+    doubt = placement_doubt(placement)
+    doubts = (
+        f"{folder}: {doubt}: is the plane found the table? Let a bare table fill the picture, "
+        "or give a board with --charuco",
+    )
+    return Result("\n".join(lines), placement.as_dict(), doubts if doubt else ())
+
+
+def _lines(name: str, value: Any) -> list[str]:
+    if name != "per_picture":
+        return [f"{name:<22} {value}"]
+    return [f"  {row['mm']:7.2f} mm {row['deg']:7.3f} deg  {row['picture']}" for row in value]

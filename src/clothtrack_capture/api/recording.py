@@ -1,0 +1,66 @@
+"""Record from a camera that is connected to this machine."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clothtrack.api.results import Result
+
+if TYPE_CHECKING:
+    from clothtrack_capture.live_capture import DepthCamera
+
+
+def record(
+    output: Path | str,
+    *,
+    seconds: float | None = None,
+    replay: Path | str | None = None,
+    serial: str = "",
+    salvage: bool = False,
+    source: "DepthCamera | None" = None,
+    opened: "Callable[[str], None] | None" = None,
+) -> Result:
+    """Record from a RealSense camera, with a page that shows the picture and says what to do.
+
+    Args:
+        output: folder of the recording; must not exist.
+        seconds: record this long at once, without the page.
+        replay: a recording that stands in for the camera.
+        serial: number of the camera, when several are connected.
+        salvage: record nothing; make a recording of what a broken capture has left.
+        source: another camera, or one with pictures of another size (`open_realsense`); by default
+            a RealSense camera with pictures of 640 x 480, 30 per second.
+        opened: called with the page's address.
+
+    Raises:
+        InvalidConfigError: there is no camera, or its software is not installed.
+        InvalidRecordingError: no frame was recorded.
+        StorageError: the folder exists or the disk refuses.
+    """
+    from clothtrack.recordings.store import read_recording
+    from clothtrack_capture.live_capture import ReplayedCamera, salvage_capture
+    from clothtrack_capture.realsense_camera import open_realsense
+    from clothtrack_capture.recording_page import Session, record_live
+
+    output = Path(output)
+    if salvage:
+        recording = salvage_capture(output)
+    else:
+        name = "RealSense" if source is None else type(source).__name__
+        if replay is not None:
+            source, name = ReplayedCamera(read_recording(replay)), "a replayed recording"
+        camera = source or open_realsense(serial=serial)
+        session = Session(camera, output, {"recorded_with": f"clothtrack record, {name}"})
+        if seconds is not None:
+            session.start()
+            with suppress(KeyboardInterrupt):
+                session.watch(seconds)
+            recording = session.finish()
+        else:
+            recording = record_live(session, None, opened=opened)
+    if recording is None:
+        nothing = "left before the start; nothing was recorded"
+        return Result("", {"recording": output, "frames": 0}, (nothing,))
+    count = len(recording.frames)
+    return Result(f"{output}   ({count} frames)", {"recording": output, "frames": count})

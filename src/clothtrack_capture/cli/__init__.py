@@ -1,1 +1,0 @@
-"""The verbs of capture; the command line finds them by entry points."""

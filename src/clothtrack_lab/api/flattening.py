@@ -1,0 +1,219 @@
+"""Flatten crumpled garments: perceive, plan, act, and look again."""
+
+from collections.abc import Callable, Sequence
+from contextlib import closing, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from clothtrack.api.options import Ray, Settings, configured_by, require_file
+from clothtrack.api.results import Many
+from clothtrack.errors import InvalidConfigError, InvalidResultError, WrongUsageError
+from clothtrack_lab.extra import require_lab
+
+if TYPE_CHECKING:
+    from clothtrack.files.progress import Progress
+    from clothtrack.planning.flatten_config import FlattenConfig
+
+Perception = Literal["network", "tracker", "truth"]
+Policy = Literal["planned", "random", "outwards", "heuristic"]
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What became of an episode.
+
+    Attributes:
+        summary: as JSON holds it; the report's place, the improvement after each action, the
+            status, and whether it is a control.
+    """
+
+    summary: dict[str, Any]
+
+    def text(self) -> str:
+        """Return one line."""
+        row = self.summary
+        control = "   CONTROL" if row["control"] else ""
+        return (
+            f"{row['report']}   improvement {row['improvement'][-1]:.2f} after "
+            f"{row['actions']} actions; {row['status']}{control}"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the summary."""
+        return self.summary
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a dry run plans.
+
+    Attributes:
+        picture: of the action.
+    """
+
+    picture: Path
+
+    def text(self) -> str:
+        """Return where it is."""
+        return str(self.picture)
+
+    as_dict = text
+
+
+def flattening_config(
+    *,
+    perception: Perception = "network",
+    weights: Path | str | None = None,
+    policy: Policy = "planned",
+    dynamics: Literal["simulator", "mesh"] = "simulator",
+    dynamics_weights: Path | str | None = None,
+    template: Path | str | None = None,
+    actions: int = 10,
+    settings: Sequence[str] = (),
+) -> "FlattenConfig":
+    """Return the configuration that `flatten_many` uses; the arguments are the same.
+
+    Raises:
+        InvalidConfigError: a setting is not known, weights are missing, or an extra is.
+    """
+    from clothtrack.api.learning_extra import require_learning
+    from clothtrack.files.settings import with_settings
+    from clothtrack.planning.flatten_config import FlattenConfig
+    from clothtrack.planning.perception import PerceptionConfig
+
+    for path in (weights, dynamics_weights):
+        require_file(path, "weights")
+    if dynamics == "mesh" or (policy == "planned" and perception != "truth"):
+        require_learning()
+    seen = PerceptionConfig(
+        name=perception, weights=str(weights or ""), template=str(template or "")
+    )
+    config = FlattenConfig(
+        policy=policy, perception=seen, dynamics=dynamics,
+        dynamics_weights=str(dynamics_weights or ""), actions=actions,
+    )  # fmt: skip
+    return with_settings(config, settings)
+
+
+@configured_by(flattening_config)
+def flatten_many(
+    output: Path | str,
+    *,
+    garment: Literal["towel", "tshirt"] = "towel",
+    template: Path | str | None = None,
+    garment_seed: int | None = None,
+    recording: Path | str | None = None,
+    perception: Perception = "network",
+    weights: Path | str | None = None,
+    policy: Policy = "planned",
+    dynamics: Literal["simulator", "mesh"] = "simulator",
+    dynamics_weights: Path | str | None = None,
+    actions: int = 10,
+    episodes: int = 1,
+    workers: int = 1,
+    ray: Ray = "",
+    live: bool = False,
+    settings: Settings = (),
+    device: str = "cpu",
+    seed: int = 0,
+    progress: "Progress | None" = None,
+    opened: "Callable[[str], None] | None" = None,
+    each: "Callable[[Episode | Plan], None] | None" = None,
+) -> Many[Episode | Plan]:
+    """Flatten a crumpled garment in the simulated world: perceive, plan, act, and look again.
+
+    With --recording nothing moves: one action is planned for its last picture and written down.
+
+    Args:
+        output: folder for episodes/, recordings/, truth/ and one report per episode; an
+            interrupted episode goes on with the same command.
+        garment: what lies on the table.
+        template: the garment's own mesh (`clothtrack garment`), of one layer for a towel, of two
+            for a tshirt.
+        garment_seed: the same garment in every episode, of a cut, size and thickness that no
+            shipped network was trained on; SEED draws start, noise and candidates alone.
+        recording: plan for its last picture, and move nothing (a dry run).
+        perception: the network's mesh of each picture, or the tracker's carried on; truth is a
+            control (an upper bound, no result) and simulated only.
+        weights: of the reconstruction network; the ones that come with clothtrack by default.
+        policy: planned; or, without any mesh, random actions, the place farthest off the cloth of
+            a hundred, or the farthest corner outwards.
+        dynamics: what a plan is tried in: our simulator, or the learned mesh dynamics.
+        dynamics_weights: of the learned ones (`clothtrack_lab.train_dynamics`); the ones that come
+            with clothtrack by default.
+        actions: most actions of an episode.
+        episodes: how many, with the seeds SEED, SEED + 1 and so on.
+        workers: processes; each runs one episode at a time.
+        ray: address of Ray, which is to do it; 'local' for this machine.
+        live: show it in a browser while it happens, on this machine only.
+        settings: changes, such as planner.candidates=300 or planner.strip_m=0.
+        device: where to compute: cpu, or cuda:0.
+        seed: of garment, start, noise and candidates.
+        progress: called with every action (in one process) or after every episode.
+        opened: called with the page's address.
+        each: called with each episode as it ends.
+
+    Raises:
+        InvalidConfigError: what is asked for excludes itself, or another run writes to `output`.
+        InvalidResultError: weights are missing or damaged, or there is no plan.
+        ClothTrackError: an episode failed, after all others; or a worker died.
+    """
+    from clothtrack.geometry.devices import quiet_warp
+
+    quiet_warp()
+    output = Path(output)
+    config = flattening_config(
+        perception=perception, weights=weights, policy=policy, dynamics=dynamics,
+        dynamics_weights=dynamics_weights, template=template, actions=actions, settings=settings,
+    )  # fmt: skip
+    dry = recording is not None
+    if garment_seed is not None and (dry or template is not None):
+        given = "--template" if template is not None else "--recording"
+        raise WrongUsageError(
+            f"--garment-seed draws a garment of the simulated world; leave {given} out"
+        )
+    if recording is not None:
+        plans = _dry_run(output, Path(recording), config, device=device, seed=seed)
+        if each is not None:
+            for plan in plans:
+                each(plan)
+        return Many(plans)
+    if episodes < 1:
+        raise InvalidConfigError(f"--episodes is {episodes}; give at least 1")
+    if live and (workers != 1 or ray):
+        raise WrongUsageError("--live shows one process; leave out --workers and --ray, or --live")
+    from clothtrack.report.flattening_page import watched_live
+
+    require_lab()
+    from clothtrack_lab.flattening import episode_parts
+    from clothtrack_lab.many_episodes import run_episodes
+
+    # Before the first start is made and the page is served: weights may be missing.
+    parts = episode_parts(garment, config, device=device, garment_seed=garment_seed, output=output)
+    found = []
+    with watched_live(opened=opened) if live else nullcontext() as watch:
+        flattened = run_episodes(
+            output, garment, config, range(seed, seed + episodes), garment_seed=garment_seed,
+            device=device, parts=parts, watch=watch, workers=workers, ray=ray, progress=progress,
+        )  # fmt: skip
+        with closing(flattened) as rows:
+            for row in rows:
+                found.append(Episode(row))
+                if each is not None:
+                    each(found[-1])
+    return Many(tuple(found))
+
+
+def _dry_run(
+    output: Path, recording: Path, config: "FlattenConfig", *, device: str, seed: int
+) -> tuple[Plan, ...]:
+    """Plan one action for the last picture of a recording; the pictures of the plan."""
+    require_lab()
+    from clothtrack_lab.flattening import plan_flattening
+
+    store = plan_flattening(recording, output, config, seed=seed, device=device)
+    plans = tuple(map(Plan, sorted(output.glob("action_*.png"))))
+    if not plans:
+        raise InvalidResultError(f"no plan: {store.document['status']}")
+    return plans

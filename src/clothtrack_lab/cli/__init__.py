@@ -1,1 +1,0 @@
-"""The verbs of the lab; the command line finds them by entry points."""
