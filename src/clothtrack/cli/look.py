@@ -178,8 +178,7 @@ def _serve_folder(
     from clothtrack.evaluation.label_review import review_path
     from clothtrack.front.look import review_of
     from clothtrack.report.artefact_pages import write_index
-    from clothtrack.report.live import Decisions
-    from clothtrack.report.live_folder import Report, serve_folder
+    from clothtrack.report.live import Decisions, Report, serve_folder
 
     lie_in, title = _required(recordings), trajectories[0].parent.resolve().name
 

@@ -15,7 +15,7 @@ _PARTS = 10_000
 
 
 def one_of(progress: Progress | None, before: int, count: int, kind: str = "") -> Progress | None:
-    """The progress of one of several things, told as that of all; they are taken to be alike.
+    """Return a progress that reports one of several equal things as a part of all.
 
     Args:
         progress: is told of all; None: nobody is told.

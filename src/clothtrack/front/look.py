@@ -14,10 +14,13 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.mesh_file import MESH_SUFFIXES, read_mesh, read_vertex_errors
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
-from clothtrack.report import live, mesh_export, page
-from clothtrack.report.artefact_pages import write_mesh_page, write_recording_page
-from clothtrack.report.for_papers import export_pictures
-from clothtrack.report.trajectory_summary import TrajectorySummary, summary_of
+from clothtrack.report import exports, live, page
+from clothtrack.report.artefact_pages import (
+    TrajectorySummary,
+    summary_of,
+    write_mesh_page,
+    write_recording_page,
+)
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 logger = logging.getLogger(__name__)
@@ -133,8 +136,8 @@ def export(
     kind = export_format(Path(output), format)
     if kind in ("sheet", "mp4", "rrd"):
         source, known = recording_of(run), truth_of(run, truth)
-        return export_pictures(run, source, Path(output), kind, rows=rows, truth=known)
-    return mesh_export.export(run, Path(output), kind)
+        return exports.export_pictures(run, source, Path(output), kind, rows=rows, truth=known)
+    return exports.export(run, Path(output), kind)
 
 
 def review_of(run: TrackedTrajectory) -> LabelReview:

@@ -58,11 +58,11 @@ class Openings:
     neck_seen: bool = True
 
     def stretch(self, number: int) -> Outline:
-        """Points [m] of a stretch, both ends included."""
+        """Return points [m] of a stretch, both ends included."""
         return _between(self.outline.points, self.starts[number], self._end(number))
 
     def stretch_pixels(self, number: int) -> Outline:
-        """The same points in the picture."""
+        """Return the same points in the picture."""
         return _between(self.outline.pixels, self.starts[number], self._end(number))
 
     def _end(self, number: int) -> int:
@@ -115,7 +115,7 @@ def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture"
 def openings_at(
     outline: Silhouette, kind: SewnKind, pixels: Float[np.ndarray, "ends 2"]
 ) -> Openings:
-    """Openings whose ends a person has pointed at.
+    """Return openings whose ends a person has pointed at.
 
     Args:
         outline: as seen from above.
@@ -160,7 +160,7 @@ class _Landmarks:
 
 
 def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
-    """Hem, lower and upper end of the cuff, and neck, of an outline that is symmetric."""
+    """Find hem, both ends of the cuff, and neck of a symmetric outline."""
     points = _right_half(upright)
     if points is None:
         return None
@@ -183,7 +183,7 @@ def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
 
 
 def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
-    """Inner and outer end of the cuff, and waist, of an outline that is symmetric."""
+    """Find both ends of the cuff, and waist, of a symmetric outline."""
     points = _right_half(upright)
     if points is None:
         return None
@@ -216,7 +216,7 @@ class _Notch:
 
 
 def _right_half(points: Outline) -> Outline | None:
-    """The outline from the bottom of the axis x = 0 counter-clockwise to its top."""
+    """Return the outline from the bottom of the axis x = 0 counter-clockwise to its top."""
     x, ahead = points[:, 0], np.roll(points[:, 0], -1)
     rising = np.flatnonzero((x <= 0.0) & (ahead > 0.0))
     falling = np.flatnonzero((x > 0.0) & (ahead <= 0.0))
@@ -230,7 +230,7 @@ def _right_half(points: Outline) -> Outline | None:
 
 
 def _deepest_notch(half: Outline) -> _Notch | None:
-    """The deepest dent of a half of an outline, closed along the axis."""
+    """Return the deepest dent of a half of an outline, closed along the axis."""
     # OpenCV takes pixels; it wants whole numbers to keep the hull's order.
     scaled = np.rint((half - half.min(axis=0)) / np.ptp(half, axis=0).max() * 1e6).astype(np.int32)
     hull = np.unique(cv2.convexHull(scaled, returnPoints=False).ravel())
@@ -249,14 +249,14 @@ def _deepest_notch(half: Outline) -> _Notch | None:
 
 
 def _farthest_from_chord(half: Outline, start: int, end: int) -> int:
-    """The point farthest to the right of the way from one point to another."""
+    """Return the point farthest to the right of the way from one point to another."""
     along = half[end] - half[start]
     normal = _turned(along, -np.pi / 2)
     return start + int(((half[start : end + 1] - half[start]) @ normal).argmax())
 
 
 def _cuff(sleeve: Outline, bend_m: float) -> tuple[int, int] | None:
-    """Both ends of the cuff, on the way from the armpit around the sleeve to the neck.
+    """Return both ends of the cuff, on the path from the armpit around the sleeve to the neck.
 
     Between any two corners may be the cuff: a straight edge that is square to the sleeve's upper
     edge, and mostly to its lower one, which a short sleeve hardly has.
@@ -280,7 +280,7 @@ def _cuff(sleeve: Outline, bend_m: float) -> tuple[int, int] | None:
 
 
 def _neck(half: Outline, armpit: int) -> tuple[int, bool]:
-    """The neck's end, where the shoulder ends; a usual place when no dip shows it."""
+    """Return the neck's end, where the shoulder ends; a usual place when no dip shows it."""
     width = 2.0 * float(half[armpit, 0])
     shoulder = int(np.flatnonzero(half[:, 0] > 0.36 * width)[-1])
     rest = half[shoulder:]
@@ -297,7 +297,7 @@ def _neck(half: Outline, armpit: int) -> tuple[int, bool]:
 
 
 def corners_of(points: Outline, bend_m: float) -> list[int]:
-    """Indices of an open polyline's corners, both ends included (Douglas and Peucker)."""
+    """Return indices of an open polyline's corners, both ends included (Douglas and Peucker)."""
     start, end = points[0], points[-1]
     along = end - start
     length = float(np.linalg.norm(along))
@@ -314,13 +314,13 @@ def corners_of(points: Outline, bend_m: float) -> list[int]:
 
 
 def _once_around(indices: list[int], count: int) -> bool:
-    """Whether points of a closed outline are named in its own order, each once."""
+    """Return whether points of a closed outline are named in its own order, each once."""
     steps = np.diff([*indices, indices[0]]) % count
     return bool((steps > 0).all() and steps.sum() == count)
 
 
 def _snapped(outline: Outline, places: Outline) -> list[int]:
-    """Index of the outline's corner that is nearest to each place, or of its nearest point."""
+    """Return the index of the corner near each place, or else of the nearest point."""
     reach = SNAP_SHARE * float(np.ptp(outline, axis=0).max())
     apart = np.linalg.norm(outline[None] - places[:, None], axis=2)
     corners = corners_of(outline, CORNER_SHARE * reach / SNAP_SHARE)[1:-1]

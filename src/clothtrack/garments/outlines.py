@@ -51,7 +51,7 @@ class ShirtOutline:
     back_depth: float = 0.03
 
     def spans(self, length_m: float, *, depth: float) -> list[Span]:
-        """The outline of one layer of a shirt of this length [m], the neck cut to `depth`.
+        """Return the outline of one layer of a shirt of this length [m], the neck cut to `depth`.
 
         Raises:
             InvalidConfigError: the outline crosses itself.
@@ -80,7 +80,7 @@ class ShirtOutline:
 
 
 def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> ShirtOutline:
-    """Proportions of a shirt, a polo or a sweater.
+    """Draw proportions of a shirt, a polo or a sweater.
 
     Args:
         rng: of the draw.
@@ -183,7 +183,7 @@ class TrousersOutline:
     cuff: float = 0.17
 
     def spans(self, length_m: float) -> list[Span]:
-        """The outline of one layer of trousers of this length [m], counter-clockwise.
+        """Return the outline of one layer of trousers of this length [m], counter-clockwise.
 
         Raises:
             InvalidConfigError: the outline crosses itself.
@@ -217,7 +217,7 @@ class TrousersOutline:
 
 
 def draw_trousers(rng: np.random.Generator, *, short: float = 0.35) -> TrousersOutline:
-    """Proportions of trousers.
+    """Draw proportions of trousers.
 
     Args:
         rng: of the draw.
@@ -243,7 +243,7 @@ def draw_trousers(rng: np.random.Generator, *, short: float = 0.35) -> TrousersO
 
 
 def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
-    """Right half of the usual T-shirt [m], from the hem up to the neck.
+    """Return right half of the usual T-shirt [m], from the hem up to the neck.
 
     The body takes three fifths of the width from cuff to cuff; sleeves slope downwards.
     """
@@ -261,7 +261,7 @@ def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
 
 
 def shirt_spans(right: Float[np.ndarray, "6 2"], *, neck_depth_m: float) -> list[Span]:
-    """The outline of one layer of a shirt that is its own mirror image.
+    """Return the outline of one layer of a shirt that is its own mirror image.
 
     Args:
         right: its right half [m]: hem, armpit, lower and upper end of the cuff, shoulder, neck.
@@ -301,7 +301,7 @@ def cut_open(spans: list[Span]) -> tuple[list[Span], list[Span]]:
 
 
 def _crosses_itself(corners: Float[np.ndarray, "corners 2"]) -> bool:
-    """Whether two stretches of an open polyline that do not meet cross each other."""
+    """Return whether two stretches of an open polyline that do not meet cross each other."""
 
     def turns(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
         return float((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])

@@ -105,7 +105,7 @@ def take_lowest(bits: wp.ref[wp.uint32], place: wp.ref[wp.int32]):
 @no_type_check
 @wp.func
 def box_at(boxes: wp.array3d(dtype=float), eight: int, place: int):
-    """One box of an eight."""
+    """Return one box of a block of eight."""
     box = Box()
     box.low = wp.vec3(boxes[eight, 0, place], boxes[eight, 1, place], boxes[eight, 2, place])
     box.high = wp.vec3(boxes[eight, 3, place], boxes[eight, 4, place], boxes[eight, 5, place])
@@ -124,7 +124,7 @@ def put_box(box: Box, boxes: wp.array3d(dtype=float), eight: int, place: int):
 @no_type_check
 @wp.func
 def no_box():
-    """A box that touches no finite one and adds nothing to another."""
+    """Return a box that touches no finite one and adds nothing to another."""
     box = Box()
     box.low = wp.vec3(wp.inf, wp.inf, wp.inf)
     box.high = -box.low
@@ -134,7 +134,7 @@ def no_box():
 @no_type_check
 @wp.func
 def join(one: Box, other: Box):
-    """The box around two; what is not a number in one of them is left out."""
+    """Return the box around two; NaN corners are ignored."""
     box = Box()
     box.low = wp.min(one.low, other.low)
     box.high = wp.max(one.high, other.high)
@@ -144,7 +144,7 @@ def join(one: Box, other: Box):
 @no_type_check
 @wp.func
 def around_eight(boxes: wp.array3d(dtype=float), eight: int):
-    """The box around an eight of boxes."""
+    """Return the box around a block of eight boxes."""
     whole = box_at(boxes, eight, 0)
     for place in range(1, _EIGHT):
         whole = join(whole, box_at(boxes, eight, place))
@@ -152,12 +152,12 @@ def around_eight(boxes: wp.array3d(dtype=float), eight: int):
 
 
 def blocks(count: int, size: int) -> int:
-    """Blocks of a size that hold so many."""
+    """Return the number of blocks of `size` that hold `count` items."""
     return -(-count // size)
 
 
 def along_curve(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, " points"]:
-    """The order of points along a curve through space that turns in small cubes first (Morton's).
+    """Return the order of points along a Morton curve.
 
     Ten bits of each coordinate are spread, two zeros between them, and the three interleaved.
     """
@@ -169,5 +169,5 @@ def along_curve(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, " poin
 
 
 def no_boxes(*shape: int) -> Float32[np.ndarray, "..."]:
-    """Boxes that nothing touches, not even what has no end: their corners are not numbers."""
+    """Return boxes that nothing touches, not even an infinite box: their corners are NaN."""
     return np.full((*shape, 6, EIGHT), np.nan, np.float32)

@@ -36,7 +36,7 @@ def find_boxes(
     boxes: wp.array3d(dtype=float),
     around: wp.array3d(dtype=float),
 ):
-    """The boxes of all triangles and edges, and the boxes around each eight; one thread for each.
+    """Find boxes of triangles and edges, and the box around each block; one thread per block.
 
     Those of edges are `slack` wider [m]: points are rounded to single precision. `corners` are -1
     where an eight is not full.
@@ -62,7 +62,7 @@ def find_boxes(
 @no_type_check
 @wp.func
 def passes_through(p: wp.vec3d, q: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Whether a segment crosses the inside of a triangle (signed volumes, strictly)."""
+    """Return whether a segment crosses the inside of a triangle (signed volumes, strictly)."""
     zero = wp.float64(0.0)
     normal = wp.cross(b - a, c - a)
     if wp.dot(normal, p - a) * wp.dot(normal, q - a) >= zero:

@@ -38,7 +38,7 @@ class CrossingSearch:
     def pairs(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
-        """Edges and the triangles without a common vertex that they pass through.
+        """Return edges and the triangles without a common vertex that they pass through.
 
         They are in the order of their numbers, those of the edges first.
 
@@ -84,7 +84,7 @@ class CrossingSearch:
         return int(self._count.numpy()[0])
 
     def _ordered(self, vertices: Float[np.ndarray, "vertices 3"]) -> wp.array:
-        """The vertices of triangles and edges, those together that are near each other now.
+        """Return the vertices of triangles and edges, sorted so that near ones share a block.
 
         They stay near each other, because they are of one cloth. An edge repeats its second vertex.
         """

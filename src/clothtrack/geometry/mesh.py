@@ -77,11 +77,11 @@ class ClothMesh:
         return np.stack([opposite[shared], opposite[shared + 1]], axis=1).astype(np.int32)
 
     def with_vertices(self, vertices: Float[np.ndarray, "vertices 3"]) -> "ClothMesh":
-        """The same cloth somewhere else."""
+        """Return the same cloth with other vertex positions."""
         return replace(self, vertices=np.asarray(vertices))
 
     def scaled(self, factor: float) -> "ClothMesh":
-        """The same cloth, larger by a factor, canonical coordinates too."""
+        """Return the same cloth, larger by a factor, canonical coordinates too."""
         canonical = None if self.canonical is None else np.asarray(self.canonical) * factor
         return replace(self, vertices=np.asarray(self.vertices) * factor, canonical=canonical)
 
@@ -92,7 +92,7 @@ def _check(mesh: ClothMesh) -> None:
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Shapes, types, and numbers that can be metres and indices."""
+    """Check shapes, types, and that numbers can be metres and indices."""
     for name, array, kinds in (("vertices", vertices, "fiu"), ("faces", faces, "iu")):
         if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in kinds:
             raise InvalidMeshError(
@@ -120,7 +120,7 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _check_surface(mesh: ClothMesh) -> None:
-    """Triangles that are a manifold surface without anything loose."""
+    """Check that the triangles are a manifold surface without anything loose."""
     vertices, faces = mesh.vertices, mesh.faces
     twice = np.flatnonzero(
         (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])

@@ -10,14 +10,14 @@ from clothtrack.geometry.mesh import ClothMesh
 
 
 def edge_strain(mesh_rest: ClothMesh, vertices: Float[np.ndarray, "vertices 3"]) -> float:
-    """Mean absolute relative change of edge length against the rest mesh (no unit)."""
+    """Return mean absolute relative change of edge length against the rest mesh (no unit)."""
     ends = np.asarray(vertices, np.float64)[mesh_rest.edges]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     return float(np.mean(np.abs(lengths / mesh_rest.edge_lengths - 1.0)))
 
 
 def crossings(vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]) -> int:
-    """Number of edges that pass through a triangle with which they share no vertex.
+    """Return number of edges that pass through a triangle with which they share no vertex.
 
     Args:
         vertices: positions [m].
@@ -32,7 +32,7 @@ def crossings(vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, 
 def crossing_edges(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> tuple[Int[np.ndarray, "crossing 2"], Int[np.ndarray, "crossed 3"]]:
-    """The edges that pass through a triangle with which they share no vertex.
+    """Return the edges that pass through a triangle with which they share no vertex.
 
     Args:
         vertices: positions [m].
@@ -67,7 +67,7 @@ class CrossingCheck:
     def __call__(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> tuple[Int[np.ndarray, "crossing 2"], Int[np.ndarray, "crossed 3"]]:
-        """What `crossing_edges` returns for these positions [m]."""
+        """Return the same as `crossing_edges` for these positions [m]."""
         if not np.isfinite(vertices).all():
             return crossing_edges(vertices, self._faces)
         edges, faces = self._search.pairs(vertices)
@@ -79,7 +79,7 @@ def close_pairs(
     faces: Int[np.ndarray, "faces 3"],
     distance_m: float = 0.005,
 ) -> int:
-    """Number of vertex pairs nearer than a distance that are not neighbours in the mesh.
+    """Return number of vertex pairs nearer than a distance that are not neighbours in the mesh.
 
     Vertices joined by an edge or by two do not count: in a fine mesh they are always near.
 
@@ -105,7 +105,7 @@ def close_pairs(
 def below(
     heights: Float[np.ndarray, " vertices"], resting_height_m: float, tolerance_m: float = 0.003
 ) -> float:
-    """Share of vertices more than a tolerance under the height of a vertex at rest on the table.
+    """Return the share of vertices more than a tolerance under the resting height.
 
     Args:
         heights: heights of the vertices above the table [m].

@@ -10,7 +10,7 @@ def sample_surface(
     count: int,
     seed: int,
 ) -> Float[np.ndarray, "points 3"]:
-    """Points [m] drawn uniformly over the area of a triangle mesh.
+    """Draw points [m] uniformly over the area of a triangle mesh.
 
     Args:
         vertices: positions [m].

@@ -52,7 +52,7 @@ class PickPlace:
     lift_m: float
 
     def path(self, speed: float, time_step_s: float) -> Float[np.ndarray, "steps 3"]:
-        """Where the tip is after each time step, from grasp to release [m].
+        """Return where the tip is after each time step, from grasp to release [m].
 
         Args:
             speed: highest speed of the tip [m/s].
@@ -63,7 +63,7 @@ class PickPlace:
         return carrying_path(planned, config, time_step_s)
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         return {"pick": self.pick.tolist(), "place": self.place.tolist(), "lift_m": self.lift_m}
 
 
@@ -82,7 +82,7 @@ class Workspace(Checked):
     z_m: Annotated[tuple[float, float], Interval()] = (-0.005, 0.4)
 
     def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
-        """Which points [m] are inside."""
+        """Return which points [m] are inside."""
         bounds = np.array([self.x_m, self.y_m, self.z_m])
         inside = (points >= bounds[:, 0]) & (points <= bounds[:, 1])
         return np.asarray(inside.all(axis=-1))
@@ -126,7 +126,7 @@ class SeenCloth:
 def edge_measure(
     points: Float[np.ndarray, "points dimensions"], radius_m: float = EDGE_REACH_M
 ) -> Float[np.ndarray, " points"]:
-    """How much of an edge or a corner is at each point, seen from above.
+    """Return how much of an edge or a corner is at each point, seen from above.
 
     The distance from the point to the middle of its neighbours, over the radius: 0 inside, 4 / (3
     pi) = 0.42 on a straight edge, 0.6 in a right-angled corner.
@@ -150,7 +150,7 @@ def pick_weights(
     flat: ClothMesh | None = None,
     positions: Float[np.ndarray, "vertices 3"] | None = None,
 ) -> Float[np.ndarray, " points"]:
-    """How often each seen point is to be picked: edges of what is seen, and the garment's own.
+    """Return how often each seen point is to be picked: edges of the cloud, and the garment's.
 
     A hem that lies on other cloth is no edge of the picture. Where the mesh has one near the seen
     surface, it counts like an edge.
@@ -181,7 +181,7 @@ def sample_actions(
     *,
     weights: Float[np.ndarray, " points"] | None = None,
 ) -> list[PickPlace]:
-    """Random pick-and-places within all limits; fewer than asked for when hardly any is.
+    """Sample pick-and-places within all limits; fewer than asked for where hardly any is.
 
     Args:
         seen: the cloth as it is seen.
@@ -221,7 +221,7 @@ def within_limits(
     lifts_m: Float[np.ndarray, " actions"],
     space: ActionSpace,
 ) -> list[PickPlace]:
-    """Those of the pick-and-places that keep all limits, with the height of the place filled in.
+    """Return the pick-and-places that keep all limits, with the height of the place.
 
     Args:
         seen: the cloth as it is seen.
@@ -258,7 +258,7 @@ def within_limits(
 def in_picture(
     points: Float[np.ndarray, "points 3"], camera: Camera | None, margin: float
 ) -> Bool[np.ndarray, " points"]:
-    """Which points [m] the camera has in its picture, at least a margin from the border.
+    """Return which points [m] the camera has in its picture, at least a margin from the border.
 
     Args:
         points: in the world [m].
@@ -275,6 +275,6 @@ def in_picture(
 
 
 def off_cloth(seen: SeenCloth, actions: Sequence[PickPlace]) -> Float[np.ndarray, " actions"]:
-    """How far each place is from the nearest cloth that is seen, from above [m]."""
+    """Return how far each place is from the nearest cloth that is seen, from above [m]."""
     places = np.array([action.place[:2] for action in actions]).reshape(-1, 2)
     return cKDTree(seen.cloud[:, :2]).query(places)[0]

@@ -101,7 +101,7 @@ class Look:
         return self.recording.frames[-1]
 
     def observation(self) -> Observation:
-        """The cloud of the latest picture."""
+        """Return the cloud of the latest picture."""
         return observe(self.recording, self.frame)
 
 
@@ -188,7 +188,7 @@ class TrackerPerception:
         self._tracker, self._device = tracker, device
 
     def perceive(self, look: Look) -> Estimate:
-        """The tracked estimate; a fresh one before any action, or when nothing can be tracked."""
+        """Return the tracked estimate; a fresh one before any action, or if tracking fails."""
         recording, start = look.recording, look.before
         if start is None or not look.acted or not recording.actions:
             return self._first.perceive(look)
@@ -229,7 +229,7 @@ class TrackerPerception:
 
 
 def unseen_path_m(recording: Recording) -> float:
-    """How far a picker carries cloth between two pictures of an action, at most [m]."""
+    """Return how far a picker carries cloth between two pictures of an action, at most [m]."""
     longest = 0.0
     for action in recording.actions:
         frames = recording.frames[action.first_frame : action.last_frame + 1]
@@ -264,7 +264,7 @@ def perception_of(
     true_cloth: TrueCloth | None = None,
     device: str = "cpu",
 ) -> Perception:
-    """The perception that a configuration names.
+    """Return the perception that a configuration names.
 
     Args:
         kind: the garment.
@@ -290,5 +290,5 @@ def perception_of(
 
 
 def label_of(config: PerceptionConfig) -> Mapping[str, object]:
-    """What every output says about the perception."""
+    """Return what every output says about the perception."""
     return {"perception": config.name, "control": config.name in CONTROLS}

@@ -74,7 +74,7 @@ class PlanningDynamics(Protocol):
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """The vertices [m] at rest after each of the actions, each begun from the same cloth.
+        """Return the vertices [m] at rest after each of the actions, each from the same cloth.
 
         None is no action. A cloth that diverges is not finite.
         """
@@ -97,7 +97,7 @@ class MotionConfig(Checked):
 
 
 def held_vertex(cloth: PlannedCloth, action: PickPlace) -> int | None:
-    """The vertex that a gripper takes at the pick; None when no cloth is there.
+    """Return the vertex that a gripper takes at the pick; None when no cloth is there.
 
     The topmost of those under the pick, or the nearest where the mesh has none right under it.
     Where a fine cloth is known, its topmost point says which layer that is: of 100 candidates on a
@@ -136,7 +136,7 @@ class HeldPaths:
     def of(
         cls, cloth: PlannedCloth, actions: Sequence[PickPlace | None], motion: MotionConfig
     ) -> "HeldPaths":
-        """The held vertices' ways: they keep their place beside the tip."""
+        """Return the held vertices' paths: they keep their place beside the tip."""
         held = [None if action is None else held_vertex(cloth, action) for action in actions]
         paths = [
             np.zeros((0, 3)) if action is None or vertex is None
@@ -154,7 +154,7 @@ class HeldPaths:
         return cls(vertices, ways, steps)
 
     def batches(self, size: int) -> list[Int[np.ndarray, " chosen"]]:
-        """Candidates in batches of about this size, those together that last alike.
+        """Return candidates in batches of about this size, sorted by duration.
 
         Long ways last four times as long as short ones, which need not wait for them.
         """
@@ -163,7 +163,7 @@ class HeldPaths:
         return np.array_split(order, math.ceil(len(order) / size))
 
     def of_candidates(self, chosen: Int[np.ndarray, " chosen"]) -> "HeldPaths":
-        """Those of some candidates, as long as the longest of them."""
+        """Return those of some candidates, as long as the longest of them."""
         steps = self.steps[chosen]
         return HeldPaths(
             self.vertices[chosen], self.ways[chosen, : int(steps.max(initial=0))], steps
@@ -242,7 +242,7 @@ class SimulatorDynamics:
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """The vertices [m] at rest after each of the actions."""
+        """Return the vertices [m] at rest after each of the actions."""
         if not actions:
             return np.zeros((0, cloth.flat.vertex_count, 3))
         start = self._start(cloth)
@@ -254,7 +254,7 @@ class SimulatorDynamics:
         return ends
 
     def _rolled(self, cloth: PlannedCloth, start: ClothState, held: HeldPaths) -> np.ndarray:
-        """Some of the candidates, one environment each."""
+        """Roll out some of the candidates, one environment each."""
         motion, candidates = self.config.motion, len(held.vertices)
         solver, _ = self._solver(cloth, candidates)
         solver.restore(start)
@@ -270,7 +270,7 @@ class SimulatorDynamics:
         return solver.positions.astype(np.float64)
 
     def _start(self, cloth: PlannedCloth) -> ClothState:
-        """The cloth where it is, on the table: once, for all candidates."""
+        """Return the state with the cloth where it is, on the table, for all candidates."""
         solver, fresh = self._solver(cloth, 1)
         solver.restore(fresh)
         placed = np.array(cloth.positions, dtype=np.float64)
@@ -281,7 +281,7 @@ class SimulatorDynamics:
         return solver.save()
 
     def _solver(self, cloth: PlannedCloth, environments: int) -> tuple[ClothSolver, ClothState]:
-        """A solver for so many candidates, and its state with the flat cloth on the table."""
+        """Return a solver for so many candidates, and its state with the cloth flat."""
         if cloth.flat is not self._mesh or cloth.table_height_m != self._table_height_m:
             self._mesh, self._table_height_m = cloth.flat, cloth.table_height_m
             self._solvers.clear()

@@ -17,7 +17,7 @@ def coverage(
     faces: Int[np.ndarray, "faces 3"],
     camera: Camera | None = None,
 ) -> Float[np.ndarray, " candidates"]:
-    """Area [m^2] that each predicted cloth covers in the picture; minus infinity where it diverged.
+    """Return the area [m^2] that each predicted cloth covers; -inf where it diverged.
 
     Args:
         positions: vertices of each candidate [m], z up.

@@ -22,14 +22,14 @@ class PictureMask(NamedTuple):
 
 
 def seen_cloth(recording: Recording, observation: Observation) -> SeenCloth:
-    """What actions are chosen from: the cloud, the first camera's picture, the table's height."""
+    """Return what actions are chosen from: cloud, first camera's picture, table's height."""
     height = 0.0 if recording.table is None else float(recording.table.point[2])
     camera = observation.cameras[0] if observation.cameras else None
     return SeenCloth(observation.points, camera, height)
 
 
 def seen_area(recording: Recording, frame: Frame) -> float:
-    """Area of the table [m^2] that the cloth hides from the first camera with depth.
+    """Return area of the table [m^2] that the cloth hides from the first camera with depth.
 
     Pixels of the cloth, each as large as it is on the table. Cloth above the table hides a little
     more than it covers.
@@ -46,7 +46,7 @@ def seen_area(recording: Recording, frame: Frame) -> float:
 
 
 def picture_mask(recording: Recording, frame: Frame) -> PictureMask:
-    """Where the first camera that has depth sees cloth.
+    """Return where the first camera that has depth sees cloth.
 
     Raises:
         InvalidRecordingError: no camera has depth, or a file cannot be read.
@@ -63,7 +63,7 @@ def picture_mask(recording: Recording, frame: Frame) -> PictureMask:
 
 
 def table_pixel_areas(camera: Camera, table: Table) -> Float[np.ndarray, "height width"]:
-    """Area of the table [m^2] behind each pixel: z^2 / (fx fy n.r) along the ray r = (x, y, 1)."""
+    """Return the area of the table [m^2] per pixel: z^2 / (fx fy n.r), ray r = (x, y, 1)."""
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = np.stack(
         [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)],

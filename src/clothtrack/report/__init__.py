@@ -6,10 +6,9 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.report.artefact_pages import write_index, write_mesh_page, write_recording_page
+    from clothtrack.report.exports import export, export_pictures
     from clothtrack.report.flattening_page import write_flattening_report
-    from clothtrack.report.for_papers import export_pictures
     from clothtrack.report.live import serve
-    from clothtrack.report.mesh_export import export
     from clothtrack.report.overlay import (
         Overlay,
         OverlayConfig,

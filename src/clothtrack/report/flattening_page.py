@@ -13,7 +13,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.arrows import draw_action, shown_depth
@@ -25,14 +24,12 @@ from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.document import write_document
-from clothtrack.report.lettering import caption
+from clothtrack.report.lettering import Picture, caption
 from clothtrack.report.live import live_page
-from clothtrack.report.picture_file import write_picture
-from clothtrack.report.sections import Figure, jpeg_uri, key_figures
+from clothtrack.report.sections import Figure, key_figures, stills_html
 from clothtrack.report.shading import Shader, ShadingConfig
+from clothtrack.report.video import write_picture
 from clothtrack.report.viewpoint import three_quarter_view
-
-Picture = UInt8[np.ndarray, "height width 3"]
 
 CONTROL = "control, not a result"
 FAREWELL_S = 1.5
@@ -95,7 +92,7 @@ def watched_live(
 
 
 def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Path:
-    """All pictures of an episode with their arrows as one PNG.
+    """Write all pictures of an episode with their arrows as one PNG.
 
     Args:
         store: the episode.
@@ -119,7 +116,7 @@ def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Pa
 
 
 def _figures(store: EpisodeStore) -> list[Figure]:
-    """The numbers that a reader wants first."""
+    """Return the numbers that a reader wants first."""
     steps = store.steps
     key = "seen_m2" if steps[0]["true_m2"] is None else "true_m2"
     share = "Area that the cloth covers on the table, of what it covers when it is flat."
@@ -137,13 +134,13 @@ def _figures(store: EpisodeStore) -> list[Figure]:
 
 
 def _share(row: dict[str, Any]) -> str:
-    """Coverage over that of the flat cloth, the true one where it is known."""
+    """Return coverage over that of the flat cloth, the true one where it is known."""
     area = row["seen_m2"] if row["true_m2"] is None else row["true_m2"]
     return f"{100.0 * area / row['flat_m2']:.0f} %" if row["flat_m2"] else f"{1e4 * area:.0f} cm2"
 
 
 def _curve(steps: Sequence[dict[str, Any]]) -> str:
-    """Coverage after each action as a drawing: seen, and true where it is known."""
+    """Return coverage after each action as a drawing: seen, and true where it is known."""
     flat = steps[0]["flat_m2"] or max(row["seen_m2"] for row in steps)
     width, height, left, low = 420, 190, 34, 160
 
@@ -176,17 +173,12 @@ def _curve(steps: Sequence[dict[str, Any]]) -> str:
 
 
 def _card(store: EpisodeStore, number: int, coming: PickPlace | None) -> str:
-    """One step: the picture, the belief, and what was expected of the action that led here."""
+    """Return the card of a step: picture, belief, and what was expected of the action before it."""
     row = store.steps[number]
     stills = [(_picture(store, number, coming), "What the camera saw, and the next action")]
     recording = read_recording(store.recording_path(number))
     if (belief := store.estimate(number)) is not None:
         stills.append((_belief(belief, recording), f"Believed: {belief.source}"))
-    pictures = "".join(
-        f'<figure><img alt="{escape(words)}" src="{jpeg_uri(image)}">'
-        f"<figcaption>{escape(words)}</figcaption></figure>"
-        for image, words in stills
-    )
     text = [f"coverage {_share(row)}"]
     if row["action"] is not None and number:
         before = store.steps[number - 1]
@@ -200,12 +192,12 @@ def _card(store: EpisodeStore, number: int, coming: PickPlace | None) -> str:
     return (
         f'<article class="card action"><h3>After {number} action{"s" if number != 1 else ""}'
         f"<span>{escape('; '.join(text))}</span></h3>"
-        f'<div class="stills">{pictures}</div></article>'
+        f"{stills_html(stills)}</article>"
     )
 
 
 def _picture(store: EpisodeStore, number: int, coming: PickPlace | None = None) -> Picture:
-    """The last picture of a step, with the arrow of the action after it."""
+    """Return the last picture of a step, with the arrow of the action after it."""
     recording = read_recording(store.recording_path(number))
     frame = recording.frames[-1]
     camera = next(one for one in recording.cameras if one.name in frame.depth)
@@ -221,7 +213,7 @@ def _picture(store: EpisodeStore, number: int, coming: PickPlace | None = None) 
 
 
 def _belief(estimate: Estimate, recording: Recording) -> Picture:
-    """The believed mesh from the side and above."""
+    """Return the believed mesh from the side and above."""
     view = three_quarter_view(estimate.positions, width=480, height=360)
     shader = Shader(
         estimate.flat.faces, view, table=recording.table, config=ShadingConfig(supersampling=2)

@@ -15,7 +15,7 @@ WIDTH_PX = 1200
 
 
 def outline_picture(template: FlatTemplate, shown: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
-    """The picture with the outline on it: openings red, seams blue, a towel's edge violet.
+    """Return the picture with the outline on it: openings red, seams blue, a towel's edge violet.
 
     Args:
         template: what was made of the picture.

@@ -50,12 +50,12 @@ class DryRunRobot:
         self._latest: RgbdFrame | None = None
 
     def observe(self) -> RgbdFrame:
-        """A picture."""
+        """Return a picture."""
         self._latest = self._take()
         return self._latest
 
     def check(self, action: PickPlace) -> Reachability:
-        """Whether the path of the tip is within the limits."""
+        """Return whether the path of the tip is within the limits."""
         reason = self.limits.refusal(waypoints(action))
         return Reachability(not reason, reason)
 
@@ -83,14 +83,14 @@ class DryRunRobot:
         return Execution(PickerPath(times, points, closed), (frame,), None, STOPPED)
 
     def home(self) -> None:
-        """There is no arm in the way."""
+        """Do nothing: there is no arm in the way."""
 
     def _write(self, name: str, data: bytes) -> None:
         write_file(self.folder / name, data)
 
 
 def pictures_of(recording: Recording) -> Callable[[], RgbdFrame]:
-    """The latest picture of a recording, again and again, each a second later.
+    """Return a function that repeats the latest picture of a recording, each a second later.
 
     Raises:
         InvalidConfigError: when called, if it has no depth pictures.
