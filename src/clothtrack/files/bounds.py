@@ -111,9 +111,6 @@ NotNegative = Annotated[float, Bounds(least=0)]
 Share = Annotated[float, Bounds(least=0, most=1)]
 """A part of a whole, 0 and 1 included."""
 
-PositiveShare = Annotated[float, Bounds(above=0, most=1)]
-"""A part of a whole that is not nothing."""
-
 Fraction = Annotated[float, Bounds(above=0, below=1)]
 """A part of a whole that is neither nothing nor all of it."""
 

@@ -20,7 +20,7 @@ from clothtrack.garments.openings import (
 )
 from clothtrack.garments.outlines import NECK_POINTS
 from clothtrack.garments.silhouettes import Outline, Silhouette, signed_area
-from clothtrack.garments.triangulation import Span
+from clothtrack.garments.triangulation import Span, evenly_along
 from clothtrack.geometry.mesh import ClothMesh
 
 TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
@@ -156,8 +156,8 @@ def _sewn_template(
         outline, kind, pixels
     )  # fmt: skip
     numbers = range(len(found.names))
-    evenly = [_resampled(found.stretch(number)) for number in numbers]
-    in_picture = [_resampled(found.stretch_pixels(number)) for number in numbers]
+    evenly = [evenly_along(found.stretch(number), STRETCH_POINTS) for number in numbers]
+    in_picture = [evenly_along(found.stretch_pixels(number), STRETCH_POINTS) for number in numbers]
     parts, asymmetry = _about_their_axis(evenly)
     extent = float(np.ptp(np.concatenate(parts), axis=0).max())
     mirrored = mirrored and asymmetry <= MIRROR_LIMIT_SHARE * extent
@@ -280,12 +280,6 @@ def _images(parts: list[Outline]) -> list[Outline]:
     """Return the mirror image of each stretch's counterpart, in the stretch's direction."""
     count = len(parts)
     return [parts[-number % count][::-1] * (-1.0, 1.0) for number in range(count)]
-
-
-def _resampled(points: Outline) -> Outline:
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], STRETCH_POINTS)
-    return np.stack([np.interp(at, along, axis) for axis in points.T], axis=1)
 
 
 def _spans(stretch: Stretch, bend_m: float) -> list[Span]:

@@ -212,15 +212,7 @@ def sewn(
     open_front: bool = False,
     seed: int = 0,
 ) -> ClothMesh:
-    """Make a garment of two layers (`two_layers`) with about the wanted number of vertices.
-
-    Args:
-        front: outline [m] of the front, counter-clockwise.
-        back: outline of the back; its seams are those of the front.
-        vertex_count: wanted number of vertices.
-        open_front: whether the front of a shirt is cut along its middle.
-        seed: turns and shifts the lattice of each layer.
-    """
+    """Make a garment of two layers (`two_layers`) with about the wanted number of vertices."""
     return with_vertices(
         lambda edge_m: two_layers(front, back, edge_m, open_front=open_front, seed=seed),
         vertex_count,
@@ -229,13 +221,7 @@ def sewn(
 
 
 def one_layer(spans: list[Span], *, vertex_count: int = 1000, seed: int = 0) -> ClothMesh:
-    """Make a cloth of one layer and any outline in the plane z = 0, as `towel` is.
-
-    Args:
-        spans: its outline [m], counter-clockwise.
-        vertex_count: wanted number of vertices.
-        seed: turns and shifts the lattice.
-    """
+    """Make a cloth of one layer in the plane z = 0 from its outline [m], counter-clockwise."""
 
     def cut(edge_m: float) -> ClothMesh:
         piece = triangulate(spans, edge_m, seed)

@@ -164,11 +164,10 @@ def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
     points = _right_half(upright)
     if points is None:
         return None
-    notch = _deepest_notch(points)
+    depth, armpit = _deepest_notch(points)
     extent = float(np.ptp(upright, axis=0).max())
-    if notch is None or notch.depth < NOTCH_SHARE * extent:
+    if depth < NOTCH_SHARE * extent:
         return None
-    armpit = notch.deepest
     hem = _farthest_from_chord(points, 0, armpit)
     neck, seen = _neck(points, armpit)
     cuff = _cuff(points[armpit : neck + 1], CORNER_SHARE * extent)
@@ -208,13 +207,6 @@ def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
     return _Landmarks(points[[inner, outer, waist]], gap / extent)
 
 
-@dataclass(frozen=True)
-class _Notch:
-    deepest: int
-    end: int
-    depth: float
-
-
 def _right_half(points: Outline) -> Outline | None:
     """Return the outline from the bottom of the axis x = 0 counter-clockwise to its top."""
     x, ahead = points[:, 0], np.roll(points[:, 0], -1)
@@ -229,12 +221,12 @@ def _right_half(points: Outline) -> Outline | None:
     return half if len(half) > len(points) // 6 else None
 
 
-def _deepest_notch(half: Outline) -> _Notch | None:
-    """Return the deepest dent of a half of an outline, closed along the axis."""
+def _deepest_notch(half: Outline) -> tuple[float, int]:
+    """Return depth [m] and deepest point of the deepest dent of a half, closed at the axis."""
     # OpenCV takes pixels; it wants whole numbers to keep the hull's order.
     scaled = np.rint((half - half.min(axis=0)) / np.ptp(half, axis=0).max() * 1e6).astype(np.int32)
     hull = np.unique(cv2.convexHull(scaled, returnPoints=False).ravel())
-    best = None
+    best = (-np.inf, 0)
     for start, end in pairwise(hull):
         if end - start < 3:
             continue
@@ -243,8 +235,8 @@ def _deepest_notch(half: Outline) -> _Notch | None:
         depth = (half[start : end + 1] - half[start]) @ normal
         deepest = int(depth.argmax())
         # The neck is a dent beside the axis; the armpit is not.
-        if end < len(half) - 1 and (best is None or depth[deepest] > best.depth):
-            best = _Notch(int(start) + deepest, int(end), float(depth[deepest]))
+        if end < len(half) - 1 and depth[deepest] > best[0]:
+            best = (float(depth[deepest]), int(start) + deepest)
     return best
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.signal import savgol_filter
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.garments.triangulation import evenly_along
 
 Outline = Float[np.ndarray, "_ 2"]
 ToPlane = Callable[[Outline], Outline]
@@ -181,10 +182,7 @@ def _reflected(points: Outline, angle: float, through: Float[np.ndarray, " 2"]) 
 
 
 def _evenly(closed: Outline, count: int) -> Outline:
-    around = np.concatenate([closed, closed[:1]])
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(around, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], count, endpoint=False)
-    return np.stack([np.interp(at, along, axis) for axis in around.T], axis=1)
+    return evenly_along(np.concatenate([closed, closed[:1]]), count + 1)[:-1]
 
 
 def _whole_cloth(

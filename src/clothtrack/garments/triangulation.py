@@ -26,11 +26,8 @@ class Span:
 
     def resampled(self, spacing: float) -> Float[np.ndarray, "samples 2"]:
         """Return equally spaced points about `spacing` [m] apart, the last corner left out."""
-        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(steps)])
-        count = max(1, round(along[-1] / spacing))
-        at = np.linspace(0.0, along[-1], count + 1)[:-1]
-        return np.stack([np.interp(at, along, axis) for axis in self.points.T], axis=1)
+        length = _arc_lengths(self.points)[-1]
+        return evenly_along(self.points, max(1, round(length / spacing)) + 1)[:-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +43,20 @@ class Piece:
     points: Float[np.ndarray, "vertices 2"]
     faces: Int[np.ndarray, "faces 3"]
     sewn: Bool[np.ndarray, " vertices"]
+
+
+def evenly_along(
+    points: Float[np.ndarray, "points 2"], count: int
+) -> Float[np.ndarray, "samples 2"]:
+    """Return `count` equally spaced points of an open polyline, both ends included."""
+    along = _arc_lengths(points)
+    at = np.linspace(0.0, along[-1], count)
+    return np.stack([np.interp(at, along, axis) for axis in points.T], axis=1)
+
+
+def _arc_lengths(points: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """Return the length [m] of a polyline up to each of its points."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def distance_to_polyline(

@@ -55,13 +55,7 @@ def distance_to_mesh(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
 ) -> Float[np.ndarray, " points"]:
-    """Return distance of each point from the surface of a mesh [m], exactly.
-
-    Args:
-        points: query points [m].
-        vertices: vertices of the mesh [m].
-        faces: vertex indices per triangle.
-    """
+    """Return the exact distance [m] of each point from a mesh (`closest_on_mesh`)."""
     face, weights = closest_on_mesh(points, vertices, faces)
     return _gaps(points, vertices[faces[face]], weights)
 
@@ -102,12 +96,7 @@ def closest_on_triangle(
 def interpolate(
     weights: Float[np.ndarray, "points 3"], corners: Float[np.ndarray, "points 3 values"]
 ) -> Float[np.ndarray, "points values"]:
-    """Interpolate values of a triangle's three corners: positions, normals, coordinates.
-
-    Args:
-        weights: barycentric coordinates of each point in its triangle.
-        corners: what its corners have.
-    """
+    """Interpolate values of three corners with barycentric weights: positions, normals."""
     return np.einsum("ij,ijk->ik", weights, corners)
 
 

@@ -4,6 +4,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from clothtrack.geometry.mesh import sides_of
+
 _PERTURBATION = 1e-9
 _PAIRS_AT_ONCE = 1 << 20
 
@@ -22,15 +24,7 @@ def projected_area(
 
     Layers that coincide exactly (a garment flat on itself) would be ambiguous; vertices are
     therefore shifted by random amounts of a billionth of the mesh's extent first. The result is
-    exact to about 1e-8, relative.
-
-    Args:
-        vertices: positions [m].
-        faces: vertex indices per triangle.
-        normal: direction of view; its length does not matter.
-
-    Returns:
-        The area [m^2].
+    exact to about 1e-8, relative. `normal` is the direction of view, of any length.
     """
     points = _projected(np.asarray(vertices, np.float64), np.asarray(normal, np.float64))
     edges, opposite = _boundary_candidates(points, faces)
@@ -62,9 +56,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _boundary_candidates(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return edges whose triangles all lie on one side, and the far corner of one of these."""
-    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    far = faces[:, [2, 0, 1]].reshape(-1)
-    keys = np.sort(sides, axis=1)
+    keys, far = sides_of(faces), faces[:, [2, 0, 1]].reshape(-1)
     side = _cross(points[keys[:, 1]] - points[keys[:, 0]], points[far] - points[keys[:, 0]]) > 0
     edges, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     index = index.reshape(-1)

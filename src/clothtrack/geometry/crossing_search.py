@@ -9,13 +9,7 @@ from clothtrack.geometry.boxes import EIGHT, along_curve, blocks, no_boxes
 
 
 class CrossingSearch:
-    """Crossings of one mesh with itself, as often as wanted.
-
-    Args:
-        edges: vertex indices per edge.
-        faces: vertex indices per triangle; at least one.
-        device: where crossings are searched, "cpu" or "cuda:0".
-    """
+    """Crossings of one mesh with itself, found again and again; at least one triangle."""
 
     def __init__(
         self,
@@ -40,10 +34,7 @@ class CrossingSearch:
     ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
         """Return edges and the triangles without a common vertex that they pass through.
 
-        They are in the order of their numbers, those of the edges first.
-
-        Args:
-            vertices: positions [m]; finite.
+        They are sorted by the number of the edge, then of the triangle; positions [m] are finite.
         """
         exact = np.ascontiguousarray(vertices, np.float64)
         if self._corners is None:

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from clothtrack.geometry.crossing_search import CrossingSearch
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.mesh import ClothMesh, sides_of
 
 STEEPEST = 0.2
 """Sine of the angle between edge and triangle below which it is taken for this: a contour that an
@@ -81,19 +81,11 @@ class SelfIntersection:
     def pairs(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
-        """Return edges and the triangles that they pass through, in the order of their numbers.
-
-        Args:
-            vertices: positions [m].
-        """
+        """Return edges and the triangles that they pass through, for vertices at positions [m]."""
         return self._search.pairs(vertices)
 
     def contours(self, vertices: Float[np.ndarray, "vertices 3"]) -> Contours:
-        """Return all crossings, joined into contours.
-
-        Args:
-            vertices: positions [m].
-        """
+        """Return all crossings, joined into contours, for vertices at positions [m]."""
         edge, face = self.pairs(vertices)
         points = np.asarray(vertices, np.float64)
         a, b = points[self.edges[edge, 0]], points[self.edges[edge, 1]]
@@ -177,8 +169,7 @@ class SelfIntersection:
 
 def _faces_of_edges(mesh: ClothMesh) -> Int[np.ndarray, "edges 2"]:
     """Return the triangles beside each edge; -1 beyond a rim."""
-    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, edge = np.unique(sides, axis=0, return_inverse=True)
+    _, edge = np.unique(sides_of(mesh.faces), axis=0, return_inverse=True)
     order = np.argsort(edge, kind="stable")
     edge, face = edge[order], order // 3
     again = np.concatenate([[False], edge[1:] == edge[:-1]])

@@ -37,7 +37,8 @@ class ClothMesh:
         Raises:
             InvalidMeshError: with the first offending vertex, face or edge.
         """
-        _check(self)
+        _check_arrays(self.vertices, self.faces)
+        _check_surface(self)
 
     @property
     def vertex_count(self) -> int:
@@ -47,8 +48,7 @@ class ClothMesh:
     @cached_property
     def edges(self) -> Int[np.ndarray, "edges 2"]:
         """Every edge once, lower vertex index first, sorted."""
-        pairs = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        return np.unique(pairs, axis=0).astype(np.int32)
+        return np.unique(sides_of(self.faces), axis=0).astype(np.int32)
 
     @cached_property
     def edge_lengths(self) -> Float[np.ndarray, " edges"]:
@@ -68,9 +68,7 @@ class ClothMesh:
     @cached_property
     def opposite_pairs(self) -> Int[np.ndarray, "interior_edges 2"]:
         """The two vertices that face each other across each interior edge (bending pairs)."""
-        sides = self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        opposite = self.faces[:, [2, 0, 1]].reshape(-1)
-        keys = np.sort(sides, axis=1)
+        keys, opposite = sides_of(self.faces), self.faces[:, [2, 0, 1]].reshape(-1)
         order = np.lexsort((keys[:, 1], keys[:, 0]))
         keys, opposite = keys[order], opposite[order]
         shared = np.flatnonzero((keys[1:] == keys[:-1]).all(axis=1))
@@ -86,9 +84,9 @@ class ClothMesh:
         return replace(self, vertices=np.asarray(self.vertices) * factor, canonical=canonical)
 
 
-def _check(mesh: ClothMesh) -> None:
-    _check_arrays(mesh.vertices, mesh.faces)
-    _check_surface(mesh)
+def sides_of(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "sides 2"]:
+    """Return the three sides of each face, lower vertex index first."""
+    return np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
@@ -129,8 +127,7 @@ def _check_surface(mesh: ClothMesh) -> None:
         raise InvalidMeshError(
             f"face {twice[0]} is {faces[twice[0]].tolist()}: it uses one vertex twice; remove it"
         )
-    keys = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, counts = np.unique(keys, axis=0, return_counts=True)
+    edges, counts = np.unique(sides_of(faces), axis=0, return_counts=True)
     if counts.max() > 2:
         worst = int(counts.argmax())
         raise InvalidMeshError(

@@ -6,7 +6,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from clothtrack.geometry.crossing_search import CrossingSearch
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.mesh import ClothMesh, sides_of
 
 
 def edge_strain(mesh_rest: ClothMesh, vertices: Float[np.ndarray, "vertices 3"]) -> float:
@@ -17,15 +17,7 @@ def edge_strain(mesh_rest: ClothMesh, vertices: Float[np.ndarray, "vertices 3"])
 
 
 def crossings(vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]) -> int:
-    """Return number of edges that pass through a triangle with which they share no vertex.
-
-    Args:
-        vertices: positions [m].
-        faces: vertex indices per triangle.
-
-    Returns:
-        How many edges pass through at least one triangle.
-    """
+    """Return how many edges pass through a triangle with which they share no vertex."""
     return len(crossing_edges(vertices, faces)[0])
 
 
@@ -49,15 +41,11 @@ def crossing_edges(
 
 
 class CrossingCheck:
-    """`crossing_edges` of one mesh, as often as wanted; its edges and its search are made once.
-
-    Args:
-        faces: vertex indices per triangle; at least one.
-    """
+    """`crossing_edges` of one mesh, again and again; `faces` has at least one triangle."""
 
     def __init__(self, faces: Int[np.ndarray, "faces 3"]) -> None:
         self._faces = np.ascontiguousarray(faces, np.int32)
-        sides = np.sort(self._faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        sides = sides_of(self._faces)
         # One number per side: an order of magnitude faster than unique rows.
         count = int(self._faces.max()) + 1
         numbers = np.unique(sides[:, 0] * np.int64(count) + sides[:, 1])
@@ -87,9 +75,6 @@ def close_pairs(
         vertices: positions [m].
         faces: vertex indices per triangle.
         distance_m: pairs at or below this distance count [m].
-
-    Returns:
-        Number of unordered pairs.
     """
     count = len(vertices)
     pairs = cKDTree(vertices).query_pairs(distance_m, output_type="ndarray")
@@ -111,8 +96,5 @@ def below(
         heights: heights of the vertices above the table [m].
         resting_height_m: height of a vertex that lies on the table [m].
         tolerance_m: how much lower does not count yet [m].
-
-    Returns:
-        A share between 0 and 1.
     """
     return float(np.mean(heights < resting_height_m - tolerance_m))

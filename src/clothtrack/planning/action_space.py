@@ -52,12 +52,7 @@ class PickPlace:
     lift_m: float
 
     def path(self, speed: float, time_step_s: float) -> Float[np.ndarray, "steps 3"]:
-        """Return where the tip is after each time step, from grasp to release [m].
-
-        Args:
-            speed: highest speed of the tip [m/s].
-            time_step_s: time from one point of the path to the next [s].
-        """
+        """Return where the tip is [m] after each time step, at most this fast [m/s]."""
         planned = PlannedAction(np.zeros(0, np.int64), self.pick, self.place, self.lift_m)
         config = ActionConfig(speed=speed, frame_rate=1.0 / time_step_s)
         return carrying_path(planned, config, time_step_s)
@@ -258,12 +253,9 @@ def within_limits(
 def in_picture(
     points: Float[np.ndarray, "points 3"], camera: Camera | None, margin: float
 ) -> Bool[np.ndarray, " points"]:
-    """Return which points [m] the camera has in its picture, at least a margin from the border.
+    """Return which points [m, world] are in the picture, a share of its width from the border.
 
-    Args:
-        points: in the world [m].
-        camera: None sees everything.
-        margin: width of the border, as a share of the picture's width.
+    A camera that is None sees everything.
     """
     if camera is None:
         return np.ones(len(points), dtype=bool)

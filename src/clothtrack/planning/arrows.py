@@ -14,13 +14,7 @@ OUTLINE = (255, 255, 255)
 def draw_action(
     image: UInt8[np.ndarray, "height width 3"], camera: Camera, action: PickPlace
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Return a copy of the picture with an arrow from pick to place.
-
-    Args:
-        image: red first, of this camera.
-        camera: that took it.
-        action: what is drawn.
-    """
+    """Return a copy of the camera's RGB picture with an arrow from pick to place."""
     drawn = np.ascontiguousarray(image.copy())
     pixels, _ = camera.project(np.stack([action.pick, action.place]))
     start, end = (tuple(round(float(value)) for value in pixel) for pixel in pixels)

@@ -20,7 +20,7 @@ from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace, SeenCloth
 from clothtrack.planning.episode_store import EpisodeStore, write_step
 from clothtrack.planning.flatten_config import FlattenConfig, episode_identity, weights_used
-from clothtrack.planning.perception import Estimate, Look, Perception, label_of
+from clothtrack.planning.perception import Estimate, Look, Perception
 from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
 from clothtrack.planning.planning_dynamics import PlanningDynamics
 from clothtrack.planning.robots.robot import Execution, PickPlaceRobot
@@ -100,7 +100,7 @@ class Flattening:
         score: Callable[[], float] | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        """Put the parts together.
+        """Flatten with these parts.
 
         Args:
             robot: acts and takes pictures.
@@ -150,9 +150,9 @@ class Flattening:
             InvalidConfigError: the folder holds another episode.
             InvalidRecordingError: the first picture shows no cloth.
         """
-        label = {"perception": "none", "control": False}
-        if self._perception is not None:
-            label = dict(label_of(self._config.perception))
+        # The truth is an upper bound that no camera can have, never a result.
+        name = "none" if self._perception is None else self._config.perception.name
+        label = {"perception": name, "control": name == "truth"}
         cloth = self._scene.cloth
         store = EpisodeStore(
             folder,
@@ -211,7 +211,7 @@ class Flattening:
         if not status:
             self._tell(number, "plan")
             decision = self._decide(look, estimate, number)
-            # Whoever promises nothing may have had bad luck with its candidates: look once more.
+            # No candidate predicts a gain: resample before the episode ends.
             for again in range(1, PATIENCE):
                 if decision.action is None:
                     decision = self._decide(look, estimate, number, again)

@@ -5,7 +5,7 @@ cloth by whoever has a simulated robot, and everything that it leads to is label
 """
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -29,8 +29,6 @@ from clothtrack.tracking.tracker import Tracker
 logger = logging.getLogger(__name__)
 
 PerceptionName = Literal["network", "tracker", "truth"]
-CONTROLS = ("truth",)
-"""Perceptions that no camera can have: upper bounds, never results."""
 
 LONGEST_PATH_M = 0.06
 """Cloth that was carried farther than this between two pictures is perceived anew [m]: a tracker
@@ -176,14 +174,7 @@ class TrackerPerception:
         tracker: RunConfig = ONE_CANDIDATE,
         device: str = "cpu",
     ) -> None:
-        """Remember how to track, and who makes the first estimate and those where tracking fails.
-
-        Args:
-            first: perceives anew.
-            lost_m: distance of a lost mesh from its cloud (`PerceptionConfig.lost_m`) [m].
-            tracker: Algorithm 1.
-            device: where to compute.
-        """
+        """Track with `tracker`; `first` estimates at the start and where tracking fails."""
         self._first, self._lost_m = first, lost_m
         self._tracker, self._device = tracker, device
 
@@ -247,7 +238,7 @@ class ControlPerception:
     """The true cloth: the upper bound of all perception, and no result."""
 
     def __init__(self, true_cloth: TrueCloth) -> None:
-        """Remember whom to ask; only a simulated robot can be."""
+        """Ask a simulated robot for the true cloth."""
         self._true_cloth = true_cloth
 
     def perceive(self, look: Look) -> Estimate:
@@ -264,13 +255,7 @@ def perception_of(
     true_cloth: TrueCloth | None = None,
     device: str = "cpu",
 ) -> Perception:
-    """Return the perception that a configuration names.
-
-    Args:
-        kind: the garment.
-        config: which.
-        true_cloth: for the control only.
-        device: where to compute.
+    """Return the perception that a configuration names; `true_cloth` is for the control only.
 
     Raises:
         InvalidConfigError: the control is asked for where no truth is, or a GPU for the network.
@@ -287,8 +272,3 @@ def perception_of(
     if config.name == "network":
         return network
     return TrackerPerception(network, lost_m=config.lost_m, device=device)
-
-
-def label_of(config: PerceptionConfig) -> Mapping[str, object]:
-    """Return what every output says about the perception."""
-    return {"perception": config.name, "control": config.name in CONTROLS}

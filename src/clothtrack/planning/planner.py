@@ -87,12 +87,7 @@ class Planner:
     """Chooses actions for one garment after another; coarse meshes are kept between decisions."""
 
     def __init__(self, dynamics: PlanningDynamics, config: PlannerConfig | None = None) -> None:
-        """Remember what to ask.
-
-        Args:
-            dynamics: predict where the cloth ends.
-            config: how to choose.
-        """
+        """Choose by what these dynamics predict."""
         self.config = config or PlannerConfig()
         self._dynamics = dynamics
         self._coarse: list[tuple[ClothMesh, Coarsener]] = []

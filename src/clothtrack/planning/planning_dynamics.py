@@ -124,7 +124,7 @@ class HeldPaths:
 
     Attributes:
         vertices: held vertex per candidate; -1 holds nothing.
-        ways: where it is to be [m] after each time step; the last place again once it is let go.
+        ways: its target [m] after each time step; constant once it is let go.
         steps: time steps until each candidate lets go.
     """
 
@@ -224,14 +224,7 @@ class SimulatorDynamics:
         together: int = TOGETHER,
         device: str = "cpu",
     ) -> None:
-        """Remember how and where to compute.
-
-        Args:
-            config: motion and material.
-            solver: how the coarse cloth moves; its table is that of the cloth.
-            together: about how many candidates are rolled out at once.
-            device: where to compute.
-        """
+        """Compute with this motion and material; the solver's table is that of the cloth."""
         self.config = config or SimulatorConfig()
         self._settings, self._together = solver, together
         self._device = device
@@ -288,7 +281,7 @@ class SimulatorDynamics:
         if environments not in self._solvers:
             height = cloth.table_height_m
             table = Table(np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]))
-            config = SolverConfig(**{**vars(self._settings), "table": table})
+            config = replace(self._settings, table=table)
             laid = cloth.flat.vertices.astype(np.float64)
             laid[:, 2] += height + config.resting_height_m - laid[:, 2].min()
             solver = ClothSolver(
@@ -298,7 +291,7 @@ class SimulatorDynamics:
                 environments=environments,
                 device=self._device,
             )
-            # Flat, the layers have a side of each other, and a place to remember it.
+            # Step once while flat: contact stores which side of each triangle every vertex is on.
             solver.step(self.config.motion.time_step_s)
             self._solvers[environments] = solver, solver.save()
         return self._solvers[environments]

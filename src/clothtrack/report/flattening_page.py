@@ -71,15 +71,7 @@ def write_flattening_report(
 def watched_live(
     port: int | None = None, *, opened: Callable[[str], None] | None = None
 ) -> Iterator[Watch]:
-    """Serve the page of the running episode on 127.0.0.1; gives what is called after every step.
-
-    Args:
-        port: of the server; any free one by default.
-        opened: is told the address.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
-    """
+    """Serve the page of the running episode (`live_page`), and yield what each step calls."""
     with live_page("flattening", port, opened=opened) as page, TemporaryDirectory() as folder:
 
         def show(store: EpisodeStore, decision: Decision | None) -> None:
@@ -92,12 +84,7 @@ def watched_live(
 
 
 def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Path:
-    """Write all pictures of an episode with their arrows as one PNG.
-
-    Args:
-        store: the episode.
-        path: of the picture.
-        columns: pictures in a row.
+    """Write all pictures of an episode with their arrows as one PNG, `columns` in a row.
 
     Raises:
         InvalidRecordingError: a step cannot be read.
@@ -144,26 +131,28 @@ def _curve(steps: Sequence[dict[str, Any]]) -> str:
     flat = steps[0]["flat_m2"] or max(row["seen_m2"] for row in steps)
     width, height, left, low = 420, 190, 34, 160
 
-    def place(number: int, share: float) -> str:
-        x = left + (width - left - 10) * number / max(1, len(steps) - 1)
-        return f"{x:.1f},{low - (low - 12) * min(share, 1.1):.1f}"
+    def column(number: int) -> str:
+        return f"{left + (width - left - 10) * number / max(1, len(steps) - 1):.1f}"
+
+    def height_of(share: float) -> float:
+        return low - (low - 12) * min(share, 1.1)
 
     lines, keys = [], []
     for tone, (key, words) in enumerate((("true_m2", "true"), ("seen_m2", "seen"))):
         if steps[0][key] is None:
             continue
-        points = " ".join(place(k, row[key] / flat) for k, row in enumerate(steps))
+        points = " ".join(
+            f"{column(k)},{height_of(row[key] / flat):.1f}" for k, row in enumerate(steps)
+        )
         lines.append(f'<polyline class="line tone{tone}" points="{points}"/>')
         keys.append(f'<span class="key tone{tone}"><i></i>{words}</span>')
     marks = "".join(
-        f'<line class="grid" x1="{left}" x2="{width}" y1="{place(0, share).split(",")[1]}" '
-        f'y2="{place(0, share).split(",")[1]}"/><text class="tick" x="2" '
-        f'y="{float(place(0, share).split(",")[1]) + 4:.1f}">{share:.0%}</text>'
-        for share in (0.0, 0.5, 1.0)
+        f'<line class="grid" x1="{left}" x2="{width}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        f'<text class="tick" x="2" y="{y + 4:.1f}">{share:.0%}</text>'
+        for share, y in ((share, height_of(share)) for share in (0.0, 0.5, 1.0))
     )
     numbers = "".join(
-        f'<text class="tick" x="{place(k, 0.0).split(",")[0]}" y="{low + 16}">{k}</text>'
-        for k in range(len(steps))
+        f'<text class="tick" x="{column(k)}" y="{low + 16}">{k}</text>' for k in range(len(steps))
     )
     return (
         f'<figure class="chart"><b>Share of the flat cloth\'s area, by action</b>'

@@ -54,11 +54,7 @@ class LiveTracking:
     """Holds the newest mesh; packs it only when a page asks, so that nobody waits for a page."""
 
     def __init__(self, words: Callable[[], str]) -> None:
-        """Begin with no mesh.
-
-        Args:
-            words: says how far the tracking is.
-        """
+        """Begin with no mesh; `words` says how far the tracking is."""
         self._words, self._newest = words, None
         self._known, self._version, self._asked_s = 0, 0, float("-inf")
         self._end = ""
@@ -123,15 +119,12 @@ class LiveTracking:
 def live_tracking(
     words: Callable[[], str], port: int | None = None, *, opened: Callable[[str], None]
 ) -> Iterator[LiveTracking]:
-    """Serve the page of a tracking on 127.0.0.1 while the block runs.
+    """Serve the page of a tracking on 127.0.0.1 while the block runs (`serving`).
 
     Args:
         words: says how far the tracking is.
         port: of the server; any free one by default.
-        opened: is told the address before anything else happens.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
+        opened: called with the address before anything else happens.
     """
     page = LiveTracking(words)
     with serving(page.ask, lambda *_: None, port) as address:

@@ -14,7 +14,6 @@ from jaxtyping import Float
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.evaluation.truth import Truth
 from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.store import read_recording
 from clothtrack.report.coloring import Coloring, colorings, judged_or_none
 from clothtrack.report.curves import chart_html
 from clothtrack.report.document import write_document
@@ -117,24 +116,6 @@ def write_report(
 {actions_html(tracked, recording)}
 {settings_html(tracked, recording)}"""
     return write_document(path, tracked.name, body)
-
-
-def report(
-    tracked: Path, recording: Path, path: Path | None = None, *, config: ReportConfig | None = None
-) -> Path:
-    """Write the page of a stored trajectory and return its path: `tracked`.html by default.
-
-    Raises:
-        InvalidResultError: when the trajectory cannot be read.
-        InvalidRecordingError: when the recording cannot be read.
-        StorageError: when the disk refuses.
-    """
-    return write_report(
-        TrackedTrajectory.load(tracked),
-        read_recording(recording),
-        path or tracked.parent / f"{tracked.stem}.html",
-        config=config,
-    )
 
 
 def _video_card(tracked: TrackedTrajectory, overlay: Overlay, config: ReportConfig) -> str:
