@@ -18,7 +18,7 @@ from pathlib import Path
 from clothtrack.errors import StorageError
 
 LATE_WRITERS_S = 2.0
-"""Writers that have not heard of a failure may go on so long [s] in a folder that is removed."""
+"""Longest time [s] that late writers may still write into a folder that is removed."""
 
 OLD = ".old"
 """Ends the hidden name of a folder that is being replaced."""
@@ -110,11 +110,11 @@ def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
 
     Args:
         path: the folder's final name.
-        replace: the folder that is there gives way at the end, when all went well: it is renamed
-            before the new one takes its name, and removed after that.
+        replace: replace a folder at `path` when all went well: it is renamed before the new one
+            takes its name, and removed after that.
 
     Raises:
-        StorageError: when the disk refuses, or when `path` holds something and is not to give way.
+        StorageError: when the disk refuses, or when `path` is not empty and not to be replaced.
     """
     path = Path(path)
     temporary: Path | None = None

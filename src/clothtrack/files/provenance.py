@@ -43,10 +43,10 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
         text = listing.read_text("utf-8", errors="replace")
     except OSError:
         return platform.processor() or platform.machine()
-    told = dict(re.findall(r"^(model name|flags|Features)[ \t]*: *(.*)$", text, re.MULTILINE))
-    flags = f"{told.get('flags', '')} {told.get('Features', '')}".split()
+    found = dict(re.findall(r"^(model name|flags|Features)[ \t]*: *(.*)$", text, re.MULTILINE))
+    flags = f"{found.get('flags', '')} {found.get('Features', '')}".split()
     widest = next((one for one in _VECTORS if one in flags), "")
-    model = told.get("model name", platform.machine())
+    model = found.get("model name", platform.machine())
     return f"{model}, {widest}" if widest else model
 
 

@@ -213,7 +213,7 @@ def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTe
     closed = np.concatenate([upright.points, upright.points[:1]])
     closed = closed - 0.5 * (closed.min(axis=0) + closed.max(axis=0))
     pixels = np.concatenate([upright.pixels, upright.pixels[:1]])
-    # The way around begins at a corner: the first point is kept as one.
+    # Begin at a corner: the first point is kept as one.
     start = int(np.linalg.norm(closed[:-1], axis=1).argmax())
     order = np.append(np.roll(np.arange(len(closed) - 1), -start), start)
     edge = Stretch("edge", closed[order], pixels[order])

@@ -26,7 +26,7 @@ OPENINGS = ("hem", "cuff", "neck", "waist")
 """Stretches where front and back are not sewn together."""
 
 CORNER_SHARE = 0.012
-"""A bend that leaves the straight way by this share of the garment's extent is a corner."""
+"""A bend that leaves the straight line by this share of the garment's extent is a corner."""
 
 SNAP_SHARE = 0.025
 """Landmarks go to a corner that is nearer than this share of the garment's extent."""

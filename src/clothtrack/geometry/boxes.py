@@ -1,7 +1,7 @@
-"""Boxes that are asked eight at once, and the order that puts what is near into one eight.
+"""Axis-aligned boxes in blocks of eight that are tested at once, and the order that fills the blocks.
 
-Boxes lie eight by eight: `boxes[eight, k, place]` are the lower (k = 0, 1, 2) and the upper corner
-(k = 3, 4, 5) of one of eight [m].
+`boxes[eight, k, place]` are the lower (k = 0, 1, 2) and the upper corner (k = 3, 4, 5) [m] of the box
+at one of eight places of a block.
 """
 
 from typing import no_type_check
@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, Int
 wp.set_module_options({"enable_backward": False})
 
 EIGHT = 8
-"""Boxes that are asked at once."""
+"""Boxes that are tested at once."""
 
 _EIGHT = wp.constant(EIGHT)
 
@@ -54,7 +54,7 @@ _FIND_TOUCHING = """
 @no_type_check
 @wp.func_native(_FIND_TOUCHING)
 def find_touching(box: Box, boxes: wp.array3d(dtype=float), eight: int, bits: wp.ref[wp.uint32]):
-    """Set a bit for each box of an eight that touches another."""
+    """Set a bit for each box of a block that touches another box."""
 
 
 _KEEP_STRANGERS = """
@@ -83,7 +83,7 @@ _KEEP_STRANGERS = """
 def keep_strangers(
     one: int, other: int, corners: wp.array3d(dtype=int), eight: int, bits: wp.ref[wp.uint32]
 ):
-    """Keep the bits of triangles of an eight that have neither of two vertices."""
+    """Keep the bits of triangles of a block that contain neither of two vertices."""
 
 
 _TAKE_LOWEST = """
@@ -99,7 +99,7 @@ _TAKE_LOWEST = """
 @no_type_check
 @wp.func_native(_TAKE_LOWEST)
 def take_lowest(bits: wp.ref[wp.uint32], place: wp.ref[wp.int32]):
-    """Clear the lowest bit that is set, of which there must be one; its place."""
+    """Clear the lowest set bit, of which there must be one, and return its place."""
 
 
 @no_type_check
@@ -115,7 +115,7 @@ def box_at(boxes: wp.array3d(dtype=float), eight: int, place: int):
 @no_type_check
 @wp.func
 def put_box(box: Box, boxes: wp.array3d(dtype=float), eight: int, place: int):
-    """Write one box of an eight."""
+    """Write one box of a block of eight."""
     for axis in range(3):
         boxes[eight, axis, place] = box.low[axis]
         boxes[eight, 3 + axis, place] = box.high[axis]

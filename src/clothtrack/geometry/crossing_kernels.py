@@ -1,7 +1,7 @@
-"""Which edges pass through which triangles of one mesh, found through boxes that are asked at once.
+"""Which edges pass through which triangles of one mesh, found by tests of eight boxes at once.
 
-Around each eight of boxes there is another box, and these lie eight by eight as well. Triangles
-come first, edges after them from a whole eight of eights on.
+A tree of two levels: each block of eight boxes has a box around it, and these are blocks of eight as
+well. Triangles come first; edges follow from the next full block of blocks on.
 """
 
 from typing import no_type_check
@@ -88,7 +88,7 @@ def list_between(
     found: wp.array(dtype=wp.vec2i),
     count: wp.array(dtype=int),
 ):
-    """List the crossings of an eight of edges with an eight of triangles."""
+    """List the crossings of a block of edges with a block of triangles."""
     edge = wp.int32(0)
     face = wp.int32(0)
     near_edges = wp.uint32(0)

@@ -27,7 +27,7 @@ ON_CLOTH_M = 0.012
 """A place this near to a seen point [m] is on the cloth; a pick farther from any is on none."""
 
 OUTWARDS = 0.5
-"""Share of ways that lead within 60 degrees of straight away from the middle of the cloth; the
+"""Share of moves that lead within 60 degrees of straight away from the middle of the cloth; the
 others lead anywhere."""
 
 RELEASE_HEIGHT_M = 0.006
@@ -88,7 +88,7 @@ class ActionSpace(Checked):
     """Which pick-and-places are tried.
 
     Attributes:
-        distance_m: least and largest horizontal way [m] (paper's reference code: 0.05 to 0.2).
+        distance_m: least and largest horizontal distance [m] (paper's reference code: 0.05 to 0.2).
         lift_m: least and largest height of the path over the straight line [m]; VCD lifts 0.07.
         edges: share of picks that are drawn near edges and corners; the others are anywhere on
             visible cloth, as in the reference code.
@@ -202,8 +202,8 @@ def sample_actions(
         outward = np.arctan2(*(pick[:, :2] - middle).T[::-1])
         spread = np.where(rng.random(missing) < OUTWARDS, np.pi / 3.0, np.pi)
         heading = outward + spread * rng.uniform(-1.0, 1.0, missing)
-        way = rng.uniform(*space.distance_m, missing)
-        step = way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        distance = rng.uniform(*space.distance_m, missing)
+        step = distance[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
         lift = rng.uniform(*space.lift_m, missing)
         actions += within_limits(seen, pick, pick[:, :2] + step, lift, space)
     return actions[:count]
@@ -236,8 +236,8 @@ def within_limits(
             ground[index] = seen.cloud[near, 2].max()
     placed = np.column_stack([places, ground + RELEASE_HEIGHT_M])
     top = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], placed[:, 2]) + lifts_m])
-    way = np.linalg.norm(places - picks[:, :2], axis=1)
-    allowed = (way >= space.distance_m[0] - 1e-9) & (way <= space.distance_m[1] + 1e-9)
+    distance = np.linalg.norm(places - picks[:, :2], axis=1)
+    allowed = (distance >= space.distance_m[0] - 1e-9) & (distance <= space.distance_m[1] + 1e-9)
     for points in (picks, placed, top):
         allowed &= space.workspace.holds(points)
     for points in (picks, placed):

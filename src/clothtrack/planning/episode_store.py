@@ -5,8 +5,8 @@
     EPISODE/steps/01 ...       each action as a recording of its own
     EPISODE/estimates/00.npz   what was believed after each step
 
-At the end the steps are joined to one normal recording. Nothing here holds the truth: the world of
-a simulated robot is saved elsewhere by whoever has one.
+At the end the steps are joined to one normal recording. The truth of a simulated robot is not stored
+here.
 """
 
 import json

@@ -58,7 +58,7 @@ class Checkpoint(Protocol):
 
 
 Watch = Callable[[EpisodeStore, Decision | None], None]
-"""Told of every finished step: the episode so far, and what was decided next, if anything was."""
+"""Called after every step with the episode and the next decision, if there is one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Where the cloth is, before each action: the network, the tracker, or a named control.
 
-Everything but the control asks recordings and weights only. The control `truth` is handed the true
-cloth by whoever has a simulated robot, and everything that it leads to is labelled "control".
+Perceptions use recordings and weights only, except the control `truth`: it gets the true cloth from
+a simulated robot, and all its results are labelled "control".
 """
 
 import logging

@@ -124,12 +124,12 @@ class HeldPaths:
 
     Attributes:
         vertices: held vertex per candidate; -1 holds nothing.
-        ways: its target [m] after each time step; constant once it is let go.
+        targets: its place [m] after each time step; constant once it is let go.
         steps: time steps until each candidate lets go.
     """
 
     vertices: np.ndarray
-    ways: Float[np.ndarray, "candidates steps 3"]
+    targets: Float[np.ndarray, "candidates steps 3"]
     steps: np.ndarray
 
     @classmethod
@@ -145,18 +145,18 @@ class HeldPaths:
             for action, vertex in zip(actions, held, strict=True)
         ]  # fmt: skip
         steps = np.array([len(path) for path in paths], dtype=np.int64)
-        ways = np.zeros((len(actions), int(steps.max(initial=0)), 3))
+        targets = np.zeros((len(actions), int(steps.max(initial=0)), 3))
         for index, path in enumerate(paths):
             if len(path):
-                ways[index, : len(path)] = path
-                ways[index, len(path) :] = path[-1]
+                targets[index, : len(path)] = path
+                targets[index, len(path) :] = path[-1]
         vertices = np.array([-1 if vertex is None else vertex for vertex in held], dtype=np.int64)
-        return cls(vertices, ways, steps)
+        return cls(vertices, targets, steps)
 
     def batches(self, size: int) -> list[Int[np.ndarray, " chosen"]]:
         """Return candidates in batches of about this size, sorted by duration.
 
-        Long ways last four times as long as short ones, which need not wait for them.
+        Long paths last four times as long as short ones, which need not wait for them.
         """
         lasts = np.where(self.vertices < 0, np.median(self.steps), self.steps)
         order = np.argsort(lasts, kind="stable")
@@ -166,7 +166,7 @@ class HeldPaths:
         """Return those of some candidates, as long as the longest of them."""
         steps = self.steps[chosen]
         return HeldPaths(
-            self.vertices[chosen], self.ways[chosen, : int(steps.max(initial=0))], steps
+            self.vertices[chosen], self.targets[chosen, : int(steps.max(initial=0))], steps
         )
 
 
@@ -254,9 +254,9 @@ class SimulatorDynamics:
         every = np.arange(candidates)
         targets = np.zeros((candidates, cloth.flat.vertex_count, 3))
         strength = np.zeros(targets.shape[:2])
-        for step in range(held.ways.shape[1]):
+        for step in range(held.targets.shape[1]):
             strength[every, held.vertices] = step < held.steps
-            targets[every, held.vertices] = held.ways[:, step]
+            targets[every, held.vertices] = held.targets[:, step]
             solver.step(motion.time_step_s, Attachment(targets, strength))
         for _ in range(math.ceil(motion.rest_s / motion.time_step_s)):
             solver.step(motion.time_step_s)

@@ -59,8 +59,8 @@ class TrajectorySummary:
     Attributes:
         thumbnail: the mesh over the picture at the last label, as a data address.
         verdict: of its worst label.
-        expected_error_mm: largest expected error of its labels [mm]; NaN where nobody knows.
-        quality: smallest quality of its labels, 0 to 1; NaN where nobody knows.
+        expected_error_mm: largest expected error of its labels [mm]; NaN if unknown.
+        quality: smallest quality of its labels, 0 to 1; NaN if unknown.
         rms_mm: distance of visible mesh and observed points at the last label [mm]; NaN without.
     """
 

@@ -1,6 +1,6 @@
-"""What a cloth can be coloured by, vertex by vertex: how far from what was seen, from the truth.
+"""What a cloth can be coloured by, per vertex: distance to the cloud, expected and true error.
 
-Nothing here but `truth_errors` takes the truth, and its title says so wherever it is shown.
+Only `truth_errors` uses the truth, and its title says so.
 """
 
 import logging
@@ -22,7 +22,7 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 log = logging.getLogger(__name__)
 
 FARTHEST_CLOUD_MM = 20.0
-"""Beyond this a distance to the cloud tells no more [mm]: the scale does not reach further."""
+"""Top of the scale of distances to the cloud [mm]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ class Chart:
 
     Attributes:
         title: what is shown.
-        unit: its unit, written beside the title.
+        unit: its unit, written after the title.
         lines: what is drawn.
         note: one sentence of help under the title.
         least_top: the vertical axis reaches at least this value.

@@ -32,8 +32,8 @@ class Evidence:
     Attributes:
         clouds: observed points [m, world] of each step.
         rms_mm: root of half the two-way Chamfer distance [mm] of visible vertices and observed
-            points, where an answer could be had (`clothtrack.evaluation.results`); NaN where none.
-        floor_mm: the same between two halves of the cloud [mm]: so much is left of a perfect mesh.
+            points, where they were observable (`clothtrack.evaluation.results`); NaN elsewhere.
+        floor_mm: the same between two halves of the cloud [mm], which a perfect mesh would have.
     """
 
     clouds: Sequence[Float[np.ndarray, "_ 3"]]
@@ -44,8 +44,7 @@ class Evidence:
 def observed(recording: Recording, frame: Frame) -> Observation | None:
     """Return what was observed of the cloth; None, with a warning, when it cannot be had.
 
-    A report is about a run that is over: a frame that cannot be read any more costs the picture,
-    not the report.
+    The run is over: a frame that cannot be read costs its picture, not the report.
     """
     try:
         return observe(recording, frame)

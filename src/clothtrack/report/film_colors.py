@@ -1,4 +1,4 @@
-"""What colour the film gives to the observed points and to the cloth."""
+"""Colours of the observed points and of the cloth, from the pictures of a recording."""
 
 import logging
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 log = logging.getLogger(__name__)
 
 PALETTE_SIZE = 255
-"""So many colours can a point have: one byte each."""
+"""Most colours of points: one byte each."""
 
 DEPTH_AGREES_M = 0.02
-"""A pixel whose depth differs by more shows something else than the point [m]."""
+"""A pixel whose depth differs by more than this [m] shows something else than the point."""
 
 FILM_STEPS = 16
-"""At so many frames the film is looked at for the colour of the cloth."""
+"""Number of frames from which the colour of the cloth is taken."""
 
 SPREADING_ROUNDS = 64
-"""So far do colours spread into parts that no camera ever saw [edges]."""
+"""Distance that colours spread into parts that no camera ever saw [edges]."""
 
 Colors = UInt8[np.ndarray, "points 3"]
 

@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from clothtrack.geometry.mesh import ClothMesh
 
 SMOOTHING_ROUNDS = 6
-"""A rank jumps where a lower layer ends; averaging with the neighbours so often makes a slope."""
+"""Averages over the neighbours: a rank jumps where a lower layer ends, and becomes a slope."""
 
 ASIDE = 0.003
-"""So far beside a vertex is looked for layers, as a share of the length of an edge."""
+"""Offset from a vertex at which layers are counted, as a share of the length of an edge."""
 
 
 class Layers:

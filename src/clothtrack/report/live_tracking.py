@@ -24,7 +24,7 @@ from clothtrack.report.viewpoint import view_of
 TITLE = "Tracking"
 
 LAST_WORDS_S = 3.0
-"""So long an open page is waited for that has not yet heard how the tracking ended [s]."""
+"""Longest wait for an open page to show how the tracking ended [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class _Shown:
 
 
 class LiveTracking:
-    """Holds the newest mesh; packs it only when a page asks, so that nobody waits for a page."""
+    """Holds the newest mesh and packs it only when a page asks, so that tracking never waits."""
 
     def __init__(self, words: Callable[[], str]) -> None:
         """Begin with no mesh; `words` says how far the tracking is."""

@@ -51,7 +51,7 @@ class ReportConfig:
     """How much goes into a page.
 
     Attributes:
-        video_frames: at most this many frames in the video, evenly chosen beside those of labels.
+        video_frames: at most this many frames in the video, evenly chosen, and those of labels.
         scene_vertices: at most this many vertices over all frames of the scene.
         scene_points: observed points kept per frame of the scene.
         overlay: how the video looks.
@@ -80,7 +80,7 @@ def write_report(
         path: of the page.
         config: how much goes into it.
         truth: the true meshes; only with them can the cloth be coloured by its error.
-        review: decisions about labels so far.
+        review: decisions about labels.
 
     Raises:
         InvalidResultError: the truth is of another garment or another recording.

@@ -45,10 +45,10 @@ THICKNESS_M = 0.0012
 """Thickness that the cloth is drawn with [m]: about that of jersey."""
 
 SCENE_POINTS = 1500
-"""So many observed points of a frame are shown."""
+"""Most observed points of a frame that are shown."""
 
 CLOUD_GRAINS = 8
-"""Observed points are rounded to so many grains, half a millimetre: what is finer is noise."""
+"""Observed points are rounded to this many grains, half a millimetre: the rest is noise."""
 
 STRIP_M = 0.02
 """Width of the strips in which observed points are sorted [m]."""
@@ -69,11 +69,11 @@ class SceneContents:
         time_s: when they were [s].
         eye: from where to look first.
         up: unit vector upwards.
-        along: unit vector along which layers are taken apart.
+        along: unit vector along which layers are separated.
         positions: vertices of the cloth [m]; none where there is no mesh.
         faces: vertex indices per triangle.
         ranks: how many layers lie under each vertex.
-        visible: whether a camera sees the vertex; None where nobody knows.
+        visible: whether a camera sees the vertex; None if unknown.
         clouds: observed points of each frame [m].
         pickers: where the pickers were.
         table: where the table is.

@@ -15,7 +15,7 @@ from clothtrack.report.palette import HEAT, HIDDEN, INSIDE, OUTSIDE, UNKNOWN, he
 from clothtrack.report.scene_data import SceneContents, packed
 
 LARGEST_GAP_M = 0.04
-"""So far can layers be shown apart [m]: more tears a shirt into what nobody recognises."""
+"""Largest distance between separated layers [m]; with more a shirt is not recognizable."""
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
 

@@ -24,7 +24,7 @@ def write_video(
     """Encode RGB pictures of one size and return how many there were.
 
     Sizes are made even by repeating the last row or column (4:2:0 needs it). `quality` is x264's
-    rate factor: 18 cannot be told from the source, 30 is rough.
+    rate factor: 18 looks like the source, 30 is coarse.
 
     Raises:
         InvalidConfigError: when there is no picture.

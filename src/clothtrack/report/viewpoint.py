@@ -1,4 +1,4 @@
-"""Cameras that nobody had: where to stand to see the whole cloth well."""
+"""Virtual cameras that see the whole cloth."""
 
 import numpy as np
 from jaxtyping import Float
