@@ -1,7 +1,7 @@
-"""Axis-aligned boxes in blocks of eight that are tested at once, and the order that fills the blocks.
+"""Axis-aligned boxes in blocks of eight that are tested at once, and the order that fills them.
 
-`boxes[eight, k, place]` are the lower (k = 0, 1, 2) and the upper corner (k = 3, 4, 5) [m] of the box
-at one of eight places of a block.
+`boxes[eight, k, place]` are the lower (k = 0, 1, 2) and the upper corner (k = 3, 4, 5) [m] of the
+box at one of eight places of a block.
 """
 
 from typing import no_type_check

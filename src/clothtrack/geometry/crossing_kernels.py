@@ -1,7 +1,7 @@
 """Which edges pass through which triangles of one mesh, found by tests of eight boxes at once.
 
-A tree of two levels: each block of eight boxes has a box around it, and these are blocks of eight as
-well. Triangles come first; edges follow from the next full block of blocks on.
+A tree of two levels: each block of eight boxes has a box around it, and these are blocks of eight
+as well. Triangles come first; edges follow from the next full block of blocks on.
 """
 
 from typing import no_type_check

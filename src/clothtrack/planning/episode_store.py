@@ -5,8 +5,8 @@
     EPISODE/steps/01 ...       each action as a recording of its own
     EPISODE/estimates/00.npz   what was believed after each step
 
-At the end the steps are joined to one normal recording. The truth of a simulated robot is not stored
-here.
+At the end the steps are joined to one normal recording. The truth of a simulated robot is not
+stored here.
 """
 
 import json
