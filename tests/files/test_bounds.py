@@ -16,7 +16,6 @@ from clothtrack.files.bounds import (
     Natural,
     NotNegative,
     Positive,
-    PositiveShare,
     Share,
 )
 from clothtrack.files.settings import with_settings
@@ -31,7 +30,7 @@ class LineSearchConfig(Checked):
     speed: Positive = 1.0
     weight: NotNegative = 0.0
     rank: Share = 0.0
-    strength: PositiveShare = 1.0
+    strength: Annotated[float, Bounds(above=0, most=1)] = 1.0
     views: Annotated[int, Bounds(least=1, most=16)] = 1
     offset: Annotated[float, Bounds()] = -1.0
     range_m: Annotated[tuple[float, float], Interval(least=0)] = (0.0, 1.0)

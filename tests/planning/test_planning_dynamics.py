@@ -87,7 +87,7 @@ def test_ways_end_at_the_place_and_wait_there():
     assert held.steps[0] > held.steps[2] > 0
     for index, action in ((0, INWARDS), (2, ASIDE)):
         beside = LYING.positions[held.vertices[index]] - action.pick
-        np.testing.assert_allclose(held.ways[index, -1], action.place + beside, atol=1e-9)
+        np.testing.assert_allclose(held.targets[index, -1], action.place + beside, atol=1e-9)
 
 
 def test_batches_of_candidates_that_last_alike_change_nothing_but_the_wait(dynamics):

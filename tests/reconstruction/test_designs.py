@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from clothtrack.api import learning_extra as learning
 
+from clothtrack.api import learning_extra as learning
 from clothtrack.cli import command_line as cli
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.reconstruction import model_loading

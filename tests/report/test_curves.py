@@ -37,23 +37,14 @@ def test_a_straight_line_is_drawn_straight_from_corner_to_corner():
     np.testing.assert_allclose(y, np.linspace(HEIGHT - BOTTOM, TOP, 5), atol=0.06)
 
 
-def test_decades_are_equally_far_apart_on_a_logarithmic_axis():
-    values = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2])
-    found = points(drawn(Chart("decay", "", (Line("", values),), logarithmic=True)))
-    steps = np.diff([y for _, _, y in found])
-    np.testing.assert_allclose(steps, steps[0], atol=0.2)
-    assert steps[0] < -10
-
-
 def test_a_missing_value_leaves_a_gap():
     values = np.array([1.0, 2.0, np.nan, 3.0, 4.0])
     letters = [letter for letter, _, _ in points(drawn(Chart("gap", "", (Line("", values),))))]
     assert letters == ["M", "L", "M", "L"]
 
 
-@pytest.mark.parametrize("logarithmic", [False, True])
-def test_nothing_known_is_an_empty_chart(logarithmic):
-    nothing = Chart("unknown", "", (Line("", np.full(5, np.nan)),), logarithmic=logarithmic)
+def test_nothing_known_is_an_empty_chart():
+    nothing = Chart("unknown", "", (Line("", np.full(5, np.nan)),))
     assert points(drawn(nothing)) == []
 
 

@@ -1,11 +1,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from clothtrack.evaluation.metrics import chamfer_pc, root_mean_square_mm
 from clothtrack.evaluation.results import evaluate
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation, observe
+from clothtrack.recordings.recording import Frame
 from clothtrack.recordings.shipped import shipped_recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.evidence import (
@@ -76,36 +78,44 @@ def test_observed_points_lie_on_the_cloth(two_cameras, tracked):
     assert nearest.max() < 0.02
 
 
-def seeing(clouds, recording):
-    """An observer that has these clouds, and sees every pixel of the recording's cameras."""
-    remaining = iter(clouds)
+@pytest.fixture
+def observe_as(monkeypatch):
+    """Have these clouds observed, and every pixel of the recording's cameras seen."""
 
-    def observer(_, frame):
-        return Observation(next(remaining), recording.cameras, {}, None, np.empty((0, 3)), 0.0)
+    def replaced(clouds, recording):
+        remaining = iter(clouds)
 
-    return observer
+        def observed(_, frame):
+            return Observation(next(remaining), recording.cameras, {}, None, np.empty((0, 3)), 0.0)
+
+        monkeypatch.setattr("clothtrack.report.evidence.observe", observed)
+
+    return replaced
 
 
-def test_a_cloud_on_the_vertices_is_at_no_distance(tracked, two_cameras):
+def test_a_cloud_on_the_vertices_is_at_no_distance(tracked, two_cameras, observe_as):
     clouds = [
         positions[seen].astype(float)
         for positions, seen in zip(tracked.positions, tracked.visible, strict=True)
     ]
-    evidence = evidence_of(tracked, two_cameras, seeing(clouds, two_cameras))
+    observe_as(clouds, two_cameras)
+    evidence = evidence_of(tracked, two_cameras)
     np.testing.assert_allclose(evidence.rms_mm, 0.0, atol=1e-3)
     assert [len(one) for one in evidence.clouds] == tracked.visible.sum(axis=1).tolist()
 
 
-def test_a_cloud_beside_the_cloth_is_as_far_as_it_was_moved(tracked, two_cameras):
+def test_a_cloud_beside_the_cloth_is_as_far_as_it_was_moved(tracked, two_cameras, observe_as):
     still = replace(tracked, positions=np.repeat(tracked.mesh.vertices[None], 6, axis=0),
                     visible=np.ones_like(tracked.visible))  # fmt: skip
     clouds = [tracked.mesh.vertices + np.array([0.0, 0.0, 0.003])] * 6
-    evidence = evidence_of(still, two_cameras, seeing(clouds, two_cameras))
+    observe_as(clouds, two_cameras)
+    evidence = evidence_of(still, two_cameras)
     np.testing.assert_allclose(evidence.rms_mm, 3.0, rtol=1e-6)
 
 
 def test_nothing_observed_is_no_number(tracked, two_cameras):
-    evidence = evidence_of(tracked, two_cameras, lambda *_: None)
+    bare = tuple(Frame(frame.index, frame.time_s) for frame in two_cameras.frames)
+    evidence = evidence_of(tracked, replace(two_cameras, frames=bare))
     assert np.isnan(evidence.rms_mm).all()
     assert all(len(one) == 0 for one in evidence.clouds)
 

@@ -10,7 +10,7 @@ import pytest
 
 from clothtrack.errors import InvalidConfigError, StorageError
 from clothtrack.files.extras import install_command
-from clothtrack.report.for_papers import export_pictures
+from clothtrack.report.exports import export_pictures
 from clothtrack.report.rerun_file import write_rerun
 
 

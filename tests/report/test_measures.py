@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.report.measures import charts, edge_strains
+from clothtrack.report.sections import charts, edge_strains
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.0, 1.2])

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from clothtrack.errors import InvalidConfigError, StorageError
-from clothtrack.report.mesh_export import export
+from clothtrack.report.exports import export
 
 
 def test_the_archive_holds_the_trajectory(tracked, tmp_path):

@@ -1,6 +1,6 @@
 import numpy as np
 
-from clothtrack.report.palette import HIDDEN, OUTSIDE, heat, hexadecimal, visibility_colors
+from clothtrack.report.palette import heat, hexadecimal
 
 
 def test_heat_runs_from_calm_to_red_and_stays_there():
@@ -10,11 +10,6 @@ def test_heat_runs_from_calm_to_red_and_stays_there():
     np.testing.assert_array_equal(colors[5], colors[1])
     assert colors[1, 2] > colors[1, 0]
     assert colors[3, 0] > colors[3, 2]
-
-
-def test_hidden_vertices_have_their_own_hue():
-    colors = visibility_colors(np.array([True, False]))
-    np.testing.assert_array_equal(colors, [OUTSIDE, HIDDEN])
 
 
 def test_style_sheets_read_the_colours():

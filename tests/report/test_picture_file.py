@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clothtrack.errors import StorageError
-from clothtrack.report.picture_file import write_picture
+from clothtrack.report.video import write_picture
 
 
 def test_what_is_written_is_what_was_drawn(tmp_path, rng):

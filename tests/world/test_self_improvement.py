@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
-from clothtrack.evaluation.label_worth import LabelWorth, every_label
+from clothtrack.evaluation.label_worth import LabelWorth
 from clothtrack.files.settings import with_settings
 from clothtrack.planning.flatten_config import FlattenConfig
 from clothtrack.planning.perception import PerceptionConfig
@@ -161,7 +161,7 @@ def test_rounds_hand_their_weights_on(tmp_path, monkeypatch):
     with pytest.raises(InvalidConfigError, match=r"another settings\.old_share"):
         improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(old_share=0.5))
     with pytest.raises(InvalidConfigError, match="another teaches"):
-        improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(), teaches=every_label)
+        improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(), teaches=any)
     with pytest.raises(InvalidConfigError, match="another garment_seed"):
         improve_rounds(weights, tmp_path / "out", "towel", ImprovementConfig(), garment_seed=1)
     with pytest.raises(InvalidConfigError, match=r"weights_sha256\.network"):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.recordings.recording import Recording
     from clothtrack.report.artefact_pages import IndexEntry
-    from clothtrack.report.live_folder import Report
+    from clothtrack.report.live import Report
     from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 logger = logging.getLogger(__name__)
@@ -203,14 +203,13 @@ def export(
         raise InvalidConfigError(f"rows is {rows}; a sheet needs 1 or more")
     kind = export_format(Path(output), format)
     from clothtrack.api.run import load, recording_of, truth_of
-    from clothtrack.report import mesh_export
-    from clothtrack.report.for_papers import export_pictures
+    from clothtrack.report import exports
 
     whole = load(run, recordings) if isinstance(run, Path | str) else run
     if kind not in ("sheet", "mp4", "rrd"):
-        return mesh_export.export(whole, Path(output), kind)
+        return exports.export(whole, Path(output), kind)
     source, known = recording_of(whole), truth_of(whole, truth)
-    return export_pictures(whole, source, Path(output), kind, rows=rows, truth=known)
+    return exports.export_pictures(whole, source, Path(output), kind, rows=rows, truth=known)
 
 
 def review_of(run: "TrackedTrajectory") -> "LabelReview":
@@ -337,8 +336,7 @@ def _serve_folder(
     """An index and the reports, each written when somebody looks at it; the folder stays clean."""
     from clothtrack.evaluation.label_review import review_path
     from clothtrack.report.artefact_pages import write_index
-    from clothtrack.report.live import Decisions
-    from clothtrack.report.live_folder import Report, serve_folder
+    from clothtrack.report.live import Decisions, Report, serve_folder
 
     title = trajectories[0].parent.resolve().name
 
@@ -365,8 +363,7 @@ def _entry(
 ) -> "tuple[IndexEntry, Run | None]":
     """The line of a trajectory in an index, and the run where it can be read."""
     from clothtrack.api.run import load, recording_of
-    from clothtrack.report.artefact_pages import IndexEntry
-    from clothtrack.report.trajectory_summary import summary_of
+    from clothtrack.report.artefact_pages import IndexEntry, summary_of
 
     try:
         run = load(path, recordings)

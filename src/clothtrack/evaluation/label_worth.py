@@ -52,12 +52,6 @@ def better_than_network(label_mm: float, network_mm: float | None) -> bool:
     return network_mm is None or label_mm < network_mm
 
 
-def every_label(label_mm: float, network_mm: float | None) -> bool:
-    """Learn from all labels, as the paper does: the ablation of `better_than_network`."""
-    del label_mm, network_mm
-    return True
-
-
 def with_first_mesh(label_mm: float, origin: Mapping[str, Any]) -> float:
     """Expected error of a label [mm] that began with a mesh which was not known well itself.
 

@@ -9,6 +9,6 @@ DIGEST = "sha256"
 
 
 def array_digest(values: np.ndarray) -> str:
-    """SHA-256 of an array's type, shape and values, in hexadecimal digits."""
+    """Return SHA-256 of an array's type, shape and values, in hexadecimal digits."""
     described = f"{values.dtype.str} {values.shape}".encode()
     return hashlib.sha256(described + np.ascontiguousarray(values).tobytes()).hexdigest()

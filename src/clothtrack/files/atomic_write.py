@@ -18,7 +18,7 @@ from pathlib import Path
 from clothtrack.errors import StorageError
 
 LATE_WRITERS_S = 2.0
-"""Writers that have not heard of a failure may go on so long [s] in a folder that is removed."""
+"""Longest time [s] that late writers may still write into a folder that is removed."""
 
 OLD = ".old"
 """Ends the hidden name of a folder that is being replaced."""
@@ -31,7 +31,7 @@ _MARK = re.compile(r"\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}(?=\.|$)")
 
 
 def name_problem(name: object) -> str:
-    """Why a name that was read somewhere cannot name one entry of a folder; empty when it can.
+    """Return why a name cannot name one entry of a folder; empty when it can.
 
     To be asked before such a name becomes part of a path: `../x` leads out of the folder.
     """
@@ -50,7 +50,7 @@ def name_problem(name: object) -> str:
 
 @contextmanager
 def storage(path: Path) -> Iterator[None]:
-    """Turns what the disk refuses into a `StorageError` that names the file and the remedy."""
+    """Turn an `OSError` of the block into a `StorageError` that names file and remedy."""
     try:
         yield
     except OSError as error:
@@ -58,7 +58,7 @@ def storage(path: Path) -> Iterator[None]:
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of a file in hexadecimal digits.
+    """Return SHA-256 of a file in hexadecimal digits.
 
     Raises:
         StorageError: it cannot be read.
@@ -69,7 +69,7 @@ def content_hash(path: Path) -> str:
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """A temporary file beside `path` to write to; it takes the name `path` when all went well.
+    """Yield a temporary file to write to; it takes the name `path` when all went well.
 
     The temporary name keeps the suffix, from which writers guess the format.
 
@@ -106,15 +106,15 @@ def write_file(path: Path, data: bytes | memoryview) -> None:
 
 @contextmanager
 def atomic_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
-    """A temporary folder beside `path` to fill; it takes the name `path` when all went well.
+    """Yield a temporary folder beside `path` to fill; it takes the name `path` when all went well.
 
     Args:
         path: the folder's final name.
-        replace: the folder that is there gives way at the end, when all went well: it is renamed
-            before the new one takes its name, and removed after that.
+        replace: replace a folder at `path` when all went well: it is renamed before the new one
+            takes its name, and removed after that.
 
     Raises:
-        StorageError: when the disk refuses, or when `path` holds something and is not to give way.
+        StorageError: when the disk refuses, or when `path` is not empty and not to be replaced.
     """
     path = Path(path)
     temporary: Path | None = None
@@ -228,7 +228,7 @@ _CLEARED: set[str] = set()
 
 
 def _clear_dead_once(folder: Path) -> None:
-    """`clear_dead`, the first time that this process writes into a folder: a look at all names."""
+    """Call `clear_dead` the first time that this process writes into a folder."""
     name = str(folder.resolve())
     if name not in _CLEARED:
         _CLEARED.add(name)

@@ -38,7 +38,7 @@ class Bounds:
     below: int | float | None = None
 
     def holds(self, value: int | float) -> bool:
-        """Whether a value lies inside."""
+        """Return whether a value lies inside."""
         return (
             math.isfinite(value)
             and (self.least is None or value >= self.least)
@@ -48,7 +48,7 @@ class Bounds:
         )
 
     def __str__(self) -> str:
-        """What a value must be, in words."""
+        """Return what a value must be, in words."""
         if self.least is not None and self.most is not None:
             return f"it must be from {self.least} to {self.most}"
         words = {
@@ -76,7 +76,7 @@ class Interval:
     most: int | float | None = None
 
     def holds(self, value: object) -> bool:
-        """Whether something is such an interval."""
+        """Return whether something is such an interval."""
         if not isinstance(value, tuple) or len(value) != 2 or not all(map(_is_number, value)):
             return False
         low, high = value
@@ -85,7 +85,7 @@ class Interval:
         return rises and limits.holds(low) and limits.holds(high)
 
     def __str__(self) -> str:
-        """What a pair must be, in words."""
+        """Return what a pair must be, in words."""
         from_least = "" if self.least is None else f"{self.least} <= "
         to_most = "" if self.most is None else f" <= {self.most}"
         rises = "<=" if self.empty else "<"
@@ -111,9 +111,6 @@ NotNegative = Annotated[float, Bounds(least=0)]
 Share = Annotated[float, Bounds(least=0, most=1)]
 """A part of a whole, 0 and 1 included."""
 
-PositiveShare = Annotated[float, Bounds(above=0, most=1)]
-"""A part of a whole that is not nothing."""
-
 Fraction = Annotated[float, Bounds(above=0, below=1)]
 """A part of a whole that is neither nothing nor all of it."""
 
@@ -134,7 +131,7 @@ class Checked:
 
 
 def _refused(declared: Any, value: Any) -> str:
-    """What the declared type demands and the value is not, in words; empty where all is well."""
+    """Return the declared limit that the value breaks, in words; empty if it breaks none."""
     if get_origin(declared) is Literal and value not in get_args(declared):
         return f"choose one of {', '.join(map(str, get_args(declared)))}"
     for limit in getattr(declared, "__metadata__", ()):
@@ -144,6 +141,6 @@ def _refused(declared: Any, value: Any) -> str:
 
 
 def _group(owner: type) -> str:
-    """The class as settings name it: `line_search` of a `LineSearchConfig`."""
+    """Return the class as settings name it: `line_search` of a `LineSearchConfig`."""
     words = re.findall("[A-Z][a-z0-9]*", owner.__name__.removesuffix("Config"))
     return "_".join(words).lower()

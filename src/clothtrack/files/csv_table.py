@@ -25,7 +25,7 @@ class Column:
 
 
 def finite(word: str) -> float:
-    """A finite number; ValueError otherwise."""
+    """Return a finite number; ValueError otherwise."""
     value = float(word)
     if not math.isfinite(value):
         raise ValueError(word)
@@ -33,7 +33,7 @@ def finite(word: str) -> float:
 
 
 def filled(word: str) -> str:
-    """A text that is not empty; ValueError otherwise."""
+    """Return a text that is not empty; ValueError otherwise."""
     if not word:
         raise ValueError(word)
     return word
@@ -43,7 +43,7 @@ NUMBER = Column(finite, "write a number")
 
 
 def read_csv(path: Path, columns: Mapping[str, Column]) -> Iterator[tuple[str, list[Any]]]:
-    """Place ("FILE: line 7") and values of every row that is not empty, below the head.
+    """Yield place ("FILE: line 7") and values of every row below the head that is not empty.
 
     Raises:
         InvalidRecordingError: the file cannot be read, its head or the length of a row is another,

@@ -35,7 +35,7 @@ def require_extra(extra: str, modules: Sequence[str], work: str) -> None:
 
 
 def install_command(extra: str) -> str:
-    """What to type to have an extra, such as `learn`, beside this copy of clothtrack.
+    """Return the command that installs an extra, such as `learn`, for this copy of clothtrack.
 
     A copy installed from a folder or from a wheel file is named by that path, with the interpreter
     that is running. Of any other copy only the command inside a checkout is known.
@@ -52,7 +52,7 @@ def install_command(extra: str) -> str:
 
 
 def _installed_from() -> tuple[Path, bool] | None:
-    """The folder or wheel file that pip noted (PEP 610), and whether the copy is editable."""
+    """Return the folder or wheel file that pip noted (PEP 610), and whether it is editable."""
     try:
         noted = importlib.metadata.distribution("clothtrack").read_text("direct_url.json")
     except importlib.metadata.PackageNotFoundError:

@@ -7,18 +7,18 @@ Progress = Callable[[str, int, int], None]
 
 The place is words: the thing worked on, then what of how many ("towel_0001: action 1/2, frame
 12/41"). What is done is counted in units that take about the same time, so that the time that is
-left can be estimated; it grows. All may be an estimate, and is 0 as long as nobody knows.
+left can be estimated; it grows. The total may be an estimate, and is 0 while it is unknown.
 """
 
 _PARTS = 10_000
-"""Of each of several things that are worked on one after the other."""
+"""Units of each of several things that are done one after the other."""
 
 
 def one_of(progress: Progress | None, before: int, count: int, kind: str = "") -> Progress | None:
-    """The progress of one of several things, told as that of all; they are taken to be alike.
+    """Return a progress that reports one of several equal things as a part of all.
 
     Args:
-        progress: is told of all; None: nobody is told.
+        progress: gets the progress of all; None: no reports.
         before: how many are done.
         count: how many there are.
         kind: what they are, where the place does not say it.

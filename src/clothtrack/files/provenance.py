@@ -15,7 +15,7 @@ _VECTORS = ("avx512f", "avx2", "avx", "sse4_2", "sve", "asimd")
 
 
 def made_with(packages: Iterable[str]) -> dict[str, object]:
-    """Versions, commit and machine, as plain values.
+    """Return versions, commit and machine, as plain values.
 
     Args:
         packages: distributions that the result depends on; those not installed are left out.
@@ -32,7 +32,7 @@ def made_with(packages: Iterable[str]) -> dict[str, object]:
 
 @cache
 def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
-    """Model of the processor, and the widest vectors that it computes with.
+    """Return model of the processor, and the widest vectors that it computes with.
 
     Kernels are compiled for the processor that is there, and another kind rounds other last bits.
 
@@ -43,15 +43,15 @@ def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
         text = listing.read_text("utf-8", errors="replace")
     except OSError:
         return platform.processor() or platform.machine()
-    told = dict(re.findall(r"^(model name|flags|Features)[ \t]*: *(.*)$", text, re.MULTILINE))
-    flags = f"{told.get('flags', '')} {told.get('Features', '')}".split()
+    found = dict(re.findall(r"^(model name|flags|Features)[ \t]*: *(.*)$", text, re.MULTILINE))
+    flags = f"{found.get('flags', '')} {found.get('Features', '')}".split()
     widest = next((one for one in _VECTORS if one in flags), "")
-    model = told.get("model name", platform.machine())
+    model = found.get("model name", platform.machine())
     return f"{model}, {widest}" if widest else model
 
 
 def commit() -> str:
-    """The commit of a checkout; empty for an installed package, or where there is no Git."""
+    """Return the commit of a checkout; empty for an installed package, or where there is no Git."""
     try:
         asked = subprocess.run(
             ["git", "describe", "--always", "--dirty"],

@@ -38,7 +38,7 @@ def finished_by_ray(
     gpus: float,
     name: Callable[[Item], str],
 ) -> Generator[Result, None, None]:
-    """Do the same work on many items, and give the results in the order in which they are finished.
+    """Do the work of `finished_in_workers` by Ray.
 
     An item has one processor core. Ray repeats one whose worker died three times.
 

@@ -33,7 +33,7 @@ version does. None: any; it is a constant now."""
 
 
 def as_plain(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings as they are when they come back from JSON."""
+    """Return settings as they are when they come back from JSON."""
     return json.loads(json.dumps(asked, default=str))
 
 
@@ -82,7 +82,7 @@ def require_same(path: Path, stored: Mapping[str, Any], asked: Mapping[str, Any]
 
 
 def _differing(stored: Any, asked: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
-    """Names of the values that differ, with both of them in a few words."""
+    """Yield the names of the values that differ, with both of them in a few words."""
     if isinstance(stored, Mapping) and isinstance(asked, Mapping):
         for key in sorted(set(stored) | set(asked)):
             inner = f"{name}.{key}" if name else key
@@ -94,7 +94,7 @@ def _differing(stored: Any, asked: Any, name: str = "") -> Iterator[tuple[str, s
 
 
 def _is_retired(name: str, value: Any) -> bool:
-    """Whether a stored setting is gone, and meant what is done now."""
+    """Return whether a stored setting is gone, and had the value that is now constant."""
     for retired, kept in RETIRED.items():
         if name == retired or name.endswith(f".{retired}"):
             return kept is None or value == kept

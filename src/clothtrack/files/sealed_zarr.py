@@ -60,7 +60,7 @@ def put_array(
 
 
 def _rows(values: np.ndarray, chunks: tuple[int, ...]) -> Iterator[Any]:
-    """The values of one row of chunks after the other."""
+    """Yield the slices of one row of chunks after the other."""
     if not values.ndim:
         yield ...
         return
@@ -104,7 +104,7 @@ def seal(group: zarr.Group, attributes: Mapping[str, Any]) -> None:
 
 
 def sealed_attributes(group: zarr.Group) -> dict[str, Any]:
-    """The attributes of a group that `seal` has finished; those of all below it are right as well.
+    """Return the attributes of a group that `seal` has finished, after checking all below it.
 
     Raises:
         InvalidResultError: attributes or parts are missing or are not those that were written.
@@ -121,7 +121,7 @@ def sealed_attributes(group: zarr.Group) -> dict[str, Any]:
 
 
 def _member(group: zarr.Group, name: str) -> zarr.Array | zarr.Group:
-    """An array or group below a group; of a type that only damage explains, without a warning."""
+    """Return an array or group below a group, without a warning about its type."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrFutureWarning)
         return group[name]

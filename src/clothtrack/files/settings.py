@@ -34,7 +34,7 @@ class Setting(NamedTuple):
 
 
 def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Setting]:
-    """All settings that `with_settings` can change, those of a group before those below it.
+    """Yield all settings that `with_settings` can change, a group before those below it.
 
     Args:
         config: a dataclass, nested at will, or a mapping.
@@ -59,7 +59,7 @@ def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Set
 
 
 def _meanings(owner: type) -> dict[str, str]:
-    """The first sentence about each attribute in the docstring of a class."""
+    """Return the first sentence about each attribute in the docstring of a class."""
     _, _, attributes = inspect.cleandoc(owner.__doc__ or "").partition("Attributes:\n")
     entry = re.compile(r"^    (\w[\w, ]*): (.*(?:\n     +.*)*)", re.MULTILINE)
     found = {}
@@ -70,7 +70,7 @@ def _meanings(owner: type) -> dict[str, str]:
 
 
 def with_settings(config: Config, settings: Sequence[str]) -> Config:
-    """A configuration with some values replaced, such as `objective.iterations=50`.
+    """Return a configuration with some values replaced, such as `objective.iterations=50`.
 
     Args:
         config: a frozen dataclass, nested at will; mappings may be entered by their keys.
@@ -100,7 +100,7 @@ class _UnknownError(InvalidConfigError):
 
 
 def _like(name: str, config: Any) -> list[str]:
-    """The settings that may have been meant by a name: those that end with it, or nearly."""
+    """Return the settings that may have been meant by a name: similar last parts."""
     last: dict[str, list[str]] = {}
     for setting in settings_of(config):
         last.setdefault(setting.name.rpartition(".")[2], []).append(setting.name)
@@ -159,13 +159,13 @@ def _of_same_type(old: Any, new: Any, name: str) -> Any:
 
 
 def _is_group(value: Any) -> bool:
-    """Whether a value is made of settings, and none itself."""
+    """Return whether a value is made of settings, and none itself."""
     held = value if isinstance(value, tuple) else (value,)
     return any(is_dataclass(one) or isinstance(one, Mapping) for one in held)
 
 
 def _shown(value: Any) -> str:
-    """A value in a message; of a group, which may hold hundreds, its name."""
+    """Return a value as a message shows it; of a group its name."""
     return type(value).__name__ if _is_group(value) else f"{value!r:.120}"
 
 
@@ -176,14 +176,14 @@ _KINDS = {
 
 
 def _kind(value: Any) -> str:
-    """What a value is, in words."""
+    """Return what a value is, in words."""
     if _is_group(value):
         return "a group of settings"
     return _KINDS.get(type(value), "a group of settings")
 
 
 def from_plain(config: Config, values: Mapping[str, Any]) -> Config:
-    """A configuration with the values that a stored one had (`dataclasses.asdict`, through JSON).
+    """Return a configuration with stored values (`dataclasses.asdict`, through JSON).
 
     Args:
         config: any of the same type, which says what lies where.
@@ -211,7 +211,7 @@ def from_plain(config: Config, values: Mapping[str, Any]) -> Config:
 
 
 def _without_lists(value: Any) -> Any:
-    """Lists as the tuples that they were before JSON."""
+    """Return a value with its lists as the tuples that they were before JSON."""
     if isinstance(value, Mapping):
         return {key: _without_lists(one) for key, one in value.items()}
     return tuple(map(_without_lists, value)) if isinstance(value, list | tuple) else value

@@ -20,7 +20,7 @@ from clothtrack.garments.openings import (
 )
 from clothtrack.garments.outlines import NECK_POINTS
 from clothtrack.garments.silhouettes import Outline, Silhouette, signed_area
-from clothtrack.garments.triangulation import Span
+from clothtrack.garments.triangulation import Span, evenly_along
 from clothtrack.geometry.mesh import ClothMesh
 
 TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
@@ -109,7 +109,7 @@ def make_template(
     seed: int = 0,
     name: str = "the picture",
 ) -> FlatTemplate:
-    """The template of a garment from the outline of it lying flat, its front up.
+    """Make the template of a garment from its outline when it lies flat, front up.
 
     Args:
         outline: as seen from above.
@@ -156,8 +156,8 @@ def _sewn_template(
         outline, kind, pixels
     )  # fmt: skip
     numbers = range(len(found.names))
-    evenly = [_resampled(found.stretch(number)) for number in numbers]
-    in_picture = [_resampled(found.stretch_pixels(number)) for number in numbers]
+    evenly = [evenly_along(found.stretch(number), STRETCH_POINTS) for number in numbers]
+    in_picture = [evenly_along(found.stretch_pixels(number), STRETCH_POINTS) for number in numbers]
     parts, asymmetry = _about_their_axis(evenly)
     extent = float(np.ptp(np.concatenate(parts), axis=0).max())
     mirrored = mirrored and asymmetry <= MIRROR_LIMIT_SHARE * extent
@@ -191,7 +191,7 @@ def _sewn_template(
 
 
 def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTemplate:
-    """One layer: the rectangle when the outline is one, its own outline else."""
+    """Return one layer: a rectangle when the outline is one, its own outline else."""
     upright = _levelled(outline)
     corners = _rectangle(upright.points)
     width, length = (corners[2] - corners[0]).tolist()
@@ -213,7 +213,7 @@ def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTe
     closed = np.concatenate([upright.points, upright.points[:1]])
     closed = closed - 0.5 * (closed.min(axis=0) + closed.max(axis=0))
     pixels = np.concatenate([upright.pixels, upright.pixels[:1]])
-    # The way around begins at a corner: the first point is kept as one.
+    # Begin at a corner: the first point is kept as one.
     start = int(np.linalg.norm(closed[:-1], axis=1).argmax())
     order = np.append(np.roll(np.arange(len(closed) - 1), -start), start)
     edge = Stretch("edge", closed[order], pixels[order])
@@ -222,7 +222,7 @@ def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTe
 
 
 def _levelled(outline: Silhouette) -> Silhouette:
-    """Turned by less than an eighth so that the longest straight edges run along the axes."""
+    """Turn by less than an eighth until the longest straight edges run along the axes."""
     (_, _, degrees) = cv2.minAreaRect(outline.points.astype(np.float32))
     steps = np.roll(outline.points, -8, axis=0) - np.roll(outline.points, 8, axis=0)
     angles = np.arctan2(steps[:, 1], steps[:, 0])
@@ -237,7 +237,7 @@ def _levelled(outline: Silhouette) -> Silhouette:
 
 
 def _rectangle(points: Outline) -> Float[np.ndarray, "4 2"]:
-    """The level rectangle whose sides lie in the middle of the outline's, counter-clockwise."""
+    """Return the level rectangle fitted to the outline's sides, counter-clockwise."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = high - low
     sides = []
@@ -252,7 +252,7 @@ def _rectangle(points: Outline) -> Float[np.ndarray, "4 2"]:
 
 
 def _to_rectangle(points: Outline, width: float, length: float) -> Float[np.ndarray, " points"]:
-    """Signed distance [m] of points to a rectangle around their middle; negative inside."""
+    """Return signed distance [m] of points to a rectangle around their middle; negative inside."""
     centred = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
     beyond = np.abs(centred) - 0.5 * np.array([width, length])
     outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
@@ -260,7 +260,7 @@ def _to_rectangle(points: Outline, width: float, length: float) -> Float[np.ndar
 
 
 def _about_their_axis(parts: list[Outline]) -> tuple[list[Outline], float]:
-    """Stretches turned and moved so that their mirror images lie nearest; how far apart [m]."""
+    """Turn and move stretches to their nearest mirror images; return them and the gap [m]."""
     count = len(parts)
     ours = np.concatenate(parts)
     theirs = np.concatenate([parts[-number % count][::-1] for number in range(count)])
@@ -277,19 +277,13 @@ def _about_their_axis(parts: list[Outline]) -> tuple[list[Outline], float]:
 
 
 def _images(parts: list[Outline]) -> list[Outline]:
-    """The mirror image of each stretch's counterpart, in the stretch's own direction."""
+    """Return the mirror image of each stretch's counterpart, in the stretch's direction."""
     count = len(parts)
     return [parts[-number % count][::-1] * (-1.0, 1.0) for number in range(count)]
 
 
-def _resampled(points: Outline) -> Outline:
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], STRETCH_POINTS)
-    return np.stack([np.interp(at, along, axis) for axis in points.T], axis=1)
-
-
 def _spans(stretch: Stretch, bend_m: float) -> list[Span]:
-    """A stretch cut at its corners, alike on both sides of the garment."""
+    """Cut a stretch at its corners, alike on both sides of the garment."""
     points = stretch.points
     last = len(points) - 1
     if not stretch.sewn and stretch.name != "edge":
@@ -305,7 +299,7 @@ def _spans(stretch: Stretch, bend_m: float) -> list[Span]:
 
 
 def _front_neck(back: Outline, depth_m: float) -> Outline:
-    """The front's neckline: half an ellipse, or the back's own line where that is deeper."""
+    """Return the front's neckline: half an ellipse, or the back's where that is deeper."""
     start, end = back[0], back[-1]
     middle, half = 0.5 * (start + end), 0.5 * (start - end)
     if middle[1] - back[len(back) // 2, 1] >= depth_m:

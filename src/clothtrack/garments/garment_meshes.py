@@ -57,7 +57,7 @@ def towel(
     pattern: TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
-    """A rectangle in the plane z = 0, centred at the origin.
+    """Make a rectangle in the plane z = 0, centred at the origin.
 
     Args:
         width_m: extent along x [m].
@@ -104,7 +104,7 @@ def tshirt(
     layer_gap_m: float = 0.004,
     seed: int = 0,
 ) -> ClothMesh:
-    """A T-shirt lying flat: front layer above the back layer, sewn at shoulders and sides.
+    """Make a flat T-shirt: front layer above the back layer, sewn at shoulders and sides.
 
     Hem, cuffs and neck are open; the neck is cut deeper in front. Lies around z = 0, centred at
     the origin, neck towards +y. Canonical coordinates are the flat (x, y) and an inflated
@@ -135,7 +135,7 @@ def two_layers(
     open_front: bool = False,
     seed: int = 0,
 ) -> ClothMesh:
-    """A garment of a front that lies on a back, sewn together where both outlines are seams.
+    """Make a garment of a front on a back, sewn together where both outlines are seams.
 
     Canonical coordinates are the flat (x, y) and an inflated height that is positive on the front,
     negative on the back and zero on the seams.
@@ -172,7 +172,7 @@ def shirt(
     open_front: bool = False,
     seed: int = 0,
 ) -> ClothMesh:
-    """A shirt of any cut, lying flat as `tshirt` does.
+    """Make a shirt of any cut, lying flat as `tshirt` does.
 
     Args:
         outline: its proportions.
@@ -192,7 +192,7 @@ def shirt(
 def trousers(
     outline: TrousersOutline, length_m: float, *, vertex_count: int = 1000, seed: int = 0
 ) -> ClothMesh:
-    """Trousers of any cut, lying flat, waist towards +y; waist and two cuffs are open.
+    """Make trousers of any cut, lying flat, waist towards +y; waist and two cuffs are open.
 
     Args:
         outline: their proportions.
@@ -212,15 +212,7 @@ def sewn(
     open_front: bool = False,
     seed: int = 0,
 ) -> ClothMesh:
-    """A garment of two layers (`two_layers`) with about the wanted number of vertices.
-
-    Args:
-        front: outline [m] of the front, counter-clockwise.
-        back: outline of the back; its seams are those of the front.
-        vertex_count: wanted number of vertices.
-        open_front: whether the front of a shirt is cut along its middle.
-        seed: turns and shifts the lattice of each layer.
-    """
+    """Make a garment of two layers (`two_layers`) with about the wanted number of vertices."""
     return with_vertices(
         lambda edge_m: two_layers(front, back, edge_m, open_front=open_front, seed=seed),
         vertex_count,
@@ -229,13 +221,7 @@ def sewn(
 
 
 def one_layer(spans: list[Span], *, vertex_count: int = 1000, seed: int = 0) -> ClothMesh:
-    """A cloth of one layer and any outline in the plane z = 0, as `towel` is.
-
-    Args:
-        spans: its outline [m], counter-clockwise.
-        vertex_count: wanted number of vertices.
-        seed: turns and shifts the lattice.
-    """
+    """Make a cloth of one layer in the plane z = 0 from its outline [m], counter-clockwise."""
 
     def cut(edge_m: float) -> ClothMesh:
         piece = triangulate(spans, edge_m, seed)
@@ -246,7 +232,7 @@ def one_layer(spans: list[Span], *, vertex_count: int = 1000, seed: int = 0) -> 
 
 
 def _edge_for(vertex_count: int, spans: list[Span], *, layers: int) -> float:
-    """Length of an edge [m] with which layers of this outline have so many vertices."""
+    """Return the length of an edge [m] with which the layers have so many vertices."""
     x, y = np.concatenate([span.points[:-1] for span in spans]).T
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
     # Equilateral triangles: a vertex for every sqrt(3)/2 of a squared edge.
@@ -261,7 +247,7 @@ def garment(
     pattern: TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
-    """A flat garment with about the wanted number of vertices (within some 8 %).
+    """Make a flat garment with about the wanted number of vertices (within some 8 %).
 
     Args:
         kind: "towel" or "tshirt".
@@ -292,7 +278,7 @@ def garment(
 def with_vertices(
     make: Callable[[float], ClothMesh], vertex_count: int, spacing: float
 ) -> ClothMesh:
-    """The mesh that comes nearest to a number of vertices.
+    """Return the mesh that comes nearest to a number of vertices.
 
     Args:
         make: a mesh of edges of a length [m].
@@ -319,13 +305,13 @@ def _check_size(width_m: float, length_m: float, spacing_m: float) -> None:
 
 
 def _rounded(share: Float[np.ndarray, " vertices"]) -> Float[np.ndarray, " vertices"]:
-    """A quarter circle: 0 at 0, upright there, level at 1 and beyond."""
+    """Return a quarter circle: 0 at 0, upright there, level at 1 and beyond."""
     rest = 1.0 - np.minimum(share, 1.0)
     return np.sqrt(1.0 - rest**2)
 
 
 def _side_by_side(pieces: list[Piece]) -> Piece:
-    """Several pieces of one layer as one, not joined."""
+    """Return several pieces of one layer as one, not joined."""
     first = np.cumsum([0] + [len(piece.points) for piece in pieces[:-1]])
     return Piece(
         np.concatenate([piece.points for piece in pieces]),

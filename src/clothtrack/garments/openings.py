@@ -26,7 +26,7 @@ OPENINGS = ("hem", "cuff", "neck", "waist")
 """Stretches where front and back are not sewn together."""
 
 CORNER_SHARE = 0.012
-"""A bend that leaves the straight way by this share of the garment's extent is a corner."""
+"""A bend that leaves the straight line by this share of the garment's extent is a corner."""
 
 SNAP_SHARE = 0.025
 """Landmarks go to a corner that is nearer than this share of the garment's extent."""
@@ -58,11 +58,11 @@ class Openings:
     neck_seen: bool = True
 
     def stretch(self, number: int) -> Outline:
-        """Points [m] of a stretch, both ends included."""
+        """Return points [m] of a stretch, both ends included."""
         return _between(self.outline.points, self.starts[number], self._end(number))
 
     def stretch_pixels(self, number: int) -> Outline:
-        """The same points in the picture."""
+        """Return the same points in the picture."""
         return _between(self.outline.pixels, self.starts[number], self._end(number))
 
     def _end(self, number: int) -> int:
@@ -115,7 +115,7 @@ def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture"
 def openings_at(
     outline: Silhouette, kind: SewnKind, pixels: Float[np.ndarray, "ends 2"]
 ) -> Openings:
-    """Openings whose ends a person has pointed at.
+    """Return openings whose ends a person has pointed at.
 
     Args:
         outline: as seen from above.
@@ -160,15 +160,14 @@ class _Landmarks:
 
 
 def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
-    """Hem, lower and upper end of the cuff, and neck, of an outline that is symmetric."""
+    """Find hem, both ends of the cuff, and neck of a symmetric outline."""
     points = _right_half(upright)
     if points is None:
         return None
-    notch = _deepest_notch(points)
+    depth, armpit = _deepest_notch(points)
     extent = float(np.ptp(upright, axis=0).max())
-    if notch is None or notch.depth < NOTCH_SHARE * extent:
+    if depth < NOTCH_SHARE * extent:
         return None
-    armpit = notch.deepest
     hem = _farthest_from_chord(points, 0, armpit)
     neck, seen = _neck(points, armpit)
     cuff = _cuff(points[armpit : neck + 1], CORNER_SHARE * extent)
@@ -183,7 +182,7 @@ def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
 
 
 def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
-    """Inner and outer end of the cuff, and waist, of an outline that is symmetric."""
+    """Find both ends of the cuff, and waist, of a symmetric outline."""
     points = _right_half(upright)
     if points is None:
         return None
@@ -208,15 +207,8 @@ def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
     return _Landmarks(points[[inner, outer, waist]], gap / extent)
 
 
-@dataclass(frozen=True)
-class _Notch:
-    deepest: int
-    end: int
-    depth: float
-
-
 def _right_half(points: Outline) -> Outline | None:
-    """The outline from the bottom of the axis x = 0 counter-clockwise to its top."""
+    """Return the outline from the bottom of the axis x = 0 counter-clockwise to its top."""
     x, ahead = points[:, 0], np.roll(points[:, 0], -1)
     rising = np.flatnonzero((x <= 0.0) & (ahead > 0.0))
     falling = np.flatnonzero((x > 0.0) & (ahead <= 0.0))
@@ -229,12 +221,12 @@ def _right_half(points: Outline) -> Outline | None:
     return half if len(half) > len(points) // 6 else None
 
 
-def _deepest_notch(half: Outline) -> _Notch | None:
-    """The deepest dent of a half of an outline, closed along the axis."""
+def _deepest_notch(half: Outline) -> tuple[float, int]:
+    """Return depth [m] and deepest point of the deepest dent of a half, closed at the axis."""
     # OpenCV takes pixels; it wants whole numbers to keep the hull's order.
     scaled = np.rint((half - half.min(axis=0)) / np.ptp(half, axis=0).max() * 1e6).astype(np.int32)
     hull = np.unique(cv2.convexHull(scaled, returnPoints=False).ravel())
-    best = None
+    best = (-np.inf, 0)
     for start, end in pairwise(hull):
         if end - start < 3:
             continue
@@ -243,20 +235,20 @@ def _deepest_notch(half: Outline) -> _Notch | None:
         depth = (half[start : end + 1] - half[start]) @ normal
         deepest = int(depth.argmax())
         # The neck is a dent beside the axis; the armpit is not.
-        if end < len(half) - 1 and (best is None or depth[deepest] > best.depth):
-            best = _Notch(int(start) + deepest, int(end), float(depth[deepest]))
+        if end < len(half) - 1 and depth[deepest] > best[0]:
+            best = (float(depth[deepest]), int(start) + deepest)
     return best
 
 
 def _farthest_from_chord(half: Outline, start: int, end: int) -> int:
-    """The point farthest to the right of the way from one point to another."""
+    """Return the point farthest to the right of the way from one point to another."""
     along = half[end] - half[start]
     normal = _turned(along, -np.pi / 2)
     return start + int(((half[start : end + 1] - half[start]) @ normal).argmax())
 
 
 def _cuff(sleeve: Outline, bend_m: float) -> tuple[int, int] | None:
-    """Both ends of the cuff, on the way from the armpit around the sleeve to the neck.
+    """Return both ends of the cuff, on the path from the armpit around the sleeve to the neck.
 
     Between any two corners may be the cuff: a straight edge that is square to the sleeve's upper
     edge, and mostly to its lower one, which a short sleeve hardly has.
@@ -280,7 +272,7 @@ def _cuff(sleeve: Outline, bend_m: float) -> tuple[int, int] | None:
 
 
 def _neck(half: Outline, armpit: int) -> tuple[int, bool]:
-    """The neck's end, where the shoulder ends; a usual place when no dip shows it."""
+    """Return the neck's end, where the shoulder ends; a usual place when no dip shows it."""
     width = 2.0 * float(half[armpit, 0])
     shoulder = int(np.flatnonzero(half[:, 0] > 0.36 * width)[-1])
     rest = half[shoulder:]
@@ -297,7 +289,7 @@ def _neck(half: Outline, armpit: int) -> tuple[int, bool]:
 
 
 def corners_of(points: Outline, bend_m: float) -> list[int]:
-    """Indices of an open polyline's corners, both ends included (Douglas and Peucker)."""
+    """Return indices of an open polyline's corners, both ends included (Douglas and Peucker)."""
     start, end = points[0], points[-1]
     along = end - start
     length = float(np.linalg.norm(along))
@@ -314,13 +306,13 @@ def corners_of(points: Outline, bend_m: float) -> list[int]:
 
 
 def _once_around(indices: list[int], count: int) -> bool:
-    """Whether points of a closed outline are named in its own order, each once."""
+    """Return whether points of a closed outline are named in its own order, each once."""
     steps = np.diff([*indices, indices[0]]) % count
     return bool((steps > 0).all() and steps.sum() == count)
 
 
 def _snapped(outline: Outline, places: Outline) -> list[int]:
-    """Index of the outline's corner that is nearest to each place, or of its nearest point."""
+    """Return the index of the corner near each place, or else of the nearest point."""
     reach = SNAP_SHARE * float(np.ptp(outline, axis=0).max())
     apart = np.linalg.norm(outline[None] - places[:, None], axis=2)
     corners = corners_of(outline, CORNER_SHARE * reach / SNAP_SHARE)[1:-1]

@@ -4,7 +4,7 @@ An outline is a list of spans, counter-clockwise from the left end of the hem; s
 seams between front and back, the others are openings.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -51,7 +51,7 @@ class ShirtOutline:
     back_depth: float = 0.03
 
     def spans(self, length_m: float, *, depth: float) -> list[Span]:
-        """The outline of one layer of a shirt of this length [m], the neck cut to `depth`.
+        """Return the outline of one layer of a shirt of this length [m], the neck cut to `depth`.
 
         Raises:
             InvalidConfigError: the outline crosses itself.
@@ -80,7 +80,7 @@ class ShirtOutline:
 
 
 def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> ShirtOutline:
-    """Proportions of a shirt, a polo or a sweater.
+    """Draw proportions of a shirt, a polo or a sweater.
 
     Args:
         rng: of the draw.
@@ -106,46 +106,32 @@ def draw_shirt(rng: np.random.Generator, *, long_sleeves: float = 0.35) -> Shirt
     return _with_free_sleeves(draw)
 
 
+_SWEATER = {
+    "body": (0.75, 1.05), "waist": (0.72, 0.98), "shoulder": (0.72, 0.92), "slope": (0.05, 0.12),
+    "armhole": (0.3, 0.42), "sleeve": (0.6, 0.95), "sleeve_angle_rad": (0.4, 1.2),
+    "cuff": (0.11, 0.2), "neck": (0.1, 0.17), "front_depth": (0.02, 0.2),
+    "back_depth": (0.01, 0.03),
+}  # fmt: skip
+_ROBE = {
+    "body": (0.42, 0.62), "waist": (0.98, 1.25), "shoulder": (0.82, 1.0), "slope": (0.02, 0.05),
+    "armhole": (0.16, 0.26), "sleeve": (0.15, 0.52), "sleeve_angle_rad": (0.2, 1.0),
+    "cuff": (0.1, 0.18), "neck": (0.05, 0.09), "front_depth": (0.03, 0.25),
+    "back_depth": (0.008, 0.02),
+}  # fmt: skip
+
+
 def draw_sweater(rng: np.random.Generator) -> ShirtOutline:
     """Draw proportions of a sweater or a cardigan: wide, gathered at the hem, its shoulders low."""
-
-    def draw() -> ShirtOutline:
-        return ShirtOutline(
-            body=rng.uniform(0.75, 1.05),
-            waist=rng.uniform(0.72, 0.98),
-            shoulder=rng.uniform(0.72, 0.92),
-            slope=rng.uniform(0.05, 0.12),
-            armhole=rng.uniform(0.3, 0.42),
-            sleeve=rng.uniform(0.6, 0.95),
-            sleeve_angle_rad=rng.uniform(0.4, 1.2),
-            cuff=rng.uniform(0.11, 0.2),
-            neck=rng.uniform(0.1, 0.17),
-            front_depth=rng.uniform(0.02, 0.2),
-            back_depth=rng.uniform(0.01, 0.03),
-        )
-
-    return _with_free_sleeves(draw)
+    return _with_free_sleeves(lambda: _drawn(rng, _SWEATER))
 
 
 def draw_robe(rng: np.random.Generator) -> ShirtOutline:
     """Draw proportions of a robe, a coat or a nightshirt: narrow for its length."""
+    return _with_free_sleeves(lambda: _drawn(rng, _ROBE))
 
-    def draw() -> ShirtOutline:
-        return ShirtOutline(
-            body=rng.uniform(0.42, 0.62),
-            waist=rng.uniform(0.98, 1.25),
-            shoulder=rng.uniform(0.82, 1.0),
-            slope=rng.uniform(0.02, 0.05),
-            armhole=rng.uniform(0.16, 0.26),
-            sleeve=rng.uniform(0.15, 0.52),
-            sleeve_angle_rad=rng.uniform(0.2, 1.0),
-            cuff=rng.uniform(0.1, 0.18),
-            neck=rng.uniform(0.05, 0.09),
-            front_depth=rng.uniform(0.03, 0.25),
-            back_depth=rng.uniform(0.008, 0.02),
-        )
 
-    return _with_free_sleeves(draw)
+def _drawn(rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]]) -> ShirtOutline:
+    return ShirtOutline(**{name: rng.uniform(*limits) for name, limits in ranges.items()})
 
 
 def _with_free_sleeves(draw: Callable[[], ShirtOutline]) -> ShirtOutline:
@@ -183,7 +169,7 @@ class TrousersOutline:
     cuff: float = 0.17
 
     def spans(self, length_m: float) -> list[Span]:
-        """The outline of one layer of trousers of this length [m], counter-clockwise.
+        """Return the outline of one layer of trousers of this length [m], counter-clockwise.
 
         Raises:
             InvalidConfigError: the outline crosses itself.
@@ -208,16 +194,12 @@ class TrousersOutline:
                 f"the outline of {self} crosses itself; spread the legs, or make them narrower"
             )
         right = right * length_m
-        left = right * (-1.0, 1.0)
-        cuff = 1
-        steps = list(enumerate(pairwise(range(len(right)))))
-        up = [Span(right[[a, b]], sewn=number != cuff) for number, (a, b) in steps]
-        down = [Span(left[[b, a]], sewn=number != cuff) for number, (a, b) in steps]
-        return [*up, Span(np.stack([right[-1], left[-1]])), *down[::-1]]
+        up, down = _both_sides(right, cuff=1)
+        return [*up, Span(np.stack([right[-1], right[-1] * (-1.0, 1.0)])), *down]
 
 
 def draw_trousers(rng: np.random.Generator, *, short: float = 0.35) -> TrousersOutline:
-    """Proportions of trousers.
+    """Draw proportions of trousers.
 
     Args:
         rng: of the draw.
@@ -243,7 +225,7 @@ def draw_trousers(rng: np.random.Generator, *, short: float = 0.35) -> TrousersO
 
 
 def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
-    """Right half of the usual T-shirt [m], from the hem up to the neck.
+    """Return right half of the usual T-shirt [m], from the hem up to the neck.
 
     The body takes three fifths of the width from cuff to cuff; sleeves slope downwards.
     """
@@ -261,21 +243,28 @@ def tshirt_corners(width_m: float, length_m: float) -> Float[np.ndarray, "6 2"]:
 
 
 def shirt_spans(right: Float[np.ndarray, "6 2"], *, neck_depth_m: float) -> list[Span]:
-    """The outline of one layer of a shirt that is its own mirror image.
+    """Return the outline of one layer of a shirt that is its own mirror image.
 
     Args:
         right: its right half [m]: hem, armpit, lower and upper end of the cuff, shoulder, neck.
         neck_depth_m: how deep the neck is cut [m].
     """
-    left = right * (-1.0, 1.0)
     turn = np.linspace(0.0, np.pi, NECK_POINTS)
     (neck, top) = right[-1]
     curve = np.stack([neck * np.cos(turn), top - neck_depth_m * np.sin(turn)], axis=1)
-    cuff = 2
+    up, down = _both_sides(right, cuff=2)
+    return [Span(np.stack([right[0] * (-1.0, 1.0), right[0]])), *up, Span(curve), *down]
+
+
+def _both_sides(
+    right: Float[np.ndarray, "corners 2"], *, cuff: int
+) -> tuple[list[Span], list[Span]]:
+    """Return spans up the right half and down its mirror image; all but the cuff are sewn."""
+    left = right * (-1.0, 1.0)
     steps = list(enumerate(pairwise(range(len(right)))))
     up = [Span(right[[a, b]], sewn=number != cuff) for number, (a, b) in steps]
     down = [Span(left[[b, a]], sewn=number != cuff) for number, (a, b) in steps]
-    return [Span(np.stack([left[0], right[0]])), *up, Span(curve), *down[::-1]]
+    return up, down[::-1]
 
 
 def cut_open(spans: list[Span]) -> tuple[list[Span], list[Span]]:
@@ -301,7 +290,7 @@ def cut_open(spans: list[Span]) -> tuple[list[Span], list[Span]]:
 
 
 def _crosses_itself(corners: Float[np.ndarray, "corners 2"]) -> bool:
-    """Whether two stretches of an open polyline that do not meet cross each other."""
+    """Return whether two stretches of an open polyline that do not meet cross each other."""
 
     def turns(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
         return float((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.signal import savgol_filter
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.garments.triangulation import evenly_along
 
 Outline = Float[np.ndarray, "_ 2"]
 ToPlane = Callable[[Outline], Outline]
@@ -48,23 +49,23 @@ class Silhouette:
     pixels: Outline
 
     def upright(self, angle_rad: float) -> "Silhouette":
-        """Turned about the origin so that the direction of this angle [rad] points along +y."""
+        """Turn about the origin so that the direction of this angle [rad] points along +y."""
         cosine, sine = np.cos(angle_rad - np.pi / 2), np.sin(angle_rad - np.pi / 2)
         return replace(self, points=self.points @ np.array([[cosine, -sine], [sine, cosine]]))
 
     def shifted(self, by: Float[np.ndarray, " 2"]) -> "Silhouette":
-        """Moved on the table [m]."""
+        """Move on the table [m]."""
         return replace(self, points=self.points + by)
 
     def mirrored(self) -> "Silhouette":
-        """Reflected in the axis x = 0, and still counter-clockwise."""
+        """Reflect in the axis x = 0; the outline stays counter-clockwise."""
         return Silhouette((self.points * (-1.0, 1.0))[::-1], self.pixels[::-1])
 
 
 def silhouette(
     mask: Bool[np.ndarray, "height width"], to_plane: ToPlane, name: str = "the picture"
 ) -> Silhouette:
-    """The outline of the cloth in a mask.
+    """Return the outline of the cloth in a mask.
 
     Args:
         mask: where the cloth is.
@@ -97,13 +98,13 @@ def silhouette(
 
 
 def signed_area(polygon: Outline) -> float:
-    """Area [m^2] of a polygon, positive when it runs counter-clockwise."""
+    """Return area [m^2] of a polygon, positive when it runs counter-clockwise."""
     x, y = polygon.T
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def mirror_axis(points: Outline) -> tuple[float, Float[np.ndarray, " 2"]]:
-    """The line in which an outline is most nearly its own mirror image.
+    """Return the line in which an outline is most nearly its own mirror image.
 
     Returns:
         Its direction [rad], one of two, and a point of it [m].
@@ -128,7 +129,7 @@ def mirror_axis(points: Outline) -> tuple[float, Float[np.ndarray, " 2"]]:
 
 
 def symmetric(points: Outline) -> Outline:
-    """The outline halfway between one and its mirror image in the axis x = 0.
+    """Return the outline halfway between one and its mirror image in the axis x = 0.
 
     Where their signed distances cancel: noise becomes less, and both halves are alike.
     """
@@ -161,7 +162,7 @@ class _Grid:
         self.centroid = np.array([columns.mean(), rows.mean()]) / self._scale + self._origin
 
     def overlap(self, points: Outline) -> float:
-        """Intersection over union with another outline."""
+        """Return intersection over union with another outline."""
         other = self._draw(points)
         return float((self._drawn & other).sum() / max(1, (self._drawn | other).sum()))
 
@@ -181,16 +182,13 @@ def _reflected(points: Outline, angle: float, through: Float[np.ndarray, " 2"]) 
 
 
 def _evenly(closed: Outline, count: int) -> Outline:
-    around = np.concatenate([closed, closed[:1]])
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(around, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], count, endpoint=False)
-    return np.stack([np.interp(at, along, axis) for axis in around.T], axis=1)
+    return evenly_along(np.concatenate([closed, closed[:1]]), count + 1)[:-1]
 
 
 def _whole_cloth(
     mask: Bool[np.ndarray, "height width"], name: str
 ) -> Bool[np.ndarray, "height width"]:
-    """The one piece of cloth of a mask, its specks filled."""
+    """Return the one piece of cloth of a mask, its specks filled."""
     closed = cv2.medianBlur(mask.astype(np.uint8), MEDIAN_PX)
     _, label, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA].copy()

@@ -25,12 +25,9 @@ class Span:
     sewn: bool = False
 
     def resampled(self, spacing: float) -> Float[np.ndarray, "samples 2"]:
-        """Equally spaced points about `spacing` [m] apart, the last corner left out."""
-        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(steps)])
-        count = max(1, round(along[-1] / spacing))
-        at = np.linspace(0.0, along[-1], count + 1)[:-1]
-        return np.stack([np.interp(at, along, axis) for axis in self.points.T], axis=1)
+        """Return equally spaced points about `spacing` [m] apart, the last corner left out."""
+        length = _arc_lengths(self.points)[-1]
+        return evenly_along(self.points, max(1, round(length / spacing)) + 1)[:-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +45,24 @@ class Piece:
     sewn: Bool[np.ndarray, " vertices"]
 
 
+def evenly_along(
+    points: Float[np.ndarray, "points 2"], count: int
+) -> Float[np.ndarray, "samples 2"]:
+    """Return `count` equally spaced points of an open polyline, both ends included."""
+    along = _arc_lengths(points)
+    at = np.linspace(0.0, along[-1], count)
+    return np.stack([np.interp(at, along, axis) for axis in points.T], axis=1)
+
+
+def _arc_lengths(points: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """Return the length [m] of a polyline up to each of its points."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
 def distance_to_polyline(
     points: Float[np.ndarray, "points 2"], polyline: Float[np.ndarray, "corners 2"]
 ) -> Float[np.ndarray, " points"]:
-    """Distance [m] of each point to an open polyline in the plane."""
+    """Return distance [m] of each point to an open polyline in the plane."""
     start, along = polyline[:-1], np.diff(polyline, axis=0)
     nearest = np.full(len(points), np.inf)
     for origin, direction in zip(start, along, strict=True):
@@ -66,7 +77,7 @@ def distance_to_polyline(
 def inside(
     points: Float[np.ndarray, "points 2"], polygon: Float[np.ndarray, "corners 2"]
 ) -> Bool[np.ndarray, " points"]:
-    """Whether each point lies in a simple polygon (even-odd rule)."""
+    """Return whether each point lies in a simple polygon (even-odd rule)."""
     odd = np.zeros(len(points), dtype=bool)
     for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         if y0 == y1:
@@ -77,7 +88,7 @@ def inside(
 
 
 def triangulate(spans: list[Span], spacing: float, seed: int) -> Piece:
-    """Nearly equilateral triangles over an outline, with vertices on the outline itself.
+    """Triangulate an outline almost equilaterally, with vertices on the outline itself.
 
     A triangular lattice, turned and shifted at random, fills the inside; Delaunay triangulation
     and Laplacian smoothing alternate until the lattice meets the outline evenly. No edge inside

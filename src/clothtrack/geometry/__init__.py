@@ -9,37 +9,27 @@ if TYPE_CHECKING:
     from clothtrack.geometry.chamfer import one_way, two_way
     from clothtrack.geometry.closest_point import closest_on_mesh, distance_to_mesh
     from clothtrack.geometry.coverage import projected_area
-    from clothtrack.geometry.devices import quiet_warp, require_device
+    from clothtrack.geometry.devices import quiet_warp
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.geometry.quality import close_pairs, crossings, edge_strain
     from clothtrack.geometry.sampling import sample_surface
-    from clothtrack.geometry.table_plane import TableFit, fit_plane
-    from clothtrack.geometry.visibility import (
-        DepthBuffer,
-        Rasteriser,
-        VisibilityCheck,
-        visible_vertices,
-    )
+    from clothtrack.geometry.visibility import Rasteriser, VisibilityCheck, visible_vertices
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
 __all__ = [
     "Camera",
     "ClothMesh",
-    "DepthBuffer",
     "Rasteriser",
-    "TableFit",
     "VisibilityCheck",
     "close_pairs",
     "closest_on_mesh",
     "crossings",
     "distance_to_mesh",
     "edge_strain",
-    "fit_plane",
     "one_way",
     "projected_area",
     "quiet_warp",
-    "require_device",
     "sample_surface",
     "two_way",
     "visible_vertices",

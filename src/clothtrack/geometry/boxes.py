@@ -1,7 +1,7 @@
-"""Boxes that are asked eight at once, and the order that puts what is near into one eight.
+"""Axis-aligned boxes in blocks of eight that are tested at once, and the order that fills them.
 
-Boxes lie eight by eight: `boxes[eight, k, place]` are the lower (k = 0, 1, 2) and the upper corner
-(k = 3, 4, 5) of one of eight [m].
+`boxes[eight, k, place]` are the lower (k = 0, 1, 2) and the upper corner (k = 3, 4, 5) [m] of the
+box at one of eight places of a block.
 """
 
 from typing import no_type_check
@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, Int
 wp.set_module_options({"enable_backward": False})
 
 EIGHT = 8
-"""Boxes that are asked at once."""
+"""Boxes that are tested at once."""
 
 _EIGHT = wp.constant(EIGHT)
 
@@ -54,7 +54,7 @@ _FIND_TOUCHING = """
 @no_type_check
 @wp.func_native(_FIND_TOUCHING)
 def find_touching(box: Box, boxes: wp.array3d(dtype=float), eight: int, bits: wp.ref[wp.uint32]):
-    """Set a bit for each box of an eight that touches another."""
+    """Set a bit for each box of a block that touches another box."""
 
 
 _KEEP_STRANGERS = """
@@ -83,7 +83,7 @@ _KEEP_STRANGERS = """
 def keep_strangers(
     one: int, other: int, corners: wp.array3d(dtype=int), eight: int, bits: wp.ref[wp.uint32]
 ):
-    """Keep the bits of triangles of an eight that have neither of two vertices."""
+    """Keep the bits of triangles of a block that contain neither of two vertices."""
 
 
 _TAKE_LOWEST = """
@@ -99,13 +99,13 @@ _TAKE_LOWEST = """
 @no_type_check
 @wp.func_native(_TAKE_LOWEST)
 def take_lowest(bits: wp.ref[wp.uint32], place: wp.ref[wp.int32]):
-    """Clear the lowest bit that is set, of which there must be one; its place."""
+    """Clear the lowest set bit, of which there must be one, and return its place."""
 
 
 @no_type_check
 @wp.func
 def box_at(boxes: wp.array3d(dtype=float), eight: int, place: int):
-    """One box of an eight."""
+    """Return one box of a block of eight."""
     box = Box()
     box.low = wp.vec3(boxes[eight, 0, place], boxes[eight, 1, place], boxes[eight, 2, place])
     box.high = wp.vec3(boxes[eight, 3, place], boxes[eight, 4, place], boxes[eight, 5, place])
@@ -115,7 +115,7 @@ def box_at(boxes: wp.array3d(dtype=float), eight: int, place: int):
 @no_type_check
 @wp.func
 def put_box(box: Box, boxes: wp.array3d(dtype=float), eight: int, place: int):
-    """Write one box of an eight."""
+    """Write one box of a block of eight."""
     for axis in range(3):
         boxes[eight, axis, place] = box.low[axis]
         boxes[eight, 3 + axis, place] = box.high[axis]
@@ -124,7 +124,7 @@ def put_box(box: Box, boxes: wp.array3d(dtype=float), eight: int, place: int):
 @no_type_check
 @wp.func
 def no_box():
-    """A box that touches no finite one and adds nothing to another."""
+    """Return a box that touches no finite one and adds nothing to another."""
     box = Box()
     box.low = wp.vec3(wp.inf, wp.inf, wp.inf)
     box.high = -box.low
@@ -134,7 +134,7 @@ def no_box():
 @no_type_check
 @wp.func
 def join(one: Box, other: Box):
-    """The box around two; what is not a number in one of them is left out."""
+    """Return the box around two; NaN corners are ignored."""
     box = Box()
     box.low = wp.min(one.low, other.low)
     box.high = wp.max(one.high, other.high)
@@ -144,7 +144,7 @@ def join(one: Box, other: Box):
 @no_type_check
 @wp.func
 def around_eight(boxes: wp.array3d(dtype=float), eight: int):
-    """The box around an eight of boxes."""
+    """Return the box around a block of eight boxes."""
     whole = box_at(boxes, eight, 0)
     for place in range(1, _EIGHT):
         whole = join(whole, box_at(boxes, eight, place))
@@ -152,12 +152,12 @@ def around_eight(boxes: wp.array3d(dtype=float), eight: int):
 
 
 def blocks(count: int, size: int) -> int:
-    """Blocks of a size that hold so many."""
+    """Return the number of blocks of `size` that hold `count` items."""
     return -(-count // size)
 
 
 def along_curve(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, " points"]:
-    """The order of points along a curve through space that turns in small cubes first (Morton's).
+    """Return the order of points along a Morton curve.
 
     Ten bits of each coordinate are spread, two zeros between them, and the three interleaved.
     """
@@ -169,5 +169,5 @@ def along_curve(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, " poin
 
 
 def no_boxes(*shape: int) -> Float32[np.ndarray, "..."]:
-    """Boxes that nothing touches, not even what has no end: their corners are not numbers."""
+    """Return boxes that nothing touches, not even an infinite box: their corners are NaN."""
     return np.full((*shape, 6, EIGHT), np.nan, np.float32)

@@ -53,7 +53,7 @@ class Camera:
             raise InvalidRecordingError(f"camera {self.name!r}: world_from_camera {problem}")
 
     def _likely_swap(self) -> str:
-        """What to do about a principal point outside the image."""
+        """Return what to do about a principal point outside the image."""
         if 0 <= self.fx < self.width and 0 <= self.fy < self.height:
             return "were fx, fy and cx, cy swapped? The focal lengths are fx and fy"
         if 0 <= self.cy < self.width and 0 <= self.cx < self.height:
@@ -68,13 +68,13 @@ class Camera:
     def camera_from_world_points(
         self, points: Float[np.ndarray, "points 3"]
     ) -> Float[np.ndarray, "points 3"]:
-        """World points [m] in the camera's frame [m]."""
+        """Return world points [m] in the camera's frame [m]."""
         return (points - self.position) @ self.world_from_camera[:3, :3]
 
     def project(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
-        """World points [m] to pixels (column, row) and depth along the optical axis [m]."""
+        """Project world points [m] to pixels (column, row) and depth along the optical axis [m]."""
         local = self.camera_from_world_points(points)
         depth = local[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -86,7 +86,7 @@ class Camera:
         depth: Float[np.ndarray, "height width"],
         mask: Bool[np.ndarray, "height width"] | None = None,
     ) -> Float[np.ndarray, "points 3"]:
-        """Pixels with a measurement (depth > 0) inside the mask, as world points [m]."""
+        """Return pixels with a measurement (depth > 0) inside the mask as world points [m]."""
         chosen = depth > 0 if mask is None else (depth > 0) & mask
         # One number per pixel first: an order of magnitude faster than a search for rows.
         places = np.flatnonzero(chosen).astype(np.int32)
@@ -103,19 +103,19 @@ class Camera:
         return points
 
     def scaled(self, factor: float) -> "Camera":
-        """The same camera in a world that is larger by a factor."""
+        """Return the same camera in a world that is larger by a factor."""
         pose = np.array(self.world_from_camera, dtype=np.float64)
         pose[:3, 3] *= factor
         return replace(self, world_from_camera=pose)
 
     def turned(self, angle_rad: float) -> "Camera":
-        """The same camera in a world that is turned about the vertical through its origin."""
+        """Return the same camera in a world that is turned about its vertical axis."""
         pose = np.array(self.world_from_camera, dtype=np.float64)
         pose[:3] = about_vertical(angle_rad) @ pose[:3]
         return replace(self, world_from_camera=pose)
 
     def resized(self, width: int) -> "Camera":
-        """The same view in an image of another width (whole pixels, aspect kept)."""
+        """Return the same view in an image of another width (whole pixels, aspect kept)."""
         scale = width / self.width
         return Camera(
             self.name,
@@ -130,7 +130,7 @@ class Camera:
 
 
 def rigid_problem(matrix: Float[np.ndarray, "4 4"]) -> str:
-    """Says why a matrix is no rigid transform and what to do; empty where it is one."""
+    """Return why a matrix is no rigid transform, and what to do; empty where it is one."""
     rotation = matrix[:3, :3]
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if not (error < 1e-3 and np.linalg.det(rotation) > 0):
@@ -144,6 +144,6 @@ def rigid_problem(matrix: Float[np.ndarray, "4 4"]) -> str:
 
 
 def about_vertical(angle_rad: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation by an angle about z, from x towards y."""
+    """Return rotation by an angle about z, from x towards y."""
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])

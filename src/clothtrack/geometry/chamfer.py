@@ -10,7 +10,7 @@ from clothtrack.errors import InvalidConfigError
 def one_way(
     points_from: Float[np.ndarray, "points 3"], points_to: Float[np.ndarray, "others 3"]
 ) -> float:
-    """Mean squared distance [m^2] of each point to the nearest of the other points.
+    """Return mean squared distance [m^2] of each point to the nearest of the other points.
 
     Raises:
         InvalidConfigError: when one of the sets is empty: there is no nearest point.
@@ -27,5 +27,5 @@ def one_way(
 def two_way(
     points_a: Float[np.ndarray, "points 3"], points_b: Float[np.ndarray, "others 3"]
 ) -> float:
-    """Both one-way distances, summed [m^2]: the paper's "Chamfer"; root of half of it is an RMS."""
+    """Return both one-way distances, summed [m^2] (paper: "Chamfer"); RMS: root of half of it."""
     return one_way(points_a, points_b) + one_way(points_b, points_a)

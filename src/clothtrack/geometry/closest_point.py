@@ -15,7 +15,7 @@ def closest_on_mesh(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
 ) -> tuple[Int[np.ndarray, " points"], Float[np.ndarray, "points 3"]]:
-    """Face and barycentric coordinates of the closest point of a mesh, for each point.
+    """Return face and barycentric coordinates of the closest point of a mesh, for each point.
 
     Exact: a face can only beat the face with the nearest centre when its own centre lies within
     that face's distance plus its own radius, and all such faces are tried.
@@ -55,13 +55,7 @@ def distance_to_mesh(
     vertices: Float[np.ndarray, "vertices 3"],
     faces: Int[np.ndarray, "faces 3"],
 ) -> Float[np.ndarray, " points"]:
-    """Distance of each point from the surface of a mesh [m], exactly.
-
-    Args:
-        points: query points [m].
-        vertices: vertices of the mesh [m].
-        faces: vertex indices per triangle.
-    """
+    """Return the exact distance [m] of each point from a mesh (`closest_on_mesh`)."""
     face, weights = closest_on_mesh(points, vertices, faces)
     return _gaps(points, vertices[faces[face]], weights)
 
@@ -69,7 +63,7 @@ def distance_to_mesh(
 def closest_on_triangle(
     points: Float[np.ndarray, "pairs 3"], corners: Float[np.ndarray, "pairs 3 3"]
 ) -> Float[np.ndarray, "pairs 3"]:
-    """Barycentric coordinates of the point of each triangle that is closest to its point.
+    """Return the barycentric coordinates of each triangle's closest point.
 
     Inside the triangle it is the projection; else the closest of the three edges' points.
     """
@@ -102,12 +96,7 @@ def closest_on_triangle(
 def interpolate(
     weights: Float[np.ndarray, "points 3"], corners: Float[np.ndarray, "points 3 values"]
 ) -> Float[np.ndarray, "points values"]:
-    """What three corners have, at points between them: positions, normals, coordinates.
-
-    Args:
-        weights: barycentric coordinates of each point in its triangle.
-        corners: what its corners have.
-    """
+    """Interpolate values of three corners with barycentric weights: positions, normals."""
     return np.einsum("ij,ijk->ik", weights, corners)
 
 
@@ -116,7 +105,7 @@ def _gaps(
     corners: Float[np.ndarray, "pairs 3 3"],
     weights: Float[np.ndarray, "pairs 3"],
 ) -> Float[np.ndarray, " pairs"]:
-    """Distance of each point from the weighted mean of its triangle's corners."""
+    """Return distance of each point from the weighted mean of its triangle's corners."""
     return np.linalg.norm(interpolate(weights, corners) - points, axis=1)
 
 
@@ -125,7 +114,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _chunks(counts: Int[np.ndarray, " points"]) -> list[slice]:
-    """Runs of points with a bounded number of candidate pairs."""
+    """Return runs of points with a bounded number of candidate pairs."""
     total = np.cumsum(counts)
     cuts = [0]
     while cuts[-1] < len(counts):

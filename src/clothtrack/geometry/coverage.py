@@ -4,6 +4,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from clothtrack.geometry.mesh import sides_of
+
 _PERTURBATION = 1e-9
 _PAIRS_AT_ONCE = 1 << 20
 
@@ -13,7 +15,7 @@ def projected_area(
     faces: Int[np.ndarray, "faces 3"],
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> float:
-    """Area [m^2] of the union of all triangles, seen along a direction.
+    """Return area [m^2] of the union of all triangles, seen along a direction.
 
     No raster: the boundary of the union consists of pieces of mesh edges (hems and silhouettes)
     that no triangle covers from outside, and Green's theorem turns these pieces into the area.
@@ -22,15 +24,7 @@ def projected_area(
 
     Layers that coincide exactly (a garment flat on itself) would be ambiguous; vertices are
     therefore shifted by random amounts of a billionth of the mesh's extent first. The result is
-    exact to about 1e-8, relative.
-
-    Args:
-        vertices: positions [m].
-        faces: vertex indices per triangle.
-        normal: direction of view; its length does not matter.
-
-    Returns:
-        The area [m^2].
+    exact to about 1e-8, relative. `normal` is the direction of view, of any length.
     """
     points = _projected(np.asarray(vertices, np.float64), np.asarray(normal, np.float64))
     edges, opposite = _boundary_candidates(points, faces)
@@ -45,7 +39,7 @@ def projected_area(
 
 
 def _projected(vertices: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Two coordinates across the normal, centred, in general position."""
+    """Return two coordinates across the normal, centred, in general position."""
     normal = normal / np.linalg.norm(normal)
     helper = np.eye(3)[np.argmin(np.abs(normal))]
     right = np.cross(helper, normal)
@@ -61,10 +55,8 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _boundary_candidates(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges whose triangles all lie on one side, and the far corner of one of these triangles."""
-    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    far = faces[:, [2, 0, 1]].reshape(-1)
-    keys = np.sort(sides, axis=1)
+    """Return edges whose triangles all lie on one side, and the far corner of one of these."""
+    keys, far = sides_of(faces), faces[:, [2, 0, 1]].reshape(-1)
     side = _cross(points[keys[:, 1]] - points[keys[:, 0]], points[far] - points[keys[:, 0]]) > 0
     edges, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     index = index.reshape(-1)
@@ -80,7 +72,7 @@ def _covered(
     start: np.ndarray,
     end: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parts of edges (0 to 1 along each) inside triangles that the edge does not belong to."""
+    """Return parts of edges (0 to 1 along each) inside triangles that are not the edge's own."""
     corners = points[faces]
     clockwise = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[clockwise] = corners[clockwise][:, ::-1]
@@ -106,7 +98,7 @@ def _covered(
 
 
 def _clip(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and last place (0 to 1) of segments inside counter-clockwise triangles."""
+    """Return first and last place (0 to 1) of segments inside counter-clockwise triangles."""
     first, last = np.zeros(len(start)), np.ones(len(start))
     for a, b in ((0, 1), (1, 2), (2, 0)):
         side = corners[:, b] - corners[:, a]
@@ -126,7 +118,7 @@ def _clip(start: np.ndarray, end: np.ndarray, corners: np.ndarray) -> tuple[np.n
 def _uncovered_area(
     start: np.ndarray, end: np.ndarray, edge: np.ndarray, first: np.ndarray, last: np.ndarray
 ) -> float:
-    """Green's integral over what is left of each edge after its covered parts.
+    """Return Green's integral over what is left of each edge after its covered parts.
 
     The integral of x dy - y dx along a straight piece is proportional to the piece's length, so
     that only the covered length of each edge is needed.

@@ -1,7 +1,7 @@
-"""Which edges pass through which triangles of one mesh, found through boxes that are asked at once.
+"""Which edges pass through which triangles of one mesh, found by tests of eight boxes at once.
 
-Around each eight of boxes there is another box, and these lie eight by eight as well. Triangles
-come first, edges after them from a whole eight of eights on.
+A tree of two levels: each block of eight boxes has a box around it, and these are blocks of eight
+as well. Triangles come first; edges follow from the next full block of blocks on.
 """
 
 from typing import no_type_check
@@ -36,7 +36,7 @@ def find_boxes(
     boxes: wp.array3d(dtype=float),
     around: wp.array3d(dtype=float),
 ):
-    """The boxes of all triangles and edges, and the boxes around each eight; one thread for each.
+    """Find boxes of triangles and edges, and the box around each block; one thread per block.
 
     Those of edges are `slack` wider [m]: points are rounded to single precision. `corners` are -1
     where an eight is not full.
@@ -62,7 +62,7 @@ def find_boxes(
 @no_type_check
 @wp.func
 def passes_through(p: wp.vec3d, q: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Whether a segment crosses the inside of a triangle (signed volumes, strictly)."""
+    """Return whether a segment crosses the inside of a triangle (signed volumes, strictly)."""
     zero = wp.float64(0.0)
     normal = wp.cross(b - a, c - a)
     if wp.dot(normal, p - a) * wp.dot(normal, q - a) >= zero:
@@ -88,7 +88,7 @@ def list_between(
     found: wp.array(dtype=wp.vec2i),
     count: wp.array(dtype=int),
 ):
-    """List the crossings of an eight of edges with an eight of triangles."""
+    """List the crossings of a block of edges with a block of triangles."""
     edge = wp.int32(0)
     face = wp.int32(0)
     near_edges = wp.uint32(0)

@@ -9,13 +9,7 @@ from clothtrack.geometry.boxes import EIGHT, along_curve, blocks, no_boxes
 
 
 class CrossingSearch:
-    """Crossings of one mesh with itself, as often as wanted.
-
-    Args:
-        edges: vertex indices per edge.
-        faces: vertex indices per triangle; at least one.
-        device: where crossings are searched, "cpu" or "cuda:0".
-    """
+    """Crossings of one mesh with itself, found again and again; at least one triangle."""
 
     def __init__(
         self,
@@ -38,12 +32,9 @@ class CrossingSearch:
     def pairs(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
-        """Edges and the triangles without a common vertex that they pass through.
+        """Return edges and the triangles without a common vertex that they pass through.
 
-        They are in the order of their numbers, those of the edges first.
-
-        Args:
-            vertices: positions [m]; finite.
+        They are sorted by the number of the edge, then of the triangle; positions [m] are finite.
         """
         exact = np.ascontiguousarray(vertices, np.float64)
         if self._corners is None:
@@ -84,7 +75,7 @@ class CrossingSearch:
         return int(self._count.numpy()[0])
 
     def _ordered(self, vertices: Float[np.ndarray, "vertices 3"]) -> wp.array:
-        """The vertices of triangles and edges, those together that are near each other now.
+        """Return the vertices of triangles and edges, sorted so that near ones share a block.
 
         They stay near each other, because they are of one cloth. An edge repeats its second vertex.
         """

@@ -24,7 +24,7 @@ def quiet_warp() -> None:
 
 
 def device_names() -> list[str]:
-    """The devices of this machine, a GPU with its name: "cuda:0 (NVIDIA H100)"."""
+    """Return the devices of this machine, a GPU with its name: "cuda:0 (NVIDIA H100)"."""
     return [
         f"{device.alias} ({device.name})" if device.is_cuda else device.alias
         for device in wp.get_devices()
@@ -54,7 +54,7 @@ def _has_cuda_driver() -> bool:
 
 @contextmanager
 def _standard_error_closed() -> Iterator[None]:
-    """What a library writes to the process's standard error goes nowhere."""
+    """Discard what a library writes to the process's standard error."""
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from clothtrack.geometry.crossing_search import CrossingSearch
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.mesh import ClothMesh, sides_of
 
 STEEPEST = 0.2
 """Sine of the angle between edge and triangle below which it is taken for this: a contour that an
@@ -49,7 +49,7 @@ class Contours:
     sides: Int[np.ndarray, " crossings"]
 
     def __len__(self) -> int:
-        """Number of crossings."""
+        """Return the number of crossings."""
         return len(self.edges)
 
     @property
@@ -81,19 +81,11 @@ class SelfIntersection:
     def pairs(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
-        """Edges and the triangles that they pass through, in the order of their numbers.
-
-        Args:
-            vertices: positions [m].
-        """
+        """Return edges and the triangles that they pass through, for vertices at positions [m]."""
         return self._search.pairs(vertices)
 
     def contours(self, vertices: Float[np.ndarray, "vertices 3"]) -> Contours:
-        """All crossings, joined into contours.
-
-        Args:
-            vertices: positions [m].
-        """
+        """Return all crossings, joined into contours, for vertices at positions [m]."""
         edge, face = self.pairs(vertices)
         points = np.asarray(vertices, np.float64)
         a, b = points[self.edges[edge, 0]], points[self.edges[edge, 1]]
@@ -122,7 +114,7 @@ class SelfIntersection:
         edge: Int[np.ndarray, " crossings"],
         normals: Float[np.ndarray, "crossings 3"],
     ) -> Float[np.ndarray, "crossings 3"]:
-        """Volino's G: R - 2 (E.R) / (E.N) N, over the triangles beside the edge.
+        """Return Volino's G: R - 2 (E.R) / (E.N) N, over the triangles beside the edge.
 
         E is the edge, N the normal of the triangle that it passes through, R the direction in
         which the line of intersection leaves the crossing into a triangle beside the edge.
@@ -146,7 +138,7 @@ class SelfIntersection:
     def _joined(
         self, edge: Int[np.ndarray, " crossings"], face: Int[np.ndarray, " crossings"]
     ) -> tuple[Int[np.ndarray, " crossings"], Int[np.ndarray, " crossings"]]:
-        """Contour and side of each crossing.
+        """Return contour and side of each crossing.
 
         Two triangles that cut each other join the crossings at the ends of their line. Each
         crossing stands in the graph twice, as if its edge were of the first sheet and as if it
@@ -176,9 +168,8 @@ class SelfIntersection:
 
 
 def _faces_of_edges(mesh: ClothMesh) -> Int[np.ndarray, "edges 2"]:
-    """The triangles beside each edge; -1 beyond a rim."""
-    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, edge = np.unique(sides, axis=0, return_inverse=True)
+    """Return the triangles beside each edge; -1 beyond a rim."""
+    _, edge = np.unique(sides_of(mesh.faces), axis=0, return_inverse=True)
     order = np.argsort(edge, kind="stable")
     edge, face = edge[order], order // 3
     again = np.concatenate([[False], edge[1:] == edge[:-1]])
@@ -198,7 +189,7 @@ def _unit(vectors: Float[np.ndarray, "vectors 3"]) -> Float[np.ndarray, "vectors
 def _barycentric(
     points: Float[np.ndarray, "points 3"], corners: Float[np.ndarray, "points 3 3"]
 ) -> Float[np.ndarray, "points 3"]:
-    """Coordinates of points in triangles that they lie in."""
+    """Return coordinates of points in triangles that they lie in."""
     apart = corners - points[:, None]
     areas = np.linalg.norm(np.cross(apart[:, [1, 2, 0]], apart[:, [2, 0, 1]], axis=2), axis=2)
     return areas / np.maximum(areas.sum(axis=1, keepdims=True), 1e-18)

@@ -37,7 +37,8 @@ class ClothMesh:
         Raises:
             InvalidMeshError: with the first offending vertex, face or edge.
         """
-        _check(self)
+        _check_arrays(self.vertices, self.faces)
+        _check_surface(self)
 
     def __repr__(self) -> str:
         """One line, without the positions."""
@@ -51,8 +52,7 @@ class ClothMesh:
     @cached_property
     def edges(self) -> Int[np.ndarray, "edges 2"]:
         """Every edge once, lower vertex index first, sorted."""
-        pairs = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        return np.unique(pairs, axis=0).astype(np.int32)
+        return np.unique(sides_of(self.faces), axis=0).astype(np.int32)
 
     @cached_property
     def edge_lengths(self) -> Float[np.ndarray, " edges"]:
@@ -72,31 +72,29 @@ class ClothMesh:
     @cached_property
     def opposite_pairs(self) -> Int[np.ndarray, "interior_edges 2"]:
         """The two vertices that face each other across each interior edge (bending pairs)."""
-        sides = self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        opposite = self.faces[:, [2, 0, 1]].reshape(-1)
-        keys = np.sort(sides, axis=1)
+        keys, opposite = sides_of(self.faces), self.faces[:, [2, 0, 1]].reshape(-1)
         order = np.lexsort((keys[:, 1], keys[:, 0]))
         keys, opposite = keys[order], opposite[order]
         shared = np.flatnonzero((keys[1:] == keys[:-1]).all(axis=1))
         return np.stack([opposite[shared], opposite[shared + 1]], axis=1).astype(np.int32)
 
     def with_vertices(self, vertices: Float[np.ndarray, "vertices 3"]) -> "ClothMesh":
-        """The same cloth somewhere else."""
+        """Return the same cloth with other vertex positions."""
         return replace(self, vertices=np.asarray(vertices))
 
     def scaled(self, factor: float) -> "ClothMesh":
-        """The same cloth, larger by a factor, canonical coordinates too."""
+        """Return the same cloth, larger by a factor, canonical coordinates too."""
         canonical = None if self.canonical is None else np.asarray(self.canonical) * factor
         return replace(self, vertices=np.asarray(self.vertices) * factor, canonical=canonical)
 
 
-def _check(mesh: ClothMesh) -> None:
-    _check_arrays(mesh.vertices, mesh.faces)
-    _check_surface(mesh)
+def sides_of(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "sides 2"]:
+    """Return the three sides of each face, lower vertex index first."""
+    return np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Shapes, types, and numbers that can be metres and indices."""
+    """Check shapes, types, and that numbers can be metres and indices."""
     for name, array, kinds in (("vertices", vertices, "fiu"), ("faces", faces, "iu")):
         if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in kinds:
             raise InvalidMeshError(
@@ -124,7 +122,7 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _check_surface(mesh: ClothMesh) -> None:
-    """Triangles that are a manifold surface without anything loose."""
+    """Check that the triangles are a manifold surface without anything loose."""
     vertices, faces = mesh.vertices, mesh.faces
     twice = np.flatnonzero(
         (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
@@ -133,8 +131,7 @@ def _check_surface(mesh: ClothMesh) -> None:
         raise InvalidMeshError(
             f"face {twice[0]} is {faces[twice[0]].tolist()}: it uses one vertex twice; remove it"
         )
-    keys = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, counts = np.unique(keys, axis=0, return_counts=True)
+    edges, counts = np.unique(sides_of(faces), axis=0, return_counts=True)
     if counts.max() > 2:
         worst = int(counts.argmax())
         raise InvalidMeshError(

@@ -6,33 +6,25 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from clothtrack.geometry.crossing_search import CrossingSearch
-from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.mesh import ClothMesh, sides_of
 
 
 def edge_strain(mesh_rest: ClothMesh, vertices: Float[np.ndarray, "vertices 3"]) -> float:
-    """Mean absolute relative change of edge length against the rest mesh (no unit)."""
+    """Return mean absolute relative change of edge length against the rest mesh (no unit)."""
     ends = np.asarray(vertices, np.float64)[mesh_rest.edges]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     return float(np.mean(np.abs(lengths / mesh_rest.edge_lengths - 1.0)))
 
 
 def crossings(vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]) -> int:
-    """Number of edges that pass through a triangle with which they share no vertex.
-
-    Args:
-        vertices: positions [m].
-        faces: vertex indices per triangle.
-
-    Returns:
-        How many edges pass through at least one triangle.
-    """
+    """Return how many edges pass through a triangle with which they share no vertex."""
     return len(crossing_edges(vertices, faces)[0])
 
 
 def crossing_edges(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> tuple[Int[np.ndarray, "crossing 2"], Int[np.ndarray, "crossed 3"]]:
-    """The edges that pass through a triangle with which they share no vertex.
+    """Return the edges that pass through a triangle with which they share no vertex.
 
     Args:
         vertices: positions [m].
@@ -49,15 +41,11 @@ def crossing_edges(
 
 
 class CrossingCheck:
-    """`crossing_edges` of one mesh, as often as wanted; its edges and its search are made once.
-
-    Args:
-        faces: vertex indices per triangle; at least one.
-    """
+    """`crossing_edges` of one mesh, again and again; `faces` has at least one triangle."""
 
     def __init__(self, faces: Int[np.ndarray, "faces 3"]) -> None:
         self._faces = np.ascontiguousarray(faces, np.int32)
-        sides = np.sort(self._faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        sides = sides_of(self._faces)
         # One number per side: an order of magnitude faster than unique rows.
         count = int(self._faces.max()) + 1
         numbers = np.unique(sides[:, 0] * np.int64(count) + sides[:, 1])
@@ -67,7 +55,7 @@ class CrossingCheck:
     def __call__(
         self, vertices: Float[np.ndarray, "vertices 3"]
     ) -> tuple[Int[np.ndarray, "crossing 2"], Int[np.ndarray, "crossed 3"]]:
-        """What `crossing_edges` returns for these positions [m]."""
+        """Return the same as `crossing_edges` for these positions [m]."""
         if not np.isfinite(vertices).all():
             return crossing_edges(vertices, self._faces)
         edges, faces = self._search.pairs(vertices)
@@ -79,7 +67,7 @@ def close_pairs(
     faces: Int[np.ndarray, "faces 3"],
     distance_m: float = 0.005,
 ) -> int:
-    """Number of vertex pairs nearer than a distance that are not neighbours in the mesh.
+    """Return number of vertex pairs nearer than a distance that are not neighbours in the mesh.
 
     Vertices joined by an edge or by two do not count: in a fine mesh they are always near.
 
@@ -87,9 +75,6 @@ def close_pairs(
         vertices: positions [m].
         faces: vertex indices per triangle.
         distance_m: pairs at or below this distance count [m].
-
-    Returns:
-        Number of unordered pairs.
     """
     count = len(vertices)
     pairs = cKDTree(vertices).query_pairs(distance_m, output_type="ndarray")
@@ -105,14 +90,11 @@ def close_pairs(
 def below(
     heights: Float[np.ndarray, " vertices"], resting_height_m: float, tolerance_m: float = 0.003
 ) -> float:
-    """Share of vertices more than a tolerance under the height of a vertex at rest on the table.
+    """Return the share of vertices more than a tolerance under the resting height.
 
     Args:
         heights: heights of the vertices above the table [m].
         resting_height_m: height of a vertex that lies on the table [m].
         tolerance_m: how much lower does not count yet [m].
-
-    Returns:
-        A share between 0 and 1.
     """
     return float(np.mean(heights < resting_height_m - tolerance_m))

@@ -10,17 +10,7 @@ def sample_surface(
     count: int,
     seed: int,
 ) -> Float[np.ndarray, "points 3"]:
-    """Points [m] drawn uniformly over the area of a triangle mesh.
-
-    Args:
-        vertices: positions [m].
-        faces: vertex indices per triangle.
-        count: number of points.
-        seed: of the random numbers; the same seed gives the same points.
-
-    Returns:
-        The points, in the frame of the vertices.
-    """
+    """Draw points [m] uniformly over the area of a triangle mesh; a seed gives the same points."""
     rng = np.random.default_rng(seed)
     a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)

@@ -65,14 +65,14 @@ class TableFit:
 def off_cloth(
     depth_m: Float[np.ndarray, "height width"], cloth: Bool[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width"]:
-    """The depth [m] without the cloth and the pixels around it: masks are wrong by some."""
+    """Return the depth [m] without the cloth and a margin for errors of its mask."""
     return np.where(cv2.dilate(cloth.astype(np.uint8), _MARGIN) > 0, 0.0, depth_m)
 
 
 def sight_lines(
     depth_m: Float[np.ndarray, "height width"], camera: Camera, *, stride: int = 1, offset: int = 0
 ) -> tuple[Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
-    """Directions (x, y, 1) of the measured pixels in the camera's frame, and inverse depth [1/m].
+    """Return directions (x, y, 1) of measured pixels [camera frame] and inverse depths [1/m].
 
     Args:
         depth_m: depth [m], 0 where nothing was measured.
@@ -93,7 +93,7 @@ def fit_plane(
     sight: Float[np.ndarray, "points 3"],
     inverse: Float[np.ndarray, " points"],
 ) -> TableFit:
-    """The dominant plane of measurements: random trials, then least squares over its inliers.
+    """Fit the dominant plane: random trials, then least squares over its inliers.
 
     Args:
         sight: directions (x, y, 1) in the camera's frame.
@@ -124,7 +124,7 @@ def fit_plane(
 
 
 def world_from_table(camera: Camera, table: TableFit) -> Float[np.ndarray, "4 4"]:
-    """World from camera when the world stands on the table.
+    """Return world from camera when the world stands on the table.
 
     z is the table's normal, x the camera's x axis laid onto the table, and the origin is the point
     of the table in the middle of the picture.
@@ -160,7 +160,7 @@ def _dominant(
     inverse: Float[np.ndarray, " points"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " 3"]:
-    """The plane (a, b, c) with most measurements, of those through three random ones."""
+    """Return the plane (a, b, c) with most inliers, of those through three random points."""
     if len(sight) < LEAST_POINTS:
         raise InvalidRecordingError(
             f"only {len(sight)} measurements are left to find a plane in (at least "
@@ -184,7 +184,7 @@ def _refined(
     inverse: Float[np.ndarray, " points"],
     plane: Float[np.ndarray, " 3"],
 ) -> tuple[Float[np.ndarray, " 3"], Bool[np.ndarray, " points"]]:
-    """Least squares over the inliers, whose band narrows to three times their own spread.
+    """Fit by least squares to inliers, whose band narrows to three times their own spread.
 
     It stays wider than the steps of the depth: most of the pixels may lie on one of them.
     """
@@ -209,7 +209,7 @@ def _lower(
     plane: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " 3"]:
-    """The plane right under this one, if any: cloth that fills the picture lies on it."""
+    """Return the plane right under this one, if any: cloth that fills the picture lies on it."""
     length = float(np.linalg.norm(plane))
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
     off = inverse - sight @ plane

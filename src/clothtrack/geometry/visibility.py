@@ -52,7 +52,7 @@ class Rasteriser:
         self.pixels = wp.empty(camera.width * camera.height, dtype=wp.uint64, device=device)
 
     def render(self, vertices: Float[np.ndarray, "vertices 3"] | wp.array) -> DepthBuffer:
-        """Depth and face of every pixel for vertices in the world [m]."""
+        """Return depth and face of every pixel for vertices in the world [m]."""
         self.draw(_on_device(vertices, self.device))
         shape = (self.camera.height, self.camera.width)
         depth = wp.empty(len(self.pixels), dtype=wp.float32, device=self.device)
@@ -67,7 +67,7 @@ class Rasteriser:
         return DepthBuffer(depth.numpy().reshape(shape), faces.numpy().reshape(shape))
 
     def window(self, vertices: Float[np.ndarray, "vertices 3"]) -> tuple[slice, slice]:
-        """Rows and columns outside which no pixel shows a mesh with these vertices [m]."""
+        """Return rows and columns outside which no pixel shows the mesh at these vertices [m]."""
         pixels, depth = self.camera.project(vertices)
         # What reaches behind the camera may show anywhere.
         if not ((depth >= 2.0 * NEAREST_DEPTH_M).all() and np.isfinite(pixels).all()):
@@ -81,7 +81,7 @@ class Rasteriser:
     def faces_within(
         self, vertices: Float[np.ndarray, "vertices 3"], window: tuple[slice, slice]
     ) -> Int[np.ndarray, "height width"]:
-        """Index of the nearest face at each pixel of a window, -1 where none is, as `render`."""
+        """Return the index of the nearest face at each pixel of a window, -1 where none is."""
         self.draw(_on_device(vertices, self.device))
         # The lower half of a pixel is its face; that of an empty one is -1.
         halves = self.pixels.numpy().view("<i4")
@@ -138,11 +138,11 @@ class VisibilityCheck:
     def __call__(
         self, vertices: Float[np.ndarray, "vertices 3"] | wp.array
     ) -> Bool[np.ndarray, " vertices"]:
-        """Visible vertices, for vertices in the world [m]."""
+        """Return visible vertices, for vertices in the world [m]."""
         return self.on_device(_on_device(vertices, self.device)).numpy().astype(bool)
 
     def on_device(self, vertices: wp.array) -> wp.array:
-        """The same without leaving the device: a bool array that the next call overwrites."""
+        """Return the same on the device: a bool array that the next call overwrites."""
         count = len(vertices)
         if len(self._visible) != count:
             self._hit = wp.empty(count, dtype=wp.bool, device=self.device)
@@ -182,7 +182,7 @@ def visible_vertices(
     tolerance_m: float = 0.003,
     device: str = "cpu",
 ) -> Bool[np.ndarray, " vertices"]:
-    """Vertices that at least one camera sees (see `VisibilityCheck`, which keeps its buffers)."""
+    """Return the vertices that at least one camera sees (`VisibilityCheck`)."""
     return VisibilityCheck(faces, cameras, tolerance_m=tolerance_m, device=device)(vertices)
 
 

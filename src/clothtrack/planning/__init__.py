@@ -5,18 +5,12 @@ from typing import TYPE_CHECKING
 from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from clothtrack.planning.action_space import (
-        ActionSpace,
-        PickPlace,
-        SeenCloth,
-        Workspace,
-        sample_actions,
-    )
+    from clothtrack.planning.action_space import ActionSpace, PickPlace, SeenCloth, Workspace
     from clothtrack.planning.episode_store import EpisodeStore
     from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
     from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area, improvement
-    from clothtrack.planning.perception import Estimate, Perception, PerceptionConfig, perception_of
-    from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
+    from clothtrack.planning.perception import Estimate, PerceptionConfig, perception_of
+    from clothtrack.planning.planner import Hypothesis, Planner, PlannerConfig
     from clothtrack.planning.planning_dynamics import (
         PlannedCloth,
         PlanningDynamics,
@@ -29,14 +23,12 @@ else:
 
 __all__ = [
     "ActionSpace",
-    "Decision",
     "EpisodeScene",
     "EpisodeStore",
     "Estimate",
     "FlattenConfig",
     "Flattening",
     "Hypothesis",
-    "Perception",
     "PerceptionConfig",
     "PickPlace",
     "PlannedCloth",
@@ -52,5 +44,4 @@ __all__ = [
     "flat_area",
     "improvement",
     "perception_of",
-    "sample_actions",
 ]

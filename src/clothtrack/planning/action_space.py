@@ -27,7 +27,7 @@ ON_CLOTH_M = 0.012
 """A place this near to a seen point [m] is on the cloth; a pick farther from any is on none."""
 
 OUTWARDS = 0.5
-"""Share of ways that lead within 60 degrees of straight away from the middle of the cloth; the
+"""Share of moves that lead within 60 degrees of straight away from the middle of the cloth; the
 others lead anywhere."""
 
 RELEASE_HEIGHT_M = 0.006
@@ -52,18 +52,13 @@ class PickPlace:
     lift_m: float
 
     def path(self, speed: float, time_step_s: float) -> Float[np.ndarray, "steps 3"]:
-        """Where the tip is after each time step, from grasp to release [m].
-
-        Args:
-            speed: highest speed of the tip [m/s].
-            time_step_s: time from one point of the path to the next [s].
-        """
+        """Return where the tip is [m] after each time step, at most this fast [m/s]."""
         planned = PlannedAction(np.zeros(0, np.int64), self.pick, self.place, self.lift_m)
         config = ActionConfig(speed=speed, frame_rate=1.0 / time_step_s)
         return carrying_path(planned, config, time_step_s)
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         return {"pick": self.pick.tolist(), "place": self.place.tolist(), "lift_m": self.lift_m}
 
 
@@ -82,7 +77,7 @@ class Workspace(Checked):
     z_m: Annotated[tuple[float, float], Interval()] = (-0.005, 0.4)
 
     def holds(self, points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, " points"]:
-        """Which points [m] are inside."""
+        """Return which points [m] are inside."""
         bounds = np.array([self.x_m, self.y_m, self.z_m])
         inside = (points >= bounds[:, 0]) & (points <= bounds[:, 1])
         return np.asarray(inside.all(axis=-1))
@@ -93,7 +88,7 @@ class ActionSpace(Checked):
     """Which pick-and-places are tried.
 
     Attributes:
-        distance_m: least and largest horizontal way [m] (paper's reference code: 0.05 to 0.2).
+        distance_m: least and largest horizontal distance [m] (paper's reference code: 0.05 to 0.2).
         lift_m: least and largest height of the path over the straight line [m]; VCD lifts 0.07.
         edges: share of picks that are drawn near edges and corners; the others are anywhere on
             visible cloth, as in the reference code.
@@ -126,7 +121,7 @@ class SeenCloth:
 def edge_measure(
     points: Float[np.ndarray, "points dimensions"], radius_m: float = EDGE_REACH_M
 ) -> Float[np.ndarray, " points"]:
-    """How much of an edge or a corner is at each point, seen from above.
+    """Return how much of an edge or a corner is at each point, seen from above.
 
     The distance from the point to the middle of its neighbours, over the radius: 0 inside, 4 / (3
     pi) = 0.42 on a straight edge, 0.6 in a right-angled corner.
@@ -150,7 +145,7 @@ def pick_weights(
     flat: ClothMesh | None = None,
     positions: Float[np.ndarray, "vertices 3"] | None = None,
 ) -> Float[np.ndarray, " points"]:
-    """How often each seen point is to be picked: edges of what is seen, and the garment's own.
+    """Return how often each seen point is to be picked: edges of the cloud, and the garment's.
 
     A hem that lies on other cloth is no edge of the picture. Where the mesh has one near the seen
     surface, it counts like an edge.
@@ -181,7 +176,7 @@ def sample_actions(
     *,
     weights: Float[np.ndarray, " points"] | None = None,
 ) -> list[PickPlace]:
-    """Random pick-and-places within all limits; fewer than asked for when hardly any is.
+    """Sample pick-and-places within all limits; fewer than asked for where hardly any is.
 
     Args:
         seen: the cloth as it is seen.
@@ -207,8 +202,8 @@ def sample_actions(
         outward = np.arctan2(*(pick[:, :2] - middle).T[::-1])
         spread = np.where(rng.random(missing) < OUTWARDS, np.pi / 3.0, np.pi)
         heading = outward + spread * rng.uniform(-1.0, 1.0, missing)
-        way = rng.uniform(*space.distance_m, missing)
-        step = way[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        distance = rng.uniform(*space.distance_m, missing)
+        step = distance[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
         lift = rng.uniform(*space.lift_m, missing)
         actions += within_limits(seen, pick, pick[:, :2] + step, lift, space)
     return actions[:count]
@@ -221,7 +216,7 @@ def within_limits(
     lifts_m: Float[np.ndarray, " actions"],
     space: ActionSpace,
 ) -> list[PickPlace]:
-    """Those of the pick-and-places that keep all limits, with the height of the place filled in.
+    """Return the pick-and-places that keep all limits, with the height of the place.
 
     Args:
         seen: the cloth as it is seen.
@@ -241,8 +236,8 @@ def within_limits(
             ground[index] = seen.cloud[near, 2].max()
     placed = np.column_stack([places, ground + RELEASE_HEIGHT_M])
     top = np.column_stack([picks[:, :2], np.maximum(picks[:, 2], placed[:, 2]) + lifts_m])
-    way = np.linalg.norm(places - picks[:, :2], axis=1)
-    allowed = (way >= space.distance_m[0] - 1e-9) & (way <= space.distance_m[1] + 1e-9)
+    distance = np.linalg.norm(places - picks[:, :2], axis=1)
+    allowed = (distance >= space.distance_m[0] - 1e-9) & (distance <= space.distance_m[1] + 1e-9)
     for points in (picks, placed, top):
         allowed &= space.workspace.holds(points)
     for points in (picks, placed):
@@ -258,12 +253,9 @@ def within_limits(
 def in_picture(
     points: Float[np.ndarray, "points 3"], camera: Camera | None, margin: float
 ) -> Bool[np.ndarray, " points"]:
-    """Which points [m] the camera has in its picture, at least a margin from the border.
+    """Return which points [m, world] are in the picture, a share of its width from the border.
 
-    Args:
-        points: in the world [m].
-        camera: None sees everything.
-        margin: width of the border, as a share of the picture's width.
+    A camera that is None sees everything.
     """
     if camera is None:
         return np.ones(len(points), dtype=bool)
@@ -275,6 +267,6 @@ def in_picture(
 
 
 def off_cloth(seen: SeenCloth, actions: Sequence[PickPlace]) -> Float[np.ndarray, " actions"]:
-    """How far each place is from the nearest cloth that is seen, from above [m]."""
+    """Return how far each place is from the nearest cloth that is seen, from above [m]."""
     places = np.array([action.place[:2] for action in actions]).reshape(-1, 2)
     return cKDTree(seen.cloud[:, :2]).query(places)[0]

@@ -14,13 +14,7 @@ OUTLINE = (255, 255, 255)
 def draw_action(
     image: UInt8[np.ndarray, "height width 3"], camera: Camera, action: PickPlace
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """A copy of the picture with an arrow from pick to place.
-
-    Args:
-        image: red first, of this camera.
-        camera: that took it.
-        action: what is drawn.
-    """
+    """Return a copy of the camera's RGB picture with an arrow from pick to place."""
     drawn = np.ascontiguousarray(image.copy())
     pixels, _ = camera.project(np.stack([action.pick, action.place]))
     start, end = (tuple(round(float(value)) for value in pixel) for pixel in pixels)
@@ -32,7 +26,7 @@ def draw_action(
 
 
 def shown_depth(depth_m: np.ndarray) -> UInt8[np.ndarray, "height width 3"]:
-    """A depth picture [m] in grey, near is bright, for cameras without colour."""
+    """Return a depth picture [m] in grey, near is bright, for cameras without colour."""
     measured = depth_m[depth_m > 0]
     if not len(measured):
         return np.zeros((*depth_m.shape, 3), np.uint8)

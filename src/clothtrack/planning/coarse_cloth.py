@@ -79,7 +79,7 @@ class Coarsener:
     def __call__(
         self, positions: Float[np.ndarray, "vertices 3"]
     ) -> Float[np.ndarray, "coarse_vertices 3"]:
-        """Where the coarse vertices are [m] when the fine ones are here [m]."""
+        """Return where the coarse vertices are [m] when the fine ones are here [m]."""
         positions = np.asarray(positions, dtype=np.float64)
         if self._face_of is None:
             return positions.copy()

@@ -5,8 +5,8 @@
     EPISODE/steps/01 ...       each action as a recording of its own
     EPISODE/estimates/00.npz   what was believed after each step
 
-At the end the steps are joined to one normal recording. Nothing here holds the truth: the world of
-a simulated robot is saved elsewhere by whoever has one.
+At the end the steps are joined to one normal recording. The truth of a simulated robot is not
+stored here.
 """
 
 import json
@@ -99,7 +99,7 @@ class EpisodeStore:
         write_file(self.folder / DOCUMENT, json.dumps(self.document, indent=1).encode())
 
     def recording_path(self, step: int) -> Path:
-        """Where the recording of a step lies."""
+        """Return where the recording of a step lies."""
         return self.folder / "steps" / f"{step:02d}"
 
     def clear_after(self, step: int) -> None:
@@ -152,7 +152,7 @@ class EpisodeStore:
             ) from error
 
     def joined(self, out: Path, provenance: Mapping[str, Any]) -> Path:
-        """All steps as one normal recording, which a tracker can follow; kept when it is there.
+        """Write all steps as one recording for the tracker; kept when it is there.
 
         Raises:
             InvalidRecordingError: a step cannot be read.
@@ -228,7 +228,7 @@ def write_step(
 
 
 def _covering(path: PickerPath, frames: Sequence[RgbdFrame]) -> PickerPath:
-    """The path for as long as the pictures last: at rest before its first sample, and after."""
+    """Return the path extended to all pictures: at rest before its first sample, and after."""
     times, tips, closed = path.time_s, path.positions, path.closed
     if frames[0].time_s < times[0]:
         times = np.concatenate([[frames[0].time_s], times])

@@ -47,7 +47,7 @@ class FlattenConfig(Checked):
 
 
 def weights_used(config: FlattenConfig) -> dict[str, Path]:
-    """The files of weights that flattening reads, of "network" and "dynamics"."""
+    """Return the files of weights that flattening a garment reads, of "network" and "dynamics"."""
     used: dict[str, Path | None] = {}
     if config.policy == "planned" and config.perception.name != "truth":
         named = config.perception.weights
@@ -58,7 +58,7 @@ def weights_used(config: FlattenConfig) -> dict[str, Path]:
 
 
 def episode_identity(config: FlattenConfig) -> dict[str, Any]:
-    """What an episode is known by: files count by what is in them, not by their names.
+    """Return what an episode is known by: files count by their content, not by their names.
 
     Raises:
         StorageError: a file of weights, or a template, cannot be read.
@@ -86,7 +86,7 @@ def learned_dynamics(name: str) -> LearnedDynamics:
 
 
 def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> PlanningDynamics:
-    """The dynamics that a configuration names; PyTorch is imported for the learned ones only.
+    """Return the configured dynamics; PyTorch is imported for the learned ones only.
 
     Raises:
         InvalidConfigError: the learned ones are asked for, and [learn] is not installed.

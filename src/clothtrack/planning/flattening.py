@@ -20,7 +20,7 @@ from clothtrack.geometry.coverage import projected_area
 from clothtrack.planning.action_space import PickPlace, SeenCloth
 from clothtrack.planning.episode_store import EpisodeStore, write_step
 from clothtrack.planning.flatten_config import FlattenConfig, episode_identity, weights_used
-from clothtrack.planning.perception import Estimate, Look, Perception, label_of
+from clothtrack.planning.perception import Estimate, Look, Perception
 from clothtrack.planning.planner import Decision, Hypothesis, Planner, PlannerConfig
 from clothtrack.planning.planning_dynamics import PlanningDynamics
 from clothtrack.planning.robots.robot import Execution, PickPlaceRobot
@@ -58,7 +58,7 @@ class Checkpoint(Protocol):
 
 
 Watch = Callable[[EpisodeStore, Decision | None], None]
-"""Told of every finished step: the episode so far, and what was decided next, if anything was."""
+"""Called after every step with the episode and the next decision, if there is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class EpisodeScene:
 
 
 def flat_area(cloth: ClothDescription) -> float | None:
-    """Area that a garment of known kind and size covers when it is flat [m^2]; else None."""
+    """Return the area that a flat garment of known kind and size covers [m^2]; else None."""
     if cloth.kind not in DEFAULT_SIZES_M or cloth.size_m is None:
         return None
     mesh = garment(cloth.kind, vertex_count=300, size_m=cloth.size_m)
@@ -100,7 +100,7 @@ class Flattening:
         score: Callable[[], float] | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> None:
-        """Put the parts together.
+        """Flatten with these parts.
 
         Args:
             robot: acts and takes pictures.
@@ -150,9 +150,9 @@ class Flattening:
             InvalidConfigError: the folder holds another episode.
             InvalidRecordingError: the first picture shows no cloth.
         """
-        label = {"perception": "none", "control": False}
-        if self._perception is not None:
-            label = dict(label_of(self._config.perception))
+        # The truth is an upper bound that no camera can have, never a result.
+        name = "none" if self._perception is None else self._config.perception.name
+        label = {"perception": name, "control": name == "truth"}
         cloth = self._scene.cloth
         store = EpisodeStore(
             folder,
@@ -190,7 +190,7 @@ class Flattening:
         )
 
     def _first_look(self, store: EpisodeStore) -> tuple[Look, Estimate | None]:
-        """The cloth before any action."""
+        """Observe the cloth before any action."""
         self._tell(0, "look")
         self._robot.home()
         recording = write_step(
@@ -211,7 +211,7 @@ class Flattening:
         if not status:
             self._tell(number, "plan")
             decision = self._decide(look, estimate, number)
-            # Whoever promises nothing may have had bad luck with its candidates: look once more.
+            # No candidate predicts a gain: resample before the episode ends.
             for again in range(1, PATIENCE):
                 if decision.action is None:
                     decision = self._decide(look, estimate, number, again)
@@ -241,7 +241,7 @@ class Flattening:
     def _decide(
         self, look: Look, estimate: Estimate | None, number: int, again: int = 0
     ) -> Decision:
-        """The next action that the robot can carry out."""
+        """Return the next action that the robot can carry out."""
         rng = np.random.default_rng([_OF_EPISODES, self._seed, number, again])
         seen = seen_cloth(look.recording, look.observation())
         if self._planner is None:
@@ -264,7 +264,7 @@ class Flattening:
         return replace(decision, action=action, gain_m2=gain)
 
     def _reachable(self, actions: Sequence[PickPlace]) -> PickPlace | None:
-        """The first of the actions that the robot does not refuse."""
+        """Return the first of the actions that the robot does not refuse."""
         for action in actions:
             reachability = self._robot.check(action)
             if reachability.reachable:
@@ -294,7 +294,7 @@ class Flattening:
         return estimate
 
     def _ended(self, store: EpisodeStore, row: dict[str, Any]) -> str:
-        """Why the episode is over; empty when it is not."""
+        """Return why the episode is over; empty when it is not."""
         flat = row["flat_m2"]
         if flat is not None and row["seen_m2"] >= ENOUGH * flat:
             return "flat"
@@ -321,7 +321,7 @@ def _step_row(
 
 
 def improvement(steps: Sequence[dict[str, Any]], key: str = "true_m2") -> list[float]:
-    """Normalised improvement after each step: (c - c0) / (c_flat - c0) (paper, Sec. IV-B.2).
+    """Return the normalised improvement per step: (c - c0) / (c_flat - c0) (Sec. IV-B.2).
 
     Args:
         steps: rows of an episode.

@@ -1,11 +1,11 @@
 """Where the cloth is, before each action: the network, the tracker, or a named control.
 
-Everything but the control asks recordings and weights only. The control `truth` is handed the true
-cloth by whoever has a simulated robot, and everything that it leads to is labelled "control".
+Perceptions use recordings and weights only, except the control `truth`: it gets the true cloth from
+a simulated robot, and all its results are labelled "control".
 """
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
@@ -28,8 +28,6 @@ from clothtrack.tracking.tracker import Tracker
 logger = logging.getLogger(__name__)
 
 PerceptionName = Literal["network", "tracker", "truth"]
-CONTROLS = ("truth",)
-"""Perceptions that no camera can have: upper bounds, never results."""
 
 LONGEST_PATH_M = 0.06
 """Cloth that was carried farther than this between two pictures is perceived anew [m]: a tracker
@@ -100,7 +98,7 @@ class Look:
         return self.recording.frames[-1]
 
     def observation(self) -> Observation:
-        """The cloud of the latest picture."""
+        """Return the cloud of the latest picture."""
         return observe(self.recording, self.frame)
 
 
@@ -173,19 +171,12 @@ class TrackerPerception:
         tracker: RunConfig = ONE_CANDIDATE,
         device: str = "cpu",
     ) -> None:
-        """Remember how to track, and who makes the first estimate and those where tracking fails.
-
-        Args:
-            first: perceives anew.
-            lost_m: distance of a lost mesh from its cloud (`PerceptionConfig.lost_m`) [m].
-            tracker: Algorithm 1.
-            device: where to compute.
-        """
+        """Track with `tracker`; `first` estimates at the start and where tracking fails."""
         self._first, self._lost_m = first, lost_m
         self._tracker, self._device = tracker, device
 
     def perceive(self, look: Look) -> Estimate:
-        """The tracked estimate; a fresh one before any action, or when nothing can be tracked."""
+        """Return the tracked estimate; a fresh one before any action, or if tracking fails."""
         recording, start = look.recording, look.before
         if start is None or not look.acted or not recording.actions:
             return self._first.perceive(look)
@@ -226,7 +217,7 @@ class TrackerPerception:
 
 
 def unseen_path_m(recording: Recording) -> float:
-    """How far a picker carries cloth between two pictures of an action, at most [m]."""
+    """Return how far a picker carries cloth between two pictures of an action, at most [m]."""
     longest = 0.0
     for action in recording.actions:
         frames = recording.frames[action.first_frame : action.last_frame + 1]
@@ -244,7 +235,7 @@ class ControlPerception:
     """The true cloth: the upper bound of all perception, and no result."""
 
     def __init__(self, true_cloth: TrueCloth) -> None:
-        """Remember whom to ask; only a simulated robot can be."""
+        """Ask a simulated robot for the true cloth."""
         self._true_cloth = true_cloth
 
     def perceive(self, look: Look) -> Estimate:
@@ -261,13 +252,7 @@ def perception_of(
     true_cloth: TrueCloth | None = None,
     device: str = "cpu",
 ) -> Perception:
-    """The perception that a configuration names.
-
-    Args:
-        kind: the garment.
-        config: which.
-        true_cloth: for the control only.
-        device: where to compute.
+    """Return the perception that a configuration names; `true_cloth` is for the control only.
 
     Raises:
         InvalidConfigError: the control is asked for where no truth is, or a GPU for the network.
@@ -284,8 +269,3 @@ def perception_of(
     if config.name == "network":
         return network
     return TrackerPerception(network, lost_m=config.lost_m, device=device)
-
-
-def label_of(config: PerceptionConfig) -> Mapping[str, object]:
-    """What every output says about the perception."""
-    return {"perception": config.name, "control": config.name in CONTROLS}

@@ -87,12 +87,7 @@ class Planner:
     """Chooses actions for one garment after another; coarse meshes are kept between decisions."""
 
     def __init__(self, dynamics: PlanningDynamics, config: PlannerConfig | None = None) -> None:
-        """Remember what to ask.
-
-        Args:
-            dynamics: predict where the cloth ends.
-            config: how to choose.
-        """
+        """Choose by what these dynamics predict."""
         self.config = config or PlannerConfig()
         self._dynamics = dynamics
         self._coarse: list[tuple[ClothMesh, Coarsener]] = []
@@ -138,7 +133,7 @@ class Planner:
         return areas[1:] - (areas[0] if np.isfinite(areas[0]) else 0.0)
 
     def _coarsened(self, belief: Hypothesis, table_height_m: float) -> PlannedCloth:
-        """The coarse cloth of a hypothesis; the same flat garment gives the same mesh."""
+        """Return the coarse cloth of a hypothesis; the same flat garment gives the same mesh."""
         known = [coarsen for flat, coarsen in self._coarse if flat is belief.flat]
         coarsen = known[0] if known else Coarsener(belief.flat, belief.kind, self.config.coarse)
         if not known:

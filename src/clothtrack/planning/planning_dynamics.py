@@ -74,7 +74,7 @@ class PlanningDynamics(Protocol):
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """The vertices [m] at rest after each of the actions, each begun from the same cloth.
+        """Return the vertices [m] at rest after each of the actions, each from the same cloth.
 
         None is no action. A cloth that diverges is not finite.
         """
@@ -97,7 +97,7 @@ class MotionConfig(Checked):
 
 
 def held_vertex(cloth: PlannedCloth, action: PickPlace) -> int | None:
-    """The vertex that a gripper takes at the pick; None when no cloth is there.
+    """Return the vertex that a gripper takes at the pick; None when no cloth is there.
 
     The topmost of those under the pick, or the nearest where the mesh has none right under it.
     Where a fine cloth is known, its topmost point says which layer that is: of 100 candidates on a
@@ -124,19 +124,19 @@ class HeldPaths:
 
     Attributes:
         vertices: held vertex per candidate; -1 holds nothing.
-        ways: where it is to be [m] after each time step; the last place again once it is let go.
+        targets: its place [m] after each time step; constant once it is let go.
         steps: time steps until each candidate lets go.
     """
 
     vertices: np.ndarray
-    ways: Float[np.ndarray, "candidates steps 3"]
+    targets: Float[np.ndarray, "candidates steps 3"]
     steps: np.ndarray
 
     @classmethod
     def of(
         cls, cloth: PlannedCloth, actions: Sequence[PickPlace | None], motion: MotionConfig
     ) -> "HeldPaths":
-        """The held vertices' ways: they keep their place beside the tip."""
+        """Return the held vertices' paths: they keep their place beside the tip."""
         held = [None if action is None else held_vertex(cloth, action) for action in actions]
         paths = [
             np.zeros((0, 3)) if action is None or vertex is None
@@ -145,28 +145,28 @@ class HeldPaths:
             for action, vertex in zip(actions, held, strict=True)
         ]  # fmt: skip
         steps = np.array([len(path) for path in paths], dtype=np.int64)
-        ways = np.zeros((len(actions), int(steps.max(initial=0)), 3))
+        targets = np.zeros((len(actions), int(steps.max(initial=0)), 3))
         for index, path in enumerate(paths):
             if len(path):
-                ways[index, : len(path)] = path
-                ways[index, len(path) :] = path[-1]
+                targets[index, : len(path)] = path
+                targets[index, len(path) :] = path[-1]
         vertices = np.array([-1 if vertex is None else vertex for vertex in held], dtype=np.int64)
-        return cls(vertices, ways, steps)
+        return cls(vertices, targets, steps)
 
     def batches(self, size: int) -> list[Int[np.ndarray, " chosen"]]:
-        """Candidates in batches of about this size, those together that last alike.
+        """Return candidates in batches of about this size, sorted by duration.
 
-        Long ways last four times as long as short ones, which need not wait for them.
+        Long paths last four times as long as short ones, which need not wait for them.
         """
         lasts = np.where(self.vertices < 0, np.median(self.steps), self.steps)
         order = np.argsort(lasts, kind="stable")
         return np.array_split(order, math.ceil(len(order) / size))
 
     def of_candidates(self, chosen: Int[np.ndarray, " chosen"]) -> "HeldPaths":
-        """Those of some candidates, as long as the longest of them."""
+        """Return those of some candidates, as long as the longest of them."""
         steps = self.steps[chosen]
         return HeldPaths(
-            self.vertices[chosen], self.ways[chosen, : int(steps.max(initial=0))], steps
+            self.vertices[chosen], self.targets[chosen, : int(steps.max(initial=0))], steps
         )
 
 
@@ -224,14 +224,7 @@ class SimulatorDynamics:
         together: int = TOGETHER,
         device: str = "cpu",
     ) -> None:
-        """Remember how and where to compute.
-
-        Args:
-            config: motion and material.
-            solver: how the coarse cloth moves; its table is that of the cloth.
-            together: about how many candidates are rolled out at once.
-            device: where to compute.
-        """
+        """Compute with this motion and material; the solver's table is that of the cloth."""
         self.config = config or SimulatorConfig()
         self._settings, self._together = solver, together
         self._device = device
@@ -242,7 +235,7 @@ class SimulatorDynamics:
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """The vertices [m] at rest after each of the actions."""
+        """Return the vertices [m] at rest after each of the actions."""
         if not actions:
             return np.zeros((0, cloth.flat.vertex_count, 3))
         start = self._start(cloth)
@@ -254,23 +247,23 @@ class SimulatorDynamics:
         return ends
 
     def _rolled(self, cloth: PlannedCloth, start: ClothState, held: HeldPaths) -> np.ndarray:
-        """Some of the candidates, one environment each."""
+        """Roll out some of the candidates, one environment each."""
         motion, candidates = self.config.motion, len(held.vertices)
         solver, _ = self._solver(cloth, candidates)
         solver.restore(start)
         every = np.arange(candidates)
         targets = np.zeros((candidates, cloth.flat.vertex_count, 3))
         strength = np.zeros(targets.shape[:2])
-        for step in range(held.ways.shape[1]):
+        for step in range(held.targets.shape[1]):
             strength[every, held.vertices] = step < held.steps
-            targets[every, held.vertices] = held.ways[:, step]
+            targets[every, held.vertices] = held.targets[:, step]
             solver.step(motion.time_step_s, Attachment(targets, strength))
         for _ in range(math.ceil(motion.rest_s / motion.time_step_s)):
             solver.step(motion.time_step_s)
         return solver.positions.astype(np.float64)
 
     def _start(self, cloth: PlannedCloth) -> ClothState:
-        """The cloth where it is, on the table: once, for all candidates."""
+        """Return the state with the cloth where it is, on the table, for all candidates."""
         solver, fresh = self._solver(cloth, 1)
         solver.restore(fresh)
         placed = np.array(cloth.positions, dtype=np.float64)
@@ -281,14 +274,14 @@ class SimulatorDynamics:
         return solver.save()
 
     def _solver(self, cloth: PlannedCloth, environments: int) -> tuple[ClothSolver, ClothState]:
-        """A solver for so many candidates, and its state with the flat cloth on the table."""
+        """Return a solver for so many candidates, and its state with the cloth flat."""
         if cloth.flat is not self._mesh or cloth.table_height_m != self._table_height_m:
             self._mesh, self._table_height_m = cloth.flat, cloth.table_height_m
             self._solvers.clear()
         if environments not in self._solvers:
             height = cloth.table_height_m
             table = Table(np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 1.0]))
-            config = SolverConfig(**{**vars(self._settings), "table": table})
+            config = replace(self._settings, table=table)
             laid = cloth.flat.vertices.astype(np.float64)
             laid[:, 2] += height + config.resting_height_m - laid[:, 2].min()
             solver = ClothSolver(
@@ -298,7 +291,7 @@ class SimulatorDynamics:
                 environments=environments,
                 device=self._device,
             )
-            # Flat, the layers have a side of each other, and a place to remember it.
+            # Step once while flat: contact stores which side of each triangle every vertex is on.
             solver.step(self.config.motion.time_step_s)
             self._solvers[environments] = solver, solver.save()
         return self._solvers[environments]

@@ -17,12 +17,9 @@ def coverage(
     faces: Int[np.ndarray, "faces 3"],
     camera: Camera | None = None,
 ) -> Float[np.ndarray, " candidates"]:
-    """Area [m^2] that each predicted cloth covers in the picture; minus infinity where it diverged.
+    """Return the area [m^2] that each predicted cloth covers; -inf where it diverged.
 
-    Args:
-        positions: vertices of each candidate [m], z up.
-        faces: their triangles.
-        camera: triangles that are not wholly in its picture do not count; None: all do.
+    Triangles that are not wholly in the camera's picture do not count; None: all do.
     """
     areas = np.full(len(positions), -np.inf)
     for index, vertices in enumerate(np.asarray(positions, dtype=np.float64)):

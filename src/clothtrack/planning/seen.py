@@ -1,9 +1,7 @@
 """What a picture says without any mesh: where cloth is seen, and how much of the table it hides."""
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
@@ -14,43 +12,26 @@ from clothtrack.recordings.recording import Frame, Recording, Table
 from clothtrack.recordings.segmentation import default_segmenter, main_components
 
 
-class PictureMask(NamedTuple):
-    """Where a camera sees cloth."""
-
-    mask: Bool[np.ndarray, "height width"]
-    camera: Camera
-
-
 def seen_cloth(recording: Recording, observation: Observation) -> SeenCloth:
-    """What actions are chosen from: the cloud, the first camera's picture, the table's height."""
+    """Return what actions are chosen from: cloud, first camera's picture, table's height."""
     height = 0.0 if recording.table is None else float(recording.table.point[2])
     camera = observation.cameras[0] if observation.cameras else None
     return SeenCloth(observation.points, camera, height)
 
 
 def seen_area(recording: Recording, frame: Frame) -> float:
-    """Area of the table [m^2] that the cloth hides from the first camera with depth.
+    """Return the area of the table [m^2] that the cloth hides from the first camera with depth.
 
     Pixels of the cloth, each as large as it is on the table. Cloth above the table hides a little
     more than it covers.
 
     Raises:
-        InvalidRecordingError: there is no table, no picture, or no cloth in it.
+        InvalidRecordingError: there is no table, no picture with depth, or no cloth in it.
     """
     if recording.table is None:
         raise InvalidRecordingError(
             f"{recording.folder}: it has no table; coverage is measured on one"
         )
-    shown = picture_mask(recording, frame)
-    return float(table_pixel_areas(shown.camera, recording.table)[shown.mask].sum())
-
-
-def picture_mask(recording: Recording, frame: Frame) -> PictureMask:
-    """Where the first camera that has depth sees cloth.
-
-    Raises:
-        InvalidRecordingError: no camera has depth, or a file cannot be read.
-    """
     camera = next((camera for camera in recording.cameras if camera.name in frame.depth), None)
     if camera is None:
         raise InvalidRecordingError(
@@ -59,11 +40,12 @@ def picture_mask(recording: Recording, frame: Frame) -> PictureMask:
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
     color = read_color(frame.color[camera.name]) if camera.name in frame.color else None
     find = default_segmenter(recording, frame, camera)
-    return PictureMask(main_components(find(color, depth, camera, recording.table)), camera)
+    cloth = main_components(find(color, depth, camera, recording.table))
+    return float(table_pixel_areas(camera, recording.table)[cloth].sum())
 
 
 def table_pixel_areas(camera: Camera, table: Table) -> Float[np.ndarray, "height width"]:
-    """Area of the table [m^2] behind each pixel: z^2 / (fx fy n.r) along the ray r = (x, y, 1)."""
+    """Return the area of the table [m^2] per pixel: z^2 / (fx fy n.r), ray r = (x, y, 1)."""
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = np.stack(
         [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)],

@@ -1,43 +1,44 @@
 """Pages of what is not a tracked trajectory: a recording, a mesh, a folder of trajectories."""
 
-import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.evaluation.verdict import Verdict, trajectory_verdict
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Recording
-from clothtrack.report.coloring import vertex_errors
+from clothtrack.report.coloring import judged_or_none, vertex_errors
 from clothtrack.report.document import write_document
 from clothtrack.report.evidence import (
-    Observer,
+    mesh_distance_mm,
     observed,
     observed_points,
     thinned,
     view_picture,
 )
-from clothtrack.report.film_colors import cloud_colors
 from clothtrack.report.layers import Layers
-from clothtrack.report.overlay import whole_view
+from clothtrack.report.overlay import Overlay, OverlayConfig, whole_view
 from clothtrack.report.page import evenly
-from clothtrack.report.scene_data import SCENE_POINTS, SceneContents
-from clothtrack.report.sections import Figure, key_figures
+from clothtrack.report.scene_data import SCENE_POINTS, SceneContents, recorded_scene
+from clothtrack.report.sections import Figure, jpeg_uri, key_figures
 from clothtrack.report.stage import Pictures, scene_card, stage, video_card
-from clothtrack.report.trajectory_summary import TrajectorySummary
 from clothtrack.report.video import frame_rate, write_video
-from clothtrack.report.viewpoint import layers_axis, three_quarter_view, upward, view_of
-
-log = logging.getLogger(__name__)
+from clothtrack.report.viewpoint import three_quarter_view, view_of
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 MOST_FRAMES = 360
 PICTURE_HEIGHT = 480
 UP = np.array([0.0, 0.0, 1.0])
+
+THUMBNAIL_PX = 120
+"""Height of the picture in an index [pixels]."""
 
 INDEX_COLUMNS = (
     ("", "The mesh over the picture at the last label"),
@@ -52,13 +53,32 @@ INDEX_COLUMNS = (
 
 
 @dataclass(frozen=True)
+class TrajectorySummary:
+    """What an index says about one trajectory.
+
+    Attributes:
+        thumbnail: the mesh over the picture at the last label, as a data address.
+        verdict: of its worst label.
+        expected_error_mm: largest expected error of its labels [mm]; NaN if unknown.
+        quality: smallest quality of its labels, 0 to 1; NaN if unknown.
+        rms_mm: distance of visible mesh and observed points at the last label [mm]; NaN without.
+    """
+
+    thumbnail: str
+    verdict: Verdict
+    expected_error_mm: float
+    quality: float
+    rms_mm: float
+
+
+@dataclass(frozen=True)
 class IndexEntry:
     """One line of an index.
 
     Attributes:
         name: of the trajectory.
         page: its report, beside the index; None where there is none.
-        description: what is known of it: what was tracked, or why there is no report.
+        description: what was tracked, or why there is no report.
         verdicts: what a person decided about its labels.
         summary: picture and verdict; None where there is no report.
     """
@@ -70,20 +90,15 @@ class IndexEntry:
     summary: TrajectorySummary | None = None
 
 
-def write_recording_page(
-    recording: Recording, path: Path, *, observer: Observer = observed
-) -> Path:
+def write_recording_page(recording: Recording, path: Path) -> Path:
     """Write a page of what was recorded: pictures, observed cloth, pickers; nothing is tracked yet.
 
     Raises:
         InvalidRecordingError: no frame shows any cloth.
         StorageError: when the disk refuses.
     """
-    steps = evenly(len(recording.frames), MOST_FRAMES)
-    frames = [recording.frames[step] for step in steps]
-    clouds = [
-        thinned(observed_points(recording, frame, observer), SCENE_POINTS) for frame in frames
-    ]
+    frames = [recording.frames[step] for step in evenly(len(recording.frames), MOST_FRAMES)]
+    clouds = [thinned(observed_points(recording, frame), SCENE_POINTS) for frame in frames]
     points = np.concatenate([np.empty((0, 3)), *clouds])
     if not len(points):
         raise InvalidRecordingError(
@@ -93,27 +108,11 @@ def write_recording_page(
     eye = view_of(points, recording, width=800, height=600)
     camera = recording.cameras[0] if recording.cameras else eye
     camera = camera.resized(round(camera.width * PICTURE_HEIGHT / camera.height))
-    times = np.array([frame.time_s for frame in frames])
-    numbers = [int(frame.index) for frame in frames]
-    nothing = np.zeros((len(frames), 0, 3), np.float32)
-    scene = SceneContents(
-        frames=np.array(numbers),
-        time_s=times,
-        eye=eye,
-        up=upward(recording, eye),
-        along=layers_axis(recording, eye),
-        positions=nothing,
-        faces=np.zeros((0, 3), np.int64),
-        ranks=nothing[..., 0],
-        clouds=clouds,
-        pickers=recording.picker_paths,
-        table=recording.table,
-        views=[whole_view(camera)] if recording.cameras else [],
-        cloud_colors=cloud_colors(recording, frames, clouds),
-    )
+    views = [whole_view(camera)] if recording.cameras else []
+    scene = recorded_scene(recording, frames, eye, clouds, views=views)
 
     def write(file: Path) -> float:
-        rate = frame_rate(times)
+        rate = frame_rate(scene.time_s)
         pictures = (
             view_picture(recording, frame, camera, seen)
             for frame, seen in zip(frames, clouds, strict=True)
@@ -121,36 +120,31 @@ def write_recording_page(
         write_video(pictures, file, frames_per_second=rate)
         return rate
 
+    numbers = scene.frames.tolist()
     pictures = Pictures(numbers, write, (camera.width, camera.height))
     cards = [video_card("What was recorded", "", pictures), scene_card(scene)]
     actions = [(action.first_frame, action.last_frame) for action in recording.actions]
     body = (
         '<p class="lead">A recording; nothing of it is tracked yet.</p>'
         f"{key_figures(_recorded(recording, clouds))}"
-        f"{stage(cards, numbers, times.tolist(), actions=actions)}"
+        f"{stage(cards, numbers, scene.time_s.tolist(), actions=actions)}"
     )
     return write_document(path, recording.name, body)
 
 
 def _recorded(recording: Recording, clouds: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Figure]:
-    """The numbers of a recording that a reader wants first."""
-    seconds = recording.frames[-1].time_s - recording.frames[0].time_s
+    """Return the numbers of a recording that a reader wants first."""
+    frames, cameras = recording.frames, recording.cameras
+    points = f"{np.median([len(one) for one in clouds]):.0f}"
+    measured = (
+        f"What is measured of the cloth, in cubes of 4 mm; at most {SCENE_POINTS} are kept here."
+    )
+    seconds = frames[-1].time_s - frames[0].time_s
     return [
-        Figure(
-            "Frames",
-            str(len(recording.frames)),
-            f"in {seconds:.1f} s",
-            "All of the recording.",
-        ),
-        Figure("Cameras", str(len(recording.cameras)), "", "Those that recording.json describes."),
+        Figure("Frames", str(len(frames)), f"in {seconds:.1f} s", "All of the recording."),
+        Figure("Cameras", str(len(cameras)), "", "Those that recording.json describes."),
         Figure("Actions", str(len(recording.actions)), "", "Each is one pick and place."),
-        Figure(
-            "Points of cloth, median",
-            f"{np.median([len(one) for one in clouds]):.0f}",
-            "a frame",
-            f"What is measured of the cloth, in cubes of 4 mm; at most {SCENE_POINTS} are kept "
-            "here.",
-        ),
+        Figure("Points of cloth, median", points, "a frame", measured),
     ]
 
 
@@ -161,21 +155,23 @@ def write_mesh_page(
     *,
     expected_error_m: Float[np.ndarray, " vertices"] | None = None,
 ) -> Path:
-    """Write a page of one mesh [m], z up.
-
-    Args:
-        mesh: the mesh.
-        name: title of the page.
-        path: of the page.
-        expected_error_m: of each vertex [m]; the mesh can be coloured by it.
+    """Write a page of one mesh [m], z up, coloured by the error that is expected of each vertex.
 
     Raises:
         StorageError: when the disk refuses.
     """
-    vertices = np.asarray(mesh.vertices, np.float64)
-    scene, errors = mesh_scene(mesh), expected_error_m
-    if errors is not None:
-        scene = replace(scene, colorings=[vertex_errors(errors)])
+    vertices, errors = np.asarray(mesh.vertices, np.float64), expected_error_m
+    scene = SceneContents(
+        frames=np.zeros(1, np.int64),
+        time_s=np.zeros(1),
+        eye=three_quarter_view(vertices, width=800, height=600),
+        up=UP,
+        along=UP,
+        positions=vertices[None],
+        faces=np.asarray(mesh.faces, np.int64),
+        ranks=Layers(mesh, UP).ranks(vertices)[None],
+        colorings=[] if errors is None else [vertex_errors(errors)],
+    )
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = " by ".join(f"{100 * side:.1f}" for side in high - low)
     figures = [
@@ -188,21 +184,6 @@ def write_mesh_page(
         figures.append(Figure("Expected error", f"{1e3 * errors.mean():.0f}", "mm, mean", words))
     body = f"{key_figures(figures)}{stage([scene_card(scene)], [0], [0.0], wide=True)}"
     return write_document(path, name, body)
-
-
-def mesh_scene(mesh: ClothMesh) -> SceneContents:
-    """One mesh that does not move."""
-    vertices = np.asarray(mesh.vertices, np.float64)
-    return SceneContents(
-        frames=np.zeros(1, np.int64),
-        time_s=np.zeros(1),
-        eye=three_quarter_view(vertices, width=800, height=600),
-        up=UP,
-        along=UP,
-        positions=vertices[None],
-        faces=np.asarray(mesh.faces, np.int64),
-        ranks=Layers(mesh, UP).ranks(vertices)[None],
-    )
 
 
 def write_index(entries: Sequence[IndexEntry], title: str, path: Path) -> Path:
@@ -224,7 +205,7 @@ def write_index(entries: Sequence[IndexEntry], title: str, path: Path) -> Path:
 
 
 def _by_expected_error(entry: IndexEntry) -> tuple[bool, bool, float, str]:
-    """Largest first; then what nobody judged, then what has no report."""
+    """Sort by the largest error first, then entries without one, then those without a report."""
     error = float("nan") if entry.summary is None else entry.summary.expected_error_mm
     unknown = not np.isfinite(error)
     return entry.page is None, unknown, 0.0 if unknown else -error, entry.name
@@ -265,3 +246,24 @@ def _link(entry: IndexEntry) -> str:
     if entry.page is None:
         return name
     return f'<a href="{quote(entry.page.name)}">{name}</a>'
+
+
+def summary_of(tracked: TrackedTrajectory, recording: Recording) -> TrajectorySummary:
+    """Look at the last label of a trajectory, and judge all of them."""
+    last = tracked.actions[-1].last_frame if tracked.actions else int(tracked.frames[-1])
+    step = int(np.abs(tracked.frames - last).argmin())
+    config = OverlayConfig(height=2 * THUMBNAIL_PX, cameras=1)
+    overlay = Overlay(tracked, recording, config=config)
+    picture = overlay.draw(step)
+    width = round(picture.shape[1] * THUMBNAIL_PX / picture.shape[0])
+    small = cv2.resize(picture, (width, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
+    judged = judged_or_none(tracked, recording)
+    verdict = trajectory_verdict(judged)
+    observation = observed(recording, overlay.frame(step))
+    return TrajectorySummary(
+        jpeg_uri(small, quality=80),
+        verdict,
+        1e3 * verdict.expected_error_m,
+        min((label.label_quality for label in judged), default=float("nan")),
+        float("nan") if observation is None else mesh_distance_mm(tracked, step, observation),
+    )

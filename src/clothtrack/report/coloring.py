@@ -1,6 +1,6 @@
-"""What a cloth can be coloured by, vertex by vertex: how far from what was seen, from the truth.
+"""What a cloth can be coloured by, per vertex: distance to the cloud, expected and true error.
 
-Nothing here but `truth_errors` takes the truth, and its title says so wherever it is shown.
+Only `truth_errors` uses the truth, and its title says so.
 """
 
 import logging
@@ -22,7 +22,7 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 log = logging.getLogger(__name__)
 
 FARTHEST_CLOUD_MM = 20.0
-"""Beyond this a distance to the cloud tells no more [mm]: the scale does not reach further."""
+"""Top of the scale of distances to the cloud [mm]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def colorings(
     judged: Sequence[LabelQuality] = (),
     truth: Truth | None = None,
 ) -> tuple[Coloring, ...]:
-    """Everything a trajectory can be coloured by beside its sides and its visibility.
+    """Return everything a trajectory can be coloured by, other than sides and visibility.
 
     Args:
         tracked: what the tracker left.
@@ -70,7 +70,7 @@ def colorings(
 
 
 def judged_or_none(tracked: TrackedTrajectory, recording: Recording) -> tuple[LabelQuality, ...]:
-    """The labels, judged; empty, with a warning, where the recording does not allow it."""
+    """Return the labels, judged; empty, with a warning, where the recording does not allow it."""
     try:
         return judge_labels(tracked, recording)
     except ClothTrackError as error:
@@ -79,7 +79,7 @@ def judged_or_none(tracked: TrackedTrajectory, recording: Recording) -> tuple[La
 
 
 def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_ 3"]]) -> Coloring:
-    """Distance [mm] of each visible vertex to the nearest observed point."""
+    """Return distance [mm] of each visible vertex to the nearest observed point."""
     values = np.full(tracked.visible.shape, np.nan, np.float32)
     for step, points in enumerate(clouds):
         seen = tracked.visible[step]
@@ -95,7 +95,7 @@ def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_
 
 
 def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) -> Coloring:
-    """The error [mm] to expect of each vertex at the end of an action, over its frames."""
+    """Return the error [mm] to expect of each vertex at the end of an action, over its frames."""
     values = np.full(tracked.visible.shape, np.nan, np.float32)
     for action, label in zip(tracked.actions, judged, strict=True):
         inside = (tracked.frames >= action.first_frame) & (tracked.frames <= action.last_frame)
@@ -111,7 +111,7 @@ def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) 
 
 
 def vertex_errors(expected_error_m: Float[np.ndarray, " vertices"]) -> Coloring:
-    """The error [mm] that a network expects of each vertex of one mesh."""
+    """Return the error [mm] that a network expects of each vertex of one mesh."""
     values = 1e3 * expected_error_m[None]
     title, note = "Expected error [mm]", "As the network says it, vertex by vertex."
     return Coloring("expected", title, note, graded_limit(values), values)
@@ -120,7 +120,7 @@ def vertex_errors(expected_error_m: Float[np.ndarray, " vertices"]) -> Coloring:
 def true_positions(
     tracked: TrackedTrajectory, truth: Truth
 ) -> Float[np.ndarray, "frames vertices 3"]:
-    """Where the piece of cloth at each vertex really is [m]; NaN at frames that nobody knows.
+    """Return where the cloth at each vertex really is [m]; NaN at frames without truth.
 
     Raises:
         InvalidResultError: truth or trajectory have no canonical coordinates.
@@ -140,7 +140,7 @@ def true_positions(
 
 
 def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
-    """Distance [mm] of each vertex to where its piece of cloth really is.
+    """Return distance [mm] of each vertex to where its piece of cloth really is.
 
     Raises:
         InvalidResultError: truth or trajectory have no canonical coordinates, or no frame in
@@ -162,7 +162,7 @@ def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
 
 
 def graded_limit(values: Float[np.ndarray, "frames vertices"]) -> float:
-    """A round number that 95 % of the values stay under; 2 at least."""
+    """Return a round number that 95 % of the values stay under; 2 at least."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 2.0

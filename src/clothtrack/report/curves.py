@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -33,10 +34,9 @@ class Chart:
 
     Attributes:
         title: what is shown.
-        unit: its unit, written beside the title.
+        unit: its unit, written after the title.
         lines: what is drawn.
         note: one sentence of help under the title.
-        logarithmic: whether the vertical axis is.
         least_top: the vertical axis reaches at least this value.
         marks: frames to mark with a cross at the bottom.
         marks_label: what a cross means.
@@ -46,7 +46,6 @@ class Chart:
     unit: str
     lines: tuple[Line, ...]
     note: str = ""
-    logarithmic: bool = False
     least_top: float = 0.0
     marks: tuple[int, ...] = ()
     marks_label: str = ""
@@ -55,11 +54,11 @@ class Chart:
 def chart_html(
     chart: Chart, frames: Int[np.ndarray, " frames"], actions: Sequence[tuple[int, int]]
 ) -> str:
-    """A figure element: title, legend with the values at the cursor, and the drawing.
+    """Return a figure element: title, legend with the values at the cursor, and the drawing.
 
     `actions` are (first, last) frames; they are drawn as bands.
     """
-    axis = _Axis.of(chart)
+    axis = _axis(chart)
     data = {
         "frames": [int(frame) for frame in frames],
         "lines": [[_number(float(value)) for value in line.values] for line in chart.lines],
@@ -96,70 +95,50 @@ def _help(chart: Chart, line: Line) -> str:
     return f"{line.label or chart.title}{unit} in the frame that is shown. {chart.note}"
 
 
-@dataclass(frozen=True)
-class _Axis:
-    """The vertical axis: lowest and highest value, and whether it is logarithmic."""
+class _Axis(NamedTuple):
+    """The vertical axis: its lowest and its highest value."""
 
     low: float
     high: float
-    logarithmic: bool
-
-    @classmethod
-    def of(cls, chart: Chart) -> "_Axis":
-        """The axis that shows every finite value of a chart."""
-        values = np.concatenate([np.ravel(line.values) for line in chart.lines]).astype(np.float64)
-        values = values[np.isfinite(values)]
-        if chart.logarithmic:
-            values = values[values > 0]
-            if not len(values):
-                return cls(0.1, 1.0, True)
-            low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
-            return cls(10.0**low, 10.0 ** max(high, low + 1), True)
-        low = min(0.0, float(values.min())) if len(values) else 0.0
-        high = max(float(values.max()) if len(values) else 0.0, chart.least_top)
-        if high - low < 1e-9:
-            high = low + 1.0
-        step = _round_step(high - low)
-        return cls(np.floor(low / step) * step, np.ceil(high / step - 1e-9) * step, False)
 
     def y(self, values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values"]:
-        """Vertical place of values in the drawing."""
-        if self.logarithmic:
-            values = np.log10(np.maximum(values, self.low * 1e-3))
-            low, high = np.log10(self.low), np.log10(self.high)
-        else:
-            low, high = self.low, self.high
-        share = np.clip((values - low) / (high - low), 0.0, 1.0)
+        """Return the vertical place of values in the drawing."""
+        share = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
         return TOP + (1.0 - share) * (HEIGHT - TOP - BOTTOM)
 
     def drawn(self) -> str:
-        """Horizontal lines with their values."""
-        if self.logarithmic:
-            exponents = range(round(np.log10(self.low)), round(np.log10(self.high)) + 1)
-            stride = 1 + len(exponents) // 6
-            ticks = [10.0**e for e in exponents][::stride]
-            names = [f'10<tspan dy="-4" font-size="8">{e}</tspan>' for e in exponents][::stride]
-        else:
-            step = _round_step(self.high - self.low)
-            ticks = list(np.arange(self.low, self.high + step / 2, step))
-            names = [f"{tick:.6g}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
-        places = self.y(np.asarray(ticks))
+        """Return horizontal lines with their values."""
+        step = _round_step(self.high - self.low)
+        ticks = np.arange(self.low, self.high + step / 2, step)
+        names = [f"{tick:.6g}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
         return "".join(
             f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
             f'<text class="tick" x="{LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{name}</text>'
-            for y, name in zip(places, names, strict=True)
+            for y, name in zip(self.y(ticks), names, strict=True)
         )
 
 
+def _axis(chart: Chart) -> _Axis:
+    """Return the axis that shows every finite value of a chart."""
+    values = np.concatenate([np.ravel(line.values) for line in chart.lines]).astype(np.float64)
+    values = values[np.isfinite(values)]
+    low = min(0.0, float(values.min(initial=0.0)))
+    high = max(float(values.max()) if len(values) else 0.0, chart.least_top)
+    if high - low < 1e-9:
+        high = low + 1.0
+    step = _round_step(high - low)
+    return _Axis(np.floor(low / step) * step, np.ceil(high / step - 1e-9) * step)
+
+
 def _round_step(span: float) -> float:
-    """A step of 1, 2 or 5 times a power of ten that divides a span into three to six parts."""
+    """Return a step of 1, 2 or 5 times a power of ten, three to six of them per span."""
     rough = span / 4
     power = 10.0 ** np.floor(np.log10(rough))
     return float(power * min((1, 2, 5, 10), key=lambda factor: abs(factor - rough / power)))
 
 
 def _x(frames: Int[np.ndarray, " frames"], frame: int) -> float:
-    """Horizontal place of a frame in the drawing."""
+    """Return horizontal place of a frame in the drawing."""
     first, last = int(frames[0]), int(frames[-1])
     return LEFT + (float(frame) - first) / max(1, last - first) * (WIDTH - LEFT - RIGHT)
 
@@ -188,7 +167,7 @@ def _frame_ticks(frames: Int[np.ndarray, " frames"]) -> str:
 
 def _polyline(line: Line, frames: Int[np.ndarray, " frames"], axis: _Axis) -> str:
     values = np.asarray(line.values, dtype=np.float64)
-    fine = np.isfinite(values) & ((values > 0) | (not axis.logarithmic))
+    fine = np.isfinite(values)
     x, y = [_x(frames, frame) for frame in frames.tolist()], axis.y(np.where(fine, values, 1.0))
     command, parts = "M", []
     alone = []

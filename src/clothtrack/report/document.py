@@ -19,7 +19,7 @@ SCRIPTS = (
 
 
 def document(title: str, body: str, *, script: bool = True) -> str:
-    """A page with this body; without `script` nothing in it runs."""
+    """Return a page with this body; without `script` nothing in it runs."""
     code = f"<script>{''.join(map(_resource, SCRIPTS))}</script>" if script else ""
     return f"""<!doctype html>
 <html lang="en">
@@ -54,7 +54,7 @@ def write_document(path: Path, title: str, body: str, *, script: bool = True) ->
 
 
 def served_document(page: str, version: int) -> str:
-    """The same page as a local server gives it: it may ask that server, and nobody else."""
+    """Return the same page as a local server gives it: it may ask that server, and nobody else."""
     code = f"<script>{_resource('page_live.js')}</script>"
     for plain, served in (
         (POLICY, f"{POLICY}; connect-src 'self'"),

@@ -5,7 +5,7 @@ point cloud projected on plain paper.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -24,9 +24,6 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 log = logging.getLogger(__name__)
 
-Observer = Callable[[Recording, Frame], Observation | None]
-"""Gives what was observed of the cloth in a frame; None where nothing can be had."""
-
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -35,8 +32,8 @@ class Evidence:
     Attributes:
         clouds: observed points [m, world] of each step.
         rms_mm: root of half the two-way Chamfer distance [mm] of visible vertices and observed
-            points, where an answer could be had (`clothtrack.evaluation.results`); NaN where none.
-        floor_mm: the same between two halves of the cloud [mm]: so much is left of a perfect mesh.
+            points, where they were observable (`clothtrack.evaluation.results`); NaN elsewhere.
+        floor_mm: the same between two halves of the cloud [mm], which a perfect mesh would have.
     """
 
     clouds: Sequence[Float[np.ndarray, "_ 3"]]
@@ -45,10 +42,9 @@ class Evidence:
 
 
 def observed(recording: Recording, frame: Frame) -> Observation | None:
-    """What was observed of the cloth in a frame; None, with a warning, when it cannot be had.
+    """Return what was observed of the cloth; None, with a warning, when it cannot be had.
 
-    A report is about a run that is over: a frame that cannot be read any more costs the picture,
-    not the report.
+    The run is over: a frame that cannot be read costs its picture, not the report.
     """
     try:
         return observe(recording, frame)
@@ -57,37 +53,42 @@ def observed(recording: Recording, frame: Frame) -> Observation | None:
         return None
 
 
-def observed_points(
-    recording: Recording, frame: Frame, observer: Observer = observed
-) -> Float[np.ndarray, "points 3"]:
-    """The observed cloth of a frame [m, world]; empty when it cannot be had."""
-    observation = observer(recording, frame)
+def observed_points(recording: Recording, frame: Frame) -> Float[np.ndarray, "points 3"]:
+    """Return the observed cloth of a frame [m, world]; empty when it cannot be had."""
+    observation = observed(recording, frame)
     return np.empty((0, 3)) if observation is None else observation.points
 
 
-def evidence_of(
-    tracked: TrackedTrajectory, recording: Recording, observer: Observer = observed
-) -> Evidence:
+def evidence_of(tracked: TrackedTrajectory, recording: Recording) -> Evidence:
     """Look at every step of a trajectory; one observation is held at a time."""
-    frames = {frame.index: frame for frame in recording.frames}
     clouds, rms_mm = [], np.full(len(tracked.frames), np.nan)
     floor_mm = rms_mm.copy()
-    steps = zip(tracked.frames.tolist(), tracked.time_s.tolist(), strict=True)
-    for step, (index, time_s) in enumerate(steps):
-        observation = observer(recording, frames.get(index) or Frame(index, time_s))
+    for step in range(len(tracked.frames)):
+        observation = observed(recording, frame_of(tracked, recording, step))
         clouds.append(np.empty((0, 3)) if observation is None else observation.points)
         if observation is not None:
-            vertices = tracked.positions[step].astype(np.float64)
-            chamfer = observed_chamfer(vertices, tracked.visible[step], observation)
-            rms_mm[step] = root_mean_square_mm(chamfer)
+            rms_mm[step] = mesh_distance_mm(tracked, step, observation)
             floor_mm[step] = root_mean_square_mm(cloud_floor(observation.points))
     return Evidence(clouds, rms_mm, floor_mm)
+
+
+def frame_of(tracked: TrackedTrajectory, recording: Recording, step: int) -> Frame:
+    """Return the recording's frame of a step; one without pictures where it is missing."""
+    index, time_s = int(tracked.frames[step]), float(tracked.time_s[step])
+    found = next((frame for frame in recording.frames if frame.index == index), None)
+    return found or Frame(index, time_s)
+
+
+def mesh_distance_mm(tracked: TrackedTrajectory, step: int, observation: Observation) -> float:
+    """Return the distance [mm] of visible mesh and observed points (`Evidence.rms_mm`)."""
+    vertices = tracked.positions[step].astype(np.float64)
+    return root_mean_square_mm(observed_chamfer(vertices, tracked.visible[step], observation))
 
 
 def thinned(
     points: Float[np.ndarray, "points 3"], count: int, *, seed: int = 0
 ) -> Float[np.ndarray, "kept 3"]:
-    """At most `count` of the points, chosen evenly at random."""
+    """Return at most `count` of the points, chosen evenly at random."""
     if len(points) <= count:
         return points
     chosen = np.random.default_rng(seed).choice(len(points), count, replace=False)
@@ -95,7 +96,7 @@ def thinned(
 
 
 def has_picture(frame: Frame, camera: Camera) -> bool:
-    """Whether the frame has a colour or a depth picture from this camera."""
+    """Return whether the frame has a colour or a depth picture from this camera."""
     return camera.name in frame.color or camera.name in frame.depth
 
 
@@ -105,7 +106,7 @@ def view_picture(
     camera: Camera,
     points: Float[np.ndarray, "points 3"],
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """The RGB picture of a frame in the size of `camera`, which may be resized or nobody's.
+    """Return the RGB picture of a frame in the size of `camera`, which may be resized or nobody's.
 
     `points` [m, world] are drawn when the frame has no picture of that camera's name.
     """
@@ -123,7 +124,7 @@ def view_picture(
 def cloud_picture(
     points: Float[np.ndarray, "points 3"], camera: Camera
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Points [m, world] on plain paper."""
+    """Return points [m, world] on plain paper."""
     image = np.full((camera.height, camera.width, 3), rgb255(PAPER), dtype=np.uint8)
     pixels, depth = camera.project(np.asarray(points, dtype=np.float64))
     pixels = np.rint(pixels[depth > 1e-3]).astype(np.int64)
@@ -145,7 +146,7 @@ def _resized(
 
 
 def _grey_depth(depth: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width 3"]:
-    """Near is light, far is dark, nothing measured is black."""
+    """Return depth in grey: near is light, far is dark, nothing measured is black."""
     measured = depth > 0
     if not measured.any():
         return np.zeros((*depth.shape, 3), dtype=np.uint8)

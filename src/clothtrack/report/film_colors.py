@@ -1,4 +1,4 @@
-"""What colour the film gives to the observed points and to the cloth."""
+"""Colours of the observed points and of the cloth, from the pictures of a recording."""
 
 import logging
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 log = logging.getLogger(__name__)
 
 PALETTE_SIZE = 255
-"""So many colours can a point have: one byte each."""
+"""Most colours of points: one byte each."""
 
 DEPTH_AGREES_M = 0.02
-"""A pixel whose depth differs by more shows something else than the point [m]."""
+"""A pixel whose depth differs by more than this [m] shows something else than the point."""
 
 FILM_STEPS = 16
-"""At so many frames the film is looked at for the colour of the cloth."""
+"""Number of frames from which the colour of the cloth is taken."""
 
 SPREADING_ROUNDS = 64
-"""So far do colours spread into parts that no camera ever saw [edges]."""
+"""Distance that colours spread into parts that no camera ever saw [edges]."""
 
 Colors = UInt8[np.ndarray, "points 3"]
 
@@ -34,7 +34,7 @@ Colors = UInt8[np.ndarray, "points 3"]
 def point_colors(
     recording: Recording, frame: Frame, points: Float[np.ndarray, "points 3"]
 ) -> tuple[Colors, Bool[np.ndarray, " points"]]:
-    """RGB of each point [m, world] in the pictures of a frame, and whether some picture has it."""
+    """Return the RGB of each point [m, world] in the pictures, and whether some picture has it."""
     colors = np.tile(np.array(rgb255(OBSERVED), np.uint8), (len(points), 1))
     found = np.zeros(len(points), bool)
     for camera in recording.cameras:
@@ -64,7 +64,7 @@ def point_colors(
 def cloud_colors(
     recording: Recording, frames: Sequence[Frame], clouds: Sequence[Float[np.ndarray, "_ 3"]]
 ) -> list[UInt8[np.ndarray, "_ 3"]]:
-    """RGB of the observed points of each frame; none at all where no frame has a colour picture."""
+    """Return the RGB of the observed points of each frame; none where no frame has a picture."""
     if not any(frame.color for frame in frames):
         return []
     pairs = zip(frames, clouds, strict=True)
@@ -74,7 +74,7 @@ def cloud_colors(
 def vertex_colors(
     tracked: TrackedTrajectory, recording: Recording
 ) -> UInt8[np.ndarray, "vertices 3"] | None:
-    """RGB of each vertex, the mean over frames that show it; None where there is no colour.
+    """Return the RGB of each vertex, the mean over frames that show it; None without colour.
 
     A vertex that no frame shows takes the colour of its neighbours.
     """
@@ -97,7 +97,7 @@ def vertex_colors(
 def few_colors(
     colors: Float[np.ndarray, "points 3"], count: int
 ) -> tuple[UInt8[np.ndarray, "kept 3"], UInt8[np.ndarray, " points"]]:
-    """The most frequent colours, at most `count` of them, and the nearest of them to each point."""
+    """Return the `count` most frequent colours, and the nearest of them to each point."""
     if not len(colors):
         return np.zeros((0, 3), np.uint8), np.zeros(0, np.uint8)
     coarse = (colors.astype(np.int64) >> 3) @ (1 << 10, 1 << 5, 1)

@@ -13,7 +13,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from clothtrack.planning.action_space import PickPlace
 from clothtrack.planning.arrows import draw_action, shown_depth
@@ -25,14 +24,12 @@ from clothtrack.recordings.pictures import read_color, read_depth
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.document import write_document
-from clothtrack.report.lettering import caption
+from clothtrack.report.lettering import Picture, caption
 from clothtrack.report.live import live_page
-from clothtrack.report.picture_file import write_picture
-from clothtrack.report.sections import Figure, jpeg_uri, key_figures
+from clothtrack.report.sections import Figure, key_figures, stills_html
 from clothtrack.report.shading import Shader, ShadingConfig
+from clothtrack.report.video import write_picture
 from clothtrack.report.viewpoint import three_quarter_view
-
-Picture = UInt8[np.ndarray, "height width 3"]
 
 CONTROL = "control, not a result"
 FAREWELL_S = 1.5
@@ -74,15 +71,7 @@ def write_flattening_report(
 def watched_live(
     port: int | None = None, *, opened: Callable[[str], None] | None = None
 ) -> Iterator[Watch]:
-    """Serve the page of the running episode on 127.0.0.1; gives what is called after every step.
-
-    Args:
-        port: of the server; any free one by default.
-        opened: is told the address.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
-    """
+    """Serve the page of the running episode (`live_page`), and yield what each step calls."""
     with live_page("flattening", port, opened=opened) as page, TemporaryDirectory() as folder:
 
         def show(store: EpisodeStore, decision: Decision | None) -> None:
@@ -95,12 +84,7 @@ def watched_live(
 
 
 def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Path:
-    """All pictures of an episode with their arrows as one PNG.
-
-    Args:
-        store: the episode.
-        path: of the picture.
-        columns: pictures in a row.
+    """Write all pictures of an episode with their arrows as one PNG, `columns` in a row.
 
     Raises:
         InvalidRecordingError: a step cannot be read.
@@ -119,7 +103,7 @@ def write_film_strip(store: EpisodeStore, path: Path, *, columns: int = 4) -> Pa
 
 
 def _figures(store: EpisodeStore) -> list[Figure]:
-    """The numbers that a reader wants first."""
+    """Return the numbers that a reader wants first."""
     steps = store.steps
     key = "seen_m2" if steps[0]["true_m2"] is None else "true_m2"
     share = "Area that the cloth covers on the table, of what it covers when it is flat."
@@ -137,36 +121,38 @@ def _figures(store: EpisodeStore) -> list[Figure]:
 
 
 def _share(row: dict[str, Any]) -> str:
-    """Coverage over that of the flat cloth, the true one where it is known."""
+    """Return coverage over that of the flat cloth, the true one where it is known."""
     area = row["seen_m2"] if row["true_m2"] is None else row["true_m2"]
     return f"{100.0 * area / row['flat_m2']:.0f} %" if row["flat_m2"] else f"{1e4 * area:.0f} cm2"
 
 
 def _curve(steps: Sequence[dict[str, Any]]) -> str:
-    """Coverage after each action as a drawing: seen, and true where it is known."""
+    """Return coverage after each action as a drawing: seen, and true where it is known."""
     flat = steps[0]["flat_m2"] or max(row["seen_m2"] for row in steps)
     width, height, left, low = 420, 190, 34, 160
 
-    def place(number: int, share: float) -> str:
-        x = left + (width - left - 10) * number / max(1, len(steps) - 1)
-        return f"{x:.1f},{low - (low - 12) * min(share, 1.1):.1f}"
+    def column(number: int) -> str:
+        return f"{left + (width - left - 10) * number / max(1, len(steps) - 1):.1f}"
+
+    def height_of(share: float) -> float:
+        return low - (low - 12) * min(share, 1.1)
 
     lines, keys = [], []
     for tone, (key, words) in enumerate((("true_m2", "true"), ("seen_m2", "seen"))):
         if steps[0][key] is None:
             continue
-        points = " ".join(place(k, row[key] / flat) for k, row in enumerate(steps))
+        points = " ".join(
+            f"{column(k)},{height_of(row[key] / flat):.1f}" for k, row in enumerate(steps)
+        )
         lines.append(f'<polyline class="line tone{tone}" points="{points}"/>')
         keys.append(f'<span class="key tone{tone}"><i></i>{words}</span>')
     marks = "".join(
-        f'<line class="grid" x1="{left}" x2="{width}" y1="{place(0, share).split(",")[1]}" '
-        f'y2="{place(0, share).split(",")[1]}"/><text class="tick" x="2" '
-        f'y="{float(place(0, share).split(",")[1]) + 4:.1f}">{share:.0%}</text>'
-        for share in (0.0, 0.5, 1.0)
+        f'<line class="grid" x1="{left}" x2="{width}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        f'<text class="tick" x="2" y="{y + 4:.1f}">{share:.0%}</text>'
+        for share, y in ((share, height_of(share)) for share in (0.0, 0.5, 1.0))
     )
     numbers = "".join(
-        f'<text class="tick" x="{place(k, 0.0).split(",")[0]}" y="{low + 16}">{k}</text>'
-        for k in range(len(steps))
+        f'<text class="tick" x="{column(k)}" y="{low + 16}">{k}</text>' for k in range(len(steps))
     )
     return (
         f'<figure class="chart"><b>Share of the flat cloth\'s area, by action</b>'
@@ -176,17 +162,12 @@ def _curve(steps: Sequence[dict[str, Any]]) -> str:
 
 
 def _card(store: EpisodeStore, number: int, coming: PickPlace | None) -> str:
-    """One step: the picture, the belief, and what was expected of the action that led here."""
+    """Return the card of a step: picture, belief, and what was expected of the action before it."""
     row = store.steps[number]
     stills = [(_picture(store, number, coming), "What the camera saw, and the next action")]
     recording = read_recording(store.recording_path(number))
     if (belief := store.estimate(number)) is not None:
         stills.append((_belief(belief, recording), f"Believed: {belief.source}"))
-    pictures = "".join(
-        f'<figure><img alt="{escape(words)}" src="{jpeg_uri(image)}">'
-        f"<figcaption>{escape(words)}</figcaption></figure>"
-        for image, words in stills
-    )
     text = [f"coverage {_share(row)}"]
     if row["action"] is not None and number:
         before = store.steps[number - 1]
@@ -200,12 +181,12 @@ def _card(store: EpisodeStore, number: int, coming: PickPlace | None) -> str:
     return (
         f'<article class="card action"><h3>After {number} action{"s" if number != 1 else ""}'
         f"<span>{escape('; '.join(text))}</span></h3>"
-        f'<div class="stills">{pictures}</div></article>'
+        f"{stills_html(stills)}</article>"
     )
 
 
 def _picture(store: EpisodeStore, number: int, coming: PickPlace | None = None) -> Picture:
-    """The last picture of a step, with the arrow of the action after it."""
+    """Return the last picture of a step, with the arrow of the action after it."""
     recording = read_recording(store.recording_path(number))
     frame = recording.frames[-1]
     camera = next(one for one in recording.cameras if one.name in frame.depth)
@@ -221,7 +202,7 @@ def _picture(store: EpisodeStore, number: int, coming: PickPlace | None = None) 
 
 
 def _belief(estimate: Estimate, recording: Recording) -> Picture:
-    """The believed mesh from the side and above."""
+    """Return the believed mesh from the side and above."""
     view = three_quarter_view(estimate.positions, width=480, height=360)
     shader = Shader(
         estimate.flat.faces, view, table=recording.table, config=ShadingConfig(supersampling=2)

@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from clothtrack.geometry.mesh import ClothMesh
 
 SMOOTHING_ROUNDS = 6
-"""A rank jumps where a lower layer ends; averaging with the neighbours so often makes a slope."""
+"""Averages over the neighbours: a rank jumps where a lower layer ends, and becomes a slope."""
 
 ASIDE = 0.003
-"""So far beside a vertex is looked for layers, as a share of the length of an edge."""
+"""Offset from a vertex at which layers are counted, as a share of the length of an edge."""
 
 
 class Layers:
@@ -34,14 +34,14 @@ class Layers:
         self._averages = weights.multiply(1.0 / weights.sum(axis=1)[:, None]).tocsr()
 
     def ranks(self, vertices: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, " vertices"]:
-        """How many layers lie under each vertex, with slopes where their number changes."""
+        """Return how many layers lie under each vertex, with slopes where their number changes."""
         ranks = self.counts(vertices)
         for _ in range(SMOOTHING_ROUNDS):
             ranks = self._averages @ ranks
         return ranks
 
     def counts(self, vertices: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, " vertices"]:
-        """How many triangles lie under each vertex, those it belongs to not counted."""
+        """Return how many triangles lie under each vertex, those it belongs to not counted."""
         vertices = np.asarray(vertices, np.float64)
         flat, height = vertices @ self._across, vertices @ self._axis
         face, vertex = self._near(flat)
@@ -62,7 +62,7 @@ class Layers:
         return np.bincount(vertex[inside][under], minlength=len(vertices)).astype(np.float64)
 
     def _near(self, flat: Float[np.ndarray, "vertices 2"]) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of a face and a vertex that may lie over or under it."""
+        """Return pairs of a face and a vertex that may lie over or under it."""
         corners = flat[self._faces]
         centres = corners.mean(axis=1)
         radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)

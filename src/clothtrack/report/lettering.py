@@ -26,14 +26,14 @@ def write(
 
 
 def text_width(text: str, *, height_px: float = 12.0) -> int:
-    """How many pixels `text` takes."""
+    """Return how many pixels `text` takes."""
     weight = 1 if height_px < 16 else 2
     (width, _), _ = cv2.getTextSize(text, _FONT, height_px / 21.0, weight)
     return int(width)
 
 
 def caption(width: int, left: str, right: str = "", *, height: int = 30) -> Picture:
-    """A strip of paper with words at its left and right end; the right ones go when it is full."""
+    """Return a strip with words at its left and right end; the right ones go if it is full."""
     strip = np.full((height, width, 3), rgb255(PAPER), dtype=np.uint8)
     size = 0.36 * height
     base = round(0.5 * height + 0.5 * size)

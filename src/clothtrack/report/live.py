@@ -1,4 +1,4 @@
-"""The report's pages on a local server, which saves decisions and shows newer pages at once."""
+"""Pages on a local server: decisions about labels are saved, and newer pages show at once."""
 
 import tempfile
 import threading
@@ -7,24 +7,24 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, get_args
+from urllib.parse import quote, unquote
 
-from clothtrack.errors import InvalidConfigError
+from clothtrack.errors import ClothTrackError, InvalidConfigError
 from clothtrack.evaluation.label_review import LabelReview, Verdict
 from clothtrack.report.document import document, served_document
 from clothtrack.report.local_page import Answer, serving
 
 WAITING = '<p class="lead">The page is being written; it shows itself when it is ready.</p>'
 
+Write = Callable[[Path], Path]
+"""Write a page to the given path and return that path."""
+
 
 @dataclass
 class Decisions:
-    """Decisions about labels, and the file that holds them.
-
-    Attributes:
-        review: decisions so far.
-        path: where each further decision is written to.
-    """
+    """Decisions about labels, and the file to which each further decision is written."""
 
     review: LabelReview
     path: Path
@@ -51,34 +51,32 @@ class Decisions:
 
 
 class LivePage:
-    """A page that a server gives, its version, and the decisions that are made in it."""
+    """A served page with a version number, and the decisions that are made in it."""
 
     def __init__(self, name: str, decisions: Decisions | None = None) -> None:
         """Show that a page of this name is being written."""
-        self._name = name
+        self._name, self._decisions = name, decisions
         self._page, self._version = document(name, WAITING, script=False), 0
-        self._decisions = decisions
         self._lock = threading.Lock()
 
     def show(self, path: Path) -> None:
-        """Give the page in this file from now on; browsers that show an older one load it."""
-        page = path.read_text(encoding="utf-8")
+        """Serve the page in this file from now on; open browsers load it."""
+        self._renew(path.read_text(encoding="utf-8"))
+
+    def say(self, text: str) -> None:
+        """Serve a page with this text, such as the reason why there is no report."""
+        self._renew(document(self._name, f'<p class="lead">{escape(text)}</p>', script=False))
+
+    def _renew(self, page: str) -> None:
         with self._lock:
             self._page, self._version = page, self._version + 1
 
-    def say(self, text: str) -> None:
-        """Give a page that says this, such as why there is no other one."""
-        with self._lock:
-            lead = f'<p class="lead">{escape(text)}</p>'
-            self._page, self._version = document(self._name, lead, script=False), self._version + 1
-
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
-        """The page, its version, or the decisions so far."""
+        """Return the page, its version, or the decisions so far."""
         del query
         with self._lock:
             if path == "/":
-                page = served_document(self._page, self._version)
-                return Answer(page.encode(), "text/html; charset=utf-8")
+                return Answer.page(served_document(self._page, self._version))
             if path == "/version":
                 return Answer.of({"version": self._version})
             if path == "/review" and self._decisions is not None:
@@ -86,7 +84,7 @@ class LivePage:
         return None
 
     def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:
-        """Take a decision; all decisions are the answer."""
+        """Take a decision and return all decisions."""
         if path != "/review" or self._decisions is None:
             return None
         with self._lock:
@@ -108,7 +106,7 @@ def live_page(
         name: title of the page until the block shows one.
         port: of the server; any free one by default.
         decisions: about the labels in the page; without it nothing can be decided.
-        opened: is told the address before anything else happens.
+        opened: called with the address before anything else happens.
 
     Raises:
         InvalidConfigError: there is no such port, or it is taken.
@@ -122,30 +120,102 @@ def live_page(
 
 def serve(
     name: str,
-    write: Callable[[Path], Path],
+    write: Write,
     port: int | None = None,
     *,
     decisions: Decisions | None = None,
     opened: Callable[[str], None] | None = None,
     stop: threading.Event | None = None,
 ) -> None:
-    """Serve what `write` writes to a file until `stop` is set or Ctrl-C is pressed.
-
-    Args:
-        name: title of the page until it is written.
-        write: writes the page to the path that it is given, and returns that path.
-        port: of the server; any free one by default.
-        decisions: about the labels in the page; without it nothing can be decided.
-        opened: is told the address before the page is written.
-        stop: ends the serving from outside.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
-    """
+    """Serve the page that `write` writes until `stop` is set or Ctrl-C is pressed (`live_page`)."""
     try:
         with live_page(name, port, decisions=decisions, opened=opened) as page:
             with tempfile.TemporaryDirectory() as folder:
                 page.show(write(Path(folder) / "page.html"))
             (stop or threading.Event()).wait()
+    except KeyboardInterrupt:
+        return
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page that is written when somebody looks at it, and the decisions about its labels."""
+
+    write: Write
+    decisions: Decisions
+
+
+class _Folder:
+    """Answers for the index at / and for the report NAME at /NAME/."""
+
+    def __init__(self, title: str) -> None:
+        self.index = LivePage(title)
+        self.pages: Mapping[str, LivePage] = {}
+        self.asked: SimpleQueue[str] = SimpleQueue()
+        self._known: set[str] = set()
+
+    def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
+        """Return the index, a report, or the answer of one of them."""
+        name, inside, rest = self._split(path)
+        if name not in self.pages:
+            return self.index.ask(path, query)
+        if not inside:
+            # What the page asks for lies below it.
+            return Answer.page(f'<meta http-equiv="refresh" content="0; url=/{quote(name)}/">')
+        if name not in self._known:
+            self._known.add(name)
+            self.asked.put(name)
+        return self.pages[name].ask(f"/{rest}", query)
+
+    def tell(self, path: str, message: Mapping[str, Any]) -> Answer | None:
+        """Take a decision about a label of a report."""
+        name, inside, rest = self._split(path)
+        return self.pages[name].tell(f"/{rest}", message) if inside and name in self.pages else None
+
+    @staticmethod
+    def _split(path: str) -> tuple[str, str, str]:
+        """Return the report that a path is in, a slash if it goes on, and what follows.
+
+        The index links a report as the file NAME.html, as it does on a disk.
+        """
+        name, inside, rest = unquote(path.removeprefix("/")).partition("/")
+        return (name if inside else name.removesuffix(".html")), inside, rest
+
+
+def serve_folder(
+    title: str,
+    load: Callable[[], tuple[Write, Mapping[str, Report]]],
+    port: int | None = None,
+    *,
+    opened: Callable[[str], None],
+) -> None:
+    """Serve an index and its reports on 127.0.0.1 until Ctrl-C is pressed.
+
+    Args:
+        title: of the index until it is written.
+        load: returns the writer of the index, with links to NAME.html, and the reports by name.
+        port: of the server; any free one by default.
+        opened: called with the address before anything is loaded.
+
+    Raises:
+        InvalidConfigError: there is no such port, or it is taken.
+    """
+    folder = _Folder(title)
+    try:
+        with (
+            serving(folder.ask, folder.tell, port) as address,
+            tempfile.TemporaryDirectory() as written,
+        ):
+            opened(address)
+            path = Path(written) / "page.html"
+            write_index, reports = load()
+            folder.pages = {name: LivePage(name, one.decisions) for name, one in reports.items()}
+            folder.index.show(write_index(path))
+            while True:
+                name = folder.asked.get()
+                try:
+                    folder.pages[name].show(reports[name].write(path))
+                except ClothTrackError as error:
+                    folder.pages[name].say(f"no report: {error}")
     except KeyboardInterrupt:
         return

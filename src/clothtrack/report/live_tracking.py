@@ -14,19 +14,17 @@ from jaxtyping import Float
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.document import document, served_document
-from clothtrack.report.evidence import observed, observed_points, thinned
-from clothtrack.report.film_colors import cloud_colors
-from clothtrack.report.layers import Layers
+from clothtrack.report.evidence import observed_points, thinned
 from clothtrack.report.local_page import Answer, serving
 from clothtrack.report.overlay import whole_view
-from clothtrack.report.scene_data import SCENE_POINTS, SceneContents, packed
+from clothtrack.report.scene_data import SCENE_POINTS, SceneContents, packed, recorded_scene
 from clothtrack.report.stage import scene_card, stage
-from clothtrack.report.viewpoint import layers_axis, upward, view_of
+from clothtrack.report.viewpoint import view_of
 
 TITLE = "Tracking"
 
 LAST_WORDS_S = 3.0
-"""So long an open page is waited for that has not yet heard how the tracking ended [s]."""
+"""Longest wait for an open page to show how the tracking ended [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,37 +37,24 @@ class _Shown:
     positions: Float[np.ndarray, "vertices 3"]
 
     def contents(self) -> SceneContents:
-        """The scene of this one mesh."""
-        recording, frame, vertices = self.recording, self.frame, self.positions.astype(np.float64)
-        points = thinned(observed_points(recording, frame, observed), SCENE_POINTS)
-        eye = view_of(vertices, recording, width=800, height=600)
-        axis = layers_axis(recording, eye)
-        return SceneContents(
-            frames=np.array([frame.index]),
-            time_s=np.array([frame.time_s]),
-            eye=eye,
-            up=upward(recording, eye),
-            along=axis,
+        """Return the scene of this one mesh."""
+        recording, frame = self.recording, self.frame
+        return recorded_scene(
+            recording,
+            [frame],
+            view_of(self.positions.astype(np.float64), recording, width=800, height=600),
+            [thinned(observed_points(recording, frame), SCENE_POINTS)],
+            mesh=self.mesh,
             positions=self.positions[None],
-            faces=self.mesh.faces,
-            ranks=Layers(self.mesh, axis).ranks(vertices)[None],
-            clouds=[points],
-            pickers=recording.picker_paths,
-            table=recording.table,
             views=[whole_view(camera) for camera in recording.cameras],
-            cloud_colors=cloud_colors(recording, [frame], [points]),
         )
 
 
 class LiveTracking:
-    """Holds the newest mesh; packs it only when a page asks, so that nobody waits for a page."""
+    """Holds the newest mesh and packs it only when a page asks, so that tracking never waits."""
 
     def __init__(self, words: Callable[[], str]) -> None:
-        """Begin with no mesh.
-
-        Args:
-            words: says how far the tracking is.
-        """
+        """Begin with no mesh; `words` says how far the tracking is."""
         self._words, self._newest = words, None
         self._known, self._version, self._asked_s = 0, 0, float("-inf")
         self._end = ""
@@ -99,11 +84,11 @@ class LiveTracking:
             self._told.wait(LAST_WORDS_S)
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
-        """The page, its version, or the newest mesh."""
+        """Return the page, its version, or the newest mesh."""
         with self._lock:
             newest, known, version = self._newest, self._known, self._version
         if path == "/":
-            return Answer(self._page(newest, version).encode(), "text/html; charset=utf-8")
+            return Answer.page(self._page(newest, version))
         if path == "/version":
             return Answer.of({"version": version})
         if path == "/now":
@@ -118,7 +103,7 @@ class LiveTracking:
         return served_document(document(newest.recording.name, lead + scene), version)
 
     def _now(self, newest: _Shown | None, known: int, after: int) -> dict[str, Any]:
-        """Words, and the mesh where the page does not have it yet; it has none after -1."""
+        """Return the state in words, and the mesh if the page does not have it; -1: it has none."""
         with self._lock:
             self._asked_s, end = time.monotonic(), self._end
         answer: dict[str, Any] = {"words": end or self._words(), "over": bool(end), "known": known}
@@ -134,15 +119,12 @@ class LiveTracking:
 def live_tracking(
     words: Callable[[], str], port: int | None = None, *, opened: Callable[[str], None]
 ) -> Iterator[LiveTracking]:
-    """Serve the page of a tracking on 127.0.0.1 while the block runs.
+    """Serve the page of a tracking on 127.0.0.1 while the block runs (`serving`).
 
     Args:
         words: says how far the tracking is.
         port: of the server; any free one by default.
-        opened: is told the address before anything else happens.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
+        opened: called with the address before anything else happens.
     """
     page = LiveTracking(words)
     with serving(page.ask, lambda *_: None, port) as address:

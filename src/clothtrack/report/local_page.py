@@ -28,13 +28,7 @@ HIGHEST_PORT = 65_535
 
 @dataclass(frozen=True)
 class Answer:
-    """What a page gets.
-
-    Attributes:
-        body: the content.
-        kind: its MIME type.
-        status: of HTTP.
-    """
+    """The answer to a request: content, MIME type, and status of HTTP."""
 
     body: bytes
     kind: str = "application/json"
@@ -42,8 +36,13 @@ class Answer:
 
     @classmethod
     def of(cls, content: object, status: int = 200) -> "Answer":
-        """Anything that JSON holds."""
+        """Return content that JSON holds."""
         return cls(json.dumps(content).encode(), status=status)
+
+    @classmethod
+    def page(cls, html: str) -> "Answer":
+        """Return a page."""
+        return cls(html.encode(), "text/html; charset=utf-8")
 
 
 Ask = Callable[[str, Mapping[str, str]], Answer | None]
@@ -51,14 +50,10 @@ Tell = Callable[[str, Mapping[str, Any]], Answer | None]
 
 
 def _refusal(headers: Message, port: int) -> str | None:
-    """Why a request is not answered; None when no other web site sent it.
+    """Return why a request is not answered; None when no other web site sent it.
 
     Browsers name the site that asks in Origin. Pictures and scripts are asked for without it; newer
     browsers say then in Sec-Fetch-Site that it is another site. A link to the page may be followed.
-
-    Args:
-        headers: of the request.
-        port: of the server.
     """
     hosts, origins = (headers.get_all(name, []) for name in ("Host", "Origin"))
     site, mode = headers.get("Sec-Fetch-Site", "none"), headers.get("Sec-Fetch-Mode")
@@ -77,7 +72,7 @@ def _refusal(headers: Message, port: int) -> str | None:
 
 @contextmanager
 def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
-    """Serve while the block runs; gives the address.
+    """Serve while the block runs, and yield the address.
 
     Args:
         ask: answers GET: path and query; None when there is no such thing.
@@ -114,18 +109,7 @@ def serve_until(
     *,
     opened: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve until `stop` is set or Ctrl-C is pressed.
-
-    Args:
-        stop: ends it.
-        ask: answers GET, as in `serving`.
-        tell: answers POST.
-        port: of the server; any free one by default.
-        opened: is told the address.
-
-    Raises:
-        InvalidConfigError: there is no such port, or it is taken.
-    """
+    """Serve (`serving`) until `stop` is set or Ctrl-C is pressed; `opened` gets the address."""
     with serving(ask, tell, port) as address, suppress(KeyboardInterrupt):
         # Whoever has read the address may press Ctrl-C before `opened` returns.
         if opened is not None:
@@ -134,12 +118,12 @@ def serve_until(
 
 
 class _Server(ThreadingHTTPServer):
-    """Takes it as usual that a browser drops its connection."""
+    """A server to which dropped connections are usual."""
 
     daemon_threads = True
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Tell the log of a connection that was reset; everything else is a fault."""
+        """Log a connection that was reset; report everything else."""
         error = sys.exception()
         if isinstance(error, ConnectionError):
             logger.debug("%s: %s", client_address, error)
@@ -148,7 +132,7 @@ class _Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Passes requests on to the page's two functions."""
+    """Hands requests to `ask` and `tell`."""
 
     ask: Ask
     tell: Tell
@@ -156,12 +140,12 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        """Answer a question."""
+        """Answer GET."""
         url = urlsplit(self.path)
         self._answer(lambda: self.ask(url.path, dict(parse_qsl(url.query))))
 
     def do_POST(self) -> None:
-        """Take a message."""
+        """Answer POST."""
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal() or int(length) > LONGEST_MESSAGE:
             self.close_connection = True
@@ -181,7 +165,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(lambda: self.tell(urlsplit(self.path).path, message))
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Tell the log, not the terminal."""
+        """Write to the log, not to the terminal."""
         logger.debug(format, *args)
 
     def _answer(self, find: Callable[[], Answer | None]) -> None:

@@ -15,12 +15,7 @@ WIDTH_PX = 1200
 
 
 def outline_picture(template: FlatTemplate, shown: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
-    """The picture with the outline on it: openings red, seams blue, a towel's edge violet.
-
-    Args:
-        template: what was made of the picture.
-        shown: the picture, red first.
-    """
+    """Return the RGB picture with the outline: openings red, seams blue, a towel's edge violet."""
     scale = WIDTH_PX / shown.shape[1]
     size = (WIDTH_PX, round(shown.shape[0] * scale))
     image = cv2.resize(shown, size, interpolation=cv2.INTER_LINEAR)

@@ -10,19 +10,18 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 
 from clothtrack.evaluation.metrics import root_mean_square_mm
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.evidence import (
-    Observer,
+    frame_of,
     has_picture,
-    observed,
     observed_points,
     view_picture,
 )
-from clothtrack.report.lettering import caption
+from clothtrack.report.lettering import Picture, caption
 from clothtrack.report.palette import (
     HIDDEN,
     INK,
@@ -32,9 +31,8 @@ from clothtrack.report.palette import (
     PICKER_OPEN,
     rgb255,
 )
-from clothtrack.report.picture_file import write_picture
 from clothtrack.report.shading import Shader, ShadingConfig
-from clothtrack.report.video import frame_rate, write_video
+from clothtrack.report.video import frame_rate, write_picture, write_video
 from clothtrack.report.viewpoint import view_of
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -47,8 +45,6 @@ HIDDEN_WIRES = 0.34
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 """Share of red, green and blue in a grey value (ITU-R BT.601)."""
 
-Picture = UInt8[np.ndarray, "height width 3"]
-
 
 @dataclass(frozen=True)
 class OverlayConfig:
@@ -60,14 +56,12 @@ class OverlayConfig:
             of it; 1 always shows all.
         cameras: at most this many cameras, side by side.
         wires: opacity of the visible wire frame, 0..1.
-        device: where the z-buffer runs.
     """
 
     height: int = 480
     closest: float = 0.55
     cameras: int = 2
     wires: float = 0.30
-    device: str = "cpu"
 
 
 class Overlay:
@@ -79,34 +73,27 @@ class Overlay:
         recording: Recording,
         *,
         config: OverlayConfig | None = None,
-        observer: Observer = observed,
     ) -> None:
         """Prepare the views: the recording's cameras, or one of ours where it has no picture."""
         self.tracked, self.recording = tracked, recording
         self.config = config or OverlayConfig()
-        self._observer = observer
-        self._frames = {frame.index: frame for frame in recording.frames}
-        self.views = _views(tracked, recording, self._frames, self.config)
-        self._shaders = [
-            Shader(tracked.mesh.faces, view.camera, device=self.config.device)
-            for view in self.views
-        ]
+        self.views = _views(tracked, recording, self.config)
+        self._shaders = [Shader(tracked.mesh.faces, view.camera) for view in self.views]
 
     def frame(self, step: int) -> Frame:
-        """The recording's frame that belongs to a step of the trajectory."""
-        index = int(self.tracked.frames[step])
-        return self._frames.get(index) or Frame(index, float(self.tracked.time_s[step]))
+        """Return the recording's frame that belongs to a step of the trajectory."""
+        return frame_of(self.tracked, self.recording, step)
 
     def observation(self, step: int) -> Picture:
-        """What was seen at a step, all views side by side."""
+        """Return what was seen at a step, all views side by side."""
         return np.hstack(self._observations(step))
 
     def draw(self, step: int) -> Picture:
-        """The tracked mesh over what was seen at a step, all views side by side."""
+        """Return the tracked mesh over what was seen at a step, all views side by side."""
         return np.hstack(self._overlays(step, self._observations(step)))
 
     def stacked(self, step: int) -> Picture:
-        """`draw` with what was seen below it, each of them with even sides."""
+        """Return `draw` with what was seen below it, each of them with even sides."""
         seen = self._observations(step)
         pair = [np.hstack(pictures) for pictures in (self._overlays(step, seen), seen)]
         height, width = pair[0].shape[:2]
@@ -114,7 +101,7 @@ class Overlay:
         return np.vstack([np.pad(picture, padding, mode="edge") for picture in pair])
 
     def annotated(self, step: int) -> Picture:
-        """`draw` with a line of words over it: frame, time, action, losses, share visible."""
+        """Return `draw` under a line of words: frame, time, action, losses, share visible."""
         picture = self.draw(step)
         left, right = step_words(self.tracked, step)
         return np.vstack([caption(picture.shape[1], left, right), picture])
@@ -124,7 +111,7 @@ class Overlay:
         needs_cloud = not all(has_picture(frame, view.camera) for view in self.views)
         points = np.empty((0, 3))
         if needs_cloud:
-            points = observed_points(self.recording, frame, self._observer)
+            points = observed_points(self.recording, frame)
         return [
             view.cut(view_picture(self.recording, frame, view.camera, points))
             for view in self.views
@@ -161,7 +148,7 @@ class Overlay:
         vertices: Float[np.ndarray, "vertices 3"],
         visible: Bool[np.ndarray, " vertices"],
     ) -> None:
-        """The edges: dark where they are seen, in the hidden hue where they are believed."""
+        """Draw the edges: dark where they are seen, in the hidden hue where they are believed."""
         edges = self.tracked.mesh.edges
         pixels, depth = view.project(vertices)
         ends = np.clip(np.nan_to_num(pixels[edges]), -8000, 8000)
@@ -197,19 +184,19 @@ class View:
     columns: slice
 
     def cut(self, picture: np.ndarray) -> np.ndarray:
-        """The window of a picture of the camera."""
+        """Return the window of a picture of the camera."""
         return picture[self.rows, self.columns]
 
     def project(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
-        """Pixels of the window, and depths [m], of points in the world [m]."""
+        """Return pixels of the window, and depths [m], of points in the world [m]."""
         pixels, depth = self.camera.project(points)
         return pixels - (self.columns.start, self.rows.start), depth
 
 
 def whole_view(camera: Camera) -> View:
-    """All of a camera's picture."""
+    """Return all of a camera's picture."""
     return View(camera, slice(0, camera.height), slice(0, camera.width))
 
 
@@ -255,7 +242,6 @@ def _sheet_rows(overlay: Overlay, steps: Sequence[int]) -> Iterator[Picture]:
         view,
         table=overlay.recording.table,
         config=ShadingConfig(supersampling=2),
-        device=overlay.config.device,
     )
     gap = np.full((height, 4, 3), rgb255(PAPER), dtype=np.uint8)
     for step in steps:
@@ -273,20 +259,17 @@ def _sheet_rows(overlay: Overlay, steps: Sequence[int]) -> Iterator[Picture]:
 def scene_view(
     tracked: TrackedTrajectory, recording: Recording, *, width: int, height: int
 ) -> Camera:
-    """A 3/4 view that holds the cloth through the whole trajectory."""
+    """Return a 3/4 view that holds the cloth through the whole trajectory."""
     steps = np.unique(np.linspace(0, len(tracked.frames) - 1, 24).round().astype(int))
     points = tracked.positions[steps].reshape(-1, 3).astype(np.float64)
     return view_of(points, recording, width=width, height=height)
 
 
 def _views(
-    tracked: TrackedTrajectory,
-    recording: Recording,
-    frames: dict[int, Frame],
-    config: OverlayConfig,
+    tracked: TrackedTrajectory, recording: Recording, config: OverlayConfig
 ) -> tuple[View, ...]:
-    """The cameras that have pictures; one of our own when there is no picture at all."""
-    shown = [frames[int(index)] for index in tracked.frames if int(index) in frames]
+    """Return the cameras that have pictures; one of our own when there is no picture at all."""
+    shown = [frame for frame in recording.frames if frame.index in tracked.frames]
     cameras = [c for c in recording.cameras if any(has_picture(frame, c) for frame in shown)]
     if not cameras:
         width = 2 * round(config.height * 2 / 3)
@@ -296,7 +279,7 @@ def _views(
 
 
 def _close_up(camera: Camera, tracked: TrackedTrajectory, config: OverlayConfig) -> View:
-    """The window, shaped like the picture, that holds the cloth through the whole trajectory."""
+    """Return the window, shaped like the picture, that holds the cloth in all frames."""
     steps = np.unique(np.linspace(0, len(tracked.frames) - 1, 24).round().astype(int))
     pixels, depth = camera.project(tracked.positions[steps].reshape(-1, 3).astype(np.float64))
     size = np.array([camera.width, camera.height])
@@ -316,7 +299,7 @@ def _close_up(camera: Camera, tracked: TrackedTrajectory, config: OverlayConfig)
 
 
 def step_words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
-    """The caption of a step: where we are, and how it went."""
+    """Return the caption of a step: frame, time and action; losses and visibility."""
     frame, steps = int(tracked.frames[step]), tracked.steps
     left = f"frame {frame}   {tracked.time_s[step]:.2f} s"
     for number, action in enumerate(tracked.actions):
@@ -335,7 +318,7 @@ def step_words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
 
 
 def _toned_down(picture: Picture) -> Float[np.ndarray, "height width 3"]:
-    """A calmer copy: less colour, a little lighter, so that the drawing stands out."""
+    """Return a calmer copy: less colour, a little lighter, so that the drawing stands out."""
     mixed = 0.54 * np.eye(3, dtype=np.float32) + 0.36 * LUMINANCE
     image = cv2.transform(picture.astype(np.float32), mixed)
     image += 12.0
@@ -349,7 +332,7 @@ def _outline(image: Picture, cloth: Bool[np.ndarray, "height width"]) -> None:
 
 
 def _picker(image: Picture, view: View, tip: Float[np.ndarray, " 3"], closed: bool) -> None:
-    """A ring at the picker's tip, filled while it holds."""
+    """Draw a ring at the picker's tip, filled while it holds."""
     pixels, depth = view.project(tip[None])
     if not (depth[0] > 1e-3 and np.abs(pixels[0]).max() < 1e4):
         return

@@ -14,15 +14,11 @@ from jaxtyping import Float
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.evaluation.truth import Truth
 from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.store import read_recording
 from clothtrack.report.coloring import Coloring, colorings, judged_or_none
 from clothtrack.report.curves import chart_html
 from clothtrack.report.document import write_document
-from clothtrack.report.evidence import Observer, evidence_of, observed, thinned
-from clothtrack.report.film_colors import cloud_colors, vertex_colors
-from clothtrack.report.label_cards import review_card, verdict_strip
-from clothtrack.report.layers import Layers
-from clothtrack.report.measures import charts, edge_strains
+from clothtrack.report.evidence import evidence_of, thinned
+from clothtrack.report.film_colors import vertex_colors
 from clothtrack.report.overlay import (
     Overlay,
     OverlayConfig,
@@ -31,16 +27,19 @@ from clothtrack.report.overlay import (
     write_overlay_video,
 )
 from clothtrack.report.palette import HIDDEN, OUTSIDE
-from clothtrack.report.scene_data import SCENE_POINTS, SceneContents
+from clothtrack.report.scene_data import SCENE_POINTS, SceneContents, recorded_scene
 from clothtrack.report.sections import (
     actions_html,
+    charts,
+    edge_strains,
     figures_of,
     key_figures,
     lead_line,
+    review_card,
     settings_html,
+    verdict_strip,
 )
 from clothtrack.report.stage import Pictures, scene_card, stage, swatch, video_card
-from clothtrack.report.viewpoint import layers_axis, upward
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 SCENE_FRAMES = 180
@@ -52,7 +51,7 @@ class ReportConfig:
     """How much goes into a page.
 
     Attributes:
-        video_frames: at most this many frames in the video, evenly chosen beside those of labels.
+        video_frames: at most this many frames in the video, evenly chosen, and those of labels.
         scene_vertices: at most this many vertices over all frames of the scene.
         scene_points: observed points kept per frame of the scene.
         overlay: how the video looks.
@@ -70,7 +69,6 @@ def write_report(
     path: Path,
     *,
     config: ReportConfig | None = None,
-    observer: Observer = observed,
     truth: Truth | None = None,
     review: LabelReview | None = None,
 ) -> Path:
@@ -81,17 +79,16 @@ def write_report(
         recording: what it was tracked from.
         path: of the page.
         config: how much goes into it.
-        observer: looks at a frame; by default as the recording says.
         truth: the true meshes; only with them can the cloth be coloured by its error.
-        review: decisions about labels so far.
+        review: decisions about labels.
 
     Raises:
         InvalidResultError: the truth is of another garment or another recording.
         StorageError: when the disk refuses; what was at `path` before is untouched then.
     """
     config = config or ReportConfig()
-    overlay = Overlay(tracked, recording, config=config.overlay, observer=observer)
-    evidence = evidence_of(tracked, recording, observer)
+    overlay = Overlay(tracked, recording, config=config.overlay)
+    evidence = evidence_of(tracked, recording)
     judged = judged_or_none(tracked, recording)
     colors = colorings(tracked, evidence.clouds, judged, truth)
     actions = [(action.first_frame, action.last_frame) for action in tracked.actions]
@@ -116,27 +113,9 @@ def write_report(
 <p class="note">Shaded bands are actions. Press on a chart to see that frame above.</p>
 <div class="charts">{"".join(chart_html(one, tracked.frames, actions) for one in drawn)}</div>
 <h2>Actions</h2>
-{actions_html(tracked, recording, device=config.overlay.device)}
+{actions_html(tracked, recording)}
 {settings_html(tracked, recording)}"""
     return write_document(path, tracked.name, body)
-
-
-def report(
-    tracked: Path, recording: Path, path: Path | None = None, *, config: ReportConfig | None = None
-) -> Path:
-    """Write the page of a stored trajectory and return its path: `tracked`.html by default.
-
-    Raises:
-        InvalidResultError: when the trajectory cannot be read.
-        InvalidRecordingError: when the recording cannot be read.
-        StorageError: when the disk refuses.
-    """
-    return write_report(
-        TrackedTrajectory.load(tracked),
-        read_recording(recording),
-        path or tracked.parent / f"{tracked.stem}.html",
-        config=config,
-    )
 
 
 def _video_card(tracked: TrackedTrajectory, overlay: Overlay, config: ReportConfig) -> str:
@@ -164,39 +143,29 @@ def _contents(
     tracked, recording = overlay.tracked, overlay.recording
     most = min(SCENE_FRAMES, max(2, config.scene_vertices // tracked.mesh.vertex_count))
     steps = evenly(len(tracked.frames), most, always=_labelled_steps(tracked))
-    view = scene_view(tracked, recording, width=800, height=600)
-    axis = layers_axis(recording, view)
-    layers = Layers(tracked.mesh, axis)
-    points = [thinned(clouds[step], config.scene_points) for step in steps]
     cameras = {camera.name for camera in recording.cameras}
-    return SceneContents(
-        frames=tracked.frames[steps],
-        time_s=tracked.time_s[steps],
-        eye=view,
-        up=upward(recording, view),
-        along=axis,
+    return recorded_scene(
+        recording,
+        [overlay.frame(step) for step in steps],
+        scene_view(tracked, recording, width=800, height=600),
+        [thinned(clouds[step], config.scene_points) for step in steps],
+        mesh=tracked.mesh,
         positions=tracked.positions[steps],
-        faces=tracked.mesh.faces,
-        ranks=np.stack([layers.ranks(tracked.positions[step]) for step in steps]),
         visible=tracked.visible[steps],
-        clouds=points,
-        pickers=recording.picker_paths,
-        table=recording.table,
         colorings=[replace(one, values=one.values[steps]) for one in colors],
         views=[one for one in overlay.views if one.camera.name in cameras],
-        cloud_colors=cloud_colors(recording, [overlay.frame(step) for step in steps], points),
         film=vertex_colors(tracked, recording),
     )
 
 
 def _labelled_steps(tracked: TrackedTrajectory) -> list[int]:
-    """Where the labels are: a person judges a mesh by its own frame, not by one nearby."""
+    """Return the steps of the labels, which are always shown."""
     ends = [action.last_frame for action in tracked.actions]
     return np.flatnonzero(np.isin(tracked.frames, ends)).tolist()
 
 
 def evenly(count: int, most: int, always: Sequence[int] = ()) -> list[int]:
-    """At most `most` of the numbers 0 to count - 1, evenly spaced, both ends included.
+    """Return at most `most` of the numbers 0 to count - 1, evenly spaced, both ends included.
 
     Those of `always` are included too, even if they and the ends are more than `most`.
     """

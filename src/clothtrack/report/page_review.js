@@ -1,7 +1,7 @@
 // Decisions about labels: a served page sends each to its server, which saves it; one that was
 // opened from a disk cannot write files beside the trajectory, so it offers one.
 function reviewed(section, inTurn) {
-  if (!section) return { at: () => {}, decide: () => {}, undo: () => {}, step: () => {}, choose: () => {}, onJump: () => {}, load: () => {} };
+  if (!section) return { at: () => {}, decide: () => {}, undo: () => {}, step: () => {}, onJump: () => {}, load: () => {} };
   const review = JSON.parse(section.dataset.review), rows = [...section.querySelectorAll("[data-action]")];
   const firsts = rows.map((row) => Number(row.dataset.first)), undo = section.querySelector("#undo"), past = [];
   const served = document.body.dataset.version !== undefined, state = section.querySelector("#saved");
@@ -72,7 +72,7 @@ function reviewed(section, inTurn) {
   }
   paint();
   return {
-    decide, choose,
+    decide,
     load: async () => { if (served && (await synchronised())) paint(); },
     undo: takeBack,
     // Where two actions meet, one frame belongs to both: a label that was chosen stays chosen.

@@ -4,7 +4,7 @@ Colours are RGB in 0..1 (float) for shading; `hexadecimal` writes them for style
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 OUTSIDE = (0.290, 0.490, 0.690)
 """The outer side of the cloth (its front faces)."""
@@ -41,23 +41,18 @@ HEAT = np.array(
 
 
 def heat(values: Float[np.ndarray, " values"], limit: float) -> Float[np.ndarray, "values 3"]:
-    """A colour for each value between 0 (calm blue) and `limit` (red); more stays red."""
+    """Return a colour for each value between 0 (calm blue) and `limit` (red); more stays red."""
     place = np.clip(np.nan_to_num(values / limit, nan=0.0), 0.0, 1.0) * (len(HEAT) - 1)
     stops = np.arange(len(HEAT))
     return np.stack([np.interp(place, stops, channel) for channel in HEAT.T], axis=-1)
 
 
-def visibility_colors(visible: Bool[np.ndarray, " vertices"]) -> Float[np.ndarray, "vertices 3"]:
-    """The outside hue where a vertex is seen, the hidden hue where it is believed."""
-    return np.where(visible[:, None], OUTSIDE, HIDDEN)
-
-
 def rgb255(color: tuple[float, float, float]) -> tuple[int, int, int]:
-    """A colour as three numbers from 0 to 255."""
+    """Return a colour as three numbers from 0 to 255."""
     red, green, blue = (round(255 * channel) for channel in color)
     return red, green, blue
 
 
 def hexadecimal(color: tuple[float, float, float]) -> str:
-    """A colour as a style sheet writes it (`#4a7db0`)."""
+    """Return a colour as a style sheet writes it (`#4a7db0`)."""
     return "#{:02x}{:02x}{:02x}".format(*rgb255(color))

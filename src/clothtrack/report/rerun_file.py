@@ -11,20 +11,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import ClothTrackError, InvalidConfigError
+from clothtrack.errors import ClothTrackError
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.files.extras import install_command
+from clothtrack.files.extras import require_extra
 from clothtrack.recordings.pictures import read_color
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.coloring import Coloring
 from clothtrack.report.curves import Chart
 from clothtrack.report.palette import (
+    HIDDEN,
     OBSERVED,
+    OUTSIDE,
     PICKER_CLOSED,
     PICKER_OPEN,
     heat,
     rgb255,
-    visibility_colors,
 )
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -48,7 +49,9 @@ def write_rerun(
         InvalidConfigError: the extra [rerun] is not installed.
         StorageError: when the disk refuses.
     """
-    rr = _rerun()
+    require_extra("rerun", ["rerun"], "writing .rrd")
+    # By name: type checkers see it in some installations and not in others.
+    rr = import_module("rerun")
     with atomic_file(path) as temporary:
         stream = rr.RecordingStream("clothtrack", recording_id=tracked.name)
         stream.save(str(temporary))
@@ -79,18 +82,6 @@ def write_rerun(
     return path
 
 
-def _rerun() -> Any:
-    """The module, or a clear word about the extra."""
-    try:
-        # By name: type checkers see it in some installations and not in others.
-        return import_module("rerun")
-    except ImportError as error:
-        raise InvalidConfigError(
-            "writing .rrd needs rerun-sdk, which tracking does not; install with: "
-            f"{install_command('rerun')}"
-        ) from error
-
-
 def _log_cloth(
     rr: Any, stream: Any, tracked: TrackedTrajectory, step: int, colorings: Sequence[Coloring]
 ) -> None:
@@ -100,7 +91,7 @@ def _log_cloth(
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     np.add.at(normals, faces.ravel(), np.repeat(across, 3, axis=0))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    paints = {"world/cloth": visibility_colors(tracked.visible[step])}
+    paints = {"world/cloth": np.where(tracked.visible[step][:, None], OUTSIDE, HIDDEN)}
     for one in colorings:
         paints[f"world/cloth_{one.key}"] = heat(one.values[step], one.limit)
     for entity, paint in paints.items():

@@ -15,9 +15,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.recordings.recording import PickerPath, Table
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.recording import Frame, PickerPath, Recording, Table
 from clothtrack.report.coloring import Coloring
-from clothtrack.report.film_colors import PALETTE_SIZE, few_colors
+from clothtrack.report.film_colors import PALETTE_SIZE, cloud_colors, few_colors
+from clothtrack.report.layers import Layers
 from clothtrack.report.overlay import View
 from clothtrack.report.palette import (
     HEAT,
@@ -31,6 +33,7 @@ from clothtrack.report.palette import (
     TABLE,
     UNKNOWN,
 )
+from clothtrack.report.viewpoint import layers_axis, upward
 
 POINT_SIZE_M = 0.0025
 """Size of a drawn point [m]."""
@@ -42,10 +45,10 @@ THICKNESS_M = 0.0012
 """Thickness that the cloth is drawn with [m]: about that of jersey."""
 
 SCENE_POINTS = 1500
-"""So many observed points of a frame are shown."""
+"""Most observed points of a frame that are shown."""
 
 CLOUD_GRAINS = 8
-"""Observed points are rounded to so many grains, half a millimetre: what is finer is noise."""
+"""Observed points are rounded to this many grains, half a millimetre: the rest is noise."""
 
 STRIP_M = 0.02
 """Width of the strips in which observed points are sorted [m]."""
@@ -66,11 +69,11 @@ class SceneContents:
         time_s: when they were [s].
         eye: from where to look first.
         up: unit vector upwards.
-        along: unit vector along which layers are taken apart.
+        along: unit vector along which layers are separated.
         positions: vertices of the cloth [m]; none where there is no mesh.
         faces: vertex indices per triangle.
         ranks: how many layers lie under each vertex.
-        visible: whether a camera sees the vertex; None where nobody knows.
+        visible: whether a camera sees the vertex; None if unknown.
         clouds: observed points of each frame [m].
         pickers: where the pickers were.
         table: where the table is.
@@ -98,8 +101,53 @@ class SceneContents:
     film: UInt8[np.ndarray, "vertices 3"] | None = None
 
 
+def recorded_scene(
+    recording: Recording,
+    frames: Sequence[Frame],
+    eye: Camera,
+    clouds: Sequence[Float[np.ndarray, "_ 3"]],
+    *,
+    mesh: ClothMesh | None = None,
+    positions: Float[np.ndarray, "frames vertices 3"] | None = None,
+    **more: Any,
+) -> SceneContents:
+    """Return the scene of some frames of a recording.
+
+    Args:
+        recording: with table, pickers and pictures.
+        frames: those that are shown.
+        eye: from where to look first.
+        clouds: observed points of each frame [m].
+        mesh: the cloth, if it is known.
+        positions: its vertices in each frame [m].
+        more: further fields of `SceneContents`.
+    """
+    axis = layers_axis(recording, eye)
+    if mesh is None or positions is None:
+        positions, faces = np.zeros((len(frames), 0, 3), np.float32), np.zeros((0, 3), np.int64)
+        ranks = positions[..., 0]
+    else:
+        faces, layers = mesh.faces, Layers(mesh, axis)
+        ranks = np.stack([layers.ranks(vertices) for vertices in positions])
+    return SceneContents(
+        frames=np.array([frame.index for frame in frames]),
+        time_s=np.array([frame.time_s for frame in frames]),
+        eye=eye,
+        up=upward(recording, eye),
+        along=axis,
+        positions=positions,
+        faces=faces,
+        ranks=ranks,
+        clouds=clouds,
+        pickers=recording.picker_paths,
+        table=recording.table,
+        cloud_colors=cloud_colors(recording, frames, clouds),
+        **more,
+    )
+
+
 def packed(scene: SceneContents) -> tuple[str, str]:
-    """A scene as a JSON header and Base64 data."""
+    """Return a scene as a JSON header and Base64 data."""
     # In this order neighbours follow each other, and what follows looks alike: it packs better.
     orders = [np.lexsort((p[:, 1], np.floor(p[:, 0] / STRIP_M))) for p in scene.clouds]
     clouds = [points[order] for points, order in zip(scene.clouds, orders, strict=True)]
@@ -146,7 +194,7 @@ class _Packer:
         self.places: dict[str, tuple[str, int, int, int]] = {}
 
     def plain(self, name: str, values: np.ndarray) -> None:
-        """Bytes, or words of four bytes, as they are."""
+        """Append bytes, or words of four bytes."""
         self.content += bytes(-len(self.content) % 4)
         data = values.tobytes()
         kind = "words" if values.itemsize == 4 else "bytes"
@@ -156,14 +204,14 @@ class _Packer:
     def shuffled(
         self, name: str, values: np.ndarray, kind: str = "shuffled", width: int = 0
     ) -> None:
-        """Integers of two bytes: first all low bytes, then all high ones."""
+        """Append integers of two bytes: first all low bytes, then all high ones."""
         halves = values.astype("<i2").ravel().view(np.uint8).reshape(-1, 2)
         data = np.ascontiguousarray(halves.T).tobytes()
         self.places[name] = (kind, len(self.content), len(data), width)
         self.content += data
 
     def differences(self, name: str, values: np.ndarray) -> None:
-        """The first frame, and what changes from each frame to the next."""
+        """Append the first frame, and the change from each frame to the next."""
         first, width = np.zeros_like(values[:1]), int(np.prod(values.shape[1:]))
         self.shuffled(name, np.diff(values, axis=0, prepend=first), "differences", width)
 
@@ -182,14 +230,14 @@ def _cloud_colors(
 
 
 def _bytes_of(coloring: Coloring) -> np.ndarray:
-    """0 to 254 for nothing to the limit, 255 for not known."""
+    """Return 0 to 254 for zero to the limit, 255 for unknown values."""
     known = np.isfinite(coloring.values)
     share = np.clip(np.where(known, coloring.values, 0.0) / coloring.limit, 0.0, 1.0)
     return np.where(known, np.rint(LARGEST_VALUE * share), UNKNOWN_VALUE).astype(np.uint8)
 
 
 def _facts(scene: SceneContents) -> dict[str, Any]:
-    """What is not an array: eye, table, pickers, colours."""
+    """Return everything that is not an array: eye, table, pickers, colours."""
     eye = scene.eye
     pickers = [
         {
@@ -233,7 +281,7 @@ def _facts(scene: SceneContents) -> dict[str, Any]:
 
 
 def _view(view: View) -> dict[str, Any]:
-    """Where a camera stands, and the part of its picture that the page shows [pixels]."""
+    """Return where a camera stands, and the part of its picture that the page shows [pixels]."""
     camera, pose = view.camera, view.camera.world_from_camera
     return {
         "name": camera.name,

@@ -1,29 +1,35 @@
-"""The parts of the page, each a piece of HTML: facts, actions with their calibration, settings."""
+"""The parts of a trajectory's page, as HTML: facts, labels, actions, charts, settings."""
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from html import escape
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import StorageError
+from clothtrack.evaluation.label_quality import LabelQuality
+from clothtrack.evaluation.label_review import REVIEW_SUFFIX, LabelReview
 from clothtrack.evaluation.metrics import root_mean_square_mm
+from clothtrack.evaluation.verdict import LARGEST_MM, TRUSTED_MM, Verdict, verdict
+from clothtrack.geometry.quality import edge_strain
 from clothtrack.recordings.recording import Recording
+from clothtrack.report.curves import Chart, Line
 from clothtrack.report.evidence import Evidence
-from clothtrack.report.lettering import heat_legend
+from clothtrack.report.lettering import Picture, heat_legend
 from clothtrack.report.overlay import scene_view
 from clothtrack.report.palette import heat
-from clothtrack.report.parameter_table import parameter_head, parameter_table
 from clothtrack.report.shading import Shader, ShadingConfig
+from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.tracked_trajectory import Calibration, TrackedAction, TrackedTrajectory
 
 
 def lead_line(tracked: TrackedTrajectory, recording: Recording) -> str:
-    """What was recorded, in one line."""
+    """Return what was recorded, in one line."""
     cameras = len(recording.cameras)
     duration = float(tracked.time_s[-1] - tracked.time_s[0])
     parts = [
@@ -54,7 +60,7 @@ class Figure(NamedTuple):
 
 
 def key_figures(figures: Sequence[Figure]) -> str:
-    """A row of figures."""
+    """Return a row of figures."""
     items = "".join(
         f'<div title="{escape(one.help, quote=True)}"><dt>{escape(one.name)}</dt>'
         f"<dd>{escape(one.value)} <small>{escape(one.unit)}</small></dd></div>"
@@ -67,7 +73,7 @@ def key_figures(figures: Sequence[Figure]) -> str:
 def figures_of(
     tracked: TrackedTrajectory, evidence: Evidence, strains: Float[np.ndarray, " frames"]
 ) -> list[Figure]:
-    """The numbers that a reader wants first."""
+    """Return the numbers that a reader wants first."""
     steps = tracked.steps
     stepped = int((np.asarray(steps.trials) > 0).sum())
     # The steps are of the parameters that were kept; the whole holds those that were tried too.
@@ -101,32 +107,28 @@ def figures_of(
     ]  # fmt: skip
 
 
-def actions_html(tracked: TrackedTrajectory, recording: Recording, *, device: str = "cpu") -> str:
-    """One card per action: the mesh around the final alignment, parameters, calibration scores."""
+def actions_html(tracked: TrackedTrajectory, recording: Recording) -> str:
+    """Return a card per action: mesh around the final alignment, parameters, calibration."""
     if not tracked.actions:
         return "<p class='lead'>The recording has no action.</p>"
     camera = scene_view(tracked, recording, width=480, height=360)
-    shader = Shader(
-        tracked.mesh.faces,
-        camera,
-        table=recording.table,
-        config=ShadingConfig(supersampling=2),
-        device=device,
-    )
+    fine = ShadingConfig(supersampling=2)
+    shader = Shader(tracked.mesh.faces, camera, table=recording.table, config=fine)
     return "".join(
         _action_card(number, action, shader) for number, action in enumerate(tracked.actions, 1)
     )
 
 
 def settings_html(tracked: TrackedTrajectory, recording: Recording) -> str:
-    """Configuration, versions, seed and the recording's own provenance, folded away."""
+    """Return configuration, versions, seed and the recording's own provenance, folded away."""
     blocks = (
         ("Configuration", tracked.config),
         ("Versions, seed, device", tracked.provenance),
         ("Where the recording comes from", recording.provenance),
     )
     parts = "".join(
-        f"<div><h3>{escape(title)}</h3><pre>{escape(_pretty(content))}</pre></div>"
+        f"<div><h3>{escape(title)}</h3><pre>"
+        f"{escape(json.dumps(content, indent=2, default=str, ensure_ascii=False))}</pre></div>"
         for title, content in blocks
         if content
     )
@@ -138,8 +140,8 @@ def settings_html(tracked: TrackedTrajectory, recording: Recording) -> str:
     )
 
 
-def jpeg_uri(image: UInt8[np.ndarray, "height width 3"], *, quality: int = 86) -> str:
-    """An RGB picture as a data address.
+def jpeg_uri(image: Picture, *, quality: int = 86) -> str:
+    """Return an RGB picture as a data address.
 
     Raises:
         StorageError: when the picture cannot be encoded.
@@ -169,11 +171,6 @@ def _action_card(number: int, action: TrackedAction, shader: Shader) -> str:
         (change, f"How far it moved: median {np.median(moved_mm):.1f} mm, "
          f"largest {moved_mm.max():.1f} mm"),
     )  # fmt: skip
-    pictures = "".join(
-        f'<figure><img alt="{escape(words)}" src="{jpeg_uri(image)}">'
-        f"<figcaption>{escape(words)}</figcaption></figure>"
-        for image, words in stills
-    )
     held = ", ".join(
         f"{name} held {_count(len(vertices), 'vertex', 'vertices')}"
         for name, vertices in action.held_vertices.items()
@@ -182,20 +179,34 @@ def _action_card(number: int, action: TrackedAction, shader: Shader) -> str:
         f'<article class="card action"><h3>Action {number}'
         f"<span>frames {action.first_frame} to {action.last_frame}"
         f"{'; ' + escape(held) if held else ''}</span></h3>"
-        f'<div class="stills">{pictures}</div>'
+        f"{stills_html(stills)}"
         f'<div class="tuned"><div>{parameter_table(action.parameters)}</div>'
         f"<div>{calibration_html(action.calibration)}</div></div></article>"
     )
 
 
+def stills_html(stills: Iterable[tuple[UInt8[np.ndarray, "_ _ 3"], str]]) -> str:
+    """Return RGB pictures with their captions, side by side."""
+    pictures = "".join(
+        f'<figure><img alt="{escape(words)}" src="{jpeg_uri(image)}">'
+        f"<figcaption>{escape(words)}</figcaption></figure>"
+        for image, words in stills
+    )
+    return f'<div class="stills">{pictures}</div>'
+
+
 def calibration_html(calibration: Calibration) -> str:
-    """The score of every candidate as dots, best first, and the five best in a table."""
+    """Return the score of every candidate as dots, best first, and the five best in a table."""
     scores = np.asarray(calibration.scores, dtype=np.float64)
     fine = np.flatnonzero(np.isfinite(scores))
     if calibration.best < 0 or not len(fine):
         return '<p class="note">Not calibrated for this action.</p>'
     order = fine[np.argsort(scores[fine], kind="stable")]
-    values, what, unit = _readable(calibration.judge, scores)
+    values, unit = 1000 * np.sqrt(scores / 2), "mm"
+    what = "distance to the clouds of the action, rolled open loop"
+    if calibration.judge == "tracking":
+        values, unit = 100 * scores, "%"
+        what = "gap between the tracked and the observed outline"
     words = (
         f"{_count(len(scores), 'candidate')} by {calibration.method}, "
         f"{calibration.roll_outs:.4g} roll-outs. Each dot is one candidate's {what} [{unit}], "
@@ -213,19 +224,6 @@ def calibration_html(calibration: Calibration) -> str:
         "<details><summary>The five best</summary><table>"
         f"<thead><tr>{heads}<th>score [{unit}]</th></tr></thead><tbody>{rows}</tbody>"
         "</table></details>"
-    )
-
-
-def _readable(
-    judge: str, scores: Float[np.ndarray, " candidates"]
-) -> tuple[Float[np.ndarray, " candidates"], str, str]:
-    """Scores as one reads them, what they are, and their unit."""
-    if judge == "tracking":
-        return 100 * scores, "gap between the tracked and the observed outline", "%"
-    return (
-        1000 * np.sqrt(scores / 2),
-        "distance to the clouds of the action, rolled open loop",
-        "mm",
     )
 
 
@@ -252,15 +250,212 @@ def _dots(scores: Float[np.ndarray, " candidates"], order: np.ndarray, best: int
     )
 
 
-def _pretty(content: Mapping[str, Any]) -> str:
-    return json.dumps(content, indent=2, default=str, ensure_ascii=False)
-
-
 def _count(number: int, noun: str, plural: str = "") -> str:
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def _median(values: Float[np.ndarray, " frames"]) -> str:
-    """Of the finite ones; empty where there are none."""
+    """Return the median of the finite values; empty where there are none."""
     finite = values[np.isfinite(values)]
     return f"{np.median(finite):.1f}" if len(finite) else ""
+
+
+KEYS = (
+    "Keys: <kbd>Space</kbd> play, <kbd>←</kbd> <kbd>→</kbd> frame by frame, <kbd>↑</kbd> "
+    "<kbd>↓</kbd> label by label, <kbd>a</kbd> accept, <kbd>r</kbd> reject, <kbd>o</kbd> leave "
+    "open the highlighted label and go to the next one, <kbd>u</kbd> undo the last decision, "
+    "<kbd>v</kbd> mesh or raw picture, <kbd>c</kbd> the camera's own view or free."
+)
+
+
+EXPECTED_HELP = (
+    "The mean distance between a vertex and where it really is, hidden ones included, that is "
+    "usual for labels that look like this one. Estimated from what was observed, without the truth."
+)
+QUALITY_HELP = (
+    "The weight of this label in training, 0 to 1; one half is typical of the benchmark's labels."
+)
+
+
+def review_card(
+    tracked: TrackedTrajectory, review: LabelReview, judged: Sequence[LabelQuality]
+) -> str:
+    """Return buttons for each label, and the file to put beside the trajectory."""
+    if not review.labels:
+        return ""
+    rows = []
+    for label, action in zip(review.labels, tracked.actions, strict=True):
+        text = quality_cell(judged[label.action]) if judged else "not judged"
+        rows.append(
+            f'<tr data-action="{label.action}" data-first="{action.first_frame}">'
+            f'<th><button type="button" class="jump">Label {label.action + 1}</button></th>'
+            f'<td><a href="#frame={label.frame}" title="A link to this frame">frame '
+            f"{label.frame}</a></td><td>{text}</td>"
+            '<td class="verdict"></td><td>'
+            '<button type="button" data-decide="accepted">Accept</button> '
+            '<button type="button" data-decide="rejected">Reject</button> '
+            '<button type="button" data-decide="open">Open</button></td></tr>'
+        )
+    document = escape(json.dumps(review.as_document()), quote=True)
+    name = escape(tracked.name + REVIEW_SUFFIX, quote=True)
+    return (
+        f'<section id="review" class="card" data-review="{document}" data-file="{name}">'
+        "<header><b>Labels</b> the mesh at the end of each action; "
+        '<span class="left"></span></header>'
+        f"<table><tbody>{''.join(rows)}</tbody></table>"
+        f'<p class="note"><button type="button" id="undo">Undo</button> {KEYS}</p>'
+        '<p class="note" data-when="served"><output id="saved"></output></p>'
+        '<p class="note" data-when="opened"><button type="button" id="save">Save the '
+        f"review</button> as {name}; put it beside {escape(tracked.name)}.zarr, and "
+        "<code>clothtrack label</code> leaves out what is rejected.</p></section>"
+    )
+
+
+def verdict_strip(judged: Sequence[LabelQuality]) -> str:
+    """Return the verdict of every label, in a row; the page's script marks the shown one."""
+    if not judged:
+        return ""
+    chips = "".join(
+        f'<button type="button" class="chip" data-mark="{label.action}" '
+        f'data-word="{verdict(label).word}" title="{_word_help(verdict(label))} {EXPECTED_HELP}">'
+        f"Label {label.action + 1} <b>{verdict(label).word}</b> <span>{_error(label)}</span>"
+        '<small class="decided"></small></button>'
+        for label in judged
+    )
+    return f'<div class="verdicts">{chips}</div>'
+
+
+def quality_cell(judged: LabelQuality) -> str:
+    """Return what is expected of a label, with the explanation of each number."""
+    if not np.isfinite(judged.expected_error_mm):
+        return "nothing was seen to judge it by"
+    found = verdict(judged)
+    return (
+        f'<b class="word" data-word="{found.word}" title="{_word_help(found)}">{found.word}</b> '
+        f'<span title="{EXPECTED_HELP}">expected error {_error(judged)}</span>, '
+        f'<span title="{QUALITY_HELP}">quality {judged.label_quality:.2f}</span>'
+    )
+
+
+def _error(judged: LabelQuality) -> str:
+    error = judged.expected_error_mm
+    return f"{error:.1f} mm" if np.isfinite(error) else "not seen"
+
+
+def _word_help(found: Verdict) -> str:
+    meaning = {
+        "trust": f"Expected to be at most {TRUSTED_MM:g} mm off: use it.",
+        "look": "Look at it before it is used.",
+        "reject": f"Expected to be more than {LARGEST_MM:g} mm off, or nothing was seen: leave "
+        "it out.",
+    }[found.word]
+    return escape(f"{meaning} Because: {found.reason}.", quote=True)
+
+
+MEANINGS: Mapping[str, tuple[str, str]] = {
+    "stretch_compliance": ("m/N", "How far an edge gives to a pull; 0: it does not stretch."),
+    "bend_compliance": ("m/N", "How far it gives to bending (at 8 mm spacing); larger: limper."),
+    "table_friction": ("", "Coulomb coefficient of cloth on table; larger slides less."),
+    "particle_friction": ("", "Coulomb coefficient of cloth on cloth; larger slides less."),
+    "held_layers": ("layers", "How many layers the picker took; 0: whatever was nearest."),
+    "grasp_offset_z_m": ("m", "Where the picker holds the cloth over its tip."),
+}
+"""Unit and explanation of each of `clothtrack.tracking.theta.PARAMETERS`."""
+
+
+def parameter_head(name: str) -> str:
+    """Return the name of a parameter with its unit, and what it means as a tooltip."""
+    unit, meaning = MEANINGS.get(name, ("", ""))
+    words = name.removesuffix("_m").replace("_", " ")
+    return (
+        f'<th title="{escape(meaning, quote=True)}">{escape(words)}'
+        f"{f' [{escape(unit)}]' if unit else ''}</th>"
+    )
+
+
+def parameter_table(parameters: Mapping[str, float]) -> str:
+    """Return each parameter that was used, with its relation to the tracker's default."""
+    defaults = {name: float(value) for name, value in asdict(RunConfig().cloth.theta()).items()}
+    rows = "".join(
+        f'<tr>{parameter_head(name)}<td title="{escape(MEANINGS.get(name, ("", ""))[1])}">'
+        f'{value:.4g}</td><td class="note">{_compared(value, defaults.get(name))}</td></tr>'
+        for name, value in parameters.items()
+    )
+    if not rows:
+        return ""
+    return (
+        "<table><thead><tr><th>what was used</th><th></th><th>beside the default</th></tr></thead>"
+        f"<tbody>{rows}</tbody></table>"
+    )
+
+
+def _compared(value: float, default: float | None) -> str:
+    if default is None:
+        return ""
+    if value == default:
+        return "the default"
+    if not default:
+        return "default 0"
+    return f"{value / default:.3g} \N{MULTIPLICATION SIGN} the default {default:.4g}"
+
+
+def edge_strains(tracked: TrackedTrajectory) -> Float[np.ndarray, " frames"]:
+    """Return the mean absolute relative change of edge length against the first mesh, per frame."""
+    return np.array([edge_strain(tracked.mesh, positions) for positions in tracked.positions])
+
+
+def charts(
+    tracked: TrackedTrajectory,
+    rms_mm: Float[np.ndarray, " frames"],
+    floor_mm: Float[np.ndarray, " frames"],
+) -> tuple[Chart, ...]:
+    """Return the charts of a report, the most telling first."""
+    steps = tracked.steps
+    gave_up = tuple(int(frame) for frame in tracked.frames[np.asarray(steps.gave_up, dtype=bool)])
+
+    def aligned_mm(losses: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " frames"]:
+        return 1e3 * np.sqrt(0.5 * np.asarray(losses, np.float64))
+
+    return (
+        Chart(
+            "Distance to the observed cloud", "mm",
+            (Line("root mean square", rms_mm, 0), Line("noise alone", floor_mm, 2)),
+            "Visible mesh to observed points and back. Noise: what two halves of the cloud are "
+            "apart, the least that a perfect mesh has.",
+        ),
+        Chart(
+            "Edge strain", "%", (Line("mean over all edges", 100 * edge_strains(tracked)),),
+            "Says more about hidden errors than the distance does.",
+        ),
+        Chart(
+            "Alignment", "mm",
+            (Line("predicted", aligned_mm(steps.loss_before), 1),
+             Line("aligned", aligned_mm(steps.loss_after), 0)),
+            "How far the mesh is from the cloud as the physics predicts it, and after the camera "
+            "has corrected it (root of half the objective of TTO1).",
+        ),
+        Chart(
+            "Visible share of the cloth", "%",
+            (Line("vertices that some camera sees", 100 * tracked.visible.mean(axis=1)),),
+            "The rest of the mesh is the tracker's belief.",
+            least_top=100.0,
+        ),
+        Chart(
+            "Line search", "",
+            (Line("roll-outs tried", np.asarray(steps.trials, dtype=np.float64), 0),),
+            "1: the physics took the correction whole. More: it had to be shortened so often. 0: "
+            "nothing was corrected, as where an action starts.",
+            marks=gave_up, marks_label="correction dropped",
+        ),
+        Chart(
+            "Highest speed", "m/s",
+            (Line("fastest vertex of the accepted roll-out", steps.highest_speed),),
+            "Peaks while nothing moves: the simulation is unstable.",
+        ),
+        Chart(
+            "Computing time", "s of CPU per frame",
+            (Line("predict", steps.predict_s, 0), Line("align", steps.align_s, 1),
+             Line("correct", steps.correct_s, 2)),
+            "With the parameters that were kept; the search for them is not drawn.",
+        ),
+    )  # fmt: skip

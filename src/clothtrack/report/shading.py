@@ -68,14 +68,13 @@ class Shader:
         *,
         table: Table | None = None,
         config: ShadingConfig | None = None,
-        device: str = "cpu",
     ) -> None:
         """Prepare the view of `camera`; without a `table` the background stays empty."""
         self.config = config or ShadingConfig()
         self.size = (camera.width, camera.height)
         self.camera = camera.resized(camera.width * self.config.supersampling)
         self._faces = np.asarray(faces, dtype=np.int32)
-        self._rasteriser = Rasteriser(self._faces, self.camera, device=device)
+        self._rasteriser = Rasteriser(self._faces, self.camera)
         self._backdrop, self._backdrop_depth = _backdrop(self.camera, table)
         self._empty = _eight_bits(self._backdrop)
 
@@ -85,7 +84,7 @@ class Shader:
         *,
         colors: Float[np.ndarray, "vertices 3"] | None = None,
     ) -> ShadedStill:
-        """The cloth at `vertices` [m, world], in two-sided colours or in `colors` per vertex."""
+        """Render the cloth at `vertices` [m, world], two-sided or in `colors` per vertex."""
         buffer = self._rasteriser.render(vertices)
         cloth = (buffer.faces >= 0) & (buffer.depth < self._backdrop_depth + 2e-3)
         picture = self._empty.copy()
@@ -108,7 +107,7 @@ class Shader:
         *,
         colors: Float[np.ndarray, "vertices 3"] | None,
     ) -> UInt8[np.ndarray, "rows columns 3"]:
-        """The part of the picture inside a box."""
+        """Return the part of the picture inside a box."""
         image, behind = self._backdrop[box].copy(), self._backdrop_depth[box]
         image[cloth[box]] = self._shade(vertices, buffer, cloth, colors)
         depth = np.where(cloth[box], buffer.depth[box], behind)
@@ -122,7 +121,7 @@ class Shader:
         cloth: Bool[np.ndarray, "height width"],
         colors: Float[np.ndarray, "vertices 3"] | None,
     ) -> Float[np.ndarray, "pixels 3"]:
-        """Lambert shading of the cloth's pixels with normals interpolated over each triangle."""
+        """Return Lambert shading of the cloth's pixels, with interpolated normals."""
         camera, config = self.camera, self.config
         local = camera.camera_from_world_points(vertices).astype(np.float32)
         rows, columns = np.nonzero(cloth)
@@ -154,19 +153,19 @@ class Shader:
 
 
 def _eight_bits(image: Float[np.ndarray, "*pixels 3"]) -> UInt8[np.ndarray, "*pixels 3"]:
-    """Colours from 0 to 1 as bytes."""
+    """Return colours from 0 to 1 as bytes."""
     return np.rint(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def _shade_reach(camera: Camera) -> float:
-    """Standard deviation [pixels] of the surroundings that something is dimmed against."""
+    """Return standard deviation [pixels] of the surroundings that something is dimmed against."""
     return max(2.0, 0.010 * camera.width)
 
 
 def _triangles(
     local: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """First corner, the two vectors whose dot products give barycentric weights, area normals."""
+    """Return first corner, two vectors whose dot products give barycentrics, area normals."""
     a, b, c = (local[faces[:, corner]] for corner in range(3))
     first, second = b - a, c - a
     normals = np.cross(first, second)
@@ -179,7 +178,7 @@ def _triangles(
 def _vertex_normals(
     normals: Float[np.ndarray, "faces 3"], faces: Int[np.ndarray, "faces 3"], count: int
 ) -> Float[np.ndarray, "vertices 3"]:
-    """Sum of the area normals around each vertex."""
+    """Return sum of the area normals around each vertex."""
     corners = faces.ravel()
     sums = [
         np.bincount(corners, weights=np.repeat(normals[:, axis], 3), minlength=count)
@@ -191,7 +190,7 @@ def _vertex_normals(
 def _backdrop(
     camera: Camera, table: Table | None
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
-    """The picture without cloth, and its depth along the optical axis [m] (infinite: nothing)."""
+    """Return the picture without cloth, and its depth [m] (infinite: nothing)."""
     image = np.empty((camera.height, camera.width, 3), dtype=np.float32)
     image[:] = PAPER
     depth = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
@@ -221,7 +220,7 @@ def _backdrop(
 def _grid_lines(
     points: Float[np.ndarray, "points 3"], normal: Float[np.ndarray, " 3"], spacing_m: float
 ) -> Float[np.ndarray, " points"]:
-    """How much of a grid line each point of a plane shows, 0..1; lines are 1.5 % of the spacing."""
+    """Return how much of a grid line each point of a plane shows, 0..1."""
     first = np.eye(3)[int(np.argmin(np.abs(normal)))]
     first = np.cross(np.cross(normal, first), normal)
     first /= np.linalg.norm(first)
@@ -237,7 +236,7 @@ def _darkening(
     camera: Camera,
     config: ShadingConfig,
 ) -> Float[np.ndarray, "height width"]:
-    """Brightness factor from depth steps (outlines, folds) and from lying deeper than around."""
+    """Return brightness from depth steps (outlines, folds) and from lying deeper than around."""
     farthest = float(depth[cloth].max())
     filled = np.where(np.isfinite(depth), depth, farthest).astype(np.float32)
     bend = np.abs(cv2.Laplacian(filled, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))

@@ -15,7 +15,7 @@ from clothtrack.report.palette import HEAT, HIDDEN, INSIDE, OUTSIDE, UNKNOWN, he
 from clothtrack.report.scene_data import SceneContents, packed
 
 LARGEST_GAP_M = 0.04
-"""So far can layers be shown apart [m]: more tears a shirt into what nobody recognises."""
+"""Largest distance between separated layers [m]; with more a shirt is not recognizable."""
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
 
@@ -33,7 +33,7 @@ def stage(
     wide: bool = False,
     actions: Sequence[tuple[int, int]] = (),
 ) -> str:
-    """Cards side by side or, when one is `wide`, below each other, and a time bar under them.
+    """Return cards side by side or, if `wide`, below each other, with a time bar under them.
 
     `actions` are (first, last) frames; each is a band on the bar with a mark at its end, where
     its label is.
@@ -61,7 +61,7 @@ def stage(
 
 
 def _marks(frames: Sequence[int], actions: Sequence[tuple[int, int]]) -> str:
-    """Bands and marks on the time bar, placed in per cent of its length."""
+    """Return bands and marks on the time bar, placed in per cent of its length."""
     numbers = np.asarray(frames)
 
     def place(frame: int) -> float:
@@ -106,7 +106,7 @@ class Pictures:
 
 
 def video_card(title: str, legend: str, pictures: Pictures) -> str:
-    """A video inside the page, with a switch where it has several parts."""
+    """Return a video inside the page, with a switch where it has several parts."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
         rate = pictures.write(path)
@@ -130,7 +130,7 @@ def video_card(title: str, legend: str, pictures: Pictures) -> str:
 
 
 def scene_card(contents: SceneContents) -> str:
-    """The scene that one can orbit, with what it can be coloured by and how layers come apart."""
+    """Return the scene that can be orbited, with its colourings and controls."""
     header, data = packed(contents)
     modes = _modes(contents)
     options = "".join(
@@ -152,7 +152,7 @@ def scene_card(contents: SceneContents) -> str:
 
 
 def _modes(contents: SceneContents) -> list[tuple[str, str, str, str]]:
-    """What the cloth can be coloured by: key, title, note, legend."""
+    """Return what the cloth can be coloured by: key, title, note, legend."""
     modes = []
     if len(contents.faces):
         modes.append(("sides", "outer and inner side", "", sides_legend()))
@@ -166,7 +166,7 @@ def _modes(contents: SceneContents) -> list[tuple[str, str, str, str]]:
 
 
 def _switches(contents: SceneContents, options: str) -> str:
-    """The controls of a scene, without those for which there is nothing."""
+    """Return the controls of a scene, without those for which there is no data."""
     cloth = len(contents.faces) > 0
     views = "".join(
         f'<option value="{number}">from camera {escape(view.camera.name)}</option>'
@@ -213,17 +213,17 @@ def _switches(contents: SceneContents, options: str) -> str:
 
 
 def swatch(color: tuple[float, float, float], words: str) -> str:
-    """A spot of colour and what it means."""
+    """Return a spot of colour and what it means."""
     return f'<i class="swatch" style="background:{hexadecimal(color)}"></i>{escape(words)}'
 
 
 def sides_legend() -> str:
-    """The colours of the two sides."""
+    """Return the colours of the two sides."""
     return swatch(OUTSIDE, "outer side") + swatch(INSIDE, "inner side")
 
 
 def scale_legend(coloring: Coloring) -> str:
-    """The scale of a graded colouring."""
+    """Return the scale of a graded colouring."""
     stops = ", ".join(hexadecimal(tuple(stop)) for stop in HEAT.tolist())
     return (
         f'&ensp;0 <i class="ramp" style="background:linear-gradient(90deg, {stops})"></i> '
@@ -240,5 +240,5 @@ def _check(name: str, words: str, title: str, *, checked: bool = True) -> str:
 
 
 def _inline(text: str) -> str:
-    """JSON that cannot end the script element it lies in."""
+    """Return JSON that cannot end the script element it lies in."""
     return text.replace("<", "\\u003c")

@@ -1,4 +1,4 @@
-"""H.264 in MP4, as every browser plays it."""
+"""Pictures and videos on disk: PNG, and H.264 in MP4 as every browser plays it."""
 
 import itertools
 from collections.abc import Iterable
@@ -6,11 +6,12 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothtrack.errors import InvalidConfigError
-from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.atomic_write import atomic_file, write_file
 
 
 def write_video(
@@ -23,7 +24,7 @@ def write_video(
     """Encode RGB pictures of one size and return how many there were.
 
     Sizes are made even by repeating the last row or column (4:2:0 needs it). `quality` is x264's
-    rate factor: 18 cannot be told from the source, 30 is rough.
+    rate factor: 18 looks like the source, 30 is coarse.
 
     Raises:
         InvalidConfigError: when there is no picture.
@@ -61,8 +62,20 @@ def write_video(
     return count
 
 
+def write_picture(path: Path, picture: UInt8[np.ndarray, "height width 3"]) -> None:
+    """Write a picture, red first, as PNG, whole or not at all.
+
+    Raises:
+        StorageError: when the disk refuses.
+    """
+    # In memory first: on a full disk OpenCV only writes a line of its own to standard error.
+    done, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    assert done, "OpenCV refuses a picture whose shape and type were checked"
+    write_file(path, data.tobytes())
+
+
 def frame_rate(time_s: Float[np.ndarray, " frames"]) -> float:
-    """Frames per second at which a video runs in the recording's own time, kept within 2..60."""
+    """Return the frames per second of a video in the recording's own time, within 2 to 60."""
     steps = np.diff(time_s)
     steps = steps[steps > 0]
     return float(np.clip(1.0 / np.median(steps), 2.0, 60.0)) if len(steps) else 10.0

@@ -1,4 +1,4 @@
-"""Cameras that nobody had: where to stand to see the whole cloth well."""
+"""Virtual cameras that see the whole cloth."""
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +17,7 @@ def look_at(
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
     name: str = "view",
 ) -> Camera:
-    """A camera at `eye` [m] whose optical axis meets `target` [m], with `up` upwards in the image.
+    """Return a camera at `eye` [m] that looks at `target` [m], `up` upwards in the image.
 
     `field_of_view_deg` is the vertical one. Where the axis runs along `up`, the image's upward
     direction is the world's y (or x) axis.
@@ -46,7 +46,7 @@ def three_quarter_view(
     elevation_deg: float = 38.0,
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> Camera:
-    """A view from the side and above that shows all `points` [m] with a little air around them.
+    """Return a view from the side and above that shows all `points` [m] with a small margin.
 
     The azimuth is counted around `up` from the axis nearest to the world's x.
     """
@@ -77,7 +77,7 @@ def three_quarter_view(
 
 
 def upright(camera: Camera) -> tuple[float, float, float]:
-    """Upwards in the image of a camera, as a world direction: "up" when there is no table."""
+    """Return the direction upwards in a camera's image [world], which is up without a table."""
     x, y, z = -camera.world_from_camera[:3, 1]
     return float(x), float(y), float(z)
 
@@ -85,7 +85,7 @@ def upright(camera: Camera) -> tuple[float, float, float]:
 def view_of(
     points: Float[np.ndarray, "points 3"], recording: Recording, *, width: int, height: int
 ) -> Camera:
-    """A 3/4 view that holds `points` [m, world], upright as the recording's scene is."""
+    """Return a 3/4 view that holds `points` [m, world], upright as the recording's scene is."""
     up, azimuth, elevation = (0.0, 0.0, 1.0), -60.0, 38.0
     if recording.table is not None:
         x, y, z = recording.table.normal
@@ -103,7 +103,7 @@ def view_of(
 def _azimuth_of(
     camera: Camera, centre: Float[np.ndarray, " 3"], up: tuple[float, float, float]
 ) -> float:
-    """Where a camera stands around a point, as `three_quarter_view` counts it [degrees]."""
+    """Return where a camera stands around a point, as `three_quarter_view` counts it [degrees]."""
     upward = np.asarray(up) / np.linalg.norm(up)
     first = np.eye(3)[0 if abs(upward[0]) < 0.9 else 1]
     first = first - (first @ upward) * upward
@@ -113,14 +113,14 @@ def _azimuth_of(
 
 
 def upward(recording: Recording, view: Camera) -> Float[np.ndarray, " 3"]:
-    """The unit vector that is up: away from the table, or upwards in the image of `view`."""
+    """Return the unit vector that is up: off the table, or upwards in the image of `view`."""
     if recording.table is not None:
         return np.asarray(recording.table.normal, np.float64)
     return np.asarray(upright(view), np.float64)
 
 
 def layers_axis(recording: Recording, view: Camera) -> Float[np.ndarray, " 3"]:
-    """The unit vector along which layers cover each other: off the table, or towards the camera.
+    """Return the unit vector along which layers are stacked: off the table, or to the camera.
 
     Without a table and without a camera, towards the eye of `view`.
     """

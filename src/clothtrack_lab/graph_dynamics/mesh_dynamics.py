@@ -103,7 +103,7 @@ class MeshDynamics:
         start = torch.tensor(self._placed(cloth), dtype=torch.float32, device=device)
         ways = Ways(
             torch.tensor(held.vertices, device=device),
-            torch.tensor(held.ways, dtype=torch.float32, device=device),
+            torch.tensor(held.targets, dtype=torch.float32, device=device),
             torch.tensor(held.steps, device=device),
         )
         rest = math.ceil(config.motion.rest_s / config.motion.time_step_s)

@@ -275,8 +275,8 @@ def _rolled(
     kept = [np.stack([coarsen(one) for one in solver.positions])]
     for step in range(total):
         strength[every, taken] = (step < let_go) & (held.vertices >= 0)
-        if held.ways.shape[1]:
-            targets[every, taken] = held.ways[:, min(step, held.ways.shape[1] - 1)] + offset
+        if held.targets.shape[1]:
+            targets[every, taken] = held.targets[:, min(step, held.targets.shape[1] - 1)] + offset
         solver.step(config.motion.time_step_s, Attachment(targets, strength))
         if (step + 1) % stride == 0:
             kept.append(np.stack([coarsen(one) for one in solver.positions]))

@@ -38,24 +38,18 @@ class DryRunRobot:
         *,
         limits: MotionLimits | None = None,
     ) -> None:
-        """Remember where pictures come from, and where plans go.
-
-        Args:
-            picture: a picture of the table as it is now.
-            folder: for the plans.
-            limits: of the robot that is meant.
-        """
+        """Take pictures with `picture`, and write plans within the limits of a robot."""
         self._take = picture
         self.folder, self.limits = Path(folder), limits or MotionLimits()
         self._latest: RgbdFrame | None = None
 
     def observe(self) -> RgbdFrame:
-        """A picture."""
+        """Return a picture."""
         self._latest = self._take()
         return self._latest
 
     def check(self, action: PickPlace) -> Reachability:
-        """Whether the path of the tip is within the limits."""
+        """Return whether the path of the tip is within the limits."""
         reason = self.limits.refusal(waypoints(action))
         return Reachability(not reason, reason)
 
@@ -75,22 +69,19 @@ class DryRunRobot:
         text = {**action.as_dict(), "frame": "world", "unit": "m", "waypoints": points.tolist()}
         shown = shown_depth(frame.depth_m) if frame.color is None else frame.color
         drawn = draw_action(shown, frame.camera, action)
-        self._write(f"action_{number:02d}.json", json.dumps(text, indent=1).encode())
-        self._write(f"action_{number:02d}.png", encode_png(drawn))
+        write_file(self.folder / f"action_{number:02d}.json", json.dumps(text, indent=1).encode())
+        write_file(self.folder / f"action_{number:02d}.png", encode_png(drawn))
         times = frame.time_s + 0.5 * np.arange(1, len(points) + 1)
         closed = np.array([False, True, True, True, False, False])
         # The next picture is of a later time: as a recording it is whole.
         return Execution(PickerPath(times, points, closed), (frame,), None, STOPPED)
 
     def home(self) -> None:
-        """There is no arm in the way."""
-
-    def _write(self, name: str, data: bytes) -> None:
-        write_file(self.folder / name, data)
+        """Do nothing: there is no arm in the way."""
 
 
 def pictures_of(recording: Recording) -> Callable[[], RgbdFrame]:
-    """The latest picture of a recording, again and again, each a second later.
+    """Return a function that repeats the latest picture of a recording, each a second later.
 
     Raises:
         InvalidConfigError: when called, if it has no depth pictures.

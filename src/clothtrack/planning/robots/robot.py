@@ -58,11 +58,11 @@ class PickPlaceRobot(Protocol):
     """An arm with a gripper, and a camera that sees the table."""
 
     def observe(self) -> RgbdFrame:
-        """A picture with the arm out of view."""
+        """Return a picture with the arm out of view."""
         ...
 
     def check(self, action: PickPlace) -> Reachability:
-        """Whether the action is within all limits; moves nothing."""
+        """Return whether the action is within all limits; moves nothing."""
         ...
 
     def execute(self, action: PickPlace) -> Execution:
@@ -95,7 +95,7 @@ class MotionLimits:
     speed: float = 0.25
 
     def refusal(self, points: Float[np.ndarray, "points 3"]) -> str:
-        """Why the tip must not go through these points [m]; empty when it may."""
+        """Return why the tip must not go through these points [m]; empty when it may."""
         points = np.atleast_2d(np.asarray(points, dtype=np.float64))
         bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
         if len(bad):
@@ -121,7 +121,7 @@ class MotionLimits:
 
 
 def waypoints(action: PickPlace, hover_m: float = 0.0) -> Float[np.ndarray, "points 3"]:
-    """The way of an arm with straight legs: over the pick, down, up, across, down, up (VCD) [m].
+    """Return the path of straight legs: over the pick, down, up, across, down, up (VCD) [m].
 
     Args:
         action: what is done.

@@ -1,4 +1,4 @@
-"""A tracked trajectory for other programs: one NumPy archive, or one mesh file per frame."""
+"""A tracked trajectory in other formats: arrays, meshes, a contact sheet, a video, Rerun."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,10 +8,24 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.evaluation.truth import Truth
 from clothtrack.files.atomic_write import atomic_file, atomic_folder
+from clothtrack.recordings.recording import Recording
+from clothtrack.report.coloring import colorings
+from clothtrack.report.evidence import evidence_of
+from clothtrack.report.overlay import (
+    Overlay,
+    OverlayConfig,
+    write_contact_sheet,
+    write_overlay_video,
+)
+from clothtrack.report.rerun_file import write_rerun
+from clothtrack.report.sections import charts
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 ExportFormat = Literal["npz", "obj", "ply"]
+PictureFormat = Literal["sheet", "mp4", "rrd"]
+SUFFIXES = {"sheet": ".png", "mp4": ".mp4", "rrd": ".rrd"}
 
 
 def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:  # noqa: A002
@@ -31,16 +45,20 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
         raise InvalidConfigError(
             f"format is {format!r}; choose one of {', '.join(get_args(ExportFormat))}"
         )
-    out = Path(out)
     if format == "npz":
-        with atomic_file(out if out.suffix == ".npz" else Path(f"{out}.npz")) as temporary:
+        out = _with_suffix(out, ".npz")
+        with atomic_file(out) as temporary:
             np.savez_compressed(temporary, allow_pickle=False, **_arrays(tracked))
-        return out if out.suffix == ".npz" else Path(f"{out}.npz")
+        return out
     write = _write_obj if format == "obj" else _write_ply
     with atomic_folder(out) as folder:
         for name, positions in _named_meshes(tracked):
             write(folder / f"{name}.{format}", positions, tracked.mesh.faces)
     return out
+
+
+def _with_suffix(out: Path, suffix: str) -> Path:
+    return out if out.suffix == suffix else Path(f"{out}{suffix}")
 
 
 def _arrays(tracked: TrackedTrajectory) -> dict[str, np.ndarray]:
@@ -74,7 +92,7 @@ def _named_meshes(
 def _write_obj(
     path: Path, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> None:
-    """Wavefront OBJ: metres, vertex indices from 1."""
+    """Write Wavefront OBJ: metres, vertex indices from 1."""
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in positions]
     lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
@@ -83,7 +101,7 @@ def _write_obj(
 def _write_ply(
     path: Path, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> None:
-    """Stanford PLY, binary little endian: metres."""
+    """Write Stanford PLY, binary little endian: metres."""
     header = (
         "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(positions)}\n"
@@ -97,3 +115,46 @@ def _write_ply(
     path.write_bytes(
         header.encode("ascii") + np.ascontiguousarray(positions, "<f4").tobytes() + rows.tobytes()
     )
+
+
+def export_pictures(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    out: Path,
+    kind: PictureFormat,
+    *,
+    rows: int = 6,
+    truth: Truth | None = None,
+) -> Path:
+    """Write a trajectory over its recording and return where it is; the suffix is added if missing.
+
+    Args:
+        tracked: what the tracker left.
+        recording: what it was tracked from.
+        out: file to write.
+        kind: `sheet`: a PNG with `rows` frames, each observed, tracked over it, and the mesh alone;
+            `mp4`: the tracked mesh over the observation; `rrd`: everything, for Rerun's viewer.
+        rows: frames on the sheet.
+        truth: the true meshes; adds the error to an rrd.
+
+    Raises:
+        InvalidConfigError: rrd without the extra [rerun].
+        InvalidResultError: the truth is of another garment or another recording.
+        StorageError: when the disk refuses.
+    """
+    out = _with_suffix(out, SUFFIXES[kind])
+    if kind == "rrd":
+        evidence = evidence_of(tracked, recording)
+        return write_rerun(
+            tracked,
+            recording,
+            out,
+            clouds=evidence.clouds,
+            colorings=colorings(tracked, evidence.clouds, truth=truth),
+            charts=charts(tracked, evidence.rms_mm, evidence.floor_mm),
+        )
+    overlay = Overlay(tracked, recording, config=OverlayConfig())
+    if kind == "sheet":
+        return write_contact_sheet(overlay, out, rows=rows)
+    write_overlay_video(overlay, out)
+    return out
