@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 from jaxtyping import Shaped, UInt8, UInt16
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack.recordings.pictures import SIGNATURE, check_chunks
-from clothtrack_capture.importing.containers import TruncatedError
 from clothtrack_capture.importing.intrinsics import MOST_PIXELS
 
 _TO_RGB = {

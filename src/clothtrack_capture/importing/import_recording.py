@@ -10,14 +10,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError, StorageError
+from clothtrack.errors import (
+    InvalidConfigError,
+    InvalidRecordingError,
+    StorageError,
+    TruncatedError,
+)
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack_capture.importing.bag_walk import is_bag
-from clothtrack_capture.importing.containers import TruncatedError
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_report import ImportReport
 from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix

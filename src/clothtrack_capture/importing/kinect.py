@@ -7,8 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from clothtrack.errors import InvalidRecordingError
-from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import MOST_PIXELS
 from clothtrack_capture.importing.intrinsics_file import read_intrinsics

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from clothtrack.errors import InvalidRecordingError
-from clothtrack_capture.importing.containers import MOST_BYTES, TruncatedError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
+from clothtrack_capture.importing.containers import MOST_BYTES
 from clothtrack_capture.importing.images import png_depth
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics

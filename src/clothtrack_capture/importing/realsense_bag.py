@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack_capture.importing.containers import Topic, TruncatedError
+from clothtrack.errors import TruncatedError
+from clothtrack_capture.importing.containers import Topic
 from clothtrack_capture.importing.messages import rigid_of
 from clothtrack_capture.importing.topics import base_name
 

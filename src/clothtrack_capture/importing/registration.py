@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import UInt8, UInt16
 
-from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack.errors import TruncatedError
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.registration_kernels import FARTHEST, splat
 from clothtrack_capture.importing.source import StereoCalibration

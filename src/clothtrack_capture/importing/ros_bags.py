@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing import images
 from clothtrack_capture.importing import realsense_bag as realsense
 from clothtrack_capture.importing.bag_pickers import bag_paths
 from clothtrack_capture.importing.bag_walk import frame_of, open_parts, walk
-from clothtrack_capture.importing.containers import Container, Topic, TruncatedError
+from clothtrack_capture.importing.containers import Container, Topic
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import read_intrinsics
@@ -59,10 +59,7 @@ class BagSource:
                 self._parts, pose_topic=options.picker_topic, grip_topic=options.gripper_topic
             )
             if not self._walk.topics:
-                raise InvalidRecordingError(
-                    f"{path}: no topic at all{''.join(f' ({text})' for text in self._walk.lost)}; "
-                    "record or copy it again"
-                )
+                raise InvalidRecordingError(f"{path}: no topic at all; record or copy it again")
             self._depth_topic = choose_depth(path, self._walk.topics, options.depth_topic)
             self._color_topic = (
                 None
@@ -95,9 +92,8 @@ class BagSource:
     def _first(self, topic: Topic) -> tuple[Container, StreamFrame]:
         frames = self._walk.frames.get(topic.name)
         if not frames:
-            lost = "".join(f" ({text})" for text in self._walk.lost)
             raise InvalidRecordingError(
-                f"{self._path}: not one whole picture of {topic.name}{lost}; record it again, or "
+                f"{self._path}: not one picture of {topic.name}; record it again, or "
                 "name another topic with --depth-topic or --color-topic"
             )
         return self._parts[frames[0].place.part], frames[0]
@@ -141,14 +137,11 @@ class BagSource:
         if options.depth_unit_m is not None:
             return options.depth_unit_m, "given by --depth-unit-m"
         topic = self._depth_topic
-        text = realsense.depth_unit_m(self._walk.heard, topic)
-        if text is not None and text > 0:
-            return text, "the sensor's option Depth Units in the recording"
+        unit_m = realsense.depth_unit_m(self._walk.heard, topic)
+        if unit_m is not None and unit_m > 0:
+            return unit_m, "the sensor's option Depth Units in the recording"
         if self._encoding.startswith("32fc1"):
-            return (
-                _FLOAT_UNIT_M,
-                "encoding 32FC1: metres (REP 118), stored in 0.1 mm",
-            )
+            return _FLOAT_UNIT_M, "encoding 32FC1: metres (REP 118), stored in 0.1 mm"
         if self._encoding.startswith("16uc1") and not realsense.is_stream(topic):
             return 1e-3, "encoding 16UC1: millimetres (REP 118)"
         raise InvalidRecordingError(
@@ -169,9 +162,9 @@ class BagSource:
         return intrinsics_of(topic.name, self._walk.infos[topic.name], rectified=rectified)
 
     def _find_pose(self, depth: Topic, color: Topic) -> Float[np.ndarray, "4 4"]:
-        text = realsense.color_from_depth(self._walk.heard, depth, color)
-        if text is not None:
-            return text
+        pose = realsense.color_from_depth(self._walk.heard, depth, color)
+        if pose is not None:
+            return pose
         here, there = self._frame(depth), self._frame(color)
         if here == there and not realsense.is_stream(depth):
             return np.eye(4)
@@ -204,7 +197,7 @@ class BagSource:
             depth=self._walk.frames[self._depth_topic.name],
             color=None if color is None else self._walk.frames[color.name],
             origins={**origins, **picker.origins},
-            notes=[*self._walk.lost, *picker.notes],
+            notes=picker.notes,
             paths=picker.paths,
             path_frame=picker.frame,
             path_start_ns=picker.start_ns,
