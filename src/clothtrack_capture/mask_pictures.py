@@ -22,7 +22,7 @@ def masked_picture(
     *,
     width: int,
 ) -> Picture:
-    """A picture of this width [pixels] with the mask on it; as it was where there is no mask."""
+    """Return a picture of this width [pixels] with the mask, if any, drawn on it."""
     height = max(1, round(color.shape[0] * width / color.shape[1]))
     size = width, height
     small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
@@ -38,13 +38,13 @@ def masked_picture(
 
 
 def jpeg(picture: Picture) -> bytes:
-    """JPEG file of a picture."""
+    """Return a JPEG file of a picture."""
     flags = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), flags)[1].tobytes()
 
 
 def spread(frames: Sequence[int], count: int) -> list[int]:
-    """At most so many of the frames, from the first to the last, evenly spread."""
+    """Return at most so many of the frames, from the first to the last, evenly spread."""
     places = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int))
     return [frames[place] for place in places]
 

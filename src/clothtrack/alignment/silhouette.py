@@ -56,7 +56,7 @@ class _Outline:
             self._views.append((rasteriser, seen, shown, hidden, int(np.count_nonzero(shown))))
 
     def gap(self, vertices: Float[np.ndarray, "vertices 3"]) -> float:
-        """What `silhouette_gap` returns for the mesh with these vertices [m]."""
+        """Return the `silhouette_gap` of the mesh with these vertices [m]."""
         both = either = 0
         # The cloud may have been cut away there, so that its absence says nothing.
         silent = self._observation.unobservable(vertices)[self._faces].any(axis=1)
@@ -125,7 +125,7 @@ def slide_to_outline(
 def _picture(
     points: Float[np.ndarray, "points 3"], camera: Camera
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels that a cloud covers: those of its points, and the gaps between them."""
+    """Return the pixels that a cloud covers: those of its points, and the gaps between them."""
     pixels, depth = camera.project(points)
     pixels = np.rint(pixels[depth > 0]).astype(np.int64)
     size = (camera.width, camera.height)

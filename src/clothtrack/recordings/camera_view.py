@@ -55,7 +55,7 @@ def camera_views(
     largest_component: bool = True,
     drop_flying: bool = True,
 ) -> tuple[CameraView, ...]:
-    """What the cameras saw that have a depth picture of this frame.
+    """Return what the cameras saw that have a depth picture of this frame.
 
     Args:
         recording: the recording.
@@ -91,7 +91,9 @@ def camera_views(
 def flying_pixels(
     depth_m: Float[np.ndarray, "height width"], focal_px: float
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels that mix two surfaces: depth climbs past them steeply, on both sides the same way.
+    """Return the pixels that mix two surfaces.
+
+    Depth climbs past them steeply, on both sides the same way.
 
     Steep is more than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of
     noise. A pixel on the rim of a surface has a jump on one side only, and stays.

@@ -35,7 +35,7 @@ class ColorRange:
     value: tuple[float, float] = (0.17, 1.0)
 
     def widened(self) -> "ColorRange":
-        """The range with a margin for shade, gloss and white balance."""
+        """Return the range with a margin for shade, gloss and white balance."""
         low, high = self.hue
         if low <= high and high - low >= 336:
             hue = (0.0, 360.0)
@@ -44,7 +44,7 @@ class ColorRange:
         return ColorRange(hue, _spread(self.saturation, 0.1), _spread(self.value, 0.08))
 
     def contains(self, hsv: Float[np.ndarray, "*any 3"]) -> Bool[np.ndarray, "*any"]:
-        """Whether colours lie in the range; hue [degrees], saturation and value 0 to 1."""
+        """Return whether colours lie in the range; hue [degrees], saturation and value 0 to 1."""
         hue, saturation, value = np.moveaxis(hsv, -1, 0)
         low, high = self.hue
         turned = (hue >= low) & (hue <= high) if low <= high else (hue >= low) | (hue <= high)
@@ -80,7 +80,7 @@ NAMED_COLORS: Mapping[str, tuple[ColorRange, ...]] = MappingProxyType(
 
 @lru_cache
 def named_set(name: str) -> UInt8[np.ndarray, "32 32 32"]:
-    """Set of the colours with a name: `CORE` inside its range, `LOOSE` near it."""
+    """Return set of the colours with a name: `CORE` inside its range, `LOOSE` near it."""
     levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
     rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
     hsv = cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV).reshape(rgb.shape)
@@ -99,7 +99,7 @@ def learned_set(
     cloth: Bool[np.ndarray, "height width"],
     other: Bool[np.ndarray, "height width"],
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Set of the colours that are more frequent on the cloth than elsewhere.
+    """Return set of the colours that are more frequent on the cloth than elsewhere.
 
     Two smoothed histograms are compared bin by bin (a likelihood ratio): `CORE` where cloth is
     three times as frequent, `LOOSE` where it is more frequent.
@@ -133,7 +133,7 @@ def with_shades(
     least_saturation: float = 0.2,
     least_value: float = 0.1,
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """The set with the same colours in other light, as the cloth's folds will show them.
+    """Return the set with the same colours in other light, as the cloth's folds will show them.
 
     Light changes the value of a colour and leaves hue and saturation. Colours that the rest of the
     picture has stay as they are, and so do greys, which have no hue.
@@ -167,7 +167,7 @@ def with_shades(
 def votes_of(
     color: UInt8[np.ndarray, "height width 3"], members: UInt8[np.ndarray, "32 32 32"]
 ) -> UInt8[np.ndarray, "height width"]:
-    """What a set of colours says of every pixel: `CORE`, `LOOSE` or `NO`."""
+    """Return what a set of colours says of every pixel: `CORE`, `LOOSE` or `NO`."""
     table = members.ravel()
     votes = np.empty(color.shape[:2], dtype=np.uint8)
     for rows in bands(len(color)):
@@ -178,7 +178,7 @@ def votes_of(
 def bin_of(
     color: UInt8[np.ndarray, "height width 3"],
 ) -> UInt16[np.ndarray, "height width"]:
-    """Number of the table entry of every pixel."""
+    """Return number of the table entry of every pixel."""
     # OpenCV packs five bits a channel in one pass: what is red here is called blue there.
     return cv2.cvtColor(color, cv2.COLOR_RGB2BGR555).view(np.uint16)[..., 0]
 

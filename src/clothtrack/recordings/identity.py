@@ -15,7 +15,7 @@ DIGEST_FIELD = "recording_sha256"
 
 
 def recording_digest(recording: Recording) -> str:
-    """SHA-256 over the content of every file that a recording is read from.
+    """Return the SHA-256 over the content of every file that a recording is read from.
 
     The document, the pickers' paths, the template and all pictures and clouds. Where the folder
     lies does not count, and neither do its other files.
@@ -40,7 +40,7 @@ def recording_digest(recording: Recording) -> str:
 
 
 def picture_digests(recording: Recording) -> frozenset[str]:
-    """SHA-256 of every file that shows what was measured; nothing is decoded.
+    """Return the SHA-256 of every file that shows what was measured; nothing is decoded.
 
     Of each frame its depth pictures count; its cloud where there are none, its colour where there
     is nothing else. A mask is no picture: the same one may be drawn twice. A picture that another
@@ -57,7 +57,7 @@ def picture_digests(recording: Recording) -> frozenset[str]:
 
 
 def same_film(one: frozenset[str], other: frozenset[str]) -> bool:
-    """Whether two recordings show the same moments, whatever their names and documents say.
+    """Return whether two recordings show the same moments, whatever their names and documents say.
 
     So does a part of a recording, or one with another template, or turned around. Two pictures
     decide: a single one, in which nothing was measured, may be the same anywhere.

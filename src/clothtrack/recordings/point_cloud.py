@@ -96,7 +96,7 @@ def observe(
     drop_flying: bool = True,
     stray_share: float = STRAY_SHARE,
 ) -> Observation:
-    """Points of the cloth in the world, from all cameras or from the frame's cloud.
+    """Return points of the cloth in the world, from all cameras or from the frame's cloud.
 
     Args:
         recording: the recording.
@@ -126,7 +126,7 @@ def observation_of(
     spacing_m: float | None = 0.004,
     stray_share: float = STRAY_SHARE,
 ) -> Observation:
-    """Points of the cloth in the world, from what the cameras saw or from the frame's cloud.
+    """Return points of the cloth in the world, from what the cameras saw or from the frame's cloud.
 
     Args:
         recording: the recording.
@@ -180,7 +180,7 @@ def hidden_pixels(
     camera: Camera,
     table: Table | None,
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels where cloth could not have been seen, with two pixels around them.
+    """Return the pixels where cloth could not have been seen, with two pixels around them.
 
     Those are the blind ones, and those that show neither cloth nor table but something that stands
     more than 15 mm above the table: the tool. Specks narrower than three pixels hide nothing, for
@@ -202,7 +202,7 @@ def hidden_pixels(
 def thin(
     points: Float[np.ndarray, "points 3"], spacing_m: float
 ) -> Float[np.ndarray, "fewer_points 3"]:
-    """Mean of the points in every cube of the given side [m]."""
+    """Return the mean of the points in every cube of the given side [m]."""
     if not len(points):
         return points
     members = _cell_numbers(points, spacing_m)
@@ -217,7 +217,7 @@ def without_strays(
     link_m: float = 0.012,
     spacing_m: float = 0.0,
 ) -> Float[np.ndarray, "fewer_points 3"]:
-    """The points without clusters that hold less than a share of all (`strays`).
+    """Return the points without clusters that hold less than a share of all (`strays`).
 
     Args:
         points: points [m].
@@ -235,7 +235,7 @@ def strays(
     link_m: float = 0.012,
     spacing_m: float = 0.0,
 ) -> Bool[np.ndarray, " points"]:
-    """Points of clusters that hold less than a share of all.
+    """Return points of clusters that hold less than a share of all.
 
     Points are linked through cubes whose diagonal is `link_m` and which touch: points nearer than
     0.58 `link_m` are always linked, points farther apart than 2 `link_m` never.
@@ -262,7 +262,9 @@ def cloth_measured(
     *,
     stray_share: float = STRAY_SHARE,
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels of a mask where the cloth was measured: neither in mid-air nor specks of other things.
+    """Return the pixels of a mask where the cloth was measured.
+
+    Neither in mid-air nor specks of other things.
 
     The rim of a mask often shows a little of what is behind the cloth.
 
@@ -281,7 +283,10 @@ def cloth_measured(
 
 
 def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
-    """Number of the cluster of each point: cubes with points in them that touch belong together."""
+    """Return number of the cluster of each point.
+
+    Cubes with points in them that touch belong together.
+    """
     place, shape = _places(points, points.mean(axis=0), side_m)
     if np.prod(shape) <= MOST_CELLS:
         place = place.astype(np.intp)
@@ -304,7 +309,7 @@ def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.nd
 def _cell_numbers(
     points: Float[np.ndarray, "points 3"], side_m: float
 ) -> Int[np.ndarray, " points"]:
-    """Number of each point's cube, in the order of `_cells`; none is missing."""
+    """Return number of each point's cube, in the order of `_cells`; none is missing."""
     place, shape = _places(points, [axis.mean() for axis in points.T], side_m)
     if not np.prod(shape) <= MOST_CELLS:
         return np.unique(_cells(points, side_m), return_inverse=True)[1]

@@ -55,7 +55,7 @@ def reversed_recording(recording: Recording, out: Path) -> Recording:
 
 
 def reversed_path(path: PickerPath, end_s: float) -> PickerPath:
-    """The tip's path backwards.
+    """Return the tip's path backwards.
 
     Args:
         path: forwards; between a sample and the next it is as closed as the sample says.

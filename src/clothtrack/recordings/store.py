@@ -142,7 +142,7 @@ class RecordingWriter:
             self._partial.mkdir(parents=True)
 
     def __enter__(self) -> "RecordingWriter":
-        """The writer itself."""
+        """Return the writer itself."""
         return self
 
     def __exit__(

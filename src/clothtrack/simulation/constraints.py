@@ -31,7 +31,7 @@ class DistanceConstraints:
 
 
 def stretch_constraints(mesh: ClothMesh) -> DistanceConstraints:
-    """The edges of the mesh at the length they have in it."""
+    """Return the edges of the mesh at the length they have in it."""
     return _coloured(mesh, mesh.edges)
 
 
@@ -43,7 +43,7 @@ def bend_constraints(mesh: ClothMesh) -> DistanceConstraints:
 
 
 def colour_pairs(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, " pairs"]:
-    """The lowest colour that no earlier pair with a common vertex has (greedy colouring)."""
+    """Return the lowest colour that no earlier pair with a common vertex has (greedy colouring)."""
     used: dict[int, int] = {}
     colours = np.zeros(len(pairs), dtype=np.int64)
     for index, (first, second) in enumerate(pairs.tolist()):

@@ -10,7 +10,7 @@ def grasp_vertices(
     radius: float,
     count: int = 1,
 ) -> Int[np.ndarray, " held"]:
-    """The vertices nearest to a closing tip, nearest first.
+    """Return the vertices nearest to a closing tip, nearest first.
 
     Args:
         positions: vertices [m], world.

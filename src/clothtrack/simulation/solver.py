@@ -148,7 +148,7 @@ class ClothSolver:
         self._material.assign(np.ascontiguousarray(np.array(rows, dtype=np.float32).T))
 
     def save(self) -> ClothState:
-        """Everything that the next step depends on, copied to the host."""
+        """Return everything that the next step depends on, copied to the host."""
         memory = ContactMemory(*self._contact.memory(), self._buffers.airborne.numpy().copy())
         return ClothState(self.positions, self.velocities, memory)
 

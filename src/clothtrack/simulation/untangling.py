@@ -73,7 +73,7 @@ def untangled(
     rounds: int = 80,
     device: str = "cpu",
 ) -> Untangling:
-    """The cloth with as few passages through itself as can be had.
+    """Return the cloth with as few passages through itself as can be had.
 
     Args:
         mesh: the cloth; where its vertices are tells the lengths of its edges.
@@ -110,7 +110,7 @@ class Untangler:
         table: Table | None = None,
         rounds: int = 80,
     ) -> Untangling:
-        """What `untangled` returns."""
+        """Return what `untangled` returns."""
         given = np.asarray(positions)
         ready = np.ones(len(given)) if mobility is None else np.asarray(mobility, np.float64)
         return _Attempt(self, given, ready, table).run(rounds)
@@ -245,7 +245,10 @@ class _Lengths:
         masses: Float[np.ndarray, " vertices"],
         sweeps: int,
     ) -> Float[np.ndarray, "vertices 3"]:
-        """The positions after some passes with these inverse masses; those of 0 keep their bits."""
+        """Return the positions after some passes with these inverse masses.
+
+        Those of 0 keep their bits.
+        """
         kept = wp.array(positions[None].astype(np.float32), dtype=wp.vec3, device=self._device)
         given = wp.array(masses[None].astype(np.float32), dtype=float, device=self._device)
         for _ in range(sweeps):

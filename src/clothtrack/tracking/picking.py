@@ -204,7 +204,7 @@ def held_motion(
     end_s: float,
     offset: Float[np.ndarray, "*environments 3"],
 ) -> HeldMotion | None:
-    """What the closed pickers do between two frames; None when none of them is closed."""
+    """Return what the closed pickers do between two frames; None when none of them is closed."""
     closed = [grasp for grasp in grasps if grasp.path.closed_at(0.5 * (start_s + end_s))]
     if not closed:
         return None
@@ -217,7 +217,7 @@ def held_motion(
 
 
 def picker_speed(grasps: tuple[Grasp, ...], start_s: float, end_s: float) -> float:
-    """Speed of the fastest closed picker between two frames [m/s]."""
+    """Return speed of the fastest closed picker between two frames [m/s]."""
     speeds = [
         np.linalg.norm(grasp.path.position_at(end_s) - grasp.path.position_at(start_s))
         for grasp in grasps

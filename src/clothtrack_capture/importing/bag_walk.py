@@ -26,12 +26,12 @@ _CLOCK_SAMPLES = 200
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a file starts like one of the bags."""
+    """Return whether a file starts like one of the bags."""
     return _container_of(path) is not None
 
 
 def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
-    """The containers of a bag in one or several files, and the format in words.
+    """Return the containers of a bag in one or several files, and the format in words.
 
     Raises:
         InvalidRecordingError: one of them is no bag.
@@ -180,7 +180,7 @@ def _pose(result: Walk, container: Container, message: Message, place: Place) ->
 
 
 def frame_of(container: Container, topic: Topic, place: Place) -> str:
-    """The frame in the header of a picture, "" when it has none."""
+    """Return the frame in the header of a picture, "" when it has none."""
     with suppress(TruncatedError):
         data = payload(container, place)[:512]
         order = "little" if not topic.cdr or data[1:2] == b"\x01" else "big"

@@ -28,6 +28,7 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 Read = Callable[[int, int], bytes]
 """Return so many bytes from a position, all of them, or raise `TruncatedError`."""
 
+
 @dataclass(frozen=True)
 class Topic:
     """A topic of a bag.

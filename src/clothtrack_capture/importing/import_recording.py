@@ -40,7 +40,7 @@ _MOST_WORKERS = 4
 
 
 def open_source(path: Path, options: ImportOptions) -> Source:
-    """The source that a file or folder is.
+    """Return the source that a file or folder is.
 
     Raises:
         InvalidRecordingError: it is none, or cannot be read.
@@ -220,7 +220,7 @@ class _Job:
         keeps: Callable[[tuple[int, int]], bool],
         carry: Callable[[np.ndarray], np.ndarray],
     ) -> tuple[np.ndarray | None, bytes]:
-        """The picture, if somebody watches, and its PNG: the source's own where it may stay."""
+        """Return the picture, for a watcher, and its PNG: the source's own where it may stay."""
         png = None
         if isinstance(content, PackedPicture):
             png = content.plain_png() if keeps(content.size) else None
@@ -236,7 +236,7 @@ class _Job:
 def _in_order(
     job: _Job, pairs: Sequence[Pair], workers: int
 ) -> Iterator[tuple[Pair, _Encoded | TruncatedError]]:
-    """Every pair with its result, in order; only a few are in memory at any time."""
+    """Yield every pair with its result, in order; only a few are in memory at any time."""
     waiting: deque[tuple[Pair, Future[_Encoded] | TruncatedError]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
@@ -287,7 +287,7 @@ def _check(options: ImportOptions, folder: Path) -> None:
 def _world(
     options: ImportOptions, streams: Streams
 ) -> tuple[Float[np.ndarray, "4 4"] | None, Table | None]:
-    """The camera's pose and the table, as far as anybody knows them."""
+    """Return the camera's pose and the table, as far as anybody knows them."""
     file = options.world_from_camera
     if file is None:
         return streams.world_from_camera, None

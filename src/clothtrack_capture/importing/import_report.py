@@ -52,7 +52,7 @@ class ImportReport:
     next_command: str
 
     def text(self) -> str:
-        """The report for a person."""
+        """Return the report for a person."""
         facts = {
             "source": f"{self.source} ({self.kind})",
             "frames": f"{self.frames} in {self.duration_s:.3f} s ({self.frames_per_s:.1f} per s)",
@@ -80,7 +80,7 @@ class ImportReport:
         return "\n".join([*lines, f"  next: {self.next_command}"])
 
     def as_dict(self) -> dict[str, object]:
-        """The report for a program, as JSON holds it."""
+        """Return the report for a program, as JSON holds it."""
         content: dict[str, object] = asdict(self)
         content |= {"recording": str(self.recording), "source": str(self.source)}
         return content

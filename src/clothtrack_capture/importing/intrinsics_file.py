@@ -43,7 +43,7 @@ class IntrinsicsFile:
 
 
 def read_json(path: Path) -> Any:
-    """A JSON file of reasonable size.
+    """Return a JSON file of reasonable size.
 
     Raises:
         InvalidRecordingError: it is missing, too large or no JSON.
@@ -61,7 +61,7 @@ def read_json(path: Path) -> Any:
 
 
 def read_intrinsics(path: Path) -> IntrinsicsFile:
-    """The intrinsics in a JSON file.
+    """Return the intrinsics in a JSON file.
 
     Either one set for both pictures, which then are registered (`width`, `height` and `fx`, `fy`,
     `cx`, `cy`; or Open3D's `intrinsic_matrix`, nine numbers by columns), or `depth`, `color` and
@@ -91,7 +91,7 @@ def read_intrinsics(path: Path) -> IntrinsicsFile:
 
 
 def rigid_matrix(what: str, value: Any) -> Float[np.ndarray, "4 4"]:
-    """A rigid 4 x 4 matrix, by rows.
+    """Return a rigid 4 x 4 matrix, by rows.
 
     Args:
         what: file and field, for the error.
@@ -154,6 +154,6 @@ def _optional(path: Path, content: dict[str, Any], name: str) -> float | None:
 
 
 def _depth_scale(path: Path, content: dict[str, Any]) -> float | None:
-    """Open3D's `depth_scale`: units per metre."""
+    """Return Open3D's `depth_scale`: units per metre."""
     scale = _optional(path, content, "depth_scale")
     return None if scale is None else 1.0 / scale

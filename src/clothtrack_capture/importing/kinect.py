@@ -22,7 +22,7 @@ _RAW_COLOR = {"NV12": (1.5, cv2.COLOR_YUV2RGB_NV12), "YUY2": (2.0, cv2.COLOR_YUV
 
 
 def is_kinect(path: Path) -> bool:
-    """Whether a file is Matroska."""
+    """Return whether a file is Matroska."""
     with path.open("rb") as file:
         return file.read(4) == MAGIC
 
@@ -45,12 +45,12 @@ class KinectSource:
             raise
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives the counts of a depth picture."""
+        """Return a function that gives the counts of a depth picture."""
         data = self._file.fetch(frame.place)
         return partial(_depth, data, self._depth_track.width, self._depth_track.height)
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives red, green and blue."""
+        """Return a function that gives red, green and blue."""
         data = self._file.fetch(frame.place)
         assert self._color_track is not None
         return partial(_color, data, self._color_track)

@@ -40,7 +40,7 @@ _MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
 def kinect_intrinsics(
     path: Path, text: bytes, depth_size: tuple[int, int], color_size: tuple[int, int] | None
 ) -> tuple[Intrinsics, Intrinsics | None, Float[np.ndarray, "4 4"]]:
-    """Lenses of depth and colour and the transform from depth to colour camera [m].
+    """Return the lenses of depth and colour and the transform from depth to colour camera [m].
 
     Args:
         path: the recording, for errors.

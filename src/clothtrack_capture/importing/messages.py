@@ -44,7 +44,7 @@ def _store(*, cdr: bool) -> Typestore:
 
 
 def payload(container: Container, place: Place) -> bytes:
-    """The bytes of a message, decompressed where each message was compressed on its own.
+    """Return the bytes of a message, decompressed where each message was compressed on its own.
 
     Raises:
         TruncatedError: they are not there.
@@ -54,7 +54,7 @@ def payload(container: Container, place: Place) -> bytes:
 
 
 def decode(topic: Topic, data: bytes) -> Any:
-    """A message as an object with the fields of its definition.
+    """Return a message as an object with the fields of its definition.
 
     Raises:
         TruncatedError: the bytes are not such a message.
@@ -74,7 +74,9 @@ def decode(topic: Topic, data: bytes) -> Any:
 
 
 def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> int:
-    """Time in the header of a stamped message [ns]; the time of writing where it has none.
+    """Return the time in the header of a stamped message [ns].
+
+    The time of writing where it has none.
 
     Raises:
         TruncatedError: the message is not there.
@@ -94,7 +96,7 @@ def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> i
 
 
 def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
-    """The intrinsics that a CameraInfo describes.
+    """Return the intrinsics that a CameraInfo describes.
 
     Args:
         topic: where it came from, for the error.

@@ -46,12 +46,15 @@ class FrameWatcher(Protocol):
         ...
 
     def paths(self) -> Mapping[str, PickerPath]:
-        """Path per picker, in the world, on the recording's clock; asked once at the end."""
+        """Return the path per picker, in the world, on the recording's clock.
+
+        Asked once at the end.
+        """
         ...
 
 
 def read_path_table(path: Path) -> dict[str, PickerPath]:
-    """Path per picker of a CSV file; times as the file has them.
+    """Return the path per picker of a CSV file; times as the file has them.
 
     The columns are those of `picker.csv`, or `time, x, y, z` and perhaps `closed`, in any order,
     seconds and metres.
@@ -120,7 +123,7 @@ def _number(word: str) -> float:
 def on_recording_clock(
     paths: Mapping[str, PickerPath], start_s: float, frame_times: Sequence[float], remedy: str
 ) -> dict[str, PickerPath]:
-    """The paths on the clock of the frames.
+    """Return the paths on the clock of the frames.
 
     Args:
         paths: times on another clock.
@@ -148,7 +151,7 @@ def on_recording_clock(
 def actions_of(
     paths: Mapping[str, PickerPath], frame_times: Sequence[float]
 ) -> tuple[list[PickAndPlace], int]:
-    """The actions in which a picker is closed, and how many closures give none.
+    """Return the actions in which a picker is closed, and how many closures give none.
 
     An action begins with the last frame before a picker closes and ends with the first frame after
     it has opened. Pickers that are closed together share an action; an action needs two frames and
@@ -189,7 +192,7 @@ def actions_of(
 def actions_in_words(
     words: Sequence[str], frames: int, pickers: Sequence[str]
 ) -> list[PickAndPlace]:
-    """Actions that a person names: "10-50", first and last frame.
+    """Return actions that a person names: "10-50", first and last frame.
 
     Raises:
         InvalidConfigError: a word is no such thing, or there is no picker.
@@ -217,7 +220,7 @@ def actions_in_words(
 
 
 def _closures(path: PickerPath) -> list[tuple[float, float]]:
-    """When the picker closed and when it had opened again [s]."""
+    """Return when the picker closed and when it had opened again [s]."""
     change = np.diff(np.concatenate([[0], path.closed.astype(np.int8), [0]]))
     opened = np.append(path.time_s, path.time_s[-1])
     starts, stops = np.flatnonzero(change > 0), np.flatnonzero(change < 0)

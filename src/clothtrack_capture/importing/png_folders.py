@@ -27,7 +27,7 @@ _MOST_FILES = 1_000_000
 
 
 def is_picture_folder(path: Path) -> bool:
-    """Whether a folder holds a folder of depth pictures."""
+    """Return whether a folder holds a folder of depth pictures."""
     return any((path / name).is_dir() for name in _DEPTH_FOLDERS)
 
 
@@ -59,11 +59,11 @@ class FolderSource:
         self.streams = Streams(kind, calibration, depth, color, origins, notes)
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives the counts of a depth picture."""
+        """Return a function that gives the counts of a depth picture."""
         return partial(packed_depth, self._bytes(frame))
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives red, green and blue."""
+        """Return a function that gives red, green and blue."""
         return partial(packed_color, self._bytes(frame))
 
     def close(self) -> None:
@@ -87,7 +87,7 @@ class FolderSource:
         return depth, color, notes
 
     def _listed(self, path: Path, notes: list[str]) -> list[StreamFrame]:
-        """The lines `seconds file` of a list; `#` starts a remark."""
+        """Return the lines `seconds file` of a list; `#` starts a remark."""
         frames, skipped = [], 0
         root = self._path.resolve()
         try:
@@ -161,7 +161,7 @@ class FolderSource:
         return StereoCalibration(given.depth, color, given.color_from_depth, unit, origin)
 
     def _bop(self) -> tuple[IntrinsicsFile, float]:
-        """Intrinsics and unit [m] of `scene_camera.json`, the same for every picture."""
+        """Return the intrinsics and unit [m] of `scene_camera.json`, the same for every picture."""
         path = self._path / _BOP
         content = read_json(path)
         entries = list(content.values()) if isinstance(content, dict) else []
@@ -203,7 +203,7 @@ def _bop_entry(path: Path, entry: Any) -> tuple[float, float, float, float, floa
 
 
 def _pictures(path: Path, folders: Sequence[str]) -> Any:
-    """Pictures of the first of some folders that is there, in natural order; None without one."""
+    """Return the pictures of the first folder that exists, in natural order; None without one."""
     for name in folders:
         if (path / name).is_dir():
             files = [
@@ -222,7 +222,7 @@ def _lies_in(folder: Path, file: Path) -> bool:
 
 
 def _nanoseconds(word: str) -> int | None:
-    """Seconds with their decimals, to the last digit."""
+    """Return seconds with their decimals, to the last digit."""
     match = re.fullmatch(r"(\d{1,10})(?:\.(\d{0,12}))?", word)
     if match is None:
         return None

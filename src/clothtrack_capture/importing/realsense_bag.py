@@ -22,12 +22,12 @@ WANTED = re.compile(r"^/device_\d+/sensor_\d+/(option/Depth[ _]Units/value|[A-Za
 
 
 def is_stream(topic: Topic) -> bool:
-    """Whether the SDK wrote this picture topic."""
+    """Return whether the SDK wrote this picture topic."""
     return bool(_STREAM.match(base_name(topic.name)))
 
 
 def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
-    """Metres per unit of depth, from the sensor's option.
+    """Return metres per unit of depth, from the sensor's option.
 
     Args:
         heard: first message per topic that matches `WANTED`.
@@ -50,7 +50,7 @@ def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
 def color_from_depth(
     heard: Mapping[str, Any], depth: Topic, color: Topic
 ) -> Float[np.ndarray, "4 4"] | None:
-    """Rigid transform, depth camera to colour camera [m]; None when the file does not say.
+    """Return a rigid transform, depth camera to colour camera [m]; None when the file does not say.
 
     Raises:
         TruncatedError: what it says is no transform.

@@ -28,7 +28,7 @@ def placed_paths(
     start_ns: int,
     posed: bool,
 ) -> tuple[dict[str, PickerPath], list[str]]:
-    """The paths in the world and on the recording's clock, and what to know about them.
+    """Return the paths in the world and on the recording's clock, and what to know about them.
 
     Args:
         source: the source, for errors.

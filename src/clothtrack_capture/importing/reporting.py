@@ -29,7 +29,7 @@ def report_of(
     table: bool,
     cloth: ClothDescription,
 ) -> ImportReport:
-    """What was found, left out and is missing."""
+    """Return what was found, left out and is missing."""
     duration = times[-1] - times[0]
     return ImportReport(
         recording=folder,
@@ -67,7 +67,7 @@ def report_of(
 
 
 def _aside(pickers: object) -> str:
-    """Where calibration goes when a path stands in the present world: not into the recording."""
+    """Return the option that keeps a calibration out of a recording that has a picker path."""
     return " --output camera.json" if pickers else ""
 
 

@@ -35,7 +35,7 @@ _FLOAT_UNIT_M = 1e-4
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The files of a bag: itself, or those in its folder in natural order."""
+    """Return the files of a bag: itself, or those in its folder in natural order."""
     if not path.is_dir():
         return [path]
     files = [file for file in path.iterdir() if _PART.search(file.name) and file.is_file()]
@@ -74,12 +74,12 @@ class BagSource:
             raise
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives the counts of a depth picture."""
+        """Return a function that gives the counts of a depth picture."""
         data = payload(self._parts[frame.place.part], frame.place)
         return partial(_decode_depth, self._depth_topic, data, self._calibration.depth_unit_m)
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives red, green and blue."""
+        """Return a function that gives red, green and blue."""
         assert self._color_topic is not None
         data = payload(self._parts[frame.place.part], frame.place)
         return partial(_decode_color, self._color_topic, data)
@@ -99,7 +99,7 @@ class BagSource:
         return self._parts[frames[0].place.part], frames[0]
 
     def _first_encoding(self) -> str:
-        """How depth is encoded, from the first picture that can be read."""
+        """Return how depth is encoded, from the first picture that can be read."""
         self._first(self._depth_topic)
         for frame in self._walk.frames[self._depth_topic.name]:
             try:

@@ -89,7 +89,9 @@ class Source(Protocol):
         ...
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives the counts of a depth picture; may be called in another thread.
+        """Return a function that gives the counts of a depth picture.
+
+        May be called in another thread.
 
         Raises:
             TruncatedError: the bytes are not there (or, by the function, no picture).
@@ -97,7 +99,7 @@ class Source(Protocol):
         ...
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives red, green and blue; may be called in another thread.
+        """Return a function that gives red, green and blue; may be called in another thread.
 
         Raises:
             TruncatedError: the bytes are not there (or, by the function, no picture).

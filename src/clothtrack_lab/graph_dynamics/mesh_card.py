@@ -21,7 +21,7 @@ _LIMITS = """\
 
 
 def _learned_in_words(whole: Mapping[str, float]) -> str:
-    """How much of it is learned, where both are known."""
+    """Return how much of it is learned, where both are known."""
     if "whole_untrained_mm" not in whole:
         return ""
     alone, whole_mm = whole["whole_untrained_mm"], whole["whole_error_mm"]
@@ -54,7 +54,7 @@ def write_dynamics_card(
 def dynamics_card(
     weights: Weights, whole: Mapping[str, float], cpu_s: float, made: Mapping[str, Any]
 ) -> str:
-    """The card, as Markdown; see `write_dynamics_card`."""
+    """Return the card, as Markdown; see `write_dynamics_card`."""
     content = weights.path.read_bytes()
     count = sum(value.numel() for value in weights.tensors.values())
     provenance = weights.provenance

@@ -87,7 +87,7 @@ class Windows:
     springs: Springs
 
     def to(self, device: str) -> "Windows":
-        """The same on a device."""
+        """Return the same on a device."""
         return Windows(
             self.past.to(device), self.future.to(device), self.held.to(device),
             self.springs.to(device),
@@ -117,11 +117,11 @@ class WindowExamples:
         return [number for number in range(len(self.shards)) for _ in range(per)]
 
     def __len__(self) -> int:
-        """How many there are in an epoch."""
+        """Return how many there are in an epoch."""
         return len(self.shards) * self.config.examples_per_shard
 
     def __getitem__(self, draw: Draw) -> Windows:
-        """Windows of one garment, turned about the vertical at random."""
+        """Return windows of one garment, turned about the vertical at random."""
         index, epoch = draw
         config, history = self.config, self.config.network.history
         shard, springs = self._shard(index // config.examples_per_shard)
@@ -160,7 +160,7 @@ class WindowExamples:
 
 
 def _turned(moments: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Each window turned about the vertical, or mirrored: dynamics know no direction."""
+    """Return each window turned about the vertical, or mirrored: dynamics know no direction."""
     angle = rng.uniform(0.0, 2.0 * np.pi, len(moments))
     mirror = np.where(rng.random(len(moments)) < 0.5, -1.0, 1.0)
     turn = np.array(
@@ -178,12 +178,12 @@ class WindowBatch:
     parts: list[Windows]
 
     def to(self, device: str) -> "WindowBatch":
-        """The same on a device."""
+        """Return the same on a device."""
         return WindowBatch([one.to(device) for one in self.parts])
 
 
 def window_batch(parts: Sequence[Windows]) -> WindowBatch:
-    """Examples as a batch."""
+    """Return examples as a batch."""
     return WindowBatch(list(parts))
 
 
@@ -215,7 +215,7 @@ class MeshDynamicsStage(Stage):
         return {"loss": torch.stack(losses).mean()}
 
     def measure(self, batch: WindowBatch) -> Mapping[str, Tensor]:
-        """Mean distance to the truth after the own steps, and if nothing moved [mm]."""
+        """Return the mean distance to the truth after the own steps, and if nothing moved [mm]."""
         errors, still = [], []
         for windows in batch.parts:
             last = windows.future[:, -1]
@@ -225,7 +225,7 @@ class MeshDynamicsStage(Stage):
         return {"error_mm": torch.stack(errors), "still_mm": torch.stack(still)}
 
     def _unrolled(self, windows: Windows) -> Tensor:
-        """The model's own positions after each step (windows, unrolled, vertices, 3)."""
+        """Return the model's own positions after each step (windows, unrolled, vertices, 3)."""
         step_s = self.network.step_s
         positions = windows.past[:, -1]
         velocities = (windows.past.diff(dim=1) / step_s).transpose(1, 2)
@@ -305,7 +305,7 @@ def train_mesh_dynamics(
 def whole_roll_outs(
     network: MeshNetwork, shards: Sequence[Path], *, device: str = "cpu"
 ) -> Mapping[str, float]:
-    """Mean distance to the simulator at the end of whole roll-outs, by name [mm].
+    """Return the mean distance to the simulator at the end of whole roll-outs, by name [mm].
 
     Raises:
         InvalidResultError: a shard is damaged.

@@ -178,7 +178,7 @@ def _rounds(
     seed: int,
     progress: Progress | None,
 ) -> list[dict[str, Any]]:
-    """The rounds themselves."""
+    """Return the rounds themselves."""
     template = config.flatten.perception.template
     curve: list[dict[str, Any]] = []
     labels: list[EpisodeLabels] = []
@@ -217,7 +217,7 @@ def _rounds(
 
 
 def _row(number: int, weights: Path, gained: Sequence[float]) -> dict[str, Any]:
-    """One point of the curve."""
+    """Return one point of the curve."""
     return {
         "round": number,
         "weights": weights.name,
@@ -281,7 +281,7 @@ def _flattened(
     device: str,
     seed: int,
 ) -> list[float]:
-    """Normalised improvement of each episode with these weights."""
+    """Return the normalised improvement of each episode with these weights."""
     perceived = replace(config.flatten.perception, weights=str(weights))
     flatten = replace(config.flatten, perception=perceived)
     parts = shared_parts(kind, flatten, starts=starts, device=device)
@@ -309,7 +309,7 @@ def _weighed(
     template: str,
     device: str,
 ) -> list[LabelWorth]:
-    """Every label beside the network; once it has learned from them, what was decided then."""
+    """Return the worth of every label; that of an earlier run once the network is tuned."""
     path = folder / WORTH
     if path.exists() and (folder / "tuned" / MODEL).exists():
         return read_worth(path)
@@ -328,7 +328,7 @@ def _tuned(
     device: str,
     progress: Progress | None,
 ) -> Path:
-    """The network fine-tuned on these labels.
+    """Return the network fine-tuned on these labels.
 
     Raises:
         ClothTrackError: it was interrupted.

@@ -159,7 +159,7 @@ def flatten_simulated(
 def shared_parts(
     kind: GarmentKind, config: FlattenConfig, *, starts: Path | None = None, device: str = "cpu"
 ) -> EpisodeParts:
-    """What episodes of one garment can share; weights that cannot be read are refused here.
+    """Return what episodes of one garment can share; weights that cannot be read are refused here.
 
     Args:
         kind: the garment.
@@ -182,7 +182,7 @@ def shared_parts(
 def knowing_the_garment(
     config: FlattenConfig, garment: OneGarment | None, out: Path
 ) -> FlattenConfig:
-    """The configuration with the garment's own template, written into `out/garments`.
+    """Return the configuration with the garment's own template, written into `out/garments`.
 
     Whoever has one garment measures it once (`clothtrack garment`). Without a garment, nothing is
     written or changed.
@@ -251,7 +251,7 @@ class _Worlds:
         self._robot.restore(self.folder / f"{step:02d}.npz")
 
     def positions(self, step: int) -> np.ndarray:
-        """True vertices after a step [m]."""
+        """Return true vertices after a step [m]."""
         with np.load(self.folder / f"{step:02d}.npz", allow_pickle=False) as file:
             return file["positions"]
 

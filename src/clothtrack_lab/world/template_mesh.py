@@ -57,7 +57,7 @@ class GivenGarment(Protocol):
         ...
 
     def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
-        """The garment at rest, around the origin; `again` in another triangulation."""
+        """Return the garment at rest, around the origin; `again` in another triangulation."""
         ...
 
 
@@ -70,7 +70,7 @@ def flat_garment(
     pattern: TowelPattern,
     seed: int,
 ) -> ClothMesh:
-    """The garment at rest, around the origin: of a usual cut, or the template of a file.
+    """Return the garment at rest, around the origin: of a usual cut, or the template of a file.
 
     Args:
         kind: the garment.
@@ -123,7 +123,7 @@ class SeededGarment:
         return self.kind
 
     def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
-        """The garment at rest, around the origin; `again` in another triangulation."""
+        """Return the garment at rest, around the origin; `again` in another triangulation."""
         return flat_garment(
             self.kind, self.file, size_m=self.size_m, vertex_count=vertex_count,
             pattern="alternating" if again else "random", seed=2 * self.seed + again,
@@ -131,7 +131,7 @@ class SeededGarment:
 
 
 def size_of(flat: ClothMesh) -> tuple[float, float]:
-    """Width and length of a flat garment [m]."""
+    """Return the width and length of a flat garment [m]."""
     width, length = np.ptp(flat.vertices[:, :2], axis=0)
     return float(width), float(length)
 
@@ -147,7 +147,7 @@ def random_pose(rng: np.random.Generator) -> Float[np.ndarray, "2 3"]:
 def laid_down(
     mesh: ClothMesh, pose: Float[np.ndarray, "2 3"], height_m: float = CONTACT_RADIUS_M
 ) -> ClothMesh:
-    """The flat garment on the table, its lowest vertex at this height [m]: at rest there."""
+    """Return the flat garment on the table, its lowest vertex at this height [m]: at rest there."""
     vertices = np.empty(mesh.vertices.shape)
     vertices[:, :2] = mesh.vertices[:, :2] @ pose[:, :2].T + pose[:, 2]
     vertices[:, 2] = mesh.vertices[:, 2] - mesh.vertices[:, 2].min() + height_m
@@ -161,7 +161,7 @@ def misjudged(
     laid: Callable[[ClothMesh], ClothMesh],
     rng: np.random.Generator,
 ) -> ClothMesh:
-    """The tracker's first mesh: a flat garment on the table, wrong as `TemplateConfig` says.
+    """Return the tracker's first mesh: a flat garment on the table, wrong as `TemplateConfig` says.
 
     Args:
         mesh: the flat garment, of another triangulation than the world's where there is one.

@@ -32,7 +32,7 @@ class Contact(Protocol):
         Float32[np.ndarray, "environments vertices slots"],
         Int32[np.ndarray, "environments vertices"],
     ]:
-        """Sides, distances and counts, as ContactMemory has them."""
+        """Return sides, distances and counts, as ContactMemory has them."""
         ...
 
     def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:

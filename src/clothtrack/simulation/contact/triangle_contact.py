@@ -234,7 +234,7 @@ class GatheredPush:
 
 
 def _face_reach(mesh: ClothMesh, config: SolverConfig) -> np.ndarray:
-    """Radius around each triangle's centre within which a vertex may touch it [m].
+    """Return the radius around each triangle's centre within which a vertex may touch it [m].
 
     A barycentric tolerance t widens a triangle by 1 + 3 t about its centre; 5 % more is for
     stretch.
