@@ -22,6 +22,12 @@ def launching(
     return partial(wp.launch, kernel, dim=dim, inputs=inputs, device=device)
 
 
+def do_all(commands: list[Command]) -> None:
+    """Do the commands, one after the other."""
+    for command in commands:
+        command()
+
+
 def made_ready(commands: list[Command]) -> list[Command]:
     """Return the same with the launches' arguments packed: repeating them costs a tenth.
 
@@ -75,8 +81,7 @@ class MovingGrid:
 
     def build(self, positions: wp.array) -> None:
         """Sort the members into cells by where they are now [m]."""
-        for command in self.building(positions):
-            command()
+        do_all(self.building(positions))
 
     def building(self, positions: wp.array) -> list[Command]:
         """Return the commands of `build`."""
@@ -158,8 +163,7 @@ class Matcher:
 
     def rebuild(self, positions: wp.array) -> None:
         """Sort the visible vertices anew; never needed for the result, but for speed."""
-        for command in self.rebuilding(positions):
-            command()
+        do_all(self.rebuilding(positions))
 
     def rebuilding(self, positions: wp.array) -> list[Command]:
         """Return the commands of `rebuild`."""
@@ -167,8 +171,7 @@ class Matcher:
 
     def launch(self, positions: wp.array, sums: wp.array) -> None:
         """Begin an iteration: match at these positions [m], add data residuals to the sums."""
-        for command in self.matching(positions, sums):
-            command()
+        do_all(self.matching(positions, sums))
 
     def matching(self, positions: wp.array, sums: wp.array) -> list[Command]:
         """Return the commands of `launch`."""

@@ -52,8 +52,6 @@ def camera_views(
     segmenter: Segmenter | None = None,
     *,
     color: bool = False,
-    largest_component: bool = True,
-    drop_flying: bool = True,
 ) -> tuple[CameraView, ...]:
     """Return what the cameras saw that have a depth picture of this frame.
 
@@ -63,9 +61,6 @@ def camera_views(
         segmenter: finds the cloth; left out, masks, colour hint or height do
             (`default_segmenter`).
         color: read the colour pictures that the segmenter does not look at, too.
-        largest_component: keep the largest connected part of each mask, and parts of at least a
-            quarter of its size.
-        drop_flying: pixels in mid-air between a surface and what lies behind it are blind.
 
     Raises:
         InvalidRecordingError: a picture cannot be read.
@@ -79,11 +74,9 @@ def camera_views(
         looks = camera.name in frame.color and (color or not isinstance(find, _COLOR_BLIND))
         picture = read_color(frame.color[camera.name]) if looks else None
         mask = find(picture, depth_m, camera, recording.table)
-        if largest_component and not isinstance(find, _MAIN_PARTS_ONLY):
+        if not isinstance(find, _MAIN_PARTS_ONLY):
             mask = main_components(mask)
-        blind = depth_m == 0
-        if drop_flying:
-            blind |= flying_pixels(depth_m, camera.fx)
+        blind = (depth_m == 0) | flying_pixels(depth_m, camera.fx)
         views.append(CameraView(camera, picture, depth_m, mask, blind))
     return tuple(views)
 

@@ -19,6 +19,12 @@ from clothtrack.recordings.pictures import bands
 BINS = 32
 NO, LOOSE, CORE = 0, 1, 2
 
+LEAST_SATURATION = 0.2
+"""Saturation (0 to 1) from which a colour is known again in other light."""
+
+LEAST_VALUE = 0.1
+"""Colours that are darker (0 to 1) have no hue to tell them by."""
+
 
 @dataclass(frozen=True)
 class ColorRange:
@@ -81,11 +87,9 @@ NAMED_COLORS: Mapping[str, tuple[ColorRange, ...]] = MappingProxyType(
 @lru_cache
 def named_set(name: str) -> UInt8[np.ndarray, "32 32 32"]:
     """Return set of the colours with a name: `CORE` inside its range, `LOOSE` near it."""
-    levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
-    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
-    hsv = cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV).reshape(rgb.shape)
+    hsv = _all_hsv().reshape(BINS, BINS, BINS, 3)
     ranges = NAMED_COLORS[name.lower()]
-    members = np.zeros(rgb.shape[:3], dtype=np.uint8)
+    members = np.zeros(hsv.shape[:3], dtype=np.uint8)
     for chosen in ranges:
         members[chosen.widened().contains(hsv) & (members == NO)] = LOOSE
     for chosen in ranges:
@@ -129,9 +133,6 @@ def with_shades(
     members: UInt8[np.ndarray, "32 32 32"],
     color: UInt8[np.ndarray, "height width 3"],
     cloth: Bool[np.ndarray, "height width"],
-    *,
-    least_saturation: float = 0.2,
-    least_value: float = 0.1,
 ) -> UInt8[np.ndarray, "32 32 32"]:
     """Return the set with the same colours in other light, as the cloth's folds will show them.
 
@@ -142,23 +143,19 @@ def with_shades(
         members: set of the cloth's colours in this picture.
         color: the picture, red first.
         cloth: what of it is cloth.
-        least_saturation: of a colour that is known again in other light, 0 to 1.
-        least_value: darker colours than this say nothing, 0 to 1.
     """
-    levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
-    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
-    hsv = cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV)[0]
+    hsv = _all_hsv()
     bins = bin_of(color)
     own = cloth & (members.ravel()[bins] == CORE)
     # Of the pixels themselves: five bits of a dark colour say little of its hue.
     seen = cv2.cvtColor(color[own][None].astype(np.float32) / 255.0, cv2.COLOR_RGB2HSV)[0]
     outside = np.bincount(bins[~cloth], minlength=BINS**3)
     tints = np.zeros((36, 10))
-    np.add.at(tints, _tint(seen[seen[:, 1] >= least_saturation]), 1)
+    np.add.at(tints, _tint(seen[seen[:, 1] >= LEAST_SATURATION]), 1)
     known = tints > 0.002 * max(len(seen), 1)
     # A neighbour in hue or saturation is the same colour: so wide are the steps of five bits.
     known = maximum_filter(known, size=3, mode=("wrap", "nearest"))
-    shade = known[_tint(hsv)] & (hsv[:, 1] >= least_saturation) & (hsv[:, 2] >= least_value)
+    shade = known[_tint(hsv)] & (hsv[:, 1] >= LEAST_SATURATION) & (hsv[:, 2] >= LEAST_VALUE)
     foreign = gaussian_filter(outside.reshape((BINS,) * 3).astype(np.float32), 0.8).ravel() > 1.0
     widened = np.where(shade & ~foreign, CORE, members.ravel())
     return widened.reshape(members.shape).astype(np.uint8)
@@ -181,6 +178,13 @@ def bin_of(
     """Return number of the table entry of every pixel."""
     # OpenCV packs five bits a channel in one pass: what is red here is called blue there.
     return cv2.cvtColor(color, cv2.COLOR_RGB2BGR555).view(np.uint16)[..., 0]
+
+
+def _all_hsv() -> Float[np.ndarray, "colors 3"]:
+    """Return hue [degrees], saturation and value of every table entry."""
+    levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
+    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
+    return cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV)[0]
 
 
 def _tint(hsv: Float[np.ndarray, "colors 3"]) -> tuple[np.ndarray, np.ndarray]:

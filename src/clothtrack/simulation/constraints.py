@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 from jaxtyping import Float32, Int, Int32
 
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation import kernels, sweep_kernels
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +30,56 @@ class DistanceConstraints:
         return [
             (start, end - start) for start, end in zip(self.first[:-1], self.first[1:], strict=True)
         ]
+
+
+class DeviceConstraints:
+    """Constraints on a device, and passes over them.
+
+    Args:
+        constraints: the pairs.
+        device: Warp device.
+        limit: as in `kernels.solve_distances`.
+        buckling: likewise.
+    """
+
+    def __init__(
+        self,
+        constraints: DistanceConstraints,
+        device: str,
+        *,
+        limit: float = 0.0,
+        buckling: float = 1.0,
+    ) -> None:
+        self._device, self._is_cpu = device, wp.get_device(device).is_cpu
+        self._pairs = [
+            wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
+            wp.array(constraints.lengths, dtype=float, device=device),
+        ]
+        self._colours = constraints.colours
+        self._bounds = wp.array(constraints.first, dtype=int, device=device)
+        self._shape = [limit, buckling]
+
+    def sweep(
+        self, clocks: wp.array, compliances: wp.array, inverse_masses: wp.array, positions: wp.array
+    ) -> None:
+        """Launch one Gauss-Seidel pass over all pairs of every environment."""
+        environments = positions.shape[0]
+        material = [compliances, *self._shape, inverse_masses, positions]
+        if self._is_cpu:
+            wp.launch(
+                sweep_kernels.sweep_constraints,
+                dim=environments,
+                inputs=[clocks, *self._pairs, self._bounds, *material],
+                device=self._device,
+            )
+            return
+        for first, count in self._colours:
+            wp.launch(
+                kernels.solve_distances,
+                dim=(environments, count),
+                inputs=[clocks, *self._pairs, first, *material],
+                device=self._device,
+            )
 
 
 def stretch_constraints(mesh: ClothMesh) -> DistanceConstraints:

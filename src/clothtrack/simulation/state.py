@@ -61,21 +61,6 @@ class ClothState:
         """Number of environments."""
         return len(self.positions)
 
-    def environment(self, index: int) -> "ClothState":
-        """Return one environment alone."""
-        one = slice(index, index + 1) if index != -1 else slice(index, None)
-        memory = self.contacts
-        return ClothState(
-            self.positions[one],
-            self.velocities[one],
-            ContactMemory(
-                memory.sides[one],
-                memory.distances[one],
-                memory.counts[one],
-                memory.airborne[one],
-            ),
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Attachment:

@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
-from clothtrack.simulation.picker import grasp_vertices
 from clothtrack.simulation.picker_action import HeldMotion, PickerAction
 from clothtrack.simulation.state import ClothState
 from clothtrack.tracking.theta import Theta
@@ -91,13 +90,14 @@ def find_grasps(
         if vertices is None:
             vertices = layers_under(cloth, tip, REACH_M)[:layers]
         if len(vertices) == 0:
-            vertices = grasp_vertices(cloth.vertices, tip, REACH_M)
+            gaps_m = np.linalg.norm(cloth.vertices - tip, axis=1)
+            vertices = np.argsort(gaps_m, kind="stable")[:1]
+            vertices = vertices[gaps_m[vertices] <= REACH_M]
         if len(vertices) == 0:
-            nearest = float(np.linalg.norm(cloth.vertices - tip, axis=1).min())
             logger.warning(
                 "picker %s closes at %.2f s with the nearest vertex %.1f mm away (reach %.1f mm): "
                 "it holds nothing",
-                name, closing_s, 1e3 * nearest, 1e3 * REACH_M,
+                name, closing_s, 1e3 * gaps_m.min(), 1e3 * REACH_M,
             )  # fmt: skip
             continue
         grasps.append(Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
