@@ -14,6 +14,10 @@ from clothtrack.report.palette import HIDDEN, PAPER, rgb255
 from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 _JPEG_QUALITY = 88
+_COLUMNS, _ROWS = 5, 4
+"""Pictures beside and, at most, above each other in a contact sheet."""
+_WIDTH = 300
+"""Width of one of them [pixels]."""
 
 
 def masked_picture(
@@ -49,32 +53,27 @@ def spread(frames: Sequence[int], count: int) -> list[int]:
     return [frames[place] for place in places]
 
 
-def write_mask_sheet(
-    setup: SegmentationSetup, path: Path, *, columns: int = 5, rows: int = 4, width: int = 300
-) -> Path:
+def write_mask_sheet(setup: SegmentationSetup, path: Path) -> Path:
     """Write a contact sheet of masks, from all over the recording, as a PNG.
 
     Args:
         setup: the masks.
         path: the picture to write.
-        columns: pictures beside each other.
-        rows: pictures above each other at most.
-        width: of one picture [pixels].
 
     Raises:
         StorageError: the disk refuses.
     """
     cells = []
-    for index in spread([frame.index for frame in setup.frames], columns * rows):
+    for index in spread([frame.index for frame in setup.frames], _COLUMNS * _ROWS):
         mask = setup.mask(index)
         share = "no mask" if mask is None else f"{100 * mask.mean():.1f} %"
-        shown = masked_picture(setup.picture(index), mask, width=width)
-        cells.append(np.concatenate([shown, caption(width, f"frame {index}", share, height=24)]))
+        shown = masked_picture(setup.picture(index), mask, width=_WIDTH)
+        cells.append(np.concatenate([shown, caption(_WIDTH, f"frame {index}", share, height=24)]))
     blank = np.full_like(cells[0], rgb255(PAPER))
-    cells += [blank] * (-len(cells) % columns)
+    cells += [blank] * (-len(cells) % _COLUMNS)
     strips = [
-        np.concatenate(cells[place : place + columns], axis=1)
-        for place in range(0, len(cells), columns)
+        np.concatenate(cells[place : place + _COLUMNS], axis=1)
+        for place in range(0, len(cells), _COLUMNS)
     ]
     write_file(path, encode_png(np.concatenate(strips)))
     return path

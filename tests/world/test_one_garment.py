@@ -22,7 +22,7 @@ from clothtrack_lab.world.one_garment import OneGarment
 from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rounds
 from clothtrack_lab.world.simulated_episodes import SimulatedEpisode, knowing_the_garment
 from clothtrack_lab.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
-from clothtrack_lab.world.template_mesh import flat_garment
+from clothtrack_lab.world.template_mesh import SeededGarment
 
 KINDS = ("towel", "tshirt")
 
@@ -42,9 +42,7 @@ def test_without_a_garment_seed_all_is_drawn_as_before(kind, tmp_path):
     }  # fmt: skip
     assert SimulatedEpisode(kind, 3).label == f"{kind}_0003"
     robot, episode = SimulatedRobot(kind, 3), vary(kind, 3)
-    before = flat_garment(
-        kind, "", size_m=episode.size_m, vertex_count=1000, pattern="random", seed=6
-    )
+    before = SeededGarment(kind, "", episode.size_m, 3).flat(vertex_count=1000)
     flat, _ = robot.true_cloth()
     np.testing.assert_array_equal(flat.vertices, before.vertices)
     np.testing.assert_array_equal(flat.faces, before.faces)
@@ -69,7 +67,7 @@ def test_one_garment_is_the_same_for_every_seed_and_starts_are_not(kind):
     other = OneGarment(kind, 6)
     assert other.config.size_m != garment.config.size_m
     assert other.config.fabric != garment.config.fabric
-    starts = {SimulatedEpisode(kind, 1, garment_seed=seed).start for seed in (None, 5, 6)}
+    starts = {SimulatedEpisode(kind, 1, garment_seed=seed).label for seed in (None, 5, 6)}
     assert len(starts) == 3
 
 

@@ -155,7 +155,11 @@ def with_shades(
     known = tints > 0.002 * max(len(seen), 1)
     # A neighbour in hue or saturation is the same colour: so wide are the steps of five bits.
     known = maximum_filter(known, size=3, mode=("wrap", "nearest"))
-    shade = known[_tint(hsv)] & (hsv[:, 1] >= LEAST_SATURATION) & (hsv[:, 2] >= LEAST_VALUE)
+    shade = (
+        np.asarray(known, bool)[_tint(hsv)]
+        & (hsv[:, 1] >= LEAST_SATURATION)
+        & (hsv[:, 2] >= LEAST_VALUE)
+    )
     foreign = gaussian_filter(outside.reshape((BINS,) * 3).astype(np.float32), 0.8).ravel() > 1.0
     widened = np.where(shade & ~foreign, CORE, members.ravel())
     return widened.reshape(members.shape).astype(np.uint8)

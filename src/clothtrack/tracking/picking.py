@@ -89,8 +89,8 @@ def find_grasps(
         vertices = _known(recording.cloth.held_vertices, name)
         if vertices is None:
             vertices = layers_under(cloth, tip, REACH_M)[:layers]
+        gaps_m = np.linalg.norm(cloth.vertices - tip, axis=1)
         if len(vertices) == 0:
-            gaps_m = np.linalg.norm(cloth.vertices - tip, axis=1)
             vertices = np.argsort(gaps_m, kind="stable")[:1]
             vertices = vertices[gaps_m[vertices] <= REACH_M]
         if len(vertices) == 0:

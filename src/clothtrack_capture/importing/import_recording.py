@@ -23,16 +23,14 @@ from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack_capture.importing.bag_walk import is_bag
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.import_report import ImportReport
+from clothtrack_capture.importing.import_report import ImportReport, report_of
 from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
 from clothtrack_capture.importing.kinect import KinectSource, is_kinect
 from clothtrack_capture.importing.packed_pictures import PackedPicture
 from clothtrack_capture.importing.pairing import Pair, pair
-from clothtrack_capture.importing.picker_paths import FrameWatcher
+from clothtrack_capture.importing.picker_paths import FrameWatcher, add_pickers, placed_paths
 from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
-from clothtrack_capture.importing.recorded_pickers import add_pickers, placed_paths
 from clothtrack_capture.importing.registration import Registration
-from clothtrack_capture.importing.reporting import report_of
 from clothtrack_capture.importing.ros_bags import BagSource, bag_files
 from clothtrack_capture.importing.source import Content, Source, Streams
 

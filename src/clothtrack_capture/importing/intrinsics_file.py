@@ -13,6 +13,7 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.bounds import Bounds
 from clothtrack.geometry.camera import rigid_problem
 from clothtrack_capture.importing.intrinsics import Intrinsics
+from clothtrack_capture.importing.source import StereoCalibration
 
 _LARGEST_FILE = 16 * 2**20
 _FIELDS = (
@@ -40,6 +41,11 @@ class IntrinsicsFile:
     color_from_depth: Float[np.ndarray, "4 4"]
     fps: float | None = None
     depth_unit_m: float | None = None
+
+    def calibration(self, unit_m: float, origin: str, *, with_color: bool) -> StereoCalibration:
+        """Return the calibration of a source with this unit of depth [m] and its origin."""
+        color = self.color if with_color else None
+        return StereoCalibration(self.depth, color, self.color_from_depth, unit_m, origin)
 
 
 def read_json(path: Path) -> Any:

@@ -114,8 +114,7 @@ class KinectSource:
             unit, origin = options.depth_unit_m, "given by --depth-unit-m"
         if options.intrinsics is not None:
             file = read_intrinsics(options.intrinsics)
-            color = None if self._color_track is None else file.color
-            return StereoCalibration(file.depth, color, file.color_from_depth, unit, origin)
+            return file.calibration(unit, origin, with_color=self._color_track is not None)
         content = self._file
         name = content.tags.get("K4A_CALIBRATION_FILE", _CALIBRATION)
         text = content.attachments.get(name, content.attachments.get(_CALIBRATION))

@@ -1,4 +1,4 @@
-"""Where the picker was, and which frames are an action."""
+"""The pickers of an import: their paths on the recording's clock, and their actions."""
 
 import csv
 import io
@@ -14,6 +14,8 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.picker_table import COLUMNS, read_picker_paths
 from clothtrack.recordings.recording import PickAndPlace, PickerPath
+from clothtrack.recordings.store import RecordingWriter
+from clothtrack_capture.importing.source import Streams
 
 _NAMES = {
     "time": ("time", "time_s", "t", "timestamp", "stamp"),
@@ -51,6 +53,86 @@ class FrameWatcher(Protocol):
         Asked once at the end.
         """
         ...
+
+
+def placed_paths(
+    source: Path,
+    streams: Streams,
+    table: Path | None,
+    clock: str,
+    *,
+    pose: Float[np.ndarray, "4 4"],
+    start_ns: int,
+    posed: bool,
+) -> tuple[dict[str, PickerPath], list[str]]:
+    """Return the paths in the world and on the recording's clock, and what to know about them.
+
+    Args:
+        source: the source, for errors.
+        streams: what the source holds, its paths among it.
+        table: CSV file with a path, in the world.
+        clock: "recording" or "source", the clock of that file.
+        pose: world_from_camera.
+        start_ns: time of the first frame on the source's clock [ns].
+        posed: whether that pose is known, or the camera's frame stands in for the world.
+
+    Raises:
+        InvalidConfigError: nothing ties a path to the world, or it and the frames do not meet.
+    """
+    span = [0.0, (max(frame.time_ns for frame in streams.depth) - start_ns) / 1e9]
+    if table is not None:
+        paths = read_path_table(table)
+        moved = on_recording_clock(
+            paths, start_ns / 1e9 if clock == "source" else 0.0, span,
+            f"{table} was read on the clock of the {clock}; the first frame is at "
+            f"{start_ns / 1e9:.3f} s "
+            "of the source's clock; say --picker-clock source or recording",
+        )  # fmt: skip
+        frame = "the world" if posed else "the camera's frame, which stands in for the world"
+        return moved, [f"the path in {table.name} was taken to be in {frame}"]
+    if not streams.paths:
+        return {}, []
+    notes = []
+    paths = dict(streams.paths)
+    if streams.path_frame == "camera":
+        paths = {name: _moved(path, pose) for name, path in paths.items()}
+    elif streams.path_frame != "world":
+        if not posed:
+            raise InvalidConfigError(
+                f"{source}: the picker's path is in frame {streams.path_frame}, and nothing ties "
+                "that to the camera; give the camera's pose in it: --world-from-camera FILE, or "
+                "--world-frame where TF knows both"
+            )
+        notes.append(
+            f"the picker's path in frame {streams.path_frame} was taken to be in the world"
+        )
+    start_s = (start_ns - streams.path_start_ns) / 1e9
+    return on_recording_clock(paths, start_s, span, "record both with the same clock"), notes
+
+
+def add_pickers(
+    writer: RecordingWriter,
+    paths: Mapping[str, PickerPath],
+    frame_times: Sequence[float],
+    words: Sequence[str],
+) -> tuple[list[PickAndPlace], list[str]]:
+    """Write the paths and the actions that they or a person tell.
+
+    Raises:
+        InvalidConfigError: an action is impossible.
+    """
+    for name, path in paths.items():
+        writer.set_picker_path(name, path)
+    notes = []
+    if words:
+        actions = actions_in_words(words, len(frame_times), list(paths))
+    else:
+        actions, left_out = actions_of(paths, frame_times)
+        if left_out:
+            notes.append(f"{left_out} closures of a picker give no action: no two frames show them")
+    for action in actions:
+        writer.add_action(action.first_frame, action.last_frame, action.pickers)
+    return actions, notes
 
 
 def read_path_table(path: Path) -> dict[str, PickerPath]:
@@ -229,3 +311,8 @@ def _closures(path: PickerPath) -> list[tuple[float, float]]:
 
 def _covers(path: PickerPath, start_s: float, stop_s: float) -> bool:
     return bool(path.time_s[0] <= start_s + _CLOSE_S and path.time_s[-1] >= stop_s - _CLOSE_S)
+
+
+def _moved(path: PickerPath, pose: Float[np.ndarray, "4 4"]) -> PickerPath:
+    positions = path.positions @ pose[:3, :3].T + pose[:3, 3]
+    return PickerPath(path.time_s, positions, path.closed)

@@ -16,7 +16,13 @@ from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import IntrinsicsFile, read_intrinsics, read_json
 from clothtrack_capture.importing.packed_pictures import packed_color, packed_depth
-from clothtrack_capture.importing.source import Content, StereoCalibration, StreamFrame, Streams
+from clothtrack_capture.importing.source import (
+    Content,
+    StereoCalibration,
+    StreamFrame,
+    Streams,
+    natural_order,
+)
 
 _DEPTH_FOLDERS = ("depth",)
 _COLOR_FOLDERS = ("rgb", "color", "image", "images")
@@ -41,7 +47,6 @@ class FolderSource:
             InvalidRecordingError: the intrinsics, the unit of depth or the times are not known.
         """
         self._path = path
-        self._size_limit = MOST_BYTES
         if (path / "depth.txt").is_file():
             kind = "folder in TUM style"
             depth, color, notes = self._tum()
@@ -72,7 +77,7 @@ class FolderSource:
     def _bytes(self, frame: StreamFrame) -> bytes:
         path: Path = frame.place
         try:
-            if not path.is_file() or path.stat().st_size > self._size_limit:
+            if not path.is_file() or path.stat().st_size > MOST_BYTES:
                 raise TruncatedError(f"{path.name} is missing or too large")
             return path.read_bytes()
         except OSError as error:
@@ -119,7 +124,9 @@ class FolderSource:
                 f"{self._path}: nothing says when the pictures were taken; give --fps"
             )
         # The same name is the same moment; a picture that is missing leaves its moment empty.
-        stems = sorted({file.stem for file in (*depth_files, *(color_files or ()))}, key=_natural)
+        stems = sorted(
+            {file.stem for file in (*depth_files, *(color_files or ()))}, key=natural_order
+        )
         times = {stem: round(1e9 * number / fps) for number, stem in enumerate(stems)}
         depth = [StreamFrame(times[file.stem], file) for file in depth_files]
         color = None
@@ -157,8 +164,7 @@ class FolderSource:
                 f"{self._path}: nothing says how long a unit of depth is; give --depth-unit-m "
                 "(0.001 for millimetres, 0.0002 for the data sets of TUM)"
             )
-        color = given.color if with_color else None
-        return StereoCalibration(given.depth, color, given.color_from_depth, unit, origin)
+        return given.calibration(unit, origin, with_color=with_color)
 
     def _bop(self) -> tuple[IntrinsicsFile, float]:
         """Return the intrinsics and unit [m] of `scene_camera.json`, the same for every picture."""
@@ -210,7 +216,7 @@ def _pictures(path: Path, folders: Sequence[str]) -> Any:
                 file for file in islice((path / name).iterdir(), _MOST_FILES)
                 if file.suffix.lower() in _PICTURES and _lies_in(path.resolve(), file)
             ]  # fmt: skip
-            return sorted(files, key=lambda file: _natural(file.stem))
+            return sorted(files, key=lambda file: natural_order(file.stem))
     return None
 
 
@@ -227,8 +233,3 @@ def _nanoseconds(word: str) -> int | None:
     if match is None:
         return None
     return int(match[1]) * 10**9 + int((match[2] or "").ljust(9, "0")[:9])
-
-
-def _natural(stem: str) -> list[tuple[int, str]]:
-    parts = re.split(r"(\d+)", stem)
-    return [(int(part[:18]), "") if part.isdigit() else (-1, part) for part in parts]

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import TruncatedError
+from clothtrack.geometry.camera import rigid_problem
 from clothtrack_capture.importing.containers import Topic
 from clothtrack_capture.importing.messages import rigid_of
 from clothtrack_capture.importing.topics import base_name
@@ -83,7 +84,6 @@ def _pose(message: Any) -> Float[np.ndarray, "4 4"]:
         result[:3, 3] = translation
     except (KeyError, ValueError) as error:
         raise TruncatedError("a stream's pose that is none") from error
-    off = np.abs(result[:3, :3] @ result[:3, :3].T - np.eye(3)).max()
-    if not (np.isfinite(result).all() and off < 1e-3):
-        raise TruncatedError("a stream's pose that is not rigid")
+    if problem := rigid_problem(result):
+        raise TruncatedError(f"a stream's pose {problem}")
     return result

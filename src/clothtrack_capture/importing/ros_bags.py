@@ -20,7 +20,13 @@ from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import read_intrinsics
 from clothtrack_capture.importing.messages import decode, intrinsics_of, payload
 from clothtrack_capture.importing.packed_pictures import packed_color, packed_depth
-from clothtrack_capture.importing.source import Content, StereoCalibration, StreamFrame, Streams
+from clothtrack_capture.importing.source import (
+    Content,
+    StereoCalibration,
+    StreamFrame,
+    Streams,
+    natural_order,
+)
 from clothtrack_capture.importing.topics import (
     COMPRESSED,
     base_name,
@@ -39,7 +45,7 @@ def bag_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     files = [file for file in path.iterdir() if _PART.search(file.name) and file.is_file()]
-    return sorted(files, key=_natural)
+    return sorted(files, key=lambda file: natural_order(file.name))
 
 
 class BagSource:
@@ -118,8 +124,7 @@ class BagSource:
         unit_m, origin = self._find_unit(options)
         if options.intrinsics is not None:
             file = read_intrinsics(options.intrinsics)
-            color = None if self._color_topic is None else file.color
-            return StereoCalibration(file.depth, color, file.color_from_depth, unit_m, origin)
+            return file.calibration(unit_m, origin, with_color=self._color_topic is not None)
         depth = self._find_intrinsics(self._depth_topic)
         if self._color_topic is None:
             return StereoCalibration(depth, None, np.eye(4), unit_m, origin)
@@ -228,8 +233,3 @@ def _decode_color(topic: Topic, data: bytes) -> Content:
     if topic.kind == COMPRESSED:
         return packed_color(bytes(message.data))
     return images.raw_color(message)
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part[:18]), "") if part.isdigit() else (-1, part) for part in parts]

@@ -135,14 +135,11 @@ def springs_of(flat: ClothMesh) -> Springs:
     )
 
 
-def load_mesh_dynamics(
-    path: Path, config: MeshDynamicsConfig | None = None, *, device: str = "cpu"
-) -> MeshDynamics:
+def load_mesh_dynamics(path: Path, *, device: str = "cpu") -> MeshDynamics:
     """Return learned dynamics from a weights file; nothing in it is executed.
 
     Args:
         path: the weights.
-        config: how they are asked; in steps of the network's own by default.
         device: where to compute.
 
     Raises:
@@ -159,7 +156,5 @@ def load_mesh_dynamics(
     except (InvalidConfigError, TypeError) as error:
         raise InvalidResultError(f"{path}: its sizes are damaged ({error})") from error
     weights.load_into(network)
-    if config is None:
-        motion = MotionConfig(time_step_s=network.config.step_s)
-        config = MeshDynamicsConfig(motion=motion)
-    return MeshDynamics(network, config, device=device)
+    motion = MotionConfig(time_step_s=network.config.step_s)
+    return MeshDynamics(network, MeshDynamicsConfig(motion=motion), device=device)

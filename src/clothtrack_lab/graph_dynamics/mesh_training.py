@@ -25,6 +25,7 @@ from clothtrack.reconstruction.training.stage import Stage
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.reconstruction.training.training_run import TrainingOutcome
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack_lab.graph_dynamics.mesh_card import write_dynamics_card
 from clothtrack_lab.graph_dynamics.mesh_dynamics import springs_of
 from clothtrack_lab.graph_dynamics.mesh_network import (
@@ -37,7 +38,6 @@ from clothtrack_lab.graph_dynamics.mesh_network import (
 from clothtrack_lab.graph_dynamics.mesh_prior import Springs
 from clothtrack_lab.graph_dynamics.roll_outs import RollOutShard, read_roll_outs
 
-RESTING_HEIGHT_M = 0.0015
 WHOLE_ERROR = "whole_error_mm"
 _TINY = 1e-12
 """Of a distance that has no slope at 0."""
@@ -175,16 +175,11 @@ def _turned(moments: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 class WindowBatch:
     """Several examples, of garments that may differ."""
 
-    parts: list[Windows]
+    parts: Sequence[Windows]
 
     def to(self, device: str) -> "WindowBatch":
         """Return the same on a device."""
         return WindowBatch([one.to(device) for one in self.parts])
-
-
-def window_batch(parts: Sequence[Windows]) -> WindowBatch:
-    """Return examples as a batch."""
-    return WindowBatch(list(parts))
 
 
 class MeshDynamicsStage(Stage):
@@ -283,7 +278,7 @@ def train_mesh_dynamics(
         Subset(calm, held_out),
         config.loop,
         folder,
-        collate=window_batch,
+        collate=WindowBatch,
         data=data,
         progress=progress,
     )

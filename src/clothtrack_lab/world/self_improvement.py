@@ -159,61 +159,43 @@ def improve_rounds(
     with locked_output(out):
         _take_up(out / ASKED, weights, kind, config, old=old, asked=asked)
         config = replace(config, flatten=knowing_the_garment(config.flatten, garment, out))
-        return _rounds(
-            weights, out, kind, config, garment_seed=garment_seed, teaches=teaches, old=old,
-            device=device, seed=seed, progress=progress,
-        )  # fmt: skip
-
-
-def _rounds(
-    weights: Path,
-    out: Path,
-    kind: GarmentKind,
-    config: ImprovementConfig,
-    *,
-    garment_seed: int | None,
-    teaches: Teaches,
-    old: Path | None,
-    device: str,
-    seed: int,
-    progress: Progress | None,
-) -> list[dict[str, Any]]:
-    """Return the rounds themselves."""
-    template = config.flatten.perception.template
-    curve: list[dict[str, Any]] = []
-    labels: list[EpisodeLabels] = []
-    for number in range(config.rounds + 1):
-        folder = out / f"round_{number}"
-        gained = _flattened(
-            folder / "flattening", out / "starts", weights, kind, config,
-            garment_seed=garment_seed, device=device, seed=seed,
-        )  # fmt: skip
-        curve.append(_row(number, weights, gained))
-        _write(out / CURVE, curve)
-        if number == config.rounds:
-            break
-        labels += label_episodes(
-            folder, kind, weights, config.track, template=template, hindsight=config.hindsight,
-            device=device, progress=progress,
-        )  # fmt: skip
-        if len(labels) < 2:
-            raise ClothTrackError(
-                f"{folder}: {len(labels)} of {config.episodes} episodes could be labelled; "
-                "fine-tuning needs two, one of them to select by: give more --episodes"
+        template = config.flatten.perception.template
+        curve: list[dict[str, Any]] = []
+        labels: list[EpisodeLabels] = []
+        for number in range(config.rounds + 1):
+            folder = out / f"round_{number}"
+            gained = _flattened(
+                folder / "flattening", out / "starts", weights, kind, config,
+                garment_seed=garment_seed, device=device, seed=seed,
+            )  # fmt: skip
+            curve.append(_row(number, weights, gained))
+            _write(out / CURVE, curve)
+            if number == config.rounds:
+                break
+            labels += label_episodes(
+                folder, kind, weights, config.track, template=template, hindsight=config.hindsight,
+                device=device, progress=progress,
+            )  # fmt: skip
+            if len(labels) < 2:
+                raise ClothTrackError(
+                    f"{folder}: {len(labels)} of {config.episodes} episodes could be labelled; "
+                    "fine-tuning needs two, one of them to select by: give more --episodes"
+                )
+            worth = _weighed(
+                folder, labels, weights, kind, teaches, template=template, device=device
             )
-        worth = _weighed(folder, labels, weights, kind, teaches, template=template, device=device)
-        used = [one for one in worth if one.used]
-        curve[-1]["labels"] = {"made": len(worth), "used": len(used)}
-        if len({one.recording for one in used}) < 2:
-            curve[-1]["stopped"] = STOPPED
-        _write(out / CURVE, curve)
-        if "stopped" in curve[-1]:
-            break
-        weights = _tuned(
-            weights, taught(labels, worth), folder / "tuned", config, old=old, device=device,
-            progress=progress,
-        )  # fmt: skip
-    return curve
+            used = [one for one in worth if one.used]
+            curve[-1]["labels"] = {"made": len(worth), "used": len(used)}
+            if len({one.recording for one in used}) < 2:
+                curve[-1]["stopped"] = STOPPED
+            _write(out / CURVE, curve)
+            if "stopped" in curve[-1]:
+                break
+            weights = _tuned(
+                weights, taught(labels, worth), folder / "tuned", config, old=old, device=device,
+                progress=progress,
+            )  # fmt: skip
+        return curve
 
 
 def _row(number: int, weights: Path, gained: Sequence[float]) -> dict[str, Any]:
