@@ -120,7 +120,6 @@ def weights(rng: np.random.Generator, stage: Path, box: Path) -> Words:
              *settings("initial_state.source=network", *FAST)],
             ["flatten", out, "--weights", path, "--actions", 1],
             ["finetune", path, stage / "labels", "--output", out, "--set", "tokens.epochs=0"],
-            ["improve", path, "--output", out, "--set", "finetune.tokens.epochs=0"],
         ),
         rng,
     )  # fmt: skip

@@ -13,16 +13,16 @@ from shared.proof_stage import FAST, TOWEL, settings
 
 Words = list[object]
 
-FIRST_WORDS = {"track": "tracker.", "flatten": "planner.", "improve": "finetune."}
+FIRST_WORDS = {"track": "tracker.", "flatten": "planner."}
 """Verbs that list their settings, and where some of them lie."""
 
-DEAR = ("demo", "record", "improve", "bench", "flatten", "train-dynamics", "pretrain")
+DEAR = ("demo", "record", "bench", "flatten", "train-dynamics", "pretrain")
 """Verbs that do something long with any arguments, or wait for a person."""
 
 
 def setting(rng: np.random.Generator, stage: Path, box: Path) -> Words:
     """One or two settings with values that may be none; sometimes the verb runs with them."""
-    verb = chosen(("track", "track", "flatten", "improve"), rng)
+    verb = chosen(("track", "track", "flatten"), rng)
     changes = [_change(verb, rng) for _ in range(int(rng.integers(1, 3)))]
     out, kind = box / "out", rng.random()
     if verb == "track" and kind < 0.4:
@@ -30,7 +30,7 @@ def setting(rng: np.random.Generator, stage: Path, box: Path) -> Words:
         return [*words, *settings(*FAST, *changes)]
     if kind < 0.6:
         return ["simulate", out, "--actions", 1, *settings(*TOWEL, _simulated(rng))]
-    words = [verb, *({"track": [], "flatten": [out], "improve": ["w", "--output", out]}[verb])]
+    words = [verb, *({"track": [], "flatten": [out]}[verb])]
     return [*words, "--show-settings", *settings(*changes)]
 
 
@@ -97,13 +97,9 @@ def _change(verb: str, rng: np.random.Generator) -> str:
 def _config(verb: str) -> Any:
     if verb == "track":
         return RunConfig()
-    if verb == "flatten":
-        from clothtrack.planning import FlattenConfig
+    from clothtrack.planning import FlattenConfig
 
-        return FlattenConfig()
-    from clothtrack_lab.world.self_improvement import ImprovementConfig
-
-    return ImprovementConfig()
+    return FlattenConfig()
 
 
 def _simulated(rng: np.random.Generator) -> str:

@@ -109,4 +109,4 @@ VERBS = (
         "--no-refined", "--output", o / "mesh.obj"], keeps=False, dear=True),
 )  # fmt: skip
 """The verbs that write, but for those that wait for a person or a camera (record, find-picker,
-calibrate-hand-eye), `demo`, which is `track` and `view`, and `improve`, which takes minutes."""
+calibrate-hand-eye), and `demo`, which is `track` and `view`."""

@@ -97,13 +97,11 @@ def setting_names(verb):
     from clothtrack.tracking import RunConfig
     from clothtrack_lab.graph_dynamics.mesh_training import DynamicsTrainingConfig
     from clothtrack_lab.world import EpisodeConfig
-    from clothtrack_lab.world.self_improvement import ImprovementConfig
 
     known = {
         "flatten": [FlattenConfig()],
         "track": [RunConfig()],
         "simulate": [EpisodeConfig()],
-        "improve": [ImprovementConfig()],
         "train-dynamics": [DynamicsTrainingConfig()],
         "pretrain": [LearningConfig.preset("pretrain")],
         "finetune": [LearningConfig.preset("finetune")],

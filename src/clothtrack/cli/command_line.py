@@ -42,7 +42,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
         "garment",
     ),
     "learning": ("reconstruct", "label", "finetune", "pretrain"),
-    "a robot": ("flatten", "train-dynamics", "improve"),
+    "a robot": ("flatten", "train-dynamics"),
     "results": ("export", "verify"),
     "the simulated world": ("simulate", "bench"),
 }  # fmt: skip

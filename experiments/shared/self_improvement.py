@@ -38,14 +38,6 @@ from clothtrack.reconstruction.data.state_store import LIST_FILE
 from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.pipeline import counted_settings
 from clothtrack_lab.world.one_garment import OneGarment
-from clothtrack_lab.world.round_labels import (
-    EpisodeLabels,
-    label_episodes,
-    read_worth,
-    taught,
-    worth_of,
-    write_worth,
-)
 from clothtrack_lab.world.simulated_episodes import (
     SimulatedEpisode,
     flatten_simulated,
@@ -54,6 +46,14 @@ from clothtrack_lab.world.simulated_episodes import (
     shared_parts,
 )
 from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
+from shared.round_labels import (
+    EpisodeLabels,
+    label_episodes,
+    read_worth,
+    taught,
+    worth_of,
+    write_worth,
+)
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
