@@ -11,11 +11,13 @@ from functools import partial
 
 import numpy as np
 
-from clothtrack.recordings import PickAndPlace
+from clothtrack.recordings import Observation, PickAndPlace
 from clothtrack.tracking import (
     METHODS,
     Assembled,
     Components,
+    Correction,
+    Prediction,
     RunConfig,
     State,
     Theta,
@@ -28,7 +30,7 @@ from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.methods import SOFT, default, paper
 from clothtrack.tracking.picking import HeldCloth, StillCloth
 from clothtrack.tracking.search import Axes, Proposal
-from clothtrack.tracking.visible_alignment import from_last_mesh, no_alignment, only_at
+from clothtrack.tracking.visible_alignment import no_alignment, only_at
 
 Assemble = Callable[[Components], Assembled]
 
@@ -53,7 +55,12 @@ def without_pseudo_action(components: Components, base: Assemble) -> Assembled:
 def without_dynamics_initialisation(components: Components, base: Assemble) -> Assembled:
     """Return an alignment that starts from the last mesh ("No Dyn Init")."""
     assembled = base(components)
-    return changed(assembled, align=from_last_mesh(assembled.method.align))
+    align = assembled.method.align
+
+    def aligned(predicted: Prediction, observation: Observation) -> Correction | None:
+        return align(replace(predicted, positions=predicted.started_at), observation)
+
+    return changed(assembled, align=aligned)
 
 
 def without_action(components: Components, base: Assemble) -> Assembled:

@@ -5,8 +5,9 @@ from functools import cache
 from pathlib import Path
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.files.atomic_write import content_hash
 from clothtrack.recordings import read_recording
-from clothtrack.recordings.identity import picture_digests, same_film
+from clothtrack.recordings.recording import Recording
 from shared.bench_runs import BENCH_FILE, Trajectory, trajectories
 
 HELD_OUT = 10
@@ -68,7 +69,7 @@ def require_apart(learned: Iterable[Path], measured: Iterable[Path]) -> None:
     """Refuse to measure on a recording that is learned from, under whatever name it lies there.
 
     Files are compared by their content, pictures only: another document, another name, a part of
-    it or its frames backwards do not make another recording (`recordings/identity.py: same_film`).
+    it or its frames backwards do not make another recording (`same_film`).
 
     Args:
         learned: folders of the recordings that are learned from.
@@ -99,3 +100,33 @@ def _parts(
         return parted(trajectories(bench), held_out)
     found = trajectories(bench, split)
     return found, found
+
+
+def picture_digests(recording: Recording) -> frozenset[str]:
+    """Return the SHA-256 of every file that shows what was measured; nothing is decoded.
+
+    Of each frame its depth pictures count; its cloud where there are none, its colour where there
+    is nothing else. A mask is no picture: the same one may be drawn twice. A picture that another
+    program has compressed anew is another file.
+
+    Raises:
+        StorageError: a file cannot be read.
+    """
+    files: list[Path] = []
+    for frame in recording.frames:
+        clouds = [] if frame.cloud is None else [frame.cloud]
+        files += list(frame.depth.values()) or clouds or list(frame.color.values())
+    return frozenset(map(content_hash, files))
+
+
+def same_film(one: frozenset[str], other: frozenset[str]) -> bool:
+    """Return whether two recordings show the same moments, whatever their names and documents say.
+
+    So does a part of a recording, or one with another template, or turned around. Two pictures
+    decide: a single one, in which nothing was measured, may be the same anywhere.
+
+    Args:
+        one: `picture_digests` of a recording.
+        other: of another.
+    """
+    return len(one & other) >= max(1, min(2, len(one), len(other)))

@@ -165,7 +165,7 @@ def _name_files(entry: dict[str, Any], frame: Frame, folder: Path, *, single: bo
 
 
 def _free_name(folder: Path) -> str:
-    """A name for a folder of masks that is not taken."""
+    """Return a name for a folder of masks that is not taken."""
     names = (f"mask{number}" for number in range(2, 1_000_000))
     return "mask" if not (folder / "mask").exists() else next(
         name for name in names if not (folder / name).exists()

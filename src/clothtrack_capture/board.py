@@ -68,14 +68,16 @@ class Board:
         return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
 
     def picture(self, pixels_per_square: int) -> UInt8[np.ndarray, "height width"]:
-        """The board to print: black and white, without a margin."""
+        """Return the board to print: black and white, without a margin."""
         size = self.columns * pixels_per_square, self.rows * pixels_per_square
         return self._boards[0].generateImage(size)
 
     def find(
         self, color: UInt8[np.ndarray, "height width 3"]
     ) -> tuple[Int[np.ndarray, " found"], Float[np.ndarray, "found 2"]]:
-        """Ids and pixels (column, row) of the corners seen in a picture; none where it is not.
+        """Return the ids and pixels (column, row) of the corners seen in a picture.
+
+        None where it is not.
 
         Boards printed by old versions of OpenCV, whose first square is white, are known too.
         """
@@ -118,7 +120,7 @@ class BoardPose:
 def locate_board(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]], board: Board, camera: Camera
 ) -> BoardPose:
-    """Pose of a board that lies still, from all pictures of it together.
+    """Return the pose of a board that lies still, from all pictures of it together.
 
     Args:
         pictures: colour pictures, red first, without lens distortion; some may not show it.
@@ -167,7 +169,7 @@ def locate_board(
 def locate_boards(
     pictures: Sequence[UInt8[np.ndarray, "height width 3"]], board: Board, camera: Camera
 ) -> list[BoardPose | None]:
-    """Pose of a board that moves, picture by picture; None where it is not found."""
+    """Return the pose of a board that moves, picture by picture; None where it is not found."""
 
     def one(picture: UInt8[np.ndarray, "height width 3"]) -> BoardPose | None:
         try:

@@ -47,7 +47,7 @@ class CameraPlacement:
     fit: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
-        """The placement as JSON holds it."""
+        """Return the placement as JSON holds it."""
         table = None
         if self.table is not None:
             table = {"point": self.table.point.tolist(), "normal": self.table.normal.tolist()}
@@ -60,7 +60,7 @@ class CameraPlacement:
 
 
 def camera_named(recording: Recording, name: str = "") -> Camera:
-    """A camera of a recording by its name; the first one without a name.
+    """Return a camera of a recording by its name; the first one without a name.
 
     Raises:
         InvalidConfigError: naming those that there are.
@@ -74,7 +74,7 @@ def camera_named(recording: Recording, name: str = "") -> Camera:
 
 
 def place_by_table(recording: Recording, camera: Camera, *, force: bool = False) -> CameraPlacement:
-    """The camera in a world whose z = 0 is the table, from depth alone.
+    """Return the camera in a world whose z = 0 is the table, from depth alone.
 
     Args:
         recording: with depth from the camera.
@@ -91,7 +91,9 @@ def place_by_table(recording: Recording, camera: Camera, *, force: bool = False)
 
 
 def table_in_world(recording: Recording, camera: Camera, *, force: bool = False) -> CameraPlacement:
-    """The table in the world that the recording has, from depth; the camera stays where it is.
+    """Return the table in the world that the recording has, from depth.
+
+    The camera stays where it is.
 
     Args:
         recording: with depth from the camera, whose pose is right.
@@ -114,7 +116,7 @@ def table_in_world(recording: Recording, camera: Camera, *, force: bool = False)
 
 
 def _plane_fit(recording: Recording, camera: Camera, *, force: bool) -> TableFit:
-    """The plane in the depth, refused where it is none."""
+    """Return the plane in the depth, refused where it is none."""
     fit = fit_recorded_table(recording, camera)
     if fit.residual_m > LARGEST_RESIDUAL_M and not force:
         raise InvalidRecordingError(
@@ -127,7 +129,7 @@ def _plane_fit(recording: Recording, camera: Camera, *, force: bool) -> TableFit
 
 
 def placement_doubt(placement: CameraPlacement) -> str:
-    """Why a placement by the table's depth is doubtful; empty where it is not."""
+    """Return why a placement by the table's depth is doubtful; empty where it is not."""
     if placement.fit["by"] != "table":
         return ""
     residual_mm, share = placement.fit["residual_mm"], placement.fit["inlier_share"]
@@ -144,7 +146,7 @@ def placement_doubt(placement: CameraPlacement) -> str:
 def place_by_board(
     recording: Recording, camera: Camera, board: Board, *, thickness_m: float = 0.0
 ) -> CameraPlacement:
-    """The camera in a world given by a board that lies on the table.
+    """Return the camera in a world given by a board that lies on the table.
 
     The origin is on the table under the middle of the board, x runs along its columns, z up.
 
@@ -283,7 +285,7 @@ def place_camera(recording: Recording, placement: CameraPlacement, *, force: boo
 
 
 def _given_in_world(recording: Recording) -> list[str]:
-    """What of a recording is written in its present world."""
+    """Return what of a recording is written in its present world."""
     things = {
         "picker.csv": bool(recording.picker_paths),
         "the template": recording.cloth.template is not None,
@@ -311,7 +313,7 @@ def _ground() -> Table:
 def _depth_behind_board(
     recording: Recording, camera: Camera, board: Board, seen: BoardPose
 ) -> float | None:
-    """How much farther than the board its pixels are by depth [m], the median; None if unknown."""
+    """Return how far depth puts the board behind its pose [m] (median); None if unknown."""
     frame = next((frame for frame in recording.frames if camera.name in frame.depth), None)
     if frame is None:
         return None
@@ -329,7 +331,7 @@ def _depth_behind_board(
 def _table_in(
     recording: Recording, camera: Camera, pose: Float[np.ndarray, "4 4"]
 ) -> tuple[Table | None, dict[str, Any] | str]:
-    """The table that depth shows, in the world of this pose; None with the reason."""
+    """Return the table that depth shows, in the world of this pose; None with the reason."""
     try:
         fit = fit_recorded_table(recording, camera)
     except InvalidRecordingError as error:
@@ -341,6 +343,6 @@ def _table_in(
 
 
 def _plane_in(pose: Float[np.ndarray, "4 4"], fit: TableFit) -> Table | None:
-    """The plane in the world of a camera with this pose; None where it does not face up there."""
+    """Return the plane in the world of a camera at this pose; None where it does not face up."""
     normal = pose[:3, :3] @ fit.normal
     return Table(pose[:3, 3] - fit.distance_m * normal, normal) if normal[2] > 0.5 else None

@@ -56,7 +56,7 @@ class CarriedPath:
     steepness: int = 2
 
     def positions_at(self, times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, "samples 3"]:
-        """Where the hand is [m]; at the pick before the start, at the place after the end."""
+        """Return where the hand is [m]; constant before the start and after the end."""
         share = _share_of_way(times, np.array(self.start_s), np.array(self.end_s))
         line = self.pick + share[:, None] * (self.place - self.pick)
         return line + (self.lift_m * _arc(share, self.steepness))[:, None] * self.up
@@ -111,7 +111,7 @@ def fitted_path(
     heights_m: tuple[float, float],
     between_s: tuple[float, float],
 ) -> CarriedPath | None:
-    """The arc whose times and height the highest cloth agrees with best.
+    """Return the arc whose times and height the highest cloth agrees with best.
 
     Cloth over the arc speaks against it more than cloth under it, which hangs.
 
@@ -160,7 +160,7 @@ def fitted_path(
 def _direction(
     pick: Float[np.ndarray, " 3"], place: Float[np.ndarray, " 3"], up: Float[np.ndarray, " 3"]
 ) -> tuple[Float[np.ndarray, " 3"], float]:
-    """Unit vector along the table from pick to place, and how far it is [m]."""
+    """Return the unit vector along the table from pick to place, and how far it is [m]."""
     flat = (place - pick) - ((place - pick) @ up) * up
     way_m = float(np.linalg.norm(flat))
     if way_m < 1e-3:
@@ -183,7 +183,7 @@ def _candidate_times(
 def _share_of_way(
     times: Float[np.ndarray, "*any"], start_s: np.ndarray, end_s: np.ndarray
 ) -> np.ndarray:
-    """Share of the way at each time: the smoothest motion from rest to rest (least jerk)."""
+    """Return the share of the path at each time, by minimum jerk."""
     share = np.clip((times - start_s) / (end_s - start_s), 0.0, 1.0)
     return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
@@ -197,5 +197,5 @@ def _typical(values: Float[np.ndarray, " values"]) -> float | None:
 
 
 def _mean_square(values: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """Mean square over the frames that count; the others count as 0, so that all share one mean."""
+    """Return the mean square over all frames, with 0 for those that do not count."""
     return np.where(counted, values**2, 0.0).mean(axis=-1)

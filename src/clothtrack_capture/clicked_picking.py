@@ -90,7 +90,7 @@ class ClickedPicking:
             del self._clicks[-1:]
 
     def actions(self) -> tuple[ClickedAction, ...]:
-        """The finished pick-and-places, with the path of the hand in each."""
+        """Return the finished pick-and-places, with the path of the hand in each."""
         with self._lock:
             frames = [click.frame for click in self._clicks]
             return tuple(
@@ -134,7 +134,7 @@ class ClickedPicking:
             return tuple(zip(clicked, spans, strict=True))
 
     def summary(self, action: ClickedAction) -> dict[str, object]:
-        """In which frames an action takes and has let go, and how high it lifts, for a report."""
+        """Return the frames of pick and release of an action, and its lift [mm], for a report."""
         path = action.path
         pick, release = (
             int(np.searchsorted(self.times, time_s - _SAME_TIME_S))
@@ -150,7 +150,7 @@ class ClickedPicking:
     def _fitted(
         self, placed_before: int | None, pick: Click, place: Click, picked_after: int | None
     ) -> ClickedAction:
-        """A pick-and-place between the frames of the last place and of the next pick."""
+        """Return a pick-and-place between the frames of the last place and of the next pick."""
         table, times = self.views.table, self.times
         first = placed_before or 0
         last = len(times) - 1 if picked_after is None else picked_after
@@ -181,7 +181,7 @@ class ClickedPicking:
         return ClickedAction(pick, place, path or clicked, path is not None)
 
     def _taken_at(self, click: Click, first: int) -> Float[np.ndarray, " 3"]:
-        """The cloth at a pick [m], as it lay before: in the frame itself the hand is over it."""
+        """Return the cloth at a pick [m], from the frames before the hand hides it."""
         point = self.views.cloth_at(click, range(click.frame, first - 1, -1))
         if point is None:
             raise InvalidConfigError(
@@ -205,7 +205,7 @@ class ClickedPicking:
         return tuple(PickAndPlace(*span, (name,)) for span in zip(starts, lasts, strict=True))
 
     def _without_hand(self, frames: Int[np.ndarray, " frames"]) -> int:
-        """The last of these frames in which the hand hides hardly more than in any."""
+        """Return the last of these frames in which the hand hides hardly more than in any."""
         shares = np.array([self.views.of(int(index)).hand_share for index in frames])
         limit = shares.min() + _ALMOST_LEAST * np.ptp(shares)
         return int(frames[np.flatnonzero(shares <= limit)[-1]])

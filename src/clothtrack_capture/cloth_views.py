@@ -79,7 +79,7 @@ class ClothViews:
             )
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
-        """Colour picture of a frame, red first.
+        """Return the colour picture of a frame, red first.
 
         Raises:
             InvalidConfigError: there is no such frame.
@@ -88,7 +88,7 @@ class ClothViews:
         return read_color(self.recording.frames[frame].color[self.camera.name])
 
     def mask(self, frame: int) -> Bool[np.ndarray, "height width"]:
-        """What is cloth in a frame.
+        """Return what is cloth in a frame.
 
         Raises:
             InvalidConfigError: there is no such frame.
@@ -119,7 +119,7 @@ class ClothViews:
         return np.median(chosen, axis=0) if chosen else None
 
     def table_at(self, click: Click) -> Float[np.ndarray, " 3"]:
-        """The table at a click's pixel [m], world."""
+        """Return the table at a click's pixel [m], world."""
         camera, normal = self.camera, self.table.normal
         ray = camera.world_from_camera[:3, :3] @ np.array(
             [(click.column - camera.cx) / camera.fx, (click.row - camera.cy) / camera.fy, 1.0]
@@ -162,7 +162,7 @@ class ClothViews:
 
 
 def _required_table(recording: Recording, camera: Camera) -> Table:
-    """The recording's table, once everything else that clicks need is there too."""
+    """Return the recording's table, once everything else that clicks need is there too."""
     folder = recording.folder
     if recording.table is None:
         raise InvalidRecordingError(

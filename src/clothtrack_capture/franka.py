@@ -42,7 +42,7 @@ class Arm(Protocol):
     """What is asked of an arm; positions are of the finger tips, in the arm's base frame [m]."""
 
     def position(self) -> Float[np.ndarray, " 3"]:
-        """Where the tips are now."""
+        """Return where the tips are now."""
         ...
 
     def move(self, position: Float[np.ndarray, " 3"], speed: float) -> None:
@@ -130,12 +130,12 @@ class FrankaRobot:
         self._begun = clock()
 
     def observe(self) -> RgbdFrame:
-        """A picture, whatever the arm does."""
+        """Return a picture, whatever the arm does."""
         shown = self._camera()
         return RgbdFrame(self._clock() - self._begun, shown.camera, shown.depth_m, shown.color)
 
     def check(self, action: PickPlace) -> Reachability:
-        """Whether every point of the way, and the way to it, is within the limits."""
+        """Return whether every point of the way, and the way to it, is within the limits."""
         if not np.isfinite(action.pick).all() or not np.isfinite(action.place).all():
             return Reachability(False, "the action is not finite")
         legs = np.vstack([self.config.home_m, self._points(action), self.config.home_m])
@@ -196,7 +196,7 @@ class FrankaRobot:
         self._go(np.array(config.home_m))
 
     def _points(self, action: PickPlace) -> Float[np.ndarray, "points 3"]:
-        """The waypoints, fingers a little below the seen surface but never in the table."""
+        """Return the waypoints, fingers a little below the seen surface but never in the table."""
         config = self.config
         lowest = config.limits.table_height_m + config.limits.clearance_m
         # A pick that is itself below the limit stays there and is refused.
@@ -208,7 +208,7 @@ class FrankaRobot:
         return self.config.leg_m if carrying else np.inf
 
     def _here(self) -> Float[np.ndarray, " 3"]:
-        """Where the tips are, in the world [m]."""
+        """Return where the tips are, in the world [m]."""
         turn, shift = self.config.base_from_world[:3, :3], self.config.base_from_world[:3, 3]
         return turn.T @ (self._arm.position() - shift)
 
@@ -229,7 +229,7 @@ class FrankaRobot:
             )
 
     def measured(self) -> tuple[float, Float[np.ndarray, " 3"]]:
-        """Time [s] and place of the tips in the world [m], as the arm measures it."""
+        """Return the time [s] and place of the tips in the world [m], as the arm measures it."""
         return self._clock() - self._begun, self._here()
 
 
@@ -250,7 +250,7 @@ class _MeasuredPath:
             self.film.append(frame)
 
     def path(self) -> PickerPath:
-        """The samples whose time advances."""
+        """Return the samples whose time advances."""
         kept: list[tuple[float, Float[np.ndarray, " 3"], bool]] = []
         for sample in self._samples:
             if not kept or sample[0] > kept[-1][0]:
@@ -267,7 +267,7 @@ class _MeasuredPath:
 def subdivided(
     points: Float[np.ndarray, "points 3"], longest_m: float
 ) -> Float[np.ndarray, "more_points 3"]:
-    """The same way with no leg longer than this [m]."""
+    """Return the same way with no leg longer than this [m]."""
     parts = [points[:1]]
     for start, end in itertools.pairwise(points):
         count = max(1, int(np.ceil(np.linalg.norm(end - start) / longest_m - 1e-9)))
@@ -304,7 +304,7 @@ class FrankyArm:
         self._force_n = force_n
 
     def position(self) -> Float[np.ndarray, " 3"]:
-        """Where the end effector is [m], base frame."""
+        """Return where the end effector is [m], base frame."""
         pose = self._robot.current_cartesian_state.pose.end_effector_pose
         return np.array(pose.translation, dtype=np.float64).reshape(3)
 

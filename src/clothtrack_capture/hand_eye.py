@@ -79,7 +79,7 @@ def calibrate_hand_eye(
     *,
     camera_on_hand: bool = False,
 ) -> HandEye:
-    """The camera's pose relative to the robot that makes all pictures agree best.
+    """Return the camera's pose relative to the robot that makes all pictures agree best.
 
     Args:
         robot: base_from_gripper at each picture.
@@ -148,7 +148,7 @@ def _disagreement(
     pose: Float[np.ndarray, "4 4"],
     board: Float[np.ndarray, "4 4"],
 ) -> tuple[Float[np.ndarray, "poses 3"], Float[np.ndarray, "poses 3"]]:
-    """Per picture, from the board's place to where the poses put it: shift [m] and turn [rad]."""
+    """Return how far the poses put the board from its place, per picture: [m] and [rad]."""
     text = moves @ pose @ boards
     turns = Rotation.from_matrix(board[:3, :3].T @ text[:, :3, :3]).as_rotvec()
     return text[:, :3, 3] - board[:3, 3], turns

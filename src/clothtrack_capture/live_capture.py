@@ -60,7 +60,7 @@ class DepthCamera(Protocol):
     depth_unit_m: float
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Frames as they come, until there are no more."""
+        """Yield frames as they come, until there are no more."""
         ...
 
     def close(self) -> None:
@@ -91,7 +91,7 @@ class ReplayedCamera:
             )
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Frames in the rhythm of the recording."""
+        """Yield frames in the rhythm of the recording."""
         start, name = time.monotonic(), self.camera.name
         for frame in self._frames:
             wait = (frame.time_s - self._frames[0].time_s) / self._speed
@@ -223,7 +223,7 @@ class CaptureWriter:
 
 
 def capture_folder(target: Path) -> Path:
-    """Where frames of a recording go while it is captured."""
+    """Return where frames of a recording go while it is captured."""
     return Path(target).with_name(f".{Path(target).name}.capture")
 
 
@@ -279,7 +279,7 @@ def salvage_capture(target: Path) -> Recording:
 def _read_journal(
     folder: Path,
 ) -> tuple[dict[str, Any], list[dict[str, Any]], list[list[Any]]]:
-    """Head, frames and marks of a capture; a last line that breaks off is left out."""
+    """Return head, frames and marks of a capture; a last line that breaks off is left out."""
     with storage(folder / JOURNAL):
         lines = (folder / JOURNAL).read_bytes().split(b"\n")
     notes: list[dict[str, Any]] = []
@@ -300,7 +300,7 @@ def _read_journal(
 
 
 def _is_whole(folder: Path, entry: Mapping[str, Any], unit_m: float) -> bool:
-    """Whether both pictures of a frame can be decoded, and something was measured."""
+    """Return whether both pictures of a frame can be decoded, and something was measured."""
     try:
         depth = read_depth(folder / conventional_name("depth", entry["index"]), unit_m)
         if entry["color"]:

@@ -14,6 +14,10 @@ from clothtrack.report.palette import HIDDEN, PAPER, rgb255
 from clothtrack_capture.segmentation_setup import SegmentationSetup
 
 _JPEG_QUALITY = 88
+_COLUMNS, _ROWS = 5, 4
+"""Pictures beside and, at most, above each other in a contact sheet."""
+_WIDTH = 300
+"""Width of one of them [pixels]."""
 
 
 def masked_picture(
@@ -22,7 +26,7 @@ def masked_picture(
     *,
     width: int,
 ) -> Picture:
-    """A picture of this width [pixels] with the mask on it; as it was where there is no mask."""
+    """Return a picture of this width [pixels] with the mask, if any, drawn on it."""
     height = max(1, round(color.shape[0] * width / color.shape[1]))
     size = width, height
     small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
@@ -38,43 +42,38 @@ def masked_picture(
 
 
 def jpeg(picture: Picture) -> bytes:
-    """JPEG file of a picture."""
+    """Return a JPEG file of a picture."""
     flags = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), flags)[1].tobytes()
 
 
 def spread(frames: Sequence[int], count: int) -> list[int]:
-    """At most so many of the frames, from the first to the last, evenly spread."""
+    """Return at most so many of the frames, from the first to the last, evenly spread."""
     places = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int))
     return [frames[place] for place in places]
 
 
-def write_mask_sheet(
-    setup: SegmentationSetup, path: Path, *, columns: int = 5, rows: int = 4, width: int = 300
-) -> Path:
+def write_mask_sheet(setup: SegmentationSetup, path: Path) -> Path:
     """Write a contact sheet of masks, from all over the recording, as a PNG.
 
     Args:
         setup: the masks.
         path: the picture to write.
-        columns: pictures beside each other.
-        rows: pictures above each other at most.
-        width: of one picture [pixels].
 
     Raises:
         StorageError: the disk refuses.
     """
     cells = []
-    for index in spread([frame.index for frame in setup.frames], columns * rows):
+    for index in spread([frame.index for frame in setup.frames], _COLUMNS * _ROWS):
         mask = setup.mask(index)
         share = "no mask" if mask is None else f"{100 * mask.mean():.1f} %"
-        shown = masked_picture(setup.picture(index), mask, width=width)
-        cells.append(np.concatenate([shown, caption(width, f"frame {index}", share, height=24)]))
+        shown = masked_picture(setup.picture(index), mask, width=_WIDTH)
+        cells.append(np.concatenate([shown, caption(_WIDTH, f"frame {index}", share, height=24)]))
     blank = np.full_like(cells[0], rgb255(PAPER))
-    cells += [blank] * (-len(cells) % columns)
+    cells += [blank] * (-len(cells) % _COLUMNS)
     strips = [
-        np.concatenate(cells[place : place + columns], axis=1)
-        for place in range(0, len(cells), columns)
+        np.concatenate(cells[place : place + _COLUMNS], axis=1)
+        for place in range(0, len(cells), _COLUMNS)
     ]
     write_file(path, encode_png(np.concatenate(strips)))
     return path

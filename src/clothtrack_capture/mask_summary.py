@@ -40,7 +40,7 @@ class MaskSummary:
     doubtful: tuple[int, ...]
 
     def __str__(self) -> str:
-        """Two lines for a person."""
+        """Return two lines for a person."""
         low, high = 100 * self.least_share, 100 * self.most_share
         text = (
             f"{self.frames} frames with cloth, {low:.1f} to {high:.1f} % of the picture (median "
@@ -53,7 +53,7 @@ class MaskSummary:
         return f"{text}\nlook at frames {named}{more}: much less or more cloth than around them"
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary for a program."""
+        """Return the summary for a program."""
         return asdict(self)
 
 
@@ -81,7 +81,7 @@ def summary_of(setup: SegmentationSetup) -> MaskSummary:
 
 
 def doubtful(areas: Float[np.ndarray, " frames"]) -> np.ndarray:
-    """Which of the areas [pixels] are empty, or differ suddenly from those around them."""
+    """Return which of the areas [pixels] are empty, or differ suddenly from those around them."""
     padded = np.pad(areas, NEIGHBOURS, mode="edge")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1)
     return (areas < 1) | (np.abs(areas - around) > SUDDEN * around)

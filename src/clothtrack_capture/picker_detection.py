@@ -67,7 +67,7 @@ def find_picker(
     *,
     name: str = "tip",
 ) -> PickerDetection:
-    """The path of a coloured tip and its pick-and-places.
+    """Return the path of a coloured tip and its pick-and-places.
 
     Args:
         recording: with colour, depth and a table.
@@ -112,7 +112,7 @@ def find_picker(
 def tip_members(
     recording: Recording, camera: Camera, tip: str | tuple[int, int, int] | None
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Set of the tip's colours, from a colour name or a click (frame, column, row).
+    """Return set of the tip's colours, from a colour name or a click (frame, column, row).
 
     Raises:
         InvalidConfigError: the name is unknown, or the click misses the recording or the picture.
@@ -174,7 +174,7 @@ def watch_tip(
     camera: Camera,
     members: UInt8[np.ndarray, "32 32 32"],
 ) -> list[Tip | None]:
-    """The tip in every frame, or None where it is not seen.
+    """Return the tip in every frame, or None where it is not seen.
 
     Raises:
         InvalidRecordingError: a frame lacks colour or depth.
@@ -215,7 +215,7 @@ def nearest_visible_vertex(
     *,
     radius_m: float = 0.03,
 ) -> int | None:
-    """The vertex that a closing tip takes: the nearest one in view; None when out of reach.
+    """Return the vertex that a closing tip takes: the nearest one in view; None when out of reach.
 
     Args:
         cloth: the mesh where it lies [m], world frame.
@@ -268,7 +268,7 @@ def _path(
     closed: Bool[np.ndarray, " frames"],
     seen: Bool[np.ndarray, " frames"],
 ) -> PickerPath:
-    """Samples where the tip is seen; in the first and last frame, and where closed, filled in."""
+    """Return the path where the tip is seen; interpolated at both ends and where it is closed."""
     times = np.array([frame.time_s for frame in frames])
     kept = seen | closed
     kept[[0, -1]] = True

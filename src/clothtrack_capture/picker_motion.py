@@ -48,7 +48,7 @@ def visits_of(
 def without_jumps(
     positions: Float[np.ndarray, "frames 3"],
 ) -> Float[np.ndarray, "frames 3"]:
-    """The path without single positions far off the line between their neighbours; NaN instead."""
+    """Return the path with NaN for single positions far off the line between their neighbors."""
     kept = positions.copy()
     before, here, after = positions[:-2], positions[1:-1], positions[2:]
     off = np.linalg.norm(here - 0.5 * (before + after), axis=1)
@@ -63,7 +63,7 @@ def closed_by_rest(
     heights: Float[np.ndarray, " frames"],
     visits: Sequence[Int[np.ndarray, " _"]],
 ) -> list[tuple[int, int]]:
-    """From which frame on cloth is held, and from which on not, by where the tip rests low.
+    """Return first and last frame of every hold, by where the tip rests low.
 
     Args:
         positions: of the tip [m]; NaN where it is not seen.
@@ -91,7 +91,7 @@ def closed_by_gap(
     heights: Float[np.ndarray, " frames"],
     visits: Sequence[Int[np.ndarray, " _"]],
 ) -> list[tuple[int, int]]:
-    """From which frame on cloth is held, and from which on not, by the gap of the tweezers.
+    """Return first and last frame of every hold, by the gap of the tweezers.
 
     Args:
         gaps: between the arms [m]; NaN where the tip is not seen.
@@ -115,7 +115,7 @@ def closed_by_gap(
 
 
 def _low_points(heights: Float[np.ndarray, " frames"]) -> list[int]:
-    """Places of the lowest points between rises and falls of at least `LEAST_LIFT_M`."""
+    """Return places of the lowest points between rises and falls of at least `LEAST_LIFT_M`."""
     lows: list[int] = []
     lowest, highest, falling = 0, 0, True
     for place, height in enumerate(heights):

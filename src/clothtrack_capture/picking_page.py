@@ -102,7 +102,7 @@ class _Page:
         }
 
     def _path(self, action: ClickedAction) -> list[list[float]]:
-        """Frame, column and row of the hand while it holds the cloth."""
+        """Return the frame, column and row of the hand while it holds the cloth."""
         times, path = self._picking.times, action.path
         frames = np.flatnonzero((times >= path.start_s - 1e-6) & (times <= path.end_s + 1e-6))
         pixels, _ = self._picking.views.camera.project(path.positions_at(times[frames]))

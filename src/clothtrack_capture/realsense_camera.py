@@ -23,7 +23,7 @@ class FrameSource(Protocol):
     """What gives framesets: `rs.pipeline`, or `rs.syncer` behind a software device."""
 
     def wait_for_frames(self, timeout_ms: int) -> Any:
-        """The next set of frames."""
+        """Return the next set of frames."""
         ...
 
 
@@ -58,7 +58,7 @@ class RealSenseCamera:
         self._warn_of_distortion(lens)
 
     def frames(self) -> Iterator[CapturedFrame]:
-        """Frames as they come, until the camera falls silent or its file ends."""
+        """Yield frames as they come, until the camera falls silent or its file ends."""
         while (found := self._next()) is not None:
             depth, color = found
             counts = np.asanyarray(depth.get_data())
@@ -74,7 +74,7 @@ class RealSenseCamera:
             self._pipeline.stop()
 
     def _next(self) -> tuple[Any, Any] | None:
-        """Depth laid on colour, and colour; None when nothing comes any more."""
+        """Return depth laid on colour, and colour; None when nothing comes any more."""
         for _ in range(30):
             try:
                 frames = self._source.wait_for_frames(WAIT_MS)

@@ -104,7 +104,7 @@ class Session:
         return recording
 
     def facts(self) -> dict[str, Any]:
-        """What the page shows beside the preview."""
+        """Return what the page shows beside the preview."""
         with self._lock:
             state = None if self._writer is None else self._writer.state
             latest, arrivals = self._latest, self._arrivals
@@ -125,7 +125,7 @@ class Session:
         }
 
     def preview(self) -> Picture | None:
-        """Colour and depth of the latest frame, beside each other."""
+        """Return the colour and depth of the latest frame, beside each other."""
         with self._lock:
             latest = self._latest
         return None if latest is None else preview_of(latest)
@@ -175,7 +175,7 @@ def record_live(
 
 
 def warnings_of(frame: CapturedFrame | None, error: str = "") -> list[str]:
-    """What is wrong with a frame, in words that say what to do."""
+    """Return what is wrong with a frame, in words that say what to do."""
     if error:
         return [f"nothing is written any more: {error}"]
     if frame is None:
@@ -198,7 +198,7 @@ def warnings_of(frame: CapturedFrame | None, error: str = "") -> list[str]:
 
 
 def preview_of(frame: CapturedFrame) -> Picture:
-    """Colour on the left, depth on the right (near is red); grey where nothing was measured."""
+    """Return colour on the left and depth on the right: near is red, unmeasured is grey."""
     depth = frame.depth_m
     shown = np.full((*depth.shape, 3), rgb255(PAPER), np.uint8)
     seen = depth > 0

@@ -78,7 +78,7 @@ class SegmentationSetup:
         self._learn(learned, frame, {"box": [*box]})
 
     def picture(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
-        """Colour picture of a frame, red first.
+        """Return the colour picture of a frame, red first.
 
         Raises:
             InvalidConfigError: there is no such frame.
@@ -87,7 +87,7 @@ class SegmentationSetup:
         return read_color(self._frame(frame).color[self.camera.name])
 
     def mask(self, frame: int) -> Bool[np.ndarray, "height width"] | None:
-        """What is cloth in a frame by the present choice; None where nothing tells.
+        """Return what is cloth in a frame by the present choice; None where nothing tells.
 
         Raises:
             InvalidConfigError: there is no such frame.
@@ -156,7 +156,7 @@ class SegmentationSetup:
             raise
 
     def _color_name(self) -> str | None:
-        """The name that fits nearly all of the cloth in the first frame and little else."""
+        """Return the name that fits nearly all of the cloth in the first frame and little else."""
         mask = self._mask(self.frames[0].index)
         if mask is None or not mask.any():
             return None

@@ -65,7 +65,7 @@ class Tip:
 
 
 def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
-    """Set of the colours that a name stands for.
+    """Return set of the colours that a name stands for.
 
     Raises:
         InvalidConfigError: the name is unknown.
@@ -80,7 +80,7 @@ def tip_colors(name: str) -> UInt8[np.ndarray, "32 32 32"]:
 def clicked_colors(
     color: UInt8[np.ndarray, "height width 3"], column: int, row: int
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Set of the colours of the patch that was clicked.
+    """Return set of the colours of the patch that was clicked.
 
     Raises:
         InvalidConfigError: the click is outside the picture, or the patch looks like the rest.
@@ -111,7 +111,7 @@ class TipFinder:
     def _votes(
         self, color: UInt8[np.ndarray, "height width 3"]
     ) -> UInt8[np.ndarray, "height width"]:
-        """What the colours say of every pixel, the background left out."""
+        """Return what the colours say of every pixel, the background left out."""
         votes = votes_of(color, self._members)
         if self._background is not None:
             votes[self._background] = 0
@@ -125,7 +125,7 @@ class TipFinder:
         near: Float[np.ndarray, " 2"] | None = None,
         axis: Float[np.ndarray, " 2"] | None = None,
     ) -> Tip | None:
-        """The tip in a picture; None where it is not seen.
+        """Return the tip in a picture; None where it is not seen.
 
         Args:
             color: colour picture, red first.
@@ -194,7 +194,7 @@ class TipFinder:
         depth_m: Float[np.ndarray, "height width"],
         axis: Float[np.ndarray, " 2"] | None,
     ) -> Tip | None:
-        """The end of one piece; None when its depth is not known."""
+        """Return the end of one piece; None when its depth is not known."""
         middle = pixels.mean(axis=0)
         spread, directions = np.linalg.eigh(np.cov((pixels - middle).T) + 1e-9 * np.eye(2))
         along = directions[:, 1]
@@ -230,7 +230,7 @@ class TipFinder:
     def _depth_line(
         self, places: Float[np.ndarray, " pixels"], depths: Float[np.ndarray, " pixels"]
     ) -> tuple[float, float] | None:
-        """Depth [m] in the middle of the tip and its change per pixel along it; None if unknown."""
+        """Return depth [m] in the middle of the tip and its slope per pixel; None if unknown."""
         if len(depths) < 3:
             return None
         band = DEPTH_BAND_M
@@ -267,7 +267,7 @@ def learned_finder(
     members: UInt8[np.ndarray, "32 32 32"],
     camera: Camera,
 ) -> TipFinder:
-    """A finder whose colours are learned from the recording itself, starting from these.
+    """Return a finder whose colours are learned from the recording itself, starting from these.
 
     Cloth and table have colours near the tip's: in shade, and where two of them mix at an edge.
     So what was taken for the tip is held against all else in the same pictures, and a colour

@@ -12,15 +12,12 @@ if TYPE_CHECKING:
     from clothtrack_lab.api.flattening import flatten_many
     from clothtrack_lab.api.simulation import simulate
     from clothtrack_lab.flattening import flatten
-    from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rounds
 else:
     __getattr__, __dir__ = lazy_names(__name__)
 
 __all__ = [
-    "ImprovementConfig",
     "flatten",
     "flatten_many",
-    "improve_rounds",
     "simulate",
     "train_dynamics",
 ]

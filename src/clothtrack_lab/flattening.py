@@ -99,7 +99,7 @@ def episode_parts(
     garment_seed: int | None = None,
     output: Path | None = None,
 ) -> EpisodeParts:
-    """What the episodes of `flatten` can share: the networks, or a policy that needs none.
+    """Return what the episodes of `flatten` can share: the networks, or a policy that needs none.
 
     Args:
         garment: what lies on the table.

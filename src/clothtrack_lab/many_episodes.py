@@ -81,11 +81,11 @@ class _Flattening:
     progress: Progress | None = None
 
     def name(self, seed: int) -> str:
-        """The name of the episode."""
+        """Return the name of the episode."""
         return SimulatedEpisode(self.garment, seed, garment_seed=self.garment_seed).label
 
     def paths(self, seed: int) -> list[Path]:
-        """The recording, the truth, and the report, which comes last."""
+        """Return recording, truth and report; the report is written last."""
         name = self.name(seed)
         return [
             self.output / "recordings" / name,
@@ -94,7 +94,7 @@ class _Flattening:
         ]
 
     def kept(self, seed: int) -> Row | None:
-        """The summary of an episode that has ended."""
+        """Return the summary of an episode that has ended."""
         document = self.output / "episodes" / self.name(seed) / DOCUMENT
         if not (document.is_file() and self.paths(seed)[-1].is_file()):
             return None

@@ -17,7 +17,6 @@ from clothtrack.recordings import (
     shipped_recording,
     write_recording,
 )
-from clothtrack.recordings.identity import picture_digests, same_film
 
 SHIPPED = shipped_recording()
 
@@ -121,8 +120,8 @@ def test_recordings_of_other_pictures_are_apart(tmp_path):
     (other / "depth" / "000000.png").write_bytes((SHIPPED / "depth" / "000000.png").read_bytes())
     held_out._pictures.cache_clear()
     held_out.require_apart([SHIPPED], [other])
-    assert not same_film(frozenset(), frozenset())
-    assert len(picture_digests(read_recording(SHIPPED))) > 10
+    assert not held_out.same_film(frozenset(), frozenset())
+    assert len(held_out.picture_digests(read_recording(SHIPPED))) > 10
 
 
 def test_offline_parameters_do_not_come_from_what_is_measured(tmp_path, monkeypatch):

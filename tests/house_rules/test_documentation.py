@@ -53,11 +53,10 @@ def known_settings():
     from clothtrack_lab.graph_dynamics.roll_outs import RollOutConfig
     from clothtrack_lab.published_networks.published_config import PublishedConfig
     from clothtrack_lab.world import EpisodeConfig
-    from clothtrack_lab.world.self_improvement import ImprovementConfig
 
     configs = [
         RunConfig(), FlattenConfig(), DynamicsTrainingConfig(), LearningConfig.preset("pretrain"),
-        PublishedConfig.preset("pretrain"), StatesConfig(), EpisodeConfig(), ImprovementConfig(),
+        PublishedConfig.preset("pretrain"), StatesConfig(), EpisodeConfig(),
     ]  # fmt: skip
     names = {setting.name for config in configs for setting in settings_of(config)}
     names |= {setting.name for setting in settings_of(RollOutConfig(), "roll_outs")}

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothtrack.errors import InvalidRecordingError
-from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.registration import Registration
 from clothtrack_capture.importing.source import StereoCalibration

@@ -41,6 +41,13 @@ class FoldedGarment:
         return np.einsum("pk,pki->pi", blend, self.flat.canonical[corners])
 
 
+def settle(solver, speed, limit_s):
+    """Let the cloth move freely until no vertex exceeds a speed [m/s], or a limit [s]."""
+    for _ in range(round(limit_s / 0.02)):
+        if solver.step(0.02).max() < speed:
+            break
+
+
 @cache
 def fold(kind):
     """Lifts a corner of a towel, or a sleeve, over the rest and lets it down."""
@@ -48,7 +55,7 @@ def fold(kind):
     raised = mesh.vertices - (0.0, 0.0, mesh.vertices[:, 2].min() - 0.0015)
     mesh = replace(mesh, vertices=raised)
     solver = ClothSolver(mesh, SolverConfig(table=TABLE))
-    solver.settle(limit_s=0.3)
+    settle(solver, speed=0.1, limit_s=0.3)
     start = solver.positions[0]
     along, to = start[:, 0] + start[:, 1], np.array([-0.13, -0.09, 0.012])
     if kind == "tshirt":
@@ -57,7 +64,7 @@ def fold(kind):
     share = np.linspace(0.0, 1.0, 15)[:, None, None]
     way = start[held] + share * to + (0.0, 0.0, 0.12) * np.sin(np.pi * share)
     ClothDynamics(solver).roll_out(None, HeldMotion(held, way), 1.2)
-    solver.settle(speed=0.03, limit_s=1.0)
+    settle(solver, speed=0.03, limit_s=1.0)
     vertices = solver.positions[0].astype(np.float64)
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = vertices[:, 0].mean(), vertices[:, 1].mean(), 0.8

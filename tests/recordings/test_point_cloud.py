@@ -11,8 +11,8 @@ from clothtrack.recordings.point_cloud import (
     cloth_measured,
     hidden_pixels,
     observe,
+    strays,
     thin,
-    without_strays,
 )
 from clothtrack.recordings.recording import ObservedRegion, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
@@ -123,10 +123,13 @@ def test_a_rim_of_background_is_not_cloth():
     mask = cloth.copy()
     mask[10:40, 50] = True
     np.testing.assert_array_equal(cloth_measured(depth, mask, camera), cloth)
-    np.testing.assert_array_equal(cloth_measured(depth, mask, camera, stray_share=0.0), mask)
     depth[12:14, 12:14] = 0.0
     assert not cloth_measured(depth, mask, camera)[12:14, 12:14].any()
     assert not cloth_measured(depth, np.zeros_like(mask), camera).any()
+
+
+def kept(points, share):
+    return points[~strays(points, share)]
 
 
 def test_stray_clusters_go_and_the_cloth_stays_in_order():
@@ -134,13 +137,13 @@ def test_stray_clusters_go_and_the_cloth_stays_in_order():
     cloth = rng.uniform(0, 0.2, (6000, 3)) * [1, 1, 0]
     stray = rng.normal(loc=(0.1, 0.1, 0.05), scale=0.002, size=(100, 3))
     both = np.vstack([stray, cloth])
-    np.testing.assert_array_equal(without_strays(both, 0.04), cloth)
+    np.testing.assert_array_equal(kept(both, 0.04), cloth)
     # A cluster of more than the share is no stray, and a share of 0 keeps everything.
     large = np.vstack([cloth, np.repeat(stray, 3, axis=0)])
-    assert len(without_strays(large, 0.04)) == len(large)
-    assert len(without_strays(both, 0.0)) == len(both)
+    assert len(kept(large, 0.04)) == len(large)
+    assert len(kept(both, 0.0)) == len(both)
     # A scattered cloud is not thrown away whole.
-    assert len(without_strays(rng.uniform(0, 9, (50, 3)), 0.04)) == 50
+    assert len(kept(rng.uniform(0, 9, (50, 3)), 0.04)) == 50
 
 
 @pytest.mark.parametrize(("gap_m", "clusters"), [(0.0065, 1), (0.0245, 2)])
@@ -150,7 +153,7 @@ def test_points_are_linked_by_their_distance(gap_m, clusters):
         direction = rng.normal(size=3)
         step = gap_m * direction / np.linalg.norm(direction)
         points = np.array([np.zeros(3), np.zeros(3), step]) + rng.uniform(0, 1, 3)
-        assert len(without_strays(points, 0.5)) == (3 if clusters == 1 else 2)
+        assert len(kept(points, 0.5)) == (3 if clusters == 1 else 2)
 
 
 def test_flying_pixels_between_two_surfaces_go_and_rims_stay():

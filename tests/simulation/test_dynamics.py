@@ -15,7 +15,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture
 def dynamics():
-    return ClothDynamics(ClothSolver(MESH, SolverConfig(contact="none")))
+    return ClothDynamics(ClothSolver(MESH, SolverConfig()))
 
 
 def attachment(targets, strength):
@@ -38,7 +38,7 @@ def test_way_points_are_linear_between_knots():
 
 
 def test_each_environment_follows_its_own_way():
-    solver = ClothSolver(MESH, SolverConfig(contact="none"), environments=2)
+    solver = ClothSolver(MESH, SolverConfig(), environments=2)
     corner = MESH.vertices[0]
     ways = np.stack([np.stack([corner, corner + height * UP])[:, None] for height in (0.01, 0.02)])
     result = ClothDynamics(solver).roll_out(solver.save(), HeldMotion(CORNER, ways), 0.1)

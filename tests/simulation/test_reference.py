@@ -42,7 +42,6 @@ def config(**changes):
     return SolverConfig(
         **{
             "table": FLOOR,
-            "contact": "none",
             "sleep_speed": 0.0,
             "speed_limit": 1e3,
             "substep_s": SUBSTEP_S,
@@ -96,7 +95,8 @@ def test_sharp_creases_resist():
     folded = positions[:, 0] > 0.015
     positions[folded, 0] = 0.004
     positions[folded, 2] += 0.001
-    settings = config(table=None)
+    # Layers that keep no distance touch nothing.
+    settings = config(table=None, thickness_m=1e-9, contact_depth_m=1e-9, edge_contact=False)
     solver = ClothSolver(mesh, settings, parameters=PARAMETERS)
     solver.place(positions)
     solver.step(SUBSTEP_S)
@@ -130,7 +130,7 @@ def test_edges_give_more_to_a_push_than_to_a_pull():
 def test_vertex_triangle_contact(push_out_speed):
     mesh = two_layers(5, gap=0.0025)
     positions, velocities = shaken(mesh, seed=2)
-    settings = config(contact="vertex-triangle", push_out_speed=push_out_speed, edge_contact=False)
+    settings = config(push_out_speed=push_out_speed, edge_contact=False)
     solver = ClothSolver(mesh, settings, parameters=PARAMETERS)
     solver.place(positions)
     solver.set_velocities(velocities)

@@ -106,8 +106,8 @@ def test_an_uncertain_grasp_adds_its_offset_to_the_search() -> None:
 
 
 def test_progress_expects_a_first_sweep_where_candidates_are_tracked() -> None:
-    assert SearchConfig(axes=AXES, method="tracking").expected_candidates == 6
-    assert SearchConfig(axes=AXES, method="grid").expected_candidates == 1
+    assert SearchConfig(axes=AXES, method="tracking").expected_candidates(START) == 6
+    assert SearchConfig(axes=AXES, method="grid").expected_candidates(START) == 1
 
 
 def test_unknown_and_empty_axes_are_refused() -> None:

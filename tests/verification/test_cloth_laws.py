@@ -179,7 +179,7 @@ def test_a_layer_pushed_through_another_returns_to_its_side():
 def test_a_cloth_attached_softly_to_itself_loses_energy_and_does_not_sag(substep_s):
     mesh = sheet(0.08)
     stand = mesh.with_vertices(mesh.vertices[:, [0, 2, 1]])
-    config = SolverConfig(substep_s=substep_s, contact="none")
+    config = SolverConfig(substep_s=substep_s)
     solver = ClothSolver(stand, config)
     solver.set_velocities(np.random.default_rng(3).normal(0.0, 0.2, (1, mesh.vertex_count, 3)))
     soft = Attachment(stand.vertices[None].copy(), np.full((1, mesh.vertex_count), 0.9))
@@ -200,7 +200,7 @@ def test_a_cloth_attached_softly_to_itself_loses_energy_and_does_not_sag(substep
 def test_a_soft_pull_closes_its_share_whatever_the_substeps(substep_s, tolerance):
     mesh = sheet(0.04)
     target = mesh.vertices + np.array([0.01, 0.0, 0.0])
-    config = SolverConfig(substep_s=substep_s, gravity=(0.0, 0.0, 0.0), damping=0.0, contact="none")
+    config = SolverConfig(substep_s=substep_s, gravity=(0.0, 0.0, 0.0), damping=0.0)
     solver = ClothSolver(mesh, config)
     solver.step(0.05, Attachment(target[None], np.full((1, mesh.vertex_count), 0.8)))
     moved = solver.positions[0, :, 0] - mesh.vertices[:, 0]
@@ -265,7 +265,7 @@ def test_violent_displacement_shows_in_the_highest_speed():
     rng = np.random.default_rng(5)
     speeds = []
     for amplitude in (0.0, 0.001, 0.008):
-        solver = ClothSolver(mesh, SolverConfig(gravity=(0.0, 0.0, 0.0), contact="none"))
+        solver = ClothSolver(mesh, SolverConfig(gravity=(0.0, 0.0, 0.0)))
         solver.place(mesh.vertices + rng.normal(0.0, 1.0, mesh.vertices.shape) * amplitude)
         speeds.append(float(solver.step(0.02).max()))
         assert np.isfinite(solver.positions).all()

@@ -13,7 +13,7 @@ MOST_CUBES = 1 << 20
 def within_reach(
     points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], reach_m: float
 ) -> Float[np.ndarray, "near_points 3"]:
-    """The points [m] that have a vertex within reach: what lies farther is not this cloth."""
+    """Return the points [m] that have a vertex within reach."""
     if not len(points) or not len(vertices):
         return points[:0]
     near = _share_a_cube(points, vertices, reach_m / np.sqrt(3.0))
@@ -27,7 +27,7 @@ def within_reach(
 def _share_a_cube(
     points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], side_m: float
 ) -> Bool[np.ndarray, " points"]:
-    """Points that are in one cube of a grid with some vertex: no farther than its diagonal.
+    """Return points that are in one cube of a grid with some vertex: no farther than its diagonal.
 
     Most points of a tracked cloth are, and need no search.
     """
@@ -59,7 +59,9 @@ def _in_filled_cubes(
 def beside(
     points: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "vertices 3"], reach_m: float
 ) -> Float[np.ndarray, "near_points 3"]:
-    """At least the points [m] that have a vertex within reach, and few others: no search is needed.
+    """Return at least the points [m] that have a vertex within reach, and few others.
+
+    No search is needed.
 
     Those are in the cube of a grid that holds a vertex, or in one beside it.
     """

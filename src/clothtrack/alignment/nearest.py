@@ -18,12 +18,18 @@ Command = Callable[[], object]
 def launching(
     kernel: wp.Kernel, dim: int, inputs: list[object], device: str | wp.Device
 ) -> Command:
-    """The launch of a kernel, to be done later."""
+    """Return the launch of a kernel, to be done later."""
     return partial(wp.launch, kernel, dim=dim, inputs=inputs, device=device)
 
 
+def do_all(commands: list[Command]) -> None:
+    """Do the commands, one after the other."""
+    for command in commands:
+        command()
+
+
 def made_ready(commands: list[Command]) -> list[Command]:
-    """The same with the launches' arguments packed: repeating them costs a tenth.
+    """Return the same with the launches' arguments packed: repeating them costs a tenth.
 
     Not for a capture, which would not see them.
     """
@@ -75,11 +81,10 @@ class MovingGrid:
 
     def build(self, positions: wp.array) -> None:
         """Sort the members into cells by where they are now [m]."""
-        for command in self.building(positions):
-            command()
+        do_all(self.building(positions))
 
     def building(self, positions: wp.array) -> list[Command]:
-        """What `build` does, command by command."""
+        """Return the commands of `build`."""
         count, fill = (
             launching(
                 kernel,
@@ -158,20 +163,18 @@ class Matcher:
 
     def rebuild(self, positions: wp.array) -> None:
         """Sort the visible vertices anew; never needed for the result, but for speed."""
-        for command in self.rebuilding(positions):
-            command()
+        do_all(self.rebuilding(positions))
 
     def rebuilding(self, positions: wp.array) -> list[Command]:
-        """What `rebuild` does, command by command."""
+        """Return the commands of `rebuild`."""
         return [*self.grid.building(positions), self.progress.next_stale.zero_]
 
     def launch(self, positions: wp.array, sums: wp.array) -> None:
         """Begin an iteration: match at these positions [m], add data residuals to the sums."""
-        for command in self.matching(positions, sums):
-            command()
+        do_all(self.matching(positions, sums))
 
     def matching(self, positions: wp.array, sums: wp.array) -> list[Command]:
-        """What `launch` does, command by command."""
+        """Return the commands of `launch`."""
         advance = launching(kernels.advance, self.grid.count, [self.progress], self._device)
         match_points = launching(
             kernels.match_points,
@@ -215,24 +218,26 @@ class Matcher:
         return [advance, match_points, match_vertices]
 
     def nearest_vertices(self) -> np.ndarray:
-        """Vertex that each cloud point belongs to."""
+        """Return the vertex that each cloud point belongs to."""
         return self._nearest.numpy()
 
     def limits(self) -> np.ndarray:
-        """Distance of each cloud point's runner-up [m] and the way until then: renewed by a search.
+        """Return the distance of each cloud point's runner-up [m] and the way until then.
+
+        Renewed by a search.
 
         Whatever changes here was searched.
         """
         return self._limit.numpy().copy()
 
     def partners(self) -> np.ndarray:
-        """Cloud point that each vertex is pulled to, or -1."""
+        """Return the cloud point that each vertex is pulled to, or -1."""
         return self.partner.numpy()
 
 
 def _box(
     points: Float[np.ndarray, "points 3"],
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """Lower and upper corner of the box around points [m]."""
+    """Return lower and upper corner of the box around points [m]."""
     # Axis by axis: extremes along rows of three are slow.
     return np.array([axis.min() for axis in points.T]), np.array([axis.max() for axis in points.T])

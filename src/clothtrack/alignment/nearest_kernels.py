@@ -139,7 +139,7 @@ def _search(
     radius: wp.float32,
     stale: wp.float32,
 ):
-    """Nearest item within a radius; items beyond it are at least the radius away."""
+    """Return the nearest item within a radius; items beyond it are at least the radius away."""
     reach = radius + stale
     x0 = _cell(grid, point[0] - reach, 0, grid.width)
     x1 = _cell(grid, point[0] + reach, 0, grid.width)
@@ -183,7 +183,7 @@ def _search_far(
     farthest: wp.float32,
     stale: wp.float32,
 ):
-    """Nearest item up to a distance: the ball doubles until it holds one."""
+    """Return the nearest item up to a distance: the ball doubles until it holds one."""
     ball = wp.min(radius, farthest)
     result = _search(point, points, grid, ball, stale)
     while result.item < 0 and ball < farthest:

@@ -20,6 +20,9 @@ from clothtrack.recordings.recording import Table
 FIRST_STEP_M = 0.006
 """First shift that is tried when an outline is to be fitted [m]."""
 
+TRIALS = 50
+"""Outlines that are drawn at most (Nelder and Mead's search over two shifts and a turn)."""
+
 
 def silhouette_gap(
     mesh: ClothMesh,
@@ -56,7 +59,7 @@ class _Outline:
             self._views.append((rasteriser, seen, shown, hidden, int(np.count_nonzero(shown))))
 
     def gap(self, vertices: Float[np.ndarray, "vertices 3"]) -> float:
-        """What `silhouette_gap` returns for the mesh with these vertices [m]."""
+        """Return the `silhouette_gap` of the mesh with these vertices [m]."""
         both = either = 0
         # The cloud may have been cut away there, so that its absence says nothing.
         silent = self._observation.unobservable(vertices)[self._faces].any(axis=1)
@@ -80,7 +83,6 @@ def slide_to_outline(
     observation: Observation,
     table: Table,
     *,
-    trials: int = 50,
     device: str = "cpu",
 ) -> Float[np.ndarray, "vertices 3"]:
     """Slide and turn a whole mesh on the table until its outline fits best.
@@ -93,7 +95,6 @@ def slide_to_outline(
         vertices: where its vertices are [m].
         observation: the cloud, and where the cameras were blind.
         table: the plane on which it slides.
-        trials: outlines that are drawn (Nelder and Mead's search over two shifts and a turn).
         device: "cpu" or "cuda:0".
 
     Returns:
@@ -117,7 +118,7 @@ def slide_to_outline(
     if not np.isfinite(first):
         return vertices
     simplex = np.vstack([np.zeros(3), FIRST_STEP_M * np.eye(3)])
-    options = {"initial_simplex": simplex, "maxfev": trials, "xatol": 3e-4, "fatol": 1e-4}
+    options = {"initial_simplex": simplex, "maxfev": TRIALS, "xatol": 3e-4, "fatol": 1e-4}
     best = minimize(gap, np.zeros(3), method="Nelder-Mead", options=options)
     return moved(best.x) if best.fun < first else vertices
 
@@ -125,7 +126,7 @@ def slide_to_outline(
 def _picture(
     points: Float[np.ndarray, "points 3"], camera: Camera
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels that a cloud covers: those of its points, and the gaps between them."""
+    """Return the pixels that a cloud covers: those of its points, and the gaps between them."""
     pixels, depth = camera.project(points)
     pixels = np.rint(pixels[depth > 0]).astype(np.int64)
     size = (camera.width, camera.height)

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from clothtrack.alignment import nearest_kernels, solver_kernels, terms_kernels
-from clothtrack.alignment.nearest import Command, Matcher, launching, made_ready
+from clothtrack.alignment.nearest import Matcher, do_all, launching, made_ready
 from clothtrack.alignment.terms_kernels import PARTNERS, TERM_COUNT, TERMS
 from clothtrack.files.bounds import Checked, Count, NotNegative, Share
 
@@ -92,11 +92,6 @@ def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]
     with wp.ScopedCapture(device=device) as capture:
         work()
     return lambda: wp.capture_launch(capture.graph)
-
-
-def _do_all(commands: list[Command]) -> None:
-    for command in commands:
-        command()
 
 
 @dataclass(frozen=True)
@@ -207,9 +202,9 @@ class GaussNewton(Checked):
         ]
         # For so few repetitions recording a graph would cost a CPU more than it saves.
         repeat = (
-            partial(_do_all, made_ready(step))
+            partial(do_all, made_ready(step))
             if on_cpu
-            else _captured(partial(_do_all, step), device)
+            else _captured(partial(do_all, step), device)
         )
         done = 0
         while done < self.iterations and not self._has_converged(problem, sums, done):

@@ -73,7 +73,7 @@ GONE: Mapping[str, str] = {
     "bench": "clothtrack simulate OUT --benchmark all",
     "calibrate-hand-eye": "clothtrack calibrate-camera RECORDING --robot-poses POSES.csv",
     "train-dynamics": "clothtrack_lab.train_dynamics(OUT) in Python",
-    "improve": "clothtrack_lab.improve_rounds(WEIGHTS, ...) in Python",
+    "improve": "python experiments improve",
 }
 """What to type instead of verbs that there were."""
 

@@ -52,10 +52,8 @@ def camera_views(
     segmenter: Segmenter | None = None,
     *,
     color: bool = False,
-    largest_component: bool = True,
-    drop_flying: bool = True,
 ) -> tuple[CameraView, ...]:
-    """What the cameras saw that have a depth picture of this frame.
+    """Return what the cameras saw that have a depth picture of this frame.
 
     Args:
         recording: the recording.
@@ -63,9 +61,6 @@ def camera_views(
         segmenter: finds the cloth; left out, masks, colour hint or height do
             (`default_segmenter`).
         color: read the colour pictures that the segmenter does not look at, too.
-        largest_component: keep the largest connected part of each mask, and parts of at least a
-            quarter of its size.
-        drop_flying: pixels in mid-air between a surface and what lies behind it are blind.
 
     Raises:
         InvalidRecordingError: a picture cannot be read.
@@ -79,11 +74,9 @@ def camera_views(
         looks = camera.name in frame.color and (color or not isinstance(find, _COLOR_BLIND))
         picture = read_color(frame.color[camera.name]) if looks else None
         mask = find(picture, depth_m, camera, recording.table)
-        if largest_component and not isinstance(find, _MAIN_PARTS_ONLY):
+        if not isinstance(find, _MAIN_PARTS_ONLY):
             mask = main_components(mask)
-        blind = depth_m == 0
-        if drop_flying:
-            blind |= flying_pixels(depth_m, camera.fx)
+        blind = (depth_m == 0) | flying_pixels(depth_m, camera.fx)
         views.append(CameraView(camera, picture, depth_m, mask, blind))
     return tuple(views)
 
@@ -91,7 +84,9 @@ def camera_views(
 def flying_pixels(
     depth_m: Float[np.ndarray, "height width"], focal_px: float
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels that mix two surfaces: depth climbs past them steeply, on both sides the same way.
+    """Return the pixels that mix two surfaces.
+
+    Depth climbs past them steeply, on both sides the same way.
 
     Steep is more than a surface tilted by 80 degrees shows from one pixel to the next, plus 4 mm of
     noise. A pixel on the rim of a surface has a jump on one side only, and stays.

@@ -19,6 +19,12 @@ from clothtrack.recordings.pictures import bands
 BINS = 32
 NO, LOOSE, CORE = 0, 1, 2
 
+LEAST_SATURATION = 0.2
+"""Saturation (0 to 1) from which a colour is known again in other light."""
+
+LEAST_VALUE = 0.1
+"""Colours that are darker (0 to 1) have no hue to tell them by."""
+
 
 @dataclass(frozen=True)
 class ColorRange:
@@ -35,7 +41,7 @@ class ColorRange:
     value: tuple[float, float] = (0.17, 1.0)
 
     def widened(self) -> "ColorRange":
-        """The range with a margin for shade, gloss and white balance."""
+        """Return the range with a margin for shade, gloss and white balance."""
         low, high = self.hue
         if low <= high and high - low >= 336:
             hue = (0.0, 360.0)
@@ -44,7 +50,7 @@ class ColorRange:
         return ColorRange(hue, _spread(self.saturation, 0.1), _spread(self.value, 0.08))
 
     def contains(self, hsv: Float[np.ndarray, "*any 3"]) -> Bool[np.ndarray, "*any"]:
-        """Whether colours lie in the range; hue [degrees], saturation and value 0 to 1."""
+        """Return whether colours lie in the range; hue [degrees], saturation and value 0 to 1."""
         hue, saturation, value = np.moveaxis(hsv, -1, 0)
         low, high = self.hue
         turned = (hue >= low) & (hue <= high) if low <= high else (hue >= low) | (hue <= high)
@@ -80,12 +86,10 @@ NAMED_COLORS: Mapping[str, tuple[ColorRange, ...]] = MappingProxyType(
 
 @lru_cache
 def named_set(name: str) -> UInt8[np.ndarray, "32 32 32"]:
-    """Set of the colours with a name: `CORE` inside its range, `LOOSE` near it."""
-    levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
-    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
-    hsv = cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV).reshape(rgb.shape)
+    """Return set of the colours with a name: `CORE` inside its range, `LOOSE` near it."""
+    hsv = _all_hsv().reshape(BINS, BINS, BINS, 3)
     ranges = NAMED_COLORS[name.lower()]
-    members = np.zeros(rgb.shape[:3], dtype=np.uint8)
+    members = np.zeros(hsv.shape[:3], dtype=np.uint8)
     for chosen in ranges:
         members[chosen.widened().contains(hsv) & (members == NO)] = LOOSE
     for chosen in ranges:
@@ -99,7 +103,7 @@ def learned_set(
     cloth: Bool[np.ndarray, "height width"],
     other: Bool[np.ndarray, "height width"],
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """Set of the colours that are more frequent on the cloth than elsewhere.
+    """Return set of the colours that are more frequent on the cloth than elsewhere.
 
     Two smoothed histograms are compared bin by bin (a likelihood ratio): `CORE` where cloth is
     three times as frequent, `LOOSE` where it is more frequent.
@@ -129,11 +133,8 @@ def with_shades(
     members: UInt8[np.ndarray, "32 32 32"],
     color: UInt8[np.ndarray, "height width 3"],
     cloth: Bool[np.ndarray, "height width"],
-    *,
-    least_saturation: float = 0.2,
-    least_value: float = 0.1,
 ) -> UInt8[np.ndarray, "32 32 32"]:
-    """The set with the same colours in other light, as the cloth's folds will show them.
+    """Return the set with the same colours in other light, as the cloth's folds will show them.
 
     Light changes the value of a colour and leaves hue and saturation. Colours that the rest of the
     picture has stay as they are, and so do greys, which have no hue.
@@ -142,23 +143,23 @@ def with_shades(
         members: set of the cloth's colours in this picture.
         color: the picture, red first.
         cloth: what of it is cloth.
-        least_saturation: of a colour that is known again in other light, 0 to 1.
-        least_value: darker colours than this say nothing, 0 to 1.
     """
-    levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
-    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
-    hsv = cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV)[0]
+    hsv = _all_hsv()
     bins = bin_of(color)
     own = cloth & (members.ravel()[bins] == CORE)
     # Of the pixels themselves: five bits of a dark colour say little of its hue.
     seen = cv2.cvtColor(color[own][None].astype(np.float32) / 255.0, cv2.COLOR_RGB2HSV)[0]
     outside = np.bincount(bins[~cloth], minlength=BINS**3)
     tints = np.zeros((36, 10))
-    np.add.at(tints, _tint(seen[seen[:, 1] >= least_saturation]), 1)
+    np.add.at(tints, _tint(seen[seen[:, 1] >= LEAST_SATURATION]), 1)
     known = tints > 0.002 * max(len(seen), 1)
     # A neighbour in hue or saturation is the same colour: so wide are the steps of five bits.
     known = maximum_filter(known, size=3, mode=("wrap", "nearest"))
-    shade = known[_tint(hsv)] & (hsv[:, 1] >= least_saturation) & (hsv[:, 2] >= least_value)
+    shade = (
+        np.asarray(known, bool)[_tint(hsv)]
+        & (hsv[:, 1] >= LEAST_SATURATION)
+        & (hsv[:, 2] >= LEAST_VALUE)
+    )
     foreign = gaussian_filter(outside.reshape((BINS,) * 3).astype(np.float32), 0.8).ravel() > 1.0
     widened = np.where(shade & ~foreign, CORE, members.ravel())
     return widened.reshape(members.shape).astype(np.uint8)
@@ -167,7 +168,7 @@ def with_shades(
 def votes_of(
     color: UInt8[np.ndarray, "height width 3"], members: UInt8[np.ndarray, "32 32 32"]
 ) -> UInt8[np.ndarray, "height width"]:
-    """What a set of colours says of every pixel: `CORE`, `LOOSE` or `NO`."""
+    """Return what a set of colours says of every pixel: `CORE`, `LOOSE` or `NO`."""
     table = members.ravel()
     votes = np.empty(color.shape[:2], dtype=np.uint8)
     for rows in bands(len(color)):
@@ -178,9 +179,16 @@ def votes_of(
 def bin_of(
     color: UInt8[np.ndarray, "height width 3"],
 ) -> UInt16[np.ndarray, "height width"]:
-    """Number of the table entry of every pixel."""
+    """Return number of the table entry of every pixel."""
     # OpenCV packs five bits a channel in one pass: what is red here is called blue there.
     return cv2.cvtColor(color, cv2.COLOR_RGB2BGR555).view(np.uint16)[..., 0]
+
+
+def _all_hsv() -> Float[np.ndarray, "colors 3"]:
+    """Return hue [degrees], saturation and value of every table entry."""
+    levels = np.arange(BINS, dtype=np.float32) / (BINS - 1)
+    rgb = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1)
+    return cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2HSV)[0]
 
 
 def _tint(hsv: Float[np.ndarray, "colors 3"]) -> tuple[np.ndarray, np.ndarray]:

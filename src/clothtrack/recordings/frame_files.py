@@ -21,14 +21,14 @@ _FILE_KINDS: tuple[FileKind, ...] = (*PICTURE_KINDS, "cloud")
 
 
 def conventional_name(kind: FileKind, frame: int, camera: str | None = None) -> str:
-    """File of a frame inside the recording; `camera` is None when there is only one."""
+    """Return the file of a frame inside the recording; `camera` is None when there is only one."""
     if kind == "cloud":
         return f"cloud/{frame:06d}.npz"
     return f"{kind}/{frame:06d}.png" if camera is None else f"{kind}/{camera}/{frame:06d}.png"
 
 
 def named_file(folder: Path, name: str, field: str, violations: Violations) -> Path | None:
-    """Absolute path of a file that a field names; None when it leads out of the folder."""
+    """Return absolute path of a file that a field names; None when it leads out of the folder."""
     written = PurePosixPath(name)
     if not (written.is_absolute() or ".." in written.parts or "\\" in name or "\0" in name):
         path = folder / written
@@ -45,7 +45,7 @@ def find_frames(
     camera_names: Sequence[str],
     violations: Violations,
 ) -> tuple[Frame, ...]:
-    """The frames of a document.
+    """Return the frames of a document.
 
     Args:
         folder: the recording's folder, resolved.
@@ -86,7 +86,7 @@ def check_pictures(
     *,
     thorough: bool,
 ) -> Violations:
-    """What is wrong with the files of the frames.
+    """Return what is wrong with the files of the frames.
 
     The header and the last bytes of every picture are read, every mask, and the first depth
     picture of each camera; all others are decoded only when `thorough`.

@@ -50,7 +50,7 @@ def write_mesh(
 
 
 def read_vertex_errors(path: Path) -> Float[np.ndarray, " vertices"] | None:
-    """The expected error of each vertex [m] that a PLY keeps; None where it keeps none.
+    """Return the expected error of each vertex [m] that a PLY keeps; None where it keeps none.
 
     Raises:
         InvalidMeshError: the file is missing or damaged.

@@ -39,7 +39,7 @@ class NumberedPoints:
     def fresh(
         cls, numbers: Int[np.ndarray, " points"], pixels: Float32[np.ndarray, "points 2"]
     ) -> "NumberedPoints":
-        """Points that have not moved yet, with nobody beside them."""
+        """Return points that have not moved yet, with nobody beside them."""
         nobody = np.full((len(numbers), NEIGHBOURS), NOBODY)
         points = cls(numbers, pixels, np.zeros_like(pixels), nobody, np.zeros(nobody.shape))
         return points[np.argsort(numbers)]
@@ -50,21 +50,21 @@ class NumberedPoints:
         return cls.fresh(np.zeros(0, np.int64), np.zeros((0, 2), np.float32))
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return how many there are."""
         return len(self.numbers)
 
     def __getitem__(
         self, part: Bool[np.ndarray, " points"] | Int[np.ndarray, " part"]
     ) -> "NumberedPoints":
-        """Those of a part."""
+        """Return those of a part."""
         return NumberedPoints(*(getattr(self, each.name)[part] for each in fields(self)))
 
     def at(self, pixels: Float32[np.ndarray, "points 2"]) -> "NumberedPoints":
-        """The same in the next picture."""
+        """Return the same in the next picture."""
         return replace(self, pixels=pixels, steps=pixels - self.pixels)
 
     def are_in(self, others: "NumberedPoints") -> Bool[np.ndarray, " points"]:
-        """Which of them are among others."""
+        """Return which of them are among others."""
         return np.isin(self.numbers, others.numbers)
 
     def together_with(self, others: "NumberedPoints") -> "NumberedPoints":
@@ -76,7 +76,10 @@ class NumberedPoints:
     def with_neighbours(
         self, positions: Float[np.ndarray, "points 3"], among: Bool[np.ndarray, " points"]
     ) -> "NumberedPoints":
-        """The same with those beside each that are nearest here [m]; some are asked for only."""
+        """Return the same with those beside each that are nearest here [m].
+
+        Some are asked for only.
+        """
         if not among.any():
             return self
         apart, place = cKDTree(positions[among]).query(positions, k=NEIGHBOURS + 1)
@@ -100,6 +103,6 @@ class NumberedPoints:
 def too_far_apart(
     now: Float[np.ndarray, "points neighbours"], before: Float[np.ndarray, "points neighbours"]
 ) -> Bool[np.ndarray, "points neighbours"]:
-    """Whether two points are farther apart [m] than cloth can have stretched."""
+    """Return whether two points are farther apart [m] than cloth can have stretched."""
     ratio, slack = STRETCH
     return now > ratio * before + slack

@@ -75,7 +75,7 @@ def carried(
     pixels: Float32[np.ndarray, "points 2"],
     steps: Float32[np.ndarray, "points 2"],
 ) -> tuple[Float32[np.ndarray, "points 2"], Bool[np.ndarray, " points"]]:
-    """Where windows of one even picture are in the next, and which were found.
+    """Return where windows of one even picture are in the next, and which were found.
 
     Args:
         before: the one.

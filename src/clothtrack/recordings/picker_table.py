@@ -27,7 +27,7 @@ COLUMNS = {
 
 
 def read_picker_paths(path: Path) -> dict[str, PickerPath]:
-    """Path per picker name, samples in order of time.
+    """Return the path per picker name, samples in order of time.
 
     Raises:
         InvalidRecordingError: a column is missing, a field is not what it should be, or the times
@@ -50,7 +50,7 @@ def read_picker_paths(path: Path) -> dict[str, PickerPath]:
 
 
 def picker_text(paths: Mapping[str, PickerPath]) -> str:
-    """The CSV file of the pickers' paths; every digit, so that reading gives them back."""
+    """Return the CSV file of the pickers' paths; every digit, so that reading gives them back."""
     lines = [",".join(COLUMNS)]
     for name, path in paths.items():
         samples = zip(path.time_s.tolist(), path.positions.tolist(), path.closed, strict=True)

@@ -47,7 +47,7 @@ class PngHeader:
 
 
 def read_header(path: Path) -> PngHeader:
-    """Size and kind of a PNG file, from its first and last bytes only.
+    """Return size and kind of a PNG file, from its first and last bytes only.
 
     Raises:
         InvalidRecordingError: the file is missing, not a PNG or breaks off.
@@ -64,7 +64,7 @@ def read_header(path: Path) -> PngHeader:
 
 
 def read_color(path: Path | str) -> UInt8[np.ndarray, "height width 3"]:
-    """Colour picture, red first.
+    """Return the colour picture, red first.
 
     Raises:
         InvalidRecordingError: the file is missing, damaged or not an 8-bit PNG.
@@ -80,7 +80,7 @@ def read_color(path: Path | str) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def read_depth(path: Path | str, unit_m: float) -> Float[np.ndarray, "height width"]:
-    """Depth along the optical axis [m], float32; 0 where nothing was measured.
+    """Return the depth along the optical axis [m], float32; 0 where nothing was measured.
 
     Args:
         path: a 16-bit grey PNG.
@@ -100,7 +100,7 @@ def read_depth(path: Path | str, unit_m: float) -> Float[np.ndarray, "height wid
 
 
 def read_mask(path: Path) -> Bool[np.ndarray, "height width"]:
-    """Mask of the cloth: true where the picture is not black.
+    """Return the mask of the cloth: true where the picture is not black.
 
     Raises:
         InvalidRecordingError: the file is missing, damaged or not a grey PNG of at most 8 bits.
@@ -147,7 +147,7 @@ def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
 
 
 def encode_png(picture: np.ndarray, *, by_rows: bool = False) -> bytes:
-    """PNG file of a grey (8 or 16 bits) or colour (8 bits, red first) picture; lossless.
+    """Return the PNG file of a grey (8 or 16 bits) or colour (8 bits, red first) picture; lossless.
 
     Fast compression: a recording is written while the robot moves. Differences to the left
     neighbour, packed by run lengths and Huffman codes, cost half of what searching for repeated
@@ -168,7 +168,7 @@ def encode_png(picture: np.ndarray, *, by_rows: bool = False) -> bytes:
 
 
 def bands(height: int) -> Iterator[slice]:
-    """The rows of a picture in parts: what is computed of one stays in the processor's cache."""
+    """Yield row slices small enough for the processor's cache."""
     for first in range(0, height, BAND_ROWS):
         yield slice(first, min(first + BAND_ROWS, height))
 
@@ -189,7 +189,7 @@ def _read_png(path: Path) -> tuple[PngHeader, bytes]:
 
 
 def check_chunks(path: Path, data: bytes) -> PngHeader:
-    """Size and kind of a whole PNG; every chunk's checksum is held against its bytes.
+    """Return size and kind of a whole PNG; every chunk's checksum is held against its bytes.
 
     Raises:
         InvalidRecordingError: not a PNG, or it breaks off, or a byte was changed.
@@ -222,7 +222,7 @@ def png_chunks(path: Path, data: bytes) -> Iterator[tuple[bytes, slice]]:
 
 
 def parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:
-    """Size and kind of a PNG, from its first 29 and last 12 bytes.
+    """Return size and kind of a PNG, from its first 29 and last 12 bytes.
 
     Raises:
         InvalidRecordingError: not a PNG, or it breaks off.

@@ -21,6 +21,8 @@ CUT_MARGIN_M = 0.012
 TOOL_HEIGHT_M = 0.015
 STRAY_SHARE = 0.04
 """Clusters of less than this share of the points are not of the cloth."""
+LINK_M = 0.012
+"""Distance over which points belong together [m]."""
 MOST_CELLS = 1 << 20
 """Cubes around the cloth that are counted one by one; if there were more, they are sorted."""
 
@@ -92,11 +94,8 @@ def observe(
     segmenter: Segmenter | None = None,
     *,
     spacing_m: float | None = 0.004,
-    largest_component: bool = True,
-    drop_flying: bool = True,
-    stray_share: float = STRAY_SHARE,
 ) -> Observation:
-    """Points of the cloth in the world, from all cameras or from the frame's cloud.
+    """Return points of the cloth in the world, from all cameras or from the frame's cloud.
 
     Args:
         recording: the recording.
@@ -104,18 +103,12 @@ def observe(
         segmenter: finds the cloth; left out, masks, colour hint or height do
             (`default_segmenter`).
         spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
-        largest_component: keep the largest connected part of each mask, and parts of at least a
-            quarter of its size.
-        drop_flying: drop pixels in mid-air between a surface and what lies behind it.
-        stray_share: clusters of less than this share of the points are dropped; 0 keeps all.
 
     Raises:
         InvalidRecordingError: a file cannot be read, or no cloth is found.
     """
-    views = camera_views(
-        recording, frame, segmenter, largest_component=largest_component, drop_flying=drop_flying
-    )
-    return observation_of(recording, frame, views, spacing_m=spacing_m, stray_share=stray_share)
+    views = camera_views(recording, frame, segmenter)
+    return observation_of(recording, frame, views, spacing_m=spacing_m)
 
 
 def observation_of(
@@ -124,16 +117,14 @@ def observation_of(
     views: Sequence[CameraView],
     *,
     spacing_m: float | None = 0.004,
-    stray_share: float = STRAY_SHARE,
 ) -> Observation:
-    """Points of the cloth in the world, from what the cameras saw or from the frame's cloud.
+    """Return points of the cloth in the world, from what the cameras saw or from the frame's cloud.
 
     Args:
         recording: the recording.
         frame: one of its frames.
         views: what its cameras saw (`camera_views`).
         spacing_m: side of the cubes [m] in which points are averaged; None keeps every pixel.
-        stray_share: clusters of less than this share of the points are dropped; 0 keeps all.
 
     Raises:
         InvalidRecordingError: the cloud cannot be read, or no cloth is found.
@@ -156,7 +147,8 @@ def observation_of(
     points = np.concatenate(clouds) if clouds else np.zeros((0, 3))
     if spacing_m is not None:
         points = thin(points, spacing_m)
-    points = without_strays(points, stray_share, spacing_m=max(pixel_m, spacing_m or 0.0))
+    spread_m = max(pixel_m, spacing_m or 0.0)
+    points = points.compress(~strays(points, STRAY_SHARE, spacing_m=spread_m), axis=0)
     if not len(points):
         raise InvalidRecordingError(
             f"{recording.folder}: no cloth is found in frame {frame.index}; look at its mask "
@@ -180,7 +172,7 @@ def hidden_pixels(
     camera: Camera,
     table: Table | None,
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels where cloth could not have been seen, with two pixels around them.
+    """Return the pixels where cloth could not have been seen, with two pixels around them.
 
     Those are the blind ones, and those that show neither cloth nor table but something that stands
     more than 15 mm above the table: the tool. Specks narrower than three pixels hide nothing, for
@@ -202,7 +194,7 @@ def hidden_pixels(
 def thin(
     points: Float[np.ndarray, "points 3"], spacing_m: float
 ) -> Float[np.ndarray, "fewer_points 3"]:
-    """Mean of the points in every cube of the given side [m]."""
+    """Return the mean of the points in every cube of the given side [m]."""
     if not len(points):
         return points
     members = _cell_numbers(points, spacing_m)
@@ -210,45 +202,25 @@ def thin(
     return np.stack([np.bincount(members, axis) / counts for axis in points.T], axis=1)
 
 
-def without_strays(
-    points: Float[np.ndarray, "points 3"],
-    share: float,
-    *,
-    link_m: float = 0.012,
-    spacing_m: float = 0.0,
-) -> Float[np.ndarray, "fewer_points 3"]:
-    """The points without clusters that hold less than a share of all (`strays`).
-
-    Args:
-        points: points [m].
-        share: share of the points that a cluster must hold; the largest always stays.
-        link_m: distance [m] over which points belong together.
-        spacing_m: distance [m] of neighbouring points.
-    """
-    return points.compress(~strays(points, share, link_m=link_m, spacing_m=spacing_m), axis=0)
-
-
 def strays(
     points: Float[np.ndarray, "points 3"],
     share: float,
     *,
-    link_m: float = 0.012,
     spacing_m: float = 0.0,
 ) -> Bool[np.ndarray, " points"]:
-    """Points of clusters that hold less than a share of all.
+    """Return points of clusters that hold less than a share of all.
 
-    Points are linked through cubes whose diagonal is `link_m` and which touch: points nearer than
-    0.58 `link_m` are always linked, points farther apart than 2 `link_m` never.
+    Points are linked through cubes whose diagonal is `LINK_M` and which touch: points nearer than
+    0.58 `LINK_M` are always linked, points farther apart than 2 `LINK_M` never.
 
     Args:
         points: points [m].
         share: share of the points that a cluster must hold; the largest always stays.
-        link_m: distance [m] over which points belong together.
         spacing_m: distance [m] of neighbouring points; cubes are never smaller than 1.5 of it.
     """
     if not len(points) or share <= 0:
         return np.zeros(len(points), dtype=bool)
-    side = max(link_m / np.sqrt(3.0), 1.5 * spacing_m)
+    side = max(LINK_M / np.sqrt(3.0), 1.5 * spacing_m)
     cluster_of_point = _clusters(points, side)
     sizes = np.bincount(cluster_of_point)
     least = min(share * len(points), sizes.max())
@@ -259,10 +231,10 @@ def cloth_measured(
     depth_m: Float[np.ndarray, "height width"],
     mask: Bool[np.ndarray, "height width"],
     camera: Camera,
-    *,
-    stray_share: float = STRAY_SHARE,
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels of a mask where the cloth was measured: neither in mid-air nor specks of other things.
+    """Return the pixels of a mask where the cloth was measured.
+
+    Neither in mid-air nor specks of other things.
 
     The rim of a mask often shows a little of what is behind the cloth.
 
@@ -270,18 +242,20 @@ def cloth_measured(
         depth_m: measured depth [m]; 0 where nothing was measured.
         mask: where the cloth is.
         camera: that took both.
-        stray_share: clusters of less than this share of the points are dropped; 0 keeps all.
     """
     shown = mask & (depth_m > 0) & ~flying_pixels(depth_m, camera.fx)
     if shown.any():
         points = camera.back_project(depth_m, shown)
         spacing_m = float(np.median(depth_m[shown])) / camera.fx
-        shown[shown] = ~strays(points, stray_share, spacing_m=spacing_m)
+        shown[shown] = ~strays(points, STRAY_SHARE, spacing_m=spacing_m)
     return shown
 
 
 def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.ndarray, " points"]:
-    """Number of the cluster of each point: cubes with points in them that touch belong together."""
+    """Return number of the cluster of each point.
+
+    Cubes with points in them that touch belong together.
+    """
     place, shape = _places(points, points.mean(axis=0), side_m)
     if np.prod(shape) <= MOST_CELLS:
         place = place.astype(np.intp)
@@ -304,7 +278,7 @@ def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.nd
 def _cell_numbers(
     points: Float[np.ndarray, "points 3"], side_m: float
 ) -> Int[np.ndarray, " points"]:
-    """Number of each point's cube, in the order of `_cells`; none is missing."""
+    """Return number of each point's cube, in the order of `_cells`; none is missing."""
     place, shape = _places(points, [axis.mean() for axis in points.T], side_m)
     if not np.prod(shape) <= MOST_CELLS:
         return np.unique(_cells(points, side_m), return_inverse=True)[1]

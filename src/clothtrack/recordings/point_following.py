@@ -82,11 +82,11 @@ class PointFollower:
         self._found: list[FollowedPoints] = []
 
     def knows(self, frame: Frame) -> bool:
-        """Whether a frame has been followed to: its pictures are not needed again."""
+        """Return whether a frame has been followed to: its pictures are not needed again."""
         return frame.index < len(self._found)
 
     def __call__(self, frame: Frame, views: Sequence[CameraView]) -> FollowedPoints:
-        """The points in a frame; those in the frames before it are followed first.
+        """Return the points in a frame; those in the frames before it are followed first.
 
         Args:
             frame: one of the recording's.
@@ -160,14 +160,17 @@ class _Picture:
         return cls(gray, even_picture(gray, view.mask), smooth, clear)
 
     def noise_since(self, before: "_Picture | None") -> float:
-        """Standard deviation [grey values]; most of what two pictures show stands still."""
+        """Return the standard deviation [grey values].
+
+        Most of what two pictures show stands still.
+        """
         if before is None:
             return LEAST_NOISE
         change = float(np.median(cv2.absdiff(self.gray, before.gray)))
         return max(LEAST_NOISE, 1.4826 * change / np.sqrt(2.0))
 
     def shows(self, pixels: Float32[np.ndarray, "points 2"]) -> Bool[np.ndarray, " points"]:
-        """Whether a window around each pixel shows one layer of cloth."""
+        """Return whether a window around each pixel shows one layer of cloth."""
         column, row = np.rint(pixels).astype(np.int64).T
         height, width = self.clear.shape
         shown = (column >= 0) & (row >= 0) & (column < width) & (row < height)
@@ -177,7 +180,7 @@ class _Picture:
     def in_world(
         self, pixels: Float32[np.ndarray, "points 2"], camera: Camera
     ) -> Float[np.ndarray, "points 3"]:
-        """Where the cloth is at these pixels [m]."""
+        """Return where the cloth is at these pixels [m]."""
         if not len(pixels):
             return np.zeros((0, 3))
         depth = cv2.remap(self.depth, pixels[:, None, 0], pixels[:, None, 1], cv2.INTER_LINEAR)
@@ -201,7 +204,7 @@ class _Lost:
     others: NumberedPoints
 
     def found_in(self, picture: _Picture, followed: NumberedPoints) -> NumberedPoints:
-        """Those that a later picture shows near where the others have gone."""
+        """Return those that a later picture shows near where the others have gone."""
         _, then, now = np.intersect1d(
             self.others.numbers, followed.numbers, assume_unique=True, return_indices=True
         )
@@ -214,7 +217,7 @@ class _Lost:
         return replace(points, pixels=there, steps=np.zeros_like(there))[found]
 
     def without(self, followed: NumberedPoints) -> "_Lost":
-        """Those that are lost still."""
+        """Return those that are lost still."""
         return replace(self, points=self.points[~self.points.are_in(followed)])
 
 
@@ -229,7 +232,7 @@ class _Follower:
         self._lost: list[_Lost] = []
 
     def follow(self, picture: _Picture, *, choose: bool, look: bool) -> FollowedPoints:
-        """The points in the next picture.
+        """Return the points in the next picture.
 
         Args:
             picture: the next one; some may be missing in between.
@@ -326,7 +329,7 @@ def _chosen(
 def _weakest_contrast(
     gray: UInt8[np.ndarray, "height width"],
 ) -> Float32[np.ndarray, "height width"]:
-    """Squared slopes, summed over the window, in the direction in which they are least.
+    """Return the squared slopes, summed over the window, in the direction in which they are least.
 
     The noise of the picture divided by the root of it is how well the window's place can be told
     [pixels] (J. Shi and C. Tomasi, "Good features to track", doi:10.1109/CVPR.1994.323794).

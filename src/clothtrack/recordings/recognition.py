@@ -62,11 +62,11 @@ class KeyPoints:
         return points[_unlike_others(points.descriptions)]
 
     def __getitem__(self, part: Bool[np.ndarray, " points"]) -> "KeyPoints":
-        """Those of a part."""
+        """Return those of a part."""
         return KeyPoints(self.pixels[part], self.descriptions[part])
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return how many there are."""
         return len(self.pixels)
 
 
@@ -92,7 +92,7 @@ class Recogniser:
         return not self._views or len(self._views[0].numbers) >= LEAST_RECOGNISED
 
     def knows(self, numbers: Int[np.ndarray, " points"]) -> Bool[np.ndarray, " points"]:
-        """Whether each number is one that is remembered."""
+        """Return whether each number is one that is remembered."""
         return np.isin(numbers, np.concatenate([np.zeros(0), *(v.numbers for v in self._views)]))
 
     def remember(
@@ -107,7 +107,9 @@ class Recogniser:
     def recognised(
         self, seen: KeyPoints, positions: Float[np.ndarray, "points 3"]
     ) -> Int[np.ndarray, " points"]:
-        """The number of each key point that is seen at these positions [m]; -1: never seen before.
+        """Return the number of each key point that is seen at these positions [m].
+
+        -1: never seen before.
 
         The oldest memory is asked first: its number has the most to say.
         """
@@ -125,7 +127,7 @@ class Recogniser:
 def _unlike_others(
     descriptions: Float32[np.ndarray, "points 128"],
 ) -> Bool[np.ndarray, " points"]:
-    """Which of a picture's descriptions are far from all others."""
+    """Return which of a picture's descriptions are far from all others."""
     if len(descriptions) < 2:
         return np.ones(len(descriptions), dtype=bool)
     pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(descriptions, descriptions, k=2)
@@ -136,7 +138,7 @@ def _unlike_others(
 def _matches(
     seen: Float32[np.ndarray, "seen 128"], remembered: Float32[np.ndarray, "remembered 128"]
 ) -> tuple[Int[np.ndarray, " matches"], Int[np.ndarray, " matches"]]:
-    """Pairs of descriptions that are each other's nearest, and distinctly so."""
+    """Return pairs of descriptions that are each other's nearest, and distinctly so."""
     nothing = np.zeros(0, np.int64)
     if len(seen) < 2 or len(remembered) < 2:
         return nothing, nothing
@@ -154,7 +156,7 @@ def _stay_together(
     now: Float[np.ndarray, "points 3"],
     before: Float[np.ndarray, "points 3"],
 ) -> Bool[np.ndarray, " points"]:
-    """Whether each point is still near those that were beside it, but for a few."""
+    """Return whether each point is still near those that were beside it, but for a few."""
     near = min(NEIGHBOURS, len(now) - 1)
     if near < 1:
         return np.zeros(len(now), dtype=bool)

@@ -24,7 +24,7 @@ FRAMES = 8
 
 
 def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
-    """The table in a recording: what most of the depth that is not cloth lies on.
+    """Return the table in a recording: what most of the depth that is not cloth lies on.
 
     The cloth is left out where masks or its colour name tell it; the tool is too small to matter.
 
@@ -76,7 +76,7 @@ def fit_recorded_table(recording: Recording, camera: Camera) -> TableFit:
 def moved_along(
     recording: Recording, camera: Camera, world_from_camera: Float[np.ndarray, "4 4"]
 ) -> Mapping[str, Float[np.ndarray, "4 4"]]:
-    """New poses of all cameras of a recording when one of them gets this one.
+    """Return new poses of all cameras of a recording when one of them gets this one.
 
     The others keep their place relative to it.
     """
@@ -94,7 +94,7 @@ def moved_along(
 def _look(
     recording: Recording, frame: Frame, camera: Camera
 ) -> tuple[Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
-    """Depth [m] of a frame and what of it is cloth; nothing where not known."""
+    """Return the depth [m] of a frame and what of it is cloth; nothing where not known."""
     depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
     cloth = np.zeros(depth.shape, dtype=bool)
     find: Segmenter | None = None

@@ -19,7 +19,7 @@ class Table:
     normal: Float[np.ndarray, " 3"]
 
     def heights(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, " points"]:
-        """Signed distance of points above the table [m]."""
+        """Return signed distance of points above the table [m]."""
         return (points - self.point) @ self.normal
 
 
@@ -68,11 +68,11 @@ class PickerPath:
     closed: Bool[np.ndarray, " samples"]
 
     def position_at(self, time_s: float) -> Float[np.ndarray, " 3"]:
-        """Tip position [m], linear between samples, constant beyond the ends."""
+        """Return the tip position [m], linear between samples, constant beyond the ends."""
         return np.array([np.interp(time_s, self.time_s, axis) for axis in self.positions.T])
 
     def closed_at(self, time_s: float) -> bool:
-        """Whether the picker is closed at this time."""
+        """Return whether the picker is closed at this time."""
         sample = int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1
         return bool(self.closed[max(sample, 0)])
 

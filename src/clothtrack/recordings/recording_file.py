@@ -39,7 +39,7 @@ _HALF_CHARACTER = re.compile("[\ud800-\udfff]")
 
 
 def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]:
-    """The content of `recording.json`, or None with what keeps it from being read.
+    """Return the content of `recording.json`, or None with what keeps it from being read.
 
     A content that is returned fulfils the schema; every violation of it is reported otherwise.
     """
@@ -75,7 +75,10 @@ def load_document(folder: Path) -> tuple[dict[str, Any] | None, list[Violation]]
 
 
 def document_violations(document: object) -> list[Violation]:
-    """What is wrong with the content of a `recording.json`; what it names is not looked at."""
+    """Return what is wrong with the content of a `recording.json`.
+
+    What it names is not looked at.
+    """
     violations = Violations()
     version = document.get("version") if isinstance(document, dict) else None
     if isinstance(version, int) and version > VERSION:
@@ -91,13 +94,13 @@ def document_violations(document: object) -> list[Violation]:
 
 @cache
 def schema() -> dict[str, Any]:
-    """The JSON Schema of `recording.json`, format version 1."""
+    """Return the JSON Schema of `recording.json`, format version 1."""
     text = files("clothtrack.recordings").joinpath("recording.schema.json").read_text("utf-8")
     return json.loads(text)
 
 
 def _explain(error: ValidationError) -> Iterator[tuple[str, str, str]]:
-    """Field, value and "problem; remedy" of everything that an error of the schema is about."""
+    """Yield field, value and "problem; remedy" of each violation of the schema."""
     while error.context:
         error = max(error.context, key=relevance)
     steps = (f"[{s}]" if isinstance(s, int) else f".{s}" for s in error.absolute_path)
@@ -134,7 +137,7 @@ def _where_to_look(folder: Path) -> str:
 
 
 def _number(text: str) -> int | float:
-    """A finite number of a file; a whole one has at most 18 characters."""
+    """Return a finite number of a file; a whole one has at most 18 characters."""
     if text[-1].isalpha():  # NaN, Infinity
         raise ValueError(f"{text} stands where a number belongs")
     whole = text.removeprefix("-").isdigit()

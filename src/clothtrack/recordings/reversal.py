@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from clothtrack.recordings.pictures import read_cloud, read_color, read_depth, read_mask
 from clothtrack.recordings.recording import PickerPath, Recording
 from clothtrack.recordings.store import RecordingWriter, read_recording
 
@@ -31,22 +30,16 @@ def reversed_recording(recording: Recording, out: Path) -> Recording:
     """
     if (out / "recording.json").exists():
         return read_recording(out)
-    frames, units = recording.frames[::-1], recording.depth_units_m
+    frames = recording.frames[::-1]
     end_s, last = frames[0].time_s, len(frames) - 1
     cloth = replace(recording.cloth, template=None, held_vertices={})
     provenance = {**recording.provenance, "reversed": recording.name}
     with RecordingWriter(
-        out, recording.cameras, units, table=recording.table, cloth=cloth,
+        out, recording.cameras, recording.depth_units_m, table=recording.table, cloth=cloth,
         observed=recording.observed, provenance=provenance,
     ) as writer:  # fmt: skip
         for frame in frames:
-            writer.add_frame(
-                end_s - frame.time_s,
-                color={name: read_color(path) for name, path in frame.color.items()},
-                depth={name: read_depth(path, units[name]) for name, path in frame.depth.items()},
-                mask={name: read_mask(path) for name, path in frame.mask.items()},
-                cloud=None if frame.cloud is None else read_cloud(frame.cloud),
-            )
+            writer.copy_frame(frame, end_s - frame.time_s)
         for name, path in recording.picker_paths.items():
             writer.set_picker_path(name, reversed_path(path, end_s))
         for action in recording.actions[::-1]:
@@ -55,7 +48,7 @@ def reversed_recording(recording: Recording, out: Path) -> Recording:
 
 
 def reversed_path(path: PickerPath, end_s: float) -> PickerPath:
-    """The tip's path backwards.
+    """Return the tip's path backwards.
 
     Args:
         path: forwards; between a sample and the next it is as closed as the sample says.

@@ -58,7 +58,7 @@ class Segmenter(Protocol):
         camera: Camera,
         table: Table | None,
     ) -> Bool[np.ndarray, "height width"]:
-        """Mask of the cloth.
+        """Return the mask of the cloth.
 
         Args:
             color: colour picture, red first, when the frame has one.
@@ -83,7 +83,7 @@ class ColorSegmenter:
 
     @classmethod
     def from_name(cls, name: str) -> "ColorSegmenter":
-        """From a colour name such as "blue".
+        """Return the segmenter of a colour name such as "blue".
 
         Raises:
             InvalidConfigError: the name is unknown.
@@ -98,7 +98,7 @@ class ColorSegmenter:
     def from_box(
         cls, color: UInt8[np.ndarray, "height width 3"], box: tuple[int, int, int, int]
     ) -> "ColorSegmenter":
-        """From a box around the cloth in one picture; what else is at its rim does no harm.
+        """Return a segmenter learned from a box around the cloth in one picture.
 
         Colours are learned from the middle of the box against what is outside, then again from the
         mask that they give.
@@ -130,7 +130,7 @@ class ColorSegmenter:
     def from_click(
         cls, color: UInt8[np.ndarray, "height width 3"], column: int, row: int
     ) -> "ColorSegmenter":
-        """From one click on a plain cloth; a printed one needs a box.
+        """Return a segmenter learned from one click on a plain cloth; a printed one needs a box.
 
         The even patch around the click is learned, and what looks like it.
 
@@ -187,7 +187,7 @@ class ColorSegmenter:
         camera: Camera,
         table: Table | None,
     ) -> Bool[np.ndarray, "height width"]:
-        """Mask of the cloth: its largest connected part and parts nearly as large.
+        """Return the mask of the cloth: its largest connected part and parts nearly as large.
 
         Raises:
             InvalidRecordingError: there is no colour picture, or the background has the cloth's
@@ -272,7 +272,7 @@ class HeightSegmenter:
         camera: Camera,
         table: Table | None,
     ) -> Bool[np.ndarray, "height width"]:
-        """Mask of the cloth: the largest raised part and parts nearly as large.
+        """Return the mask of the cloth: the largest raised part and parts nearly as large.
 
         Raises:
             InvalidRecordingError: there is no table.
@@ -300,7 +300,7 @@ class MaskFolder:
         camera: Camera,
         table: Table | None,  # noqa: ARG002
     ) -> Bool[np.ndarray, "height width"]:
-        """The mask as it stands in the file.
+        """Return the mask as it stands in the file.
 
         Raises:
             InvalidRecordingError: the file is missing, damaged, empty or of another size.
@@ -322,7 +322,9 @@ class MaskFolder:
 
 
 def default_segmenter(recording: Recording, frame: Frame, camera: Camera) -> Segmenter:
-    """What finds the cloth when nothing was asked for: masks, else the colour hint, else height.
+    """Return what finds the cloth when nothing was asked for.
+
+    Masks, else the colour hint, else height.
 
     Raises:
         InvalidRecordingError: the recording has nothing that tells the cloth from the rest.
@@ -346,7 +348,7 @@ def height_picture(
     *,
     window: tuple[slice, slice] = (slice(None), slice(None)),
 ) -> Float[np.ndarray, "window_height window_width"]:
-    """Height above the table [m] of every pixel in a window; meaningless where the depth is 0."""
+    """Return the height above the table [m] of each pixel of a window; undefined without depth."""
     normal = camera.world_from_camera[:3, :3].T @ table.normal
     rows = (np.arange(camera.height)[window[0]] - camera.cy) / camera.fy * normal[1] + normal[2]
     columns = (np.arange(camera.width)[window[1]] - camera.cx) / camera.fx * normal[0]

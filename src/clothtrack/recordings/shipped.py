@@ -8,7 +8,7 @@ SHIPPED = Path(__file__).parents[1] / "shipped"
 
 
 def shipped_recording(name: str = "") -> Path:
-    """Folder of the shipped recording of this name; of the first one without a name.
+    """Return the folder of the shipped recording of this name; of the first one without a name.
 
     Raises:
         InvalidRecordingError: naming those that there are.

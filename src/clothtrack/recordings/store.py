@@ -27,6 +27,7 @@ from clothtrack.recordings.pictures import (
 )
 from clothtrack.recordings.recording import (
     ClothDescription,
+    Frame,
     ObservedRegion,
     PickerPath,
     Recording,
@@ -74,16 +75,7 @@ def write_recording(recording: Recording, folder: Path) -> Recording:
         provenance=recording.provenance,
     ) as writer:
         for frame in recording.frames:
-            writer.add_frame(
-                frame.time_s,
-                color={name: read_color(path) for name, path in frame.color.items()},
-                depth={
-                    name: read_depth(path, recording.depth_units_m[name])
-                    for name, path in frame.depth.items()
-                },
-                mask={name: read_mask(path) for name, path in frame.mask.items()},
-                cloud=None if frame.cloud is None else read_cloud(frame.cloud),
-            )
+            writer.copy_frame(frame, frame.time_s)
         for action in recording.actions:
             writer.add_action(action.first_frame, action.last_frame, action.pickers)
         for name, path in recording.picker_paths.items():
@@ -143,7 +135,7 @@ class RecordingWriter:
             self._partial.mkdir(parents=True)
 
     def __enter__(self) -> "RecordingWriter":
-        """The writer itself."""
+        """Return the writer itself."""
         return self
 
     def __exit__(
@@ -201,6 +193,21 @@ class RecordingWriter:
                 png = encode_png(self._stored(kind, name, picture))
                 encoded.setdefault(kind, {})[name] = png
         self._add(time_s, encoded, cloud)
+
+    def copy_frame(self, frame: Frame, time_s: float) -> None:
+        """Write a frame of another recording of the same cameras, at another time [s].
+
+        Raises:
+            InvalidRecordingError: a picture cannot be read, or as for `add_frame`.
+            StorageError: the disk refuses.
+        """
+        self.add_frame(
+            time_s,
+            color={name: read_color(path) for name, path in frame.color.items()},
+            depth={name: read_depth(path, self._units[name]) for name, path in frame.depth.items()},
+            mask={name: read_mask(path) for name, path in frame.mask.items()},
+            cloud=None if frame.cloud is None else read_cloud(frame.cloud),
+        )
 
     def add_encoded_frame(
         self, time_s: float, *, color: Mapping[str, bytes] | None, depth: Mapping[str, bytes]

@@ -23,7 +23,7 @@ CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write m
 
 
 def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
-    """Mesh of an OBJ file [m]; polygons are cut into fans, vertices keep order and number.
+    """Return mesh of an OBJ file [m]; polygons are cut into fans, vertices keep order and number.
 
     Only `v` and `f` lines count. Vertices that lie at the same place are refused and not merged:
     merging would renumber them, and vertex 17 must stay vertex 17.
@@ -78,7 +78,7 @@ def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
 
 
 def read_template(path: Path) -> ClothMesh:
-    """A template that `write_template` has written, or any OBJ mesh [m].
+    """Return a template that `write_template` has written, or any OBJ mesh [m].
 
     Args:
         path: .npz; or .obj, with canonical coordinates in NAME_canonical.csv beside it, if any.
@@ -148,7 +148,7 @@ def _canonical_path(path: Path) -> Path:
 
 
 def obj_text(mesh: ClothMesh) -> str:
-    """The OBJ file of a mesh; every digit of every coordinate, so that reading gives it back."""
+    """Return the OBJ file of a mesh, with every digit of every coordinate."""
     return "".join(
         [f"v {x!r} {y!r} {z!r}\n" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
         + [f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist()]
@@ -156,7 +156,7 @@ def obj_text(mesh: ClothMesh) -> str:
 
 
 def canonical_text(canonical: Float[np.ndarray, "vertices 3"]) -> str:
-    """The CSV file of canonical coordinates [m]."""
+    """Return the CSV file of canonical coordinates [m]."""
     rows = [f"{x!r},{y!r},{z!r}\n" for x, y, z in canonical.astype(np.float64).tolist()]
     return "".join([",".join(CANONICAL_COLUMNS) + "\n", *rows])
 

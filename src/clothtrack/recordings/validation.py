@@ -76,7 +76,7 @@ class _Check:
         self._document = document
 
     def recording(self, *, thorough: bool) -> Recording:
-        """The recording; good for use only while `violations` is empty."""
+        """Return the recording; good for use only while `violations` is empty."""
         entries = self._document["cameras"]
         units = {entry["name"]: float(entry["depth_unit_m"]) for entry in entries
                  if "depth_unit_m" in entry}  # fmt: skip
@@ -171,7 +171,7 @@ class _Check:
         return Table(np.array(entry["point"], dtype=np.float64), normal / length)
 
     def _picker_paths(self, cameras: list[Camera]) -> dict[str, PickerPath] | None:
-        """Path per picker; None where they cannot be read."""
+        """Return the path per picker; None where they cannot be read."""
         file = self._folder / PICKER_FILE
         if not file.exists():
             return {}

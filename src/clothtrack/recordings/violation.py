@@ -71,7 +71,7 @@ class Violations(list[Violation]):
 
 
 def grouped(violations: Sequence[Violation]) -> list[str]:
-    """One line for each cause: what is wrong with many files in the same way is said once."""
+    """Return one line for each cause, however many files it concerns."""
     alike: dict[tuple[str, ...], list[Violation]] = {}
     for one in violations:
         key = tuple(_NUMBER.sub("#", part) for part in (one.file, one.field, one.problem))
@@ -83,6 +83,6 @@ def grouped(violations: Sequence[Violation]) -> list[str]:
 
 
 def shown(value: object) -> str:
-    """A JSON value, short enough for one line of a message."""
+    """Return a JSON value, short enough for one line of a message."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= 60 else f"{text[:57]}..."

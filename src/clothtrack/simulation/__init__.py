@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from clothtrack.simulation.dynamics import ClothDynamics, RollOut
     from clothtrack.simulation.parameters import ClothParameters, SolverConfig
     from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, plan_action
-    from clothtrack.simulation.picker import grasp_vertices
     from clothtrack.simulation.picker_action import HeldMotion, PickerAction
     from clothtrack.simulation.solver import ClothSolver
     from clothtrack.simulation.state import Attachment, ClothState
@@ -29,7 +28,6 @@ __all__ = [
     "RollOut",
     "SolverConfig",
     "Untangling",
-    "grasp_vertices",
     "plan_action",
     "untangled",
 ]

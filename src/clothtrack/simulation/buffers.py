@@ -55,7 +55,7 @@ class ClothBuffers:
         return self.positions.shape
 
     def threads(self, count: int) -> int:
-        """How many threads share `count` things of an environment: on a CPU one, else as many."""
+        """Return the threads for `count` items of an environment: one on a CPU, else `count`."""
         return 1 if wp.get_device(self.positions.device).is_cpu else count
 
 

@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 from jaxtyping import Float32, Int, Int32
 
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.simulation import kernels, sweep_kernels
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +32,58 @@ class DistanceConstraints:
         ]
 
 
+class DeviceConstraints:
+    """Constraints on a device, and passes over them.
+
+    Args:
+        constraints: the pairs.
+        device: Warp device.
+        limit: as in `kernels.solve_distances`.
+        buckling: likewise.
+    """
+
+    def __init__(
+        self,
+        constraints: DistanceConstraints,
+        device: str,
+        *,
+        limit: float = 0.0,
+        buckling: float = 1.0,
+    ) -> None:
+        self._device, self._is_cpu = device, wp.get_device(device).is_cpu
+        self._pairs = [
+            wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
+            wp.array(constraints.lengths, dtype=float, device=device),
+        ]
+        self._colours = constraints.colours
+        self._bounds = wp.array(constraints.first, dtype=int, device=device)
+        self._shape = [limit, buckling]
+
+    def sweep(
+        self, clocks: wp.array, compliances: wp.array, inverse_masses: wp.array, positions: wp.array
+    ) -> None:
+        """Launch one Gauss-Seidel pass over all pairs of every environment."""
+        environments = positions.shape[0]
+        material = [compliances, *self._shape, inverse_masses, positions]
+        if self._is_cpu:
+            wp.launch(
+                sweep_kernels.sweep_constraints,
+                dim=environments,
+                inputs=[clocks, *self._pairs, self._bounds, *material],
+                device=self._device,
+            )
+            return
+        for first, count in self._colours:
+            wp.launch(
+                kernels.solve_distances,
+                dim=(environments, count),
+                inputs=[clocks, *self._pairs, first, *material],
+                device=self._device,
+            )
+
+
 def stretch_constraints(mesh: ClothMesh) -> DistanceConstraints:
-    """The edges of the mesh at the length they have in it."""
+    """Return the edges of the mesh at the length they have in it."""
     return _coloured(mesh, mesh.edges)
 
 
@@ -43,7 +95,7 @@ def bend_constraints(mesh: ClothMesh) -> DistanceConstraints:
 
 
 def colour_pairs(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, " pairs"]:
-    """The lowest colour that no earlier pair with a common vertex has (greedy colouring)."""
+    """Return the lowest colour that no earlier pair with a common vertex has (greedy colouring)."""
     used: dict[int, int] = {}
     colours = np.zeros(len(pairs), dtype=np.int64)
     for index, (first, second) in enumerate(pairs.tolist()):

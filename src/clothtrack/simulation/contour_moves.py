@@ -83,7 +83,7 @@ class ContourMoves:
     def __call__(
         self, found: Contours, positions: Float[np.ndarray, "vertices 3"], *, pieces: bool
     ) -> Float[np.ndarray, "vertices 3"]:
-        """Which way each vertex goes, at most 1 long; 0 for those that no contour touches.
+        """Return the direction of each vertex, at most 1 long; 0 where no contour touches it.
 
         Args:
             found: the contours at these positions.
@@ -115,7 +115,7 @@ class ContourMoves:
         return gathered.mean
 
     def _sheets(self, found: Contours, positions: Float[np.ndarray, "vertices 3"]) -> _Sheets:
-        """What each contour cuts off the two sheets that it joins."""
+        """Return what each contour cuts off the two sheets that it joins."""
         sheet = 2 * found.contour + (found.sides < 0)
         two_sided = np.flatnonzero(found.sides)
         order = two_sided[np.argsort(sheet[two_sided], kind="stable")]

@@ -130,7 +130,7 @@ def _attachment(
     index: int,
     steps: int,
 ) -> Attachment | None:
-    """What pulls during step `index` of `steps`, counted from 1."""
+    """Return what pulls during step `index` of `steps`, counted from 1."""
     if motion is None and pseudo is None:
         return None
     held = motion.at(index / steps) if motion is not None else None

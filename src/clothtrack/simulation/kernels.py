@@ -29,7 +29,7 @@ _NOT_NEGATIVE = wp.constant(0x7FFFFFFF)
 @no_type_check
 @wp.func
 def nth(number: int):
-    """The number, which is not negative: a compiler that knows need not ask at every access."""
+    """Return the index without its sign bit, so that Warp drops its check for negative ones."""
     return number & _NOT_NEGATIVE
 
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Bounds, Checked, NotNegative, Positive, Share
@@ -53,8 +53,6 @@ class SolverConfig(Checked):
     """How the motion is computed; the same for all environments.
 
     Attributes:
-        contact: "vertex-triangle" remembers on which side of a triangle a vertex is and holds thin
-            layers at any spacing; "none" lets layers pass.
         thickness_m: distance that layers keep [m]; a vertex rests half of it above the table.
         substep_s: longest substep [s]; contacts and the table are solved once per substep.
         area_density: mass per area [kg/m^2].
@@ -67,7 +65,7 @@ class SolverConfig(Checked):
         rebuild_s: time between two searches for contact candidates [s].
         contact_margin_m: candidates are kept this far beyond the contact distance [m].
         contact_depth_m: deepest crossing that a contact still knows how to undo [m].
-        edge_contact: let creased edges keep clear of edges too (vertex-triangle contact only).
+        edge_contact: let creased edges keep clear of edges too.
         push_out_speed: highest speed at which a crossed layer is pushed back [m/s]; one that is
             still on its own side is kept there whatever it takes.
         bend_limit: share of the rest length under which a bend pair resists without compliance.
@@ -76,7 +74,6 @@ class SolverConfig(Checked):
             the stretch compliance: an edge that does not stretch is a strut whatever this says.
     """
 
-    contact: Literal["vertex-triangle", "none"] = "vertex-triangle"
     thickness_m: Positive = THICKNESS_M
     substep_s: Positive = 1.1e-3
     area_density: Positive = 0.2

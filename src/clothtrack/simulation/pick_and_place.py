@@ -96,7 +96,7 @@ class PlannedAction:
 
 
 def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator) -> PlannedAction:
-    """A random pick-and-place of the cloth as it lies now.
+    """Return a random pick-and-place of the cloth as it lies now.
 
     Most picks are extreme points of the outline in a random direction (corners, cuffs, hems),
     and most of those move towards the middle of the cloth, so that it folds.
@@ -133,7 +133,7 @@ def plan_action(cloth: ClothMesh, config: ActionConfig, rng: np.random.Generator
 
 
 def folded_vertices(cloth: ClothMesh, radius_m: float) -> Bool[np.ndarray, " vertices"]:
-    """Which vertices lie over or under another part of the cloth, seen from above.
+    """Return which vertices lie over or under another part of the cloth, seen from above.
 
     The two layers of a garment that lie on each other in the flat garment already do not count.
 
@@ -157,7 +157,7 @@ def _chosen(
     picks: Picks,
     rng: np.random.Generator,
 ) -> int:
-    """The vertex above which the gripper comes down."""
+    """Return the vertex above which the gripper comes down."""
     if picks == "middle":
         off = np.linalg.norm(points[:, :2] - middle, axis=1)
         near = np.flatnonzero(off < max(MIDDLE_M, float(off.min())))
@@ -178,7 +178,7 @@ def _place(
     config: ActionConfig,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " 3"]:
-    """A random place within reach [m], at the height of the pick."""
+    """Return a random place within reach [m], at the height of the pick."""
     to_middle = np.arctan2(middle[1] - pick[1], middle[0] - pick[0])
     ahead = to_middle + np.pi if config.picks == "pulled" else to_middle
     straight = 1.0 if config.picks == "folded" else SHARE_STRAIGHT
@@ -197,7 +197,7 @@ def _place(
 def carrying_path(
     action: PlannedAction, config: ActionConfig, time_step_s: float
 ) -> Float[np.ndarray, "steps 3"]:
-    """Tip positions [m] after each time step from grasp to release; whole pictures long.
+    """Return the tip positions [m] after each time step from grasp to release; whole pictures long.
 
     Rises steeply, carries, comes down steeply; speeds up and slows down smoothly.
     """
@@ -228,7 +228,7 @@ def free_path(
 
 
 def _eased(time: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
-    """Share of the way at each share of the time: a trapezoid of speed."""
+    """Return the share of the way at each share of the time: a trapezoid of speed."""
     top = 1.0 / (1.0 - RAMP)
     rising = 0.5 * top * time**2 / RAMP
     level = top * (time - 0.5 * RAMP)
@@ -237,7 +237,7 @@ def _eased(time: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
 
 
 def _layers_below(cloth: ClothMesh, top: int, radius: float) -> list[int]:
-    """The nearest vertex of the layer right under a vertex; none where the table is."""
+    """Return the nearest vertex of the layer right under a vertex; none where the table is."""
     points = cloth.vertices
     gap = np.linalg.norm(points[:, :2] - points[top, :2], axis=1)
     depth = points[top, 2] - points[:, 2]
@@ -247,7 +247,7 @@ def _layers_below(cloth: ClothMesh, top: int, radius: float) -> list[int]:
 
 
 def _whole_stack(cloth: ClothMesh, top: int, radius: float) -> list[int]:
-    """A vertex and one of each other part of the cloth in its column, the nearest first."""
+    """Return a vertex and one of each other part of the cloth in its column, the nearest first."""
     flat = cloth.vertices if cloth.canonical is None else cloth.canonical
     gap = np.linalg.norm(cloth.vertices[:, :2] - cloth.vertices[top, :2], axis=1)
     held = [top]

@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -11,46 +10,18 @@ from jaxtyping import Float, Float32
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.simulation import kernels, sweep_kernels
+from clothtrack.simulation import kernels
 from clothtrack.simulation.buffers import allocate
 from clothtrack.simulation.constraints import (
-    DistanceConstraints,
+    DeviceConstraints,
     bend_constraints,
     stretch_constraints,
 )
-from clothtrack.simulation.contact.models import Contact, NoContact
 from clothtrack.simulation.contact.triangle_contact import TriangleContact
 from clothtrack.simulation.parameters import ELASTIC_SUBSTEPS, ClothParameters, SolverConfig
 from clothtrack.simulation.state import Attachment, ClothState, ContactMemory, pull_rate
 
 logger = logging.getLogger(__name__)
-
-SETTLE_STEP_S = 0.02
-"""Length of a step while waiting for rest [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class _DeviceConstraints:
-    pairs: wp.array
-    lengths: wp.array
-    colours: list[tuple[int, int]]
-    bounds: wp.array
-    limit: float
-    buckling: float
-
-    @classmethod
-    def upload(
-        cls, constraints: DistanceConstraints, device: str, *, limit: float, buckling: float
-    ) -> "_DeviceConstraints":
-        """Copy to the device; `kernels.solve_distances` says what limit and buckling are."""
-        return cls(
-            wp.array(constraints.pairs, dtype=wp.vec2i, device=device),
-            wp.array(constraints.lengths, dtype=float, device=device),
-            constraints.colours,
-            wp.array(constraints.first, dtype=int, device=device),
-            limit,
-            buckling,
-        )
 
 
 class ClothSolver:
@@ -92,23 +63,15 @@ class ClothSolver:
         self.environments = environments
         self.device = device
         self._buffers = allocate(mesh, self.config.area_density, environments, device)
-        self._stretch = _DeviceConstraints.upload(
-            stretch_constraints(mesh), device, limit=0.0, buckling=self.config.buckling
+        self._stretch = DeviceConstraints(
+            stretch_constraints(mesh), device, buckling=self.config.buckling
         )
-        self._bend = _DeviceConstraints.upload(
-            bend_constraints(mesh), device, limit=self.config.bend_limit, buckling=1.0
-        )
+        self._bend = DeviceConstraints(bend_constraints(mesh), device, limit=self.config.bend_limit)
         self._material = wp.zeros((4, environments), dtype=float, device=device)
         self.set_parameters(parameters or ClothParameters())
-        self._contact = self._make_contact()
+        self._contact = TriangleContact(mesh, self._buffers, self.config, self._material[3])
         self._attached = False
-        self._is_cpu = wp.get_device(device).is_cpu
         self._graphs: tuple[wp.Graph | None, wp.Graph | None] | None = None
-
-    def _make_contact(self) -> Contact:
-        if self.config.contact == "vertex-triangle":
-            return TriangleContact(self.mesh, self._buffers, self.config, self._material[3])
-        return NoContact(self._buffers)
 
     # State
 
@@ -148,7 +111,7 @@ class ClothSolver:
         self._material.assign(np.ascontiguousarray(np.array(rows, dtype=np.float32).T))
 
     def save(self) -> ClothState:
-        """Everything that the next step depends on, copied to the host."""
+        """Return everything that the next step depends on, copied to the host."""
         memory = ContactMemory(*self._contact.memory(), self._buffers.airborne.numpy().copy())
         return ClothState(self.positions, self.velocities, memory)
 
@@ -223,19 +186,6 @@ class ClothSolver:
                 wp.capture_launch(search)
             wp.capture_launch(substep)
         return self._buffers.highest_speed.numpy().astype(np.float64)
-
-    def settle(self, *, speed: float = 0.1, limit_s: float = 2.0) -> float:
-        """Let the cloth move freely until no vertex exceeds a speed [m/s], or a limit [s].
-
-        Returns:
-            The simulated time that it took [s].
-        """
-        used = 0.0
-        while used < limit_s:
-            used += SETTLE_STEP_S
-            if self.step(SETTLE_STEP_S).max() < speed:
-                break
-        return used
 
     def _set_clock(self, substep_s: float, substeps: int, rebuild_s: float) -> int:
         between_searches = max(1, round(rebuild_s / substep_s))
@@ -329,31 +279,11 @@ class ClothSolver:
         self._launch_end()
 
     def _launch_constraints(self) -> None:
-        sweep = self._sweep_at_once if self._is_cpu else self._sweep_colours
-        sweep(self._stretch, self._material[0])
-        sweep(self._bend, self._material[1])
-
-    def _sweep_at_once(self, constraints: _DeviceConstraints, compliances: wp.array) -> None:
         buffers = self._buffers
-        wp.launch(
-            sweep_kernels.sweep_constraints,
-            dim=self.environments,
-            inputs=[buffers.clocks, constraints.pairs, constraints.lengths, constraints.bounds,
-                    compliances, constraints.limit, constraints.buckling,
-                    buffers.inverse_masses, buffers.positions],
-            device=self.device,
-        )  # fmt: skip
-
-    def _sweep_colours(self, constraints: _DeviceConstraints, compliances: wp.array) -> None:
-        buffers = self._buffers
-        for first, count in constraints.colours:
-            wp.launch(
-                kernels.solve_distances,
-                dim=(self.environments, count),
-                inputs=[buffers.clocks, constraints.pairs, constraints.lengths, first,
-                        compliances, constraints.limit, constraints.buckling,
-                        buffers.inverse_masses, buffers.positions],
-                device=self.device,
+        for part, compliances in ((self._stretch, 0), (self._bend, 1)):
+            part.sweep(
+                buffers.clocks, self._material[compliances], buffers.inverse_masses,
+                buffers.positions,
             )  # fmt: skip
 
     def _launch_end(self) -> None:

@@ -26,7 +26,7 @@ class ContactMemory:
     def without(
         self, vertices: Bool[np.ndarray, " vertices"], faces: Int[np.ndarray, "faces 3"]
     ) -> "ContactMemory":
-        """The same without the pairs that some vertices are part of, in any environment.
+        """Return the same without the pairs that some vertices are part of, in any environment.
 
         Args:
             vertices: that were moved past others: their sides are to be found anew.
@@ -60,21 +60,6 @@ class ClothState:
     def environments(self) -> int:
         """Number of environments."""
         return len(self.positions)
-
-    def environment(self, index: int) -> "ClothState":
-        """One environment alone."""
-        one = slice(index, index + 1) if index != -1 else slice(index, None)
-        memory = self.contacts
-        return ClothState(
-            self.positions[one],
-            self.velocities[one],
-            ContactMemory(
-                memory.sides[one],
-                memory.distances[one],
-                memory.counts[one],
-                memory.airborne[one],
-            ),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +95,9 @@ def pull_rate(
 def pull_strength(
     rate: Float[np.ndarray, "*axes"], duration_s: float
 ) -> Float[np.ndarray, "*axes"]:
-    """Share of the way that a spring of this rate [1/s] closes in a time; undoes `pull_rate`."""
+    """Return the share of the way that a spring of this rate [1/s] closes in a time.
+
+    Undoes `pull_rate`.
+    """
     turns = np.asarray(rate) * duration_s
     return np.minimum(1.0 - (1.0 + turns) * np.exp(-turns), np.nextafter(1.0, 0.0))

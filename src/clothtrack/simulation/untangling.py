@@ -17,8 +17,8 @@ from scipy import sparse
 from clothtrack.geometry.intersections import Contours, SelfIntersection
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Table
-from clothtrack.simulation import kernels, sweep_kernels
-from clothtrack.simulation.constraints import stretch_constraints
+from clothtrack.simulation import kernels
+from clothtrack.simulation.constraints import DeviceConstraints, stretch_constraints
 from clothtrack.simulation.contour_moves import ContourMoves
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
@@ -73,7 +73,7 @@ def untangled(
     rounds: int = 80,
     device: str = "cpu",
 ) -> Untangling:
-    """The cloth with as few passages through itself as can be had.
+    """Return the cloth with as few passages through itself as can be had.
 
     Args:
         mesh: the cloth; where its vertices are tells the lengths of its edges.
@@ -110,7 +110,7 @@ class Untangler:
         table: Table | None = None,
         rounds: int = 80,
     ) -> Untangling:
-        """What `untangled` returns."""
+        """Return what `untangled` returns."""
         given = np.asarray(positions)
         ready = np.ones(len(given)) if mobility is None else np.asarray(mobility, np.float64)
         return _Attempt(self, given, ready, table).run(rounds)
@@ -227,17 +227,12 @@ class _Lengths:
     """Passes over the edges of a mesh, some of whose vertices are free."""
 
     def __init__(self, mesh: ClothMesh, device: str) -> None:
-        edges = stretch_constraints(mesh)
         self._device = device
-        self._pairs = wp.array(edges.pairs, dtype=wp.vec2i, device=device)
-        self._lengths = wp.array(edges.lengths, dtype=float, device=device)
-        self._colours = edges.colours
-        self._bounds = wp.array(edges.first, dtype=int, device=device)
+        self._edges = DeviceConstraints(stretch_constraints(mesh), device)
         clock = kernels.Clock()
         clock.inverse_square = 1.0
         self._clocks = wp.array([clock], dtype=kernels.Clock, device=device)
         self._give = wp.array([GIVE], dtype=float, device=device)
-        self._is_cpu = wp.get_device(device).is_cpu
 
     def __call__(
         self,
@@ -245,28 +240,12 @@ class _Lengths:
         masses: Float[np.ndarray, " vertices"],
         sweeps: int,
     ) -> Float[np.ndarray, "vertices 3"]:
-        """The positions after some passes with these inverse masses; those of 0 keep their bits."""
+        """Return the positions after some passes with these inverse masses.
+
+        Those of 0 keep their bits.
+        """
         kept = wp.array(positions[None].astype(np.float32), dtype=wp.vec3, device=self._device)
         given = wp.array(masses[None].astype(np.float32), dtype=float, device=self._device)
         for _ in range(sweeps):
-            self._sweep(given, kept)
+            self._edges.sweep(self._clocks, self._give, given, kept)
         return np.where(masses[:, None] > 0.0, kept.numpy()[0], positions)
-
-    def _sweep(self, masses: wp.array, kept: wp.array) -> None:
-        given = [self._clocks, self._pairs, self._lengths]
-        rest = [self._give, 0.0, 1.0, masses, kept]
-        if self._is_cpu:
-            wp.launch(
-                sweep_kernels.sweep_constraints,
-                dim=1,
-                inputs=[*given, self._bounds, *rest],
-                device=self._device,
-            )
-            return
-        for first, count in self._colours:
-            wp.launch(
-                kernels.solve_distances,
-                dim=(1, count),
-                inputs=[*given, first, *rest],
-                device=self._device,
-            )

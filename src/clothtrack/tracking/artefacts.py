@@ -14,7 +14,7 @@ logger = logging.getLogger(__name__)
 
 
 def load_tracked(path: Path) -> "TrackedTrajectory":
-    """A tracked trajectory.
+    """Return a tracked trajectory.
 
     Raises:
         InvalidResultError: it is missing or unfinished.
@@ -54,5 +54,5 @@ def recording_folder(tracked: "TrackedTrajectory", path: Path) -> Path:
 
 
 def inside(path: Path, name: str) -> Path:
-    """The entry of a folder, or the path itself when it is a file."""
+    """Return the entry of a folder, or the path itself when it is a file."""
     return path / name if path.is_dir() else path

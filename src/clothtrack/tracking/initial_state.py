@@ -112,7 +112,7 @@ def find_initial_state(
 def _from_file(
     recording: Recording, observation: Observation, config: InitialStateConfig
 ) -> InitialState:
-    """The garment's own mesh, laid flat on the first cloud."""
+    """Return the garment's own mesh, laid flat on the first cloud."""
     path = Path(config.template)
     _refuse_held_vertices(recording, f"the template is {path}")
     fit = flat_fit(recording, observation, template=config.template)
@@ -143,7 +143,7 @@ def _doubt(recording: Recording, misfit_m: float) -> None:
 
 
 def _weights(recording: Recording, config: InitialStateConfig) -> Path | None:
-    """The weights to ask, or None for the flat fit; what was asked for by name is not left out."""
+    """Return the network's weights, or None for the flat fit."""
     kind = recording.cloth.kind
     named = Path(config.weights) if config.weights else None
     asked = config.source == "network" or named is not None
@@ -176,7 +176,7 @@ def _weights(recording: Recording, config: InitialStateConfig) -> Path | None:
 
 
 def _obstacle(recording: Recording) -> str:
-    """Why this recording's first frame is nothing for the network; empty when it is."""
+    """Return why this recording's first frame is nothing for the network; empty when it is."""
     if recording.cloth.kind not in FITTED_KINDS:
         return f"cloth.kind is {recording.cloth.kind!r}"
     if not recording.frames or not (recording.frames[0].depth or recording.frames[0].cloud):

@@ -6,9 +6,9 @@ measured effect.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -34,7 +34,7 @@ from clothtrack.tracking.final_alignment import FinalAlignment, no_final_alignme
 from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.open_loop import BATCH, OpenLoopScore
 from clothtrack.tracking.picking import HeldCloth, pick
-from clothtrack.tracking.protocols import Calibrate, Dynamics, Method, Observe, State
+from clothtrack.tracking.protocols import Anchor, Calibrate, Dynamics, Method, Observe, State
 from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.visible_alignment import VisibleAlignment, no_alignment, only_at
@@ -137,18 +137,30 @@ class Components:
 
         return with_parameters
 
-    def aligner(self, alignment: AlignmentConfig, **attached: bool) -> VisibleAlignment:
-        """Return an alignment of the visible vertices.
+    def aligner(
+        self, solver: Literal["adam", "icp"], *, icp_tolerance: float = 0.0, **attached: bool
+    ) -> VisibleAlignment:
+        """Return an alignment of the visible vertices with the weights of the configuration.
 
         Args:
-            alignment: objective and solver.
+            solver: as in `AlignmentConfig`.
+            icp_tolerance: likewise.
             attached: what a pseudo-action attaches (`VisibleAlignment`).
         """
+        alignment = AlignmentConfig(
+            **asdict(self.config.objective), solver=solver, icp_tolerance=icp_tolerance,
+            marks_weight=ANCHOR_WEIGHT if self.config.color else 0.0,
+        )  # fmt: skip
         return VisibleAlignment(
             self.mesh, alignment, self.visible, table=self.recording.table,
             rest_height_m=0.5 * self.config.cloth.thickness_m, anchors=self.anchors,
             device=self.device, **attached,
         )  # fmt: skip
+
+    @property
+    def anchor(self) -> Anchor:
+        """What binds feature tracks; nothing where color is switched off."""
+        return self.anchors.bind if self.config.color else no_anchors
 
     def open_loop_calibration(self, *, sleep_speed: float = 0.0) -> Calibrate:
         """Return the paper's calibration; `sleep_speed` as in `ClothConfig.solver` [m/s]."""
@@ -181,14 +193,8 @@ class Assembled:
 
 def default(components: Components) -> Assembled:
     """Return our method."""
-    config, weights = components.config, components.config.objective
     simulator = components.simulator(velocity_kept=0.0, prediction_coarseness=PREDICTION_COARSENESS)
-    gauss_newton = AlignmentConfig(
-        solver="icp", iterations=weights.iterations, icp_tolerance=ICP_TOLERANCE,
-        rigidity_weight=weights.rigidity_weight, two_way_weight=weights.two_way_weight,
-        length_weight=weights.length_weight, marks_weight=ANCHOR_WEIGHT if config.color else 0.0,
-    )  # fmt: skip
-    aligner = components.aligner(gauss_newton)
+    aligner = components.aligner("icp", icp_tolerance=ICP_TOLERANCE)
     method = Method(
         observe=components.observe,
         calibrate=tracking_calibration(components, simulator),
@@ -198,22 +204,16 @@ def default(components: Components) -> Assembled:
         align_last=FinalAlignment(
             components.recording, components.mesh, aligner, simulator, device=components.device
         ),
-        anchor=components.anchors.bind if config.color else no_anchors,
+        anchor=components.anchor,
     )
     state = aligned_first(components, method, simulator.solver.save())
-    return Assembled(method, state, config.cloth.theta())
+    return Assembled(method, state, components.config.cloth.theta())
 
 
 def paper(components: Components) -> Assembled:
     """Return the method as published, on our simulator."""
-    config, weights = components.config, components.config.objective
     simulator = components.simulator(velocity_kept=1.0, sleep_speed=FLEX_SLEEP_SPEED)
-    adam = AlignmentConfig(
-        solver="adam", iterations=weights.iterations, rigidity_weight=weights.rigidity_weight,
-        two_way_weight=weights.two_way_weight, length_weight=weights.length_weight,
-        marks_weight=ANCHOR_WEIGHT if config.color else 0.0,
-    )  # fmt: skip
-    aligner = components.aligner(adam, observed_only=False, uncrossed_only=False)
+    aligner = components.aligner("adam", observed_only=False, uncrossed_only=False)
     method = Method(
         observe=components.observe,
         calibrate=components.open_loop_calibration(sleep_speed=FLEX_SLEEP_SPEED),
@@ -224,9 +224,9 @@ def paper(components: Components) -> Assembled:
             components.recording, components.mesh, aligner, simulator,
             slide=False, untangle=False, rounds=1, roll_s=0.0, device=components.device,
         ),
-        anchor=components.anchors.bind if config.color else no_anchors,
+        anchor=components.anchor,
     )  # fmt: skip
-    return Assembled(method, simulator.solver.save(), config.cloth.theta(held_layers=0))
+    return Assembled(method, simulator.solver.save(), components.config.cloth.theta(held_layers=0))
 
 
 def open_loop(components: Components) -> Assembled:

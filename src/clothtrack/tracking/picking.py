@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
-from clothtrack.simulation.picker import grasp_vertices
 from clothtrack.simulation.picker_action import HeldMotion, PickerAction
 from clothtrack.simulation.state import ClothState
 from clothtrack.tracking.theta import Theta
@@ -90,14 +89,15 @@ def find_grasps(
         vertices = _known(recording.cloth.held_vertices, name)
         if vertices is None:
             vertices = layers_under(cloth, tip, REACH_M)[:layers]
+        gaps_m = np.linalg.norm(cloth.vertices - tip, axis=1)
         if len(vertices) == 0:
-            vertices = grasp_vertices(cloth.vertices, tip, REACH_M)
+            vertices = np.argsort(gaps_m, kind="stable")[:1]
+            vertices = vertices[gaps_m[vertices] <= REACH_M]
         if len(vertices) == 0:
-            nearest = float(np.linalg.norm(cloth.vertices - tip, axis=1).min())
             logger.warning(
                 "picker %s closes at %.2f s with the nearest vertex %.1f mm away (reach %.1f mm): "
                 "it holds nothing",
-                name, closing_s, 1e3 * nearest, 1e3 * REACH_M,
+                name, closing_s, 1e3 * gaps_m.min(), 1e3 * REACH_M,
             )  # fmt: skip
             continue
         grasps.append(Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
@@ -204,7 +204,7 @@ def held_motion(
     end_s: float,
     offset: Float[np.ndarray, "*environments 3"],
 ) -> HeldMotion | None:
-    """What the closed pickers do between two frames; None when none of them is closed."""
+    """Return what the closed pickers do between two frames; None when none of them is closed."""
     closed = [grasp for grasp in grasps if grasp.path.closed_at(0.5 * (start_s + end_s))]
     if not closed:
         return None
@@ -217,7 +217,7 @@ def held_motion(
 
 
 def picker_speed(grasps: tuple[Grasp, ...], start_s: float, end_s: float) -> float:
-    """Speed of the fastest closed picker between two frames [m/s]."""
+    """Return speed of the fastest closed picker between two frames [m/s]."""
     speeds = [
         np.linalg.norm(grasp.path.position_at(end_s) - grasp.path.position_at(start_s))
         for grasp in grasps

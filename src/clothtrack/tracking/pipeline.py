@@ -74,7 +74,7 @@ def observer(
     *,
     color: bool = False,
 ) -> Callable[[Frame], Observation]:
-    """The clouds of a recording, those of the latest frames kept.
+    """Return the clouds of a recording, those of the latest frames kept.
 
     A search follows one action several times and would segment every picture of it each time.
 
@@ -168,7 +168,7 @@ def track_recording(
 
 
 def _first_gap_m(first: InitialState, observation: Observation, device: str) -> float | None:
-    """How far the first mesh lies from its cloud (rms) [m]; None where nothing can be said."""
+    """Return how far the first mesh lies from its cloud (rms) [m]; None if unknown."""
     vertices = first.mesh.vertices if first.positions is None else first.positions
     return mesh_gap_m(vertices, first.mesh.faces, observation, device=device)
 
@@ -176,7 +176,7 @@ def _first_gap_m(first: InitialState, observation: Observation, device: str) -> 
 def _far_first_mesh(
     recording: Recording, first: InitialState, gap_m: float
 ) -> InvalidRecordingError:
-    """Why tracking stops: the distance, and the likely cause."""
+    """Return why tracking stops: the distance, and the likely cause."""
     causes = check_geometry(recording)
     cause = causes[0].text if causes else "is its kind, its size or the mask another"
     return InvalidRecordingError(
@@ -277,15 +277,15 @@ class _Tracking:
     folders: Sequence[Path] = ()
 
     def name(self, folder: Path) -> str:
-        """What the recording, and so its result, is called."""
+        """Return what the recording, and so its result, is called."""
         return folder.resolve().name
 
     def paths(self, folder: Path) -> list[Path]:
-        """The tracked trajectory."""
+        """Return the tracked trajectory."""
         return [result_path(folder, self.output)]
 
     def kept(self, folder: Path) -> Outcome | None:
-        """What was tracked before, from the same files with the same settings."""
+        """Return what was tracked before, from the same files with the same settings."""
         path = result_path(folder, self.output)
         earlier = self._earlier(path)
         if earlier is None or earlier.get(DIGEST_FIELD) != recording_digest(read_recording(folder)):
@@ -308,7 +308,7 @@ class _Tracking:
         return Outcome(folder, path, tracked_again=again)
 
     def _earlier(self, path: Path) -> Mapping[str, Any] | None:
-        """What an earlier result says of itself; one with other settings is refused."""
+        """Return what an earlier result says of itself; one with other settings is refused."""
         if not path.exists():
             return None
         earlier = TrackedTrajectory.load(path).provenance
@@ -317,7 +317,7 @@ class _Tracking:
 
 
 def result_path(recording: Path, output: Path) -> Path:
-    """Where the tracked trajectory of a recording lies."""
+    """Return where the tracked trajectory of a recording lies."""
     return output / f"{recording.resolve().name}.zarr"
 
 
@@ -331,13 +331,13 @@ def _refuse_other_settings(path: Path, earlier: Mapping[str, Any], config: RunCo
 
 
 def config_hash(config: RunConfig) -> str:
-    """Ten hexadecimal digits that change with any setting."""
+    """Return ten hexadecimal digits that change with any setting."""
     text = json.dumps(counted_settings(config), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:10]
 
 
 def counted_settings(config: RunConfig) -> dict[str, Any]:
-    """The settings that a kept result is known by: files by what is in them."""
+    """Return the settings that a kept result is known by: files by what is in them."""
     settings = asdict(config)
     first = settings["initial_state"]
     for name in ("weights", "template"):
@@ -348,7 +348,7 @@ def counted_settings(config: RunConfig) -> dict[str, Any]:
 
 
 def provenance(recording: Recording, config: RunConfig, device: str) -> dict[str, object]:
-    """What one needs to make a result again: versions, commit, seed, device, source."""
+    """Return what one needs to make a result again: versions, commit, seed, device, source."""
     packages = ("numpy", "scipy", "warp-lang", "opencv-python-headless", "zarr")
     return {
         **made_with(packages),

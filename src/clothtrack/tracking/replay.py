@@ -64,7 +64,7 @@ def replay(
 
 
 def _hindrance(tracked: TrackedTrajectory, recording: Recording) -> str:
-    """Why a trajectory cannot be tracked again to the same bits here; empty when it may be."""
+    """Return why a trajectory cannot be tracked again to the same bits; "" when it can."""
     stamp = tracked.provenance
     if not tracked.actions or not recording.actions:
         return "it has no action"
@@ -86,7 +86,7 @@ def _hindrance(tracked: TrackedTrajectory, recording: Recording) -> str:
 
 
 def _flat(stamp: Any) -> dict[str, object]:
-    """Version, commit, machine and packages by their names."""
+    """Return version, commit, machine and packages by their names."""
     own = {name: stamp.get(name) for name in ("clothtrack", "commit", "python", "machine")}
     return {**own, **dict(stamp.get("packages") or {})}
 

@@ -98,12 +98,21 @@ class SearchConfig(Checked):
         # The offset matters most: descent meets it before the properties of the cloth.
         return replace(self, axes={"grasp_offset_z_m": values, **self.axes})
 
-    @property
-    def expected_candidates(self) -> int:
-        """Candidates to expect for the progress display: one, or a first sweep of the search."""
-        if self.method != "tracking":
+    def expected_candidates(self, start: Theta) -> int:
+        """Return the candidates to expect for the progress display.
+
+        One, or those of a first sweep from this start in which no candidate is better.
+        """
+        if self.method != "tracking" or not self.axes:
             return 1
-        return 1 + sum(len(values) - 1 for values in self.axes.values())
+        proposal = coordinate_descent(self.axes, start, sweeps=1, min_improvement=1.0)
+        asked, tried = next(proposal), set[Values]()
+        while True:
+            tried.update(asked)
+            try:
+                asked = proposal.send([1.0] * len(asked))
+            except StopIteration:
+                return len(tried)
 
 
 def grid(axes: Axes) -> Proposal:
@@ -161,10 +170,6 @@ class Scores:
         """Begin without any."""
         self._axes = axes
         self._scores: dict[Values, float] = {}
-
-    def __contains__(self, values: Values) -> bool:
-        """Return whether a candidate has been scored."""
-        return values in self._scores
 
     def __getitem__(self, values: Values) -> float:
         """Return the score of a candidate; infinite if it exploded."""

@@ -61,7 +61,7 @@ class Calibration:
 
     @classmethod
     def none(cls) -> "Calibration":
-        """The record of an action for which nothing was searched."""
+        """Return the record of an action for which nothing was searched."""
         return cls("none", (), np.zeros((0, 0)), np.zeros(0), -1, 0.0)
 
 
@@ -118,7 +118,7 @@ class StepRecords:
 
     @classmethod
     def empty(cls, frame_count: int) -> "StepRecords":
-        """Records of a trajectory in which nothing has happened yet."""
+        """Return records of a trajectory in which nothing has happened yet."""
         blank = {name: np.full(frame_count, np.nan, np.float32) for name in cls.__annotations__}
         blank["trials"] = np.zeros(frame_count, np.int32)
         blank["gave_up"] = np.zeros(frame_count, bool)

@@ -64,7 +64,7 @@ class Tracker:
         components, state = self._components, self._made.state
         recorder = Recorder(
             components.recording, components.mesh, state, components.visible, progress=progress,
-            watch=watch, candidates=components.search.expected_candidates,
+            watch=watch, candidates=components.search.expected_candidates(self._made.theta),
         )  # fmt: skip
         method = recorder.timed(self.method)
         track(components.recording, state, self._made.theta, method, recorder)

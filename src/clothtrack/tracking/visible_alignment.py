@@ -1,7 +1,7 @@
 """TTO1: the visible vertices of a predicted mesh are aligned to the cloud of its frame."""
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,7 @@ from clothtrack.geometry.quality import CrossingCheck
 from clothtrack.geometry.visibility import VisibilityCheck
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
-from clothtrack.tracking.protocols import Align, Correction, Observe, Prediction
+from clothtrack.tracking.protocols import Correction, Observe, Prediction
 
 SUPPORT_M = 0.01
 """A vertex with a cloud point this near [m] counts as observed even where the sensor could not have
@@ -126,15 +126,6 @@ def only_at(frames: Collection[int], observe: Observe, recording: Recording) -> 
     """
     nothing = Observation(np.zeros((0, 3)), recording.cameras, {}, None, np.zeros((0, 3)), 0.0)
     return lambda frame: observe(frame) if frame.index in frames else nothing
-
-
-def from_last_mesh(align: Align) -> Align:
-    """Return the ablation without dynamics initialization: align the mesh before the roll-out."""
-
-    def aligned(predicted: Prediction, observation: Observation) -> Correction | None:
-        return align(replace(predicted, positions=predicted.started_at), observation)
-
-    return aligned
 
 
 def _supported(

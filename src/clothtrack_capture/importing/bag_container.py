@@ -1,24 +1,28 @@
 """ROS 1 bags, format 2.0 (wiki.ros.org/Bags/Format/2.0), walked from the start."""
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from rosbags.typesys.msg import normalize_msgtype
 
+from clothtrack.errors import TruncatedError
 from clothtrack_capture.importing.containers import (
-    MOST_TOPICS,
     ChunkedContainer,
     Message,
     Place,
+    Read,
+    Record,
     Topic,
-    TruncatedError,
     unpack,
 )
 
 MAGIC = b"#ROSBAG V2.0\n"
-_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
+_KINDS = {2: "message", 5: "chunk", 7: "definition"}
 _MOST_HEADER = 2**20
+
+Header = dict[str, bytes]
+"""Fields of a record's header, by name."""
 
 
 class BagContainer(ChunkedContainer):
@@ -26,104 +30,41 @@ class BagContainer(ChunkedContainer):
 
     def __init__(self, path: Path) -> None:
         """Open the bag."""
-        super().__init__(path)
-        self._topics: dict[int, Topic] = {}
+        super().__init__(path, begin=len(MAGIC))
 
-    def topics(self) -> list[Topic]:
-        """Every topic known so far."""
-        return list(self._topics.values())
-
-    def messages(self) -> Iterator[Message]:
-        """Every whole message, in the order of the file; sets `damage` where the file breaks."""
-        position = len(MAGIC)
-        try:
-            while position < self._file.size:
-                header, start, stop = self._record(self._file.read, position)
-                kind = _byte(header, "op")
-                if kind == _CONNECTION:
-                    self._learn(header, self._file.read(start, stop - start))
-                elif kind == _CHUNK:
-                    yield from self._chunk(position, header, start, stop)
-                elif kind == _MESSAGE:
-                    if stop > self._file.size:
-                        raise TruncatedError("the last message")
-                    yield from self._message(header, Place(-1, start, stop - start))
-                if stop > self._file.size:
-                    raise TruncatedError("the last record")
-                position = stop
-        except TruncatedError:
-            self.damage = f"the bag breaks off or is damaged at byte {position}"
-
-    def _chunk(
-        self, position: int, header: dict[str, bytes], start: int, stop: int
-    ) -> Iterator[Message]:
-        if header.get("compression", b"none") == b"none":
-            # An open chunk that breaks off still gives the messages before the break.
-            yield from self._inside(self._file.read, start, min(stop, self._file.size), -1)
-        else:
-            chunk = self._unpacked(position)
-            yield from self._inside(_reader(chunk), 0, len(chunk), position)
-
-    def _unpacked(self, position: int) -> bytes:
-        header, start, stop = self._record(self._file.read, position)
-        compression = header.get("compression", b"").decode("latin-1")
-        size = struct.unpack("<I", _field(header, "size", 4))[0]
-        return self._file.keep(
-            position, unpack(self._file.read(start, stop - start), compression, size)
-        )
-
-    def _inside(
-        self, read: Callable[[int, int], bytes], position: int, end: int, chunk: int
-    ) -> Iterator[Message]:
-        while position < end:
-            header, start, stop = self._record(read, position)
-            if stop > end:
-                raise TruncatedError("a record is longer than its chunk")
-            kind = _byte(header, "op")
-            if kind == _CONNECTION:
-                self._learn(header, read(start, stop - start))
-            elif kind == _MESSAGE:
-                yield from self._message(header, Place(chunk, start, stop - start))
-            position = stop
-
-    def _message(self, header: dict[str, bytes], place: Place) -> Iterator[Message]:
-        topic = self._topics.get(struct.unpack("<I", _field(header, "conn", 4))[0])
-        seconds, nanoseconds = struct.unpack("<II", _field(header, "time", 8))
-        if topic is not None:
-            yield Message(topic, seconds * 10**9 + nanoseconds, place)
-
-    def _learn(self, header: dict[str, bytes], data: bytes) -> None:
-        number = struct.unpack("<I", _field(header, "conn", 4))[0]
-        about = _fields(data)
-        name = header.get("topic", b"").decode("utf-8", "replace")
-        kind = about.get("type", b"").decode("utf-8", "replace")
-        if len(self._topics) >= MOST_TOPICS:
-            raise TruncatedError("more topics than anybody records")
-        self._topics[number] = Topic(name, normalize_msgtype(kind) if "/" in kind else kind, False)
-
-    def _record(
-        self, read: Callable[[int, int], bytes], position: int
-    ) -> tuple[dict[str, bytes], int, int]:
+    def _record(self, read: Read, position: int) -> Record:
         length = struct.unpack("<I", read(position, 4))[0]
         if length > _MOST_HEADER:
-            raise TruncatedError(f"a header of {length} bytes")
+            raise TruncatedError(f"a header of {length} bytes; at most {_MOST_HEADER}")
         header = _fields(read(position + 4, length))
         start = position + 8 + length
         size = struct.unpack("<I", read(start - 4, 4))[0]
-        return header, start, start + size
+        return Record(_KINDS.get(_field(header, "op", 1)[0], ""), header, start, start + size)
+
+    def _learn(self, head: Header, data: bytes) -> None:
+        name = head.get("topic", b"").decode("utf-8", "replace")
+        kind = _fields(data).get("type", b"").decode("utf-8", "replace")
+        kind = normalize_msgtype(kind) if "/" in kind else kind
+        self._add(_number(head, "conn"), Topic(name, kind, False))
+
+    def _message(self, read: Read, record: Record, chunk: int) -> Iterator[Message]:  # noqa: ARG002
+        topic = self._topics.get(_number(record.head, "conn"))
+        seconds, nanoseconds = struct.unpack("<II", _field(record.head, "time", 8))
+        if topic is not None:
+            place = Place(chunk, record.start, record.stop - record.start)
+            yield Message(topic, seconds * 10**9 + nanoseconds, place)
+
+    def _packed(self, record: Record) -> tuple[str, int, int]:
+        return record.head.get("compression", b"").decode("latin-1"), record.start, record.stop
+
+    def _unpack(self, record: Record) -> bytes:
+        compression, start, stop = self._packed(record)
+        data = self._file.read(start, stop - start)
+        return unpack(data, compression, _number(record.head, "size"))
 
 
-def _reader(data: bytes) -> Callable[[int, int], bytes]:
-    def read(position: int, size: int) -> bytes:
-        if position + size > len(data):
-            raise TruncatedError("a chunk breaks off")
-        return data[position : position + size]
-
-    return read
-
-
-def _fields(data: bytes) -> dict[str, bytes]:
-    fields: dict[str, bytes] = {}
+def _fields(data: bytes) -> Header:
+    fields: Header = {}
     position = 0
     while position < len(data):
         if position + 4 > len(data):
@@ -137,12 +78,12 @@ def _fields(data: bytes) -> dict[str, bytes]:
     return fields
 
 
-def _field(header: dict[str, bytes], name: str, size: int) -> bytes:
+def _field(header: Header, name: str, size: int) -> bytes:
     value = header.get(name, b"")
     if len(value) != size:
         raise TruncatedError(f"the header field {name} has {len(value)} bytes, not {size}")
     return value
 
 
-def _byte(header: dict[str, bytes], name: str) -> int:
-    return _field(header, name, 1)[0]
+def _number(header: Header, name: str) -> int:
+    return struct.unpack("<I", _field(header, name, 4))[0]

@@ -38,7 +38,7 @@ class BagPaths:
 
 
 def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
-    """The picker's path that was asked for, or nothing.
+    """Return the picker's path that was asked for, or nothing.
 
     Raises:
         InvalidConfigError: the topic or frame is not there, or the gripper needs a limit.

@@ -1,16 +1,16 @@
 """One walk through a bag: the place of every picture, and what little else is worth keeping."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing import bag_container, mcap_container, sqlite_container
 from clothtrack_capture.importing import realsense_bag as realsense
-from clothtrack_capture.importing.containers import Container, Message, Place, Topic, TruncatedError
+from clothtrack_capture.importing.containers import Container, Message, Place, Topic
 from clothtrack_capture.importing.messages import decode, payload, stamp_ns
 from clothtrack_capture.importing.source import StreamFrame
 from clothtrack_capture.importing.topics import CAMERA_INFO, COMPRESSED, IMAGE
@@ -26,12 +26,12 @@ _CLOCK_SAMPLES = 200
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a file starts like one of the bags."""
+    """Return whether a file starts like one of the bags."""
     return _container_of(path) is not None
 
 
 def open_parts(paths: Sequence[Path]) -> tuple[list[Container], str]:
-    """The containers of a bag in one or several files, and the format in words.
+    """Return the containers of a bag in one or several files, and the format in words.
 
     Raises:
         InvalidRecordingError: one of them is no bag.
@@ -81,7 +81,6 @@ class Walk:
         poses: (time [ns], frame, position [m]) of the topic asked for.
         grips: (time [ns], message) of the gripper topic asked for; times as in headers.
         gaps_ns: time of writing minus time in the header, of the first pictures.
-        lost: what could not be read, in words.
     """
 
     pose_topic: str | None = None
@@ -94,7 +93,6 @@ class Walk:
     poses: list[tuple[int, str, tuple[float, float, float]]] = field(default_factory=list)
     grips: list[tuple[int, Any]] = field(default_factory=list)
     gaps_ns: list[int] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
 
     @property
     def clock_gap_ns(self) -> int:
@@ -105,22 +103,34 @@ class Walk:
 def walk(
     containers: Sequence[Container], *, pose_topic: str | None, grip_topic: str | None
 ) -> Walk:
-    """Walk through every part of a bag once."""
+    """Walk through every part of a bag once.
+
+    Raises:
+        InvalidRecordingError: a part breaks off or is damaged.
+    """
     result = Walk(pose_topic, grip_topic)
-    torn: dict[str, int] = {}
     for part, container in enumerate(containers):
-        for message in container.messages():
+        for message in _messages(container):
             try:
                 _note(result, container, message, part)
-            except TruncatedError:
-                torn[message.topic.name] = torn.get(message.topic.name, 0) + 1
+            except TruncatedError as error:
+                raise InvalidRecordingError(
+                    f"{container.path}: a message cannot be read ({error}); name another topic, or "
+                    "copy the bag again"
+                ) from error
         known = {topic.name for topic in result.topics}
         result.topics += [topic for topic in container.topics() if topic.name not in known]
-        if container.damage:
-            whole = sum(map(len, result.frames.values()))
-            result.lost.append(f"{container.damage}; {whole} whole pictures before it were saved")
-    result.lost += [f"{count} damaged messages of {name} left out" for name, count in torn.items()]
     return result
+
+
+def _messages(container: Container) -> Iterator[Message]:
+    try:
+        yield from container.messages()
+    except TruncatedError as error:
+        raise InvalidRecordingError(
+            f"{container.path}: the bag breaks off or is damaged ({error}); copy it again, or "
+            "repair it with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
+        ) from error
 
 
 def _note(result: Walk, container: Container, message: Message, part: int) -> None:
@@ -170,7 +180,7 @@ def _pose(result: Walk, container: Container, message: Message, place: Place) ->
 
 
 def frame_of(container: Container, topic: Topic, place: Place) -> str:
-    """The frame in the header of a picture, "" when it has none."""
+    """Return the frame in the header of a picture, "" when it has none."""
     with suppress(TruncatedError):
         data = payload(container, place)[:512]
         order = "little" if not topic.cdr or data[1:2] == b"\x01" else "big"

@@ -1,19 +1,18 @@
 """Files full of messages: what ROS 1, MCAP and SQLite bags have in common.
 
-Each is walked once from its start, record by record, every size held against the file before it is
-believed. So a file that breaks off gives what is whole before the break, a file that lies about its
-sizes costs no memory, and only the place of a message is kept: its bytes are fetched when wanted.
+Each is walked once from its start, record by record, and every size is checked against the file
+before it is believed: a file that lies about its sizes costs no memory. Only the place of a message
+is kept; its bytes are fetched when they are needed. A file that breaks off is refused.
 """
 
 import bz2
 import os
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import lz4.frame
 import zstandard
@@ -25,6 +24,9 @@ MOST_BYTES = 96 * 2**20
 MOST_TOPICS = 10_000
 _CACHED_BYTES = 2 * MOST_BYTES
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+Read = Callable[[int, int], bytes]
+"""Return so many bytes from a position, all of them, or raise `TruncatedError`."""
 
 
 @dataclass(frozen=True)
@@ -70,18 +72,22 @@ class Message(NamedTuple):
 class Container(Protocol):
     """A file full of messages."""
 
-    damage: str | None
+    path: Path
 
     def topics(self) -> list[Topic]:
-        """Every topic known so far; complete when the walk has ended."""
+        """Return every topic known so far; complete when the walk has ended."""
         ...
 
     def messages(self) -> Iterator[Message]:
-        """Every whole message, in the order of the file; sets `damage` where the file breaks."""
+        """Yield every message, in the order of the file.
+
+        Raises:
+            TruncatedError: the file breaks off or is damaged.
+        """
         ...
 
     def fetch(self, place: Place, most: int | None = None) -> bytes:
-        """The bytes of a message, or only the first `most`.
+        """Return the bytes of a message, or only the first `most`.
 
         Raises:
             TruncatedError: they are not there.
@@ -89,12 +95,12 @@ class Container(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         ...
 
 
 class BagFile:
-    """A file whose bytes are read where they are wanted, and a few chunks of it unpacked."""
+    """A file whose bytes are read where they are needed, and a few chunks of it unpacked."""
 
     def __init__(self, path: Path) -> None:
         """Open the file for reading.
@@ -110,65 +116,77 @@ class BagFile:
         self.size = os.fstat(self._file.fileno()).st_size
         self._chunks: OrderedDict[int, bytes] = OrderedDict()
 
-    def __enter__(self) -> "BagFile":
-        """The file itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the file."""
-        self.close()
-
     def close(self) -> None:
         """Close the file and forget what was unpacked."""
         self._chunks.clear()
         self._file.close()
 
     def read(self, position: int, size: int) -> bytes:
-        """Bytes of the file, all of them.
+        """Return bytes of the file, all of them.
 
         Raises:
             TruncatedError: the file ends before, or nobody writes so many at once.
         """
-        if not 0 <= size <= MOST_BYTES or position + size > self.size:
-            raise TruncatedError(f"{size} bytes at {position} of {self.size}")
-        data = os.pread(self._file.fileno(), size, position)
-        if len(data) < size:
-            raise TruncatedError(f"{size} bytes at {position} of {self.size}")
-        return data
+        if 0 <= size <= MOST_BYTES and position + size <= self.size:
+            data = os.pread(self._file.fileno(), size, position)
+            if len(data) == size:
+                return data
+        raise TruncatedError(f"{size} bytes at {position} of {self.size}")
 
-    def keep(self, position: int, unpacked: bytes) -> bytes:
-        """Remember an unpacked chunk for the next messages; old ones are forgotten."""
-        self._chunks[position] = unpacked
-        while len(self._chunks) > 1 and sum(map(len, self._chunks.values())) > _CACHED_BYTES:
-            self._chunks.popitem(last=False)
-        return unpacked
-
-    def kept(self, position: int) -> bytes | None:
-        """An unpacked chunk that is still remembered."""
+    def unpacked(self, position: int, unpack: Callable[[], bytes]) -> bytes:
+        """Return the chunk at a position; the latest ones are kept for the next messages."""
         if position in self._chunks:
             self._chunks.move_to_end(position)
-        return self._chunks.get(position)
+        else:
+            self._chunks[position] = unpack()
+            while len(self._chunks) > 1 and sum(map(len, self._chunks.values())) > _CACHED_BYTES:
+                self._chunks.popitem(last=False)
+        return self._chunks[position]
+
+
+class Record(NamedTuple):
+    """One record of a file in chunks.
+
+    Attributes:
+        kind: "message", "chunk", "definition" (of a topic), "end" (of the messages), or "".
+        head: what the format says before the data.
+        start: where the data begin.
+        stop: where they end, and the next record begins.
+    """
+
+    kind: str
+    head: Any
+    start: int
+    stop: int
 
 
 class ChunkedContainer(ABC):
-    """What containers with compressed chunks have in common: how a message is fetched."""
+    """The walk through a file of records, some of which are chunks of further records."""
 
-    def __init__(self, path: Path) -> None:
-        """Open the file.
+    def __init__(self, path: Path, *, begin: int) -> None:
+        """Open the file, whose first record begins at this position.
 
         Raises:
             InvalidRecordingError: it cannot be opened.
         """
-        self.damage: str | None = None
+        self.path, self._begin = path, begin
         self._file = BagFile(path)
+        self._topics: dict[int, Topic] = {}
+
+    def topics(self) -> list[Topic]:
+        """Return every topic known so far."""
+        return list(self._topics.values())
+
+    def messages(self) -> Iterator[Message]:
+        """Yield every message, in the order of the file.
+
+        Raises:
+            TruncatedError: the file breaks off or is damaged.
+        """
+        yield from self._walk(self._file.read, self._begin, self._file.size, -1)
 
     def fetch(self, place: Place, most: int | None = None) -> bytes:
-        """The bytes of a message, or only the first `most`.
+        """Return the bytes of a message, or only the first `most`.
 
         Raises:
             TruncatedError: they are not there.
@@ -176,26 +194,76 @@ class ChunkedContainer(ABC):
         size = place.size if most is None else min(most, place.size)
         if place.chunk < 0:
             return self._file.read(place.offset, size)
-        chunk = self._file.kept(place.chunk)
-        if chunk is None:
-            chunk = self._unpacked(place.chunk)
-        return chunk[place.offset : place.offset + size]
+        return self._unpacked(place.chunk)[place.offset : place.offset + size]
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
-    @abstractmethod
-    def _unpacked(self, position: int) -> bytes:
-        """The chunk at a position of the file, unpacked and remembered.
+    def _walk(self, read: Read, position: int, end: int, chunk: int) -> Iterator[Message]:
+        """Yield the messages between two positions of the file (chunk -1) or of a chunk."""
+        while position < end:
+            record = self._record(read, position)
+            if record.stop > end:
+                raise TruncatedError(f"a record of {record.stop - record.start} bytes breaks off")
+            if record.kind == "message":
+                yield from self._message(read, record, chunk)
+            elif record.kind == "definition":
+                self._learn(record.head, read(record.start, record.stop - record.start))
+            elif record.kind == "chunk" and chunk < 0:
+                compression, data, stop = self._packed(record)
+                if compression in ("", "none"):
+                    yield from self._walk(read, data, stop, chunk)
+                else:
+                    unpacked = self._unpacked(position)
+                    yield from self._walk(_reader(unpacked), 0, len(unpacked), position)
+            position = record.stop
+            if record.kind == "end":
+                return
 
-        Raises:
-            TruncatedError: it is not there, or damaged.
-        """
+    def _add(self, number: int, topic: Topic) -> None:
+        if len(self._topics) >= MOST_TOPICS:
+            raise TruncatedError(f"more than {MOST_TOPICS} topics")
+        self._topics[number] = topic
+
+    def _unpacked(self, position: int) -> bytes:
+        """Return the packed chunk at a position of the file."""
+        return self._file.unpacked(
+            position, lambda: self._unpack(self._record(self._file.read, position))
+        )
+
+    @abstractmethod
+    def _record(self, read: Read, position: int) -> Record:
+        """Return the record at a position."""
+
+    @abstractmethod
+    def _learn(self, head: Any, data: bytes) -> None:
+        """Add the topic that a definition describes."""
+
+    @abstractmethod
+    def _message(self, read: Read, record: Record, chunk: int) -> Iterator[Message]:
+        """Yield the message of a record, unless its topic was never defined."""
+
+    @abstractmethod
+    def _packed(self, record: Record) -> tuple[str, int, int]:
+        """Return a chunk's compression, and where its packed bytes begin and end."""
+
+    @abstractmethod
+    def _unpack(self, record: Record) -> bytes:
+        """Return the unpacked bytes of a chunk."""
+
+
+def _reader(data: bytes) -> Read:
+    def read(position: int, size: int) -> bytes:
+        if position + size > len(data):
+            raise TruncatedError("a chunk breaks off")
+        return data[position : position + size]
+
+    return read
 
 
 def unpack(data: bytes, compression: str, size: int | None = None) -> bytes:
-    """Decompressed bytes, never more than the limit.
+    """Return decompressed bytes, never more than the limit.
 
     Args:
         data: what was compressed.

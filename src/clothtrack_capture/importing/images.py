@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 from jaxtyping import Shaped, UInt8, UInt16
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack.recordings.pictures import SIGNATURE, check_chunks
-from clothtrack_capture.importing.containers import TruncatedError
 from clothtrack_capture.importing.intrinsics import MOST_PIXELS
 
 _TO_RGB = {
@@ -40,7 +39,7 @@ _HEAD_BYTES = 12  # of compressed_depth_image_transport: format and two paramete
 
 
 def raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height bytes"]:
-    """The rows of a sensor_msgs Image without their padding.
+    """Return the rows of a sensor_msgs Image without their padding.
 
     Raises:
         TruncatedError: its sizes contradict each other.
@@ -54,7 +53,9 @@ def raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height byte
 
 
 def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
-    """Depth of a sensor_msgs Image in whole units; 0 where there is none or it is out of range.
+    """Return the depth of a sensor_msgs Image in whole units.
+
+    0 where there is none or it is out of range.
 
     Raises:
         TruncatedError: it is no depth picture.
@@ -74,14 +75,14 @@ def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
 def counts_of(
     metres: Shaped[np.ndarray, "height width"], unit_m: float
 ) -> UInt16[np.ndarray, "height width"]:
-    """Metres in whole units; 0 where not finite, not positive or beyond 65,535 units."""
+    """Return metres in whole units; 0 where not finite, not positive or beyond 65,535 units."""
     with np.errstate(invalid="ignore", over="ignore"):
         units = np.rint(metres.astype(np.float32) / np.float32(unit_m))
         return np.where((units > 0) & (units <= 65535), units, 0).astype(np.uint16)
 
 
 def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
-    """Red, green and blue of a sensor_msgs Image.
+    """Return red, green and blue of a sensor_msgs Image.
 
     Raises:
         TruncatedError: its encoding is unknown.
@@ -97,7 +98,7 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
-    """Red, green and blue of a whole JPEG or PNG.
+    """Return red, green and blue of a whole JPEG or PNG.
 
     Raises:
         TruncatedError: it breaks off, is too large or something else.
@@ -115,7 +116,7 @@ def compressed_color(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
-    """The PNG in a CompressedImage of the transport `compressedDepth`.
+    """Return the PNG in a CompressedImage of the transport `compressedDepth`.
 
     It follows a head of 12 bytes. With it what turns its numbers into metres, where depth was
     measured in floats; else they are counts.
@@ -140,7 +141,7 @@ def depth_png(message: Any) -> tuple[bytes, tuple[float, float] | None]:
 def inverse_depth(
     png: bytes, curve: tuple[float, float], unit_m: float
 ) -> UInt16[np.ndarray, "height width"]:
-    """Depth, in whole units, of a PNG that stores a / z + b.
+    """Return depth, in whole units, of a PNG that stores a / z + b.
 
     Args:
         png: of 16-bit grey.
@@ -157,7 +158,7 @@ def inverse_depth(
 
 
 def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
-    """Counts of a whole 16-bit grey PNG.
+    """Return the counts of a whole 16-bit grey PNG.
 
     Raises:
         TruncatedError: it breaks off, is too large or has other bits.
@@ -177,7 +178,7 @@ def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
 
 
 def encoded_size(data: bytes) -> tuple[int, int]:
-    """Width and height that a PNG or JPEG announces.
+    """Return the width and height that a PNG or JPEG announces.
 
     Raises:
         TruncatedError: it is neither, breaks off or is larger than any camera's picture.

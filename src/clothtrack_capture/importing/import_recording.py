@@ -10,25 +10,27 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError, StorageError
+from clothtrack.errors import (
+    InvalidConfigError,
+    InvalidRecordingError,
+    StorageError,
+    TruncatedError,
+)
 from clothtrack.files.progress import Progress
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.pictures import encode_png
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack_capture.importing.bag_walk import is_bag
-from clothtrack_capture.importing.containers import TruncatedError
 from clothtrack_capture.importing.import_options import ImportOptions
-from clothtrack_capture.importing.import_report import ImportReport
+from clothtrack_capture.importing.import_report import ImportReport, report_of
 from clothtrack_capture.importing.intrinsics_file import read_json, rigid_matrix
 from clothtrack_capture.importing.kinect import KinectSource, is_kinect
 from clothtrack_capture.importing.packed_pictures import PackedPicture
 from clothtrack_capture.importing.pairing import Pair, pair
-from clothtrack_capture.importing.picker_paths import FrameWatcher
+from clothtrack_capture.importing.picker_paths import FrameWatcher, add_pickers, placed_paths
 from clothtrack_capture.importing.png_folders import FolderSource, is_picture_folder
-from clothtrack_capture.importing.recorded_pickers import add_pickers, placed_paths
 from clothtrack_capture.importing.registration import Registration
-from clothtrack_capture.importing.reporting import report_of
 from clothtrack_capture.importing.ros_bags import BagSource, bag_files
 from clothtrack_capture.importing.source import Content, Source, Streams
 
@@ -40,7 +42,7 @@ CAMERA = "camera"
 
 
 def open_source(path: Path, options: ImportOptions) -> Source:
-    """The source that a file or folder is.
+    """Return the source that a file or folder is.
 
     Raises:
         InvalidRecordingError: it is none, or cannot be read.
@@ -220,7 +222,7 @@ class _Job:
         keeps: Callable[[tuple[int, int]], bool],
         carry: Callable[[np.ndarray], np.ndarray],
     ) -> tuple[np.ndarray | None, bytes]:
-        """The picture, if somebody watches, and its PNG: the source's own where it may stay."""
+        """Return the picture, for a watcher, and its PNG: the source's own where it may stay."""
         png = None
         if isinstance(content, PackedPicture):
             png = content.plain_png() if keeps(content.size) else None
@@ -236,7 +238,7 @@ class _Job:
 def _in_order(
     job: _Job, pairs: Sequence[Pair], workers: int
 ) -> Iterator[tuple[Pair, _Encoded | TruncatedError]]:
-    """Every pair with its result, in order; only a few are in memory at any time."""
+    """Yield every pair with its result, in order; only a few are in memory at any time."""
     waiting: deque[tuple[Pair, Future[_Encoded] | TruncatedError]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
@@ -287,7 +289,7 @@ def _check(options: ImportOptions, folder: Path) -> None:
 def _world(
     options: ImportOptions, streams: Streams
 ) -> tuple[Float[np.ndarray, "4 4"] | None, Table | None]:
-    """The camera's pose and the table, as far as anybody knows them."""
+    """Return the camera's pose and the table, as far as anybody knows them."""
     file = options.world_from_camera
     if file is None:
         return streams.world_from_camera, None

@@ -82,11 +82,11 @@ class Intrinsics:
         return self.width, self.height
 
     def rectified(self) -> "Intrinsics":
-        """The pinhole with the same focal lengths and centre, without distortion."""
+        """Return the pinhole with the same focal lengths and centre, without distortion."""
         return replace(self, distortion=(), fisheye=False)
 
     def camera(self, name: str, world_from_camera: Float[np.ndarray, "4 4"]) -> Camera:
-        """The recording's camera; the distortion must have been taken out of its pictures."""
+        """Return the recording's camera, for pictures without distortion."""
         return Camera(
             name, self.width, self.height, self.fx, self.fy, self.cx, self.cy, world_from_camera
         )
@@ -150,7 +150,9 @@ class Intrinsics:
     def straighten(
         self, picture: Shaped[np.ndarray, "height width *channels"], *, nearest: bool = False
     ) -> Shaped[np.ndarray, "height width *channels"]:
-        """The picture that the rectified lens would have taken; black where it would see more.
+        """Return the picture that the rectified lens would have taken.
+
+        Black where it would see more.
 
         Args:
             picture: taken through this lens.

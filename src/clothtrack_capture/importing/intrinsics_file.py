@@ -13,6 +13,7 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.files.bounds import Bounds
 from clothtrack.geometry.camera import rigid_problem
 from clothtrack_capture.importing.intrinsics import Intrinsics
+from clothtrack_capture.importing.source import StereoCalibration
 
 _LARGEST_FILE = 16 * 2**20
 _FIELDS = (
@@ -41,9 +42,14 @@ class IntrinsicsFile:
     fps: float | None = None
     depth_unit_m: float | None = None
 
+    def calibration(self, unit_m: float, origin: str, *, with_color: bool) -> StereoCalibration:
+        """Return the calibration of a source with this unit of depth [m] and its origin."""
+        color = self.color if with_color else None
+        return StereoCalibration(self.depth, color, self.color_from_depth, unit_m, origin)
+
 
 def read_json(path: Path) -> Any:
-    """A JSON file of reasonable size.
+    """Return a JSON file of reasonable size.
 
     Raises:
         InvalidRecordingError: it is missing, too large or no JSON.
@@ -61,7 +67,7 @@ def read_json(path: Path) -> Any:
 
 
 def read_intrinsics(path: Path) -> IntrinsicsFile:
-    """The intrinsics in a JSON file.
+    """Return the intrinsics in a JSON file.
 
     Either one set for both pictures, which then are registered (`width`, `height` and `fx`, `fy`,
     `cx`, `cy`; or Open3D's `intrinsic_matrix`, nine numbers by columns), or `depth`, `color` and
@@ -91,7 +97,7 @@ def read_intrinsics(path: Path) -> IntrinsicsFile:
 
 
 def rigid_matrix(what: str, value: Any) -> Float[np.ndarray, "4 4"]:
-    """A rigid 4 x 4 matrix, by rows.
+    """Return a rigid 4 x 4 matrix, by rows.
 
     Args:
         what: file and field, for the error.
@@ -154,6 +160,6 @@ def _optional(path: Path, content: dict[str, Any], name: str) -> float | None:
 
 
 def _depth_scale(path: Path, content: dict[str, Any]) -> float | None:
-    """Open3D's `depth_scale`: units per metre."""
+    """Return Open3D's `depth_scale`: units per metre."""
     scale = _optional(path, content, "depth_scale")
     return None if scale is None else 1.0 / scale

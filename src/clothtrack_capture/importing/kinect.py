@@ -7,8 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from clothtrack.errors import InvalidRecordingError
-from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import MOST_PIXELS
 from clothtrack_capture.importing.intrinsics_file import read_intrinsics
@@ -23,7 +22,7 @@ _RAW_COLOR = {"NV12": (1.5, cv2.COLOR_YUV2RGB_NV12), "YUY2": (2.0, cv2.COLOR_YUV
 
 
 def is_kinect(path: Path) -> bool:
-    """Whether a file is Matroska."""
+    """Return whether a file is Matroska."""
     with path.open("rb") as file:
         return file.read(4) == MAGIC
 
@@ -46,12 +45,12 @@ class KinectSource:
             raise
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives the counts of a depth picture."""
+        """Return a function that gives the counts of a depth picture."""
         data = self._file.fetch(frame.place)
         return partial(_depth, data, self._depth_track.width, self._depth_track.height)
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives red, green and blue."""
+        """Return a function that gives red, green and blue."""
         data = self._file.fetch(frame.place)
         assert self._color_track is not None
         return partial(_color, data, self._color_track)
@@ -115,8 +114,7 @@ class KinectSource:
             unit, origin = options.depth_unit_m, "given by --depth-unit-m"
         if options.intrinsics is not None:
             file = read_intrinsics(options.intrinsics)
-            color = None if self._color_track is None else file.color
-            return StereoCalibration(file.depth, color, file.color_from_depth, unit, origin)
+            return file.calibration(unit, origin, with_color=self._color_track is not None)
         content = self._file
         name = content.tags.get("K4A_CALIBRATION_FILE", _CALIBRATION)
         text = content.attachments.get(name, content.attachments.get(_CALIBRATION))

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
+from clothtrack.geometry.camera import rigid_problem
 from clothtrack_capture.importing.intrinsics import Intrinsics
 
 # Per picture size: the sensor after binning and the first pixel of the crop, (along x, along y).
@@ -40,7 +41,7 @@ _MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
 def kinect_intrinsics(
     path: Path, text: bytes, depth_size: tuple[int, int], color_size: tuple[int, int] | None
 ) -> tuple[Intrinsics, Intrinsics | None, Float[np.ndarray, "4 4"]]:
-    """Lenses of depth and colour and the transform from depth to colour camera [m].
+    """Return the lenses of depth and colour and the transform from depth to colour camera [m].
 
     Args:
         path: the recording, for errors.
@@ -113,7 +114,6 @@ def _pose(camera: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
     result = np.eye(4)
     result[:3, :3] = np.array(camera["Rt"]["Rotation"], dtype=np.float64).reshape(3, 3)
     result[:3, 3] = np.array(camera["Rt"]["Translation"], dtype=np.float64)
-    off = np.abs(result[:3, :3] @ result[:3, :3].T - np.eye(3)).max()
-    if not (np.isfinite(result).all() and off < 1e-3):
-        raise ValueError("Rt is not rigid")
+    if problem := rigid_problem(result):
+        raise ValueError(f"Rt {problem}")
     return result

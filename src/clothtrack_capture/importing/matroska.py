@@ -92,7 +92,7 @@ class Matroska:
         self.damage = "; ".join(dict.fromkeys(errors))
 
     def fetch(self, block: Block) -> bytes:
-        """The bytes of a block.
+        """Return the bytes of a block.
 
         Raises:
             TruncatedError: they are not there.
@@ -144,7 +144,10 @@ class Matroska:
 
 @contextmanager
 def _logged_errors() -> Iterator[list[str]]:
-    """What FFmpeg notes as errors inside the block; the list is filled when the block ends."""
+    """Yield what FFmpeg notes as errors inside the block.
+
+    The list is filled when the block ends.
+    """
     before, errors = av.logging.get_level(), list[str]()
     av.logging.set_level(av.logging.ERROR)
     try:

@@ -14,14 +14,14 @@ from jaxtyping import Float
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+from scipy.spatial.transform import Rotation
 
-from clothtrack.errors import InvalidRecordingError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing.containers import (
     ZSTD_MAGIC,
     Container,
     Place,
     Topic,
-    TruncatedError,
     unpack,
 )
 from clothtrack_capture.importing.intrinsics import Intrinsics
@@ -44,7 +44,7 @@ def _store(*, cdr: bool) -> Typestore:
 
 
 def payload(container: Container, place: Place) -> bytes:
-    """The bytes of a message, decompressed where each message was compressed on its own.
+    """Return the bytes of a message, decompressed where each message was compressed on its own.
 
     Raises:
         TruncatedError: they are not there.
@@ -54,7 +54,7 @@ def payload(container: Container, place: Place) -> bytes:
 
 
 def decode(topic: Topic, data: bytes) -> Any:
-    """A message as an object with the fields of its definition.
+    """Return a message as an object with the fields of its definition.
 
     Raises:
         TruncatedError: the bytes are not such a message.
@@ -74,7 +74,9 @@ def decode(topic: Topic, data: bytes) -> Any:
 
 
 def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> int:
-    """Time in the header of a stamped message [ns]; the time of writing where it has none.
+    """Return the time in the header of a stamped message [ns].
+
+    The time of writing where it has none.
 
     Raises:
         TruncatedError: the message is not there.
@@ -94,7 +96,7 @@ def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> i
 
 
 def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
-    """The intrinsics that a CameraInfo describes.
+    """Return the intrinsics that a CameraInfo describes.
 
     Args:
         topic: where it came from, for the error.
@@ -137,35 +139,18 @@ def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:
         raise InvalidRecordingError(f"{topic}: {error}") from error
 
 
-def rigid(
-    quaternion: tuple[float, float, float, float], translation: tuple[float, float, float]
-) -> Float[np.ndarray, "4 4"]:
-    """Rigid transform of a quaternion (x, y, z, w) and a translation [m].
-
-    Raises:
-        TruncatedError: not finite, or the quaternion has no length.
-    """
-    x, y, z, w = quaternion
-    length = np.sqrt(x * x + y * y + z * z + w * w)
-    if not (np.isfinite([*quaternion, *translation]).all() and 0.5 < length < 2.0):
-        raise TruncatedError("a transform that is none")
-    x, y, z, w = (value / length for value in quaternion)
-    result = np.eye(4)
-    result[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    result[:3, 3] = translation
-    return result
-
-
 def rigid_of(transform: Any) -> Float[np.ndarray, "4 4"]:
-    """The transform of a geometry_msgs Transform or Pose.
+    """Return the transform of a geometry_msgs Transform or Pose.
 
     Raises:
-        TruncatedError: it is none.
+        TruncatedError: it is not finite, or its quaternion has no length.
     """
     q = transform.rotation if hasattr(transform, "rotation") else transform.orientation
     t = transform.translation if hasattr(transform, "translation") else transform.position
-    return rigid((q.x, q.y, q.z, q.w), (t.x, t.y, t.z))
+    quaternion, translation = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+    if not (np.isfinite(translation).all() and 0.5 < np.linalg.norm(quaternion) < 2.0):
+        raise TruncatedError("a transform that is not rigid")
+    result = np.eye(4)
+    result[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    result[:3, 3] = translation
+    return result

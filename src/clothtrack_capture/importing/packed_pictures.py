@@ -46,7 +46,7 @@ class PackedPicture:
         return encoded_size(self.data)
 
     def decode(self) -> Shaped[np.ndarray, "height width *channels"]:
-        """The pixels.
+        """Return the pixels.
 
         Raises:
             TruncatedError: the file breaks off, is too large or something else.
@@ -54,7 +54,7 @@ class PackedPicture:
         return self.unpack(self.data)
 
     def plain_png(self) -> bytes | None:
-        """The file without remarks, if a recording may hold it as it is; None: decode it.
+        """Return the file without remarks, if a recording may hold it as it is; None: decode it.
 
         Checked as far as decoding would: every chunk's checksum, that the pixels are all there
         (and their checksum right), and that each row names a filter that exists.
@@ -88,10 +88,10 @@ class PackedPicture:
 
 
 def packed_depth(data: bytes) -> PackedPicture:
-    """Depth as a 16-bit grey PNG."""
+    """Return depth as a 16-bit grey PNG."""
     return PackedPicture(data, _DEPTH, png_depth)
 
 
 def packed_color(data: bytes) -> PackedPicture:
-    """Colour as a PNG or JPEG."""
+    """Return colour as a PNG or JPEG."""
     return PackedPicture(data, _COLOR, compressed_color)

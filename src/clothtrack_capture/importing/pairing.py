@@ -126,7 +126,7 @@ def _tolerance_ns(times: np.ndarray, asked_s: float | None) -> float:
 
 
 def _nearest(times: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Index of the nearest of `others` (sorted) for each time."""
+    """Return the index of the nearest of `others` (sorted) for each time."""
     after = np.searchsorted(others, times).clip(1, max(len(others) - 1, 1))
     if len(others) == 1:
         return np.zeros(len(times), dtype=int)

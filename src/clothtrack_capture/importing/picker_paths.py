@@ -1,4 +1,4 @@
-"""Where the picker was, and which frames are an action."""
+"""The pickers of an import: their paths on the recording's clock, and their actions."""
 
 import csv
 import io
@@ -14,6 +14,8 @@ from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.picker_table import COLUMNS, read_picker_paths
 from clothtrack.recordings.recording import PickAndPlace, PickerPath
+from clothtrack.recordings.store import RecordingWriter
+from clothtrack_capture.importing.source import Streams
 
 _NAMES = {
     "time": ("time", "time_s", "t", "timestamp", "stamp"),
@@ -46,12 +48,95 @@ class FrameWatcher(Protocol):
         ...
 
     def paths(self) -> Mapping[str, PickerPath]:
-        """Path per picker, in the world, on the recording's clock; asked once at the end."""
+        """Return the path per picker, in the world, on the recording's clock.
+
+        Asked once at the end.
+        """
         ...
 
 
+def placed_paths(
+    source: Path,
+    streams: Streams,
+    table: Path | None,
+    clock: str,
+    *,
+    pose: Float[np.ndarray, "4 4"],
+    start_ns: int,
+    posed: bool,
+) -> tuple[dict[str, PickerPath], list[str]]:
+    """Return the paths in the world and on the recording's clock, and what to know about them.
+
+    Args:
+        source: the source, for errors.
+        streams: what the source holds, its paths among it.
+        table: CSV file with a path, in the world.
+        clock: "recording" or "source", the clock of that file.
+        pose: world_from_camera.
+        start_ns: time of the first frame on the source's clock [ns].
+        posed: whether that pose is known, or the camera's frame stands in for the world.
+
+    Raises:
+        InvalidConfigError: nothing ties a path to the world, or it and the frames do not meet.
+    """
+    span = [0.0, (max(frame.time_ns for frame in streams.depth) - start_ns) / 1e9]
+    if table is not None:
+        paths = read_path_table(table)
+        moved = on_recording_clock(
+            paths, start_ns / 1e9 if clock == "source" else 0.0, span,
+            f"{table} was read on the clock of the {clock}; the first frame is at "
+            f"{start_ns / 1e9:.3f} s "
+            "of the source's clock; say --picker-clock source or recording",
+        )  # fmt: skip
+        frame = "the world" if posed else "the camera's frame, which stands in for the world"
+        return moved, [f"the path in {table.name} was taken to be in {frame}"]
+    if not streams.paths:
+        return {}, []
+    notes = []
+    paths = dict(streams.paths)
+    if streams.path_frame == "camera":
+        paths = {name: _moved(path, pose) for name, path in paths.items()}
+    elif streams.path_frame != "world":
+        if not posed:
+            raise InvalidConfigError(
+                f"{source}: the picker's path is in frame {streams.path_frame}, and nothing ties "
+                "that to the camera; give the camera's pose in it: --world-from-camera FILE, or "
+                "--world-frame where TF knows both"
+            )
+        notes.append(
+            f"the picker's path in frame {streams.path_frame} was taken to be in the world"
+        )
+    start_s = (start_ns - streams.path_start_ns) / 1e9
+    return on_recording_clock(paths, start_s, span, "record both with the same clock"), notes
+
+
+def add_pickers(
+    writer: RecordingWriter,
+    paths: Mapping[str, PickerPath],
+    frame_times: Sequence[float],
+    words: Sequence[str],
+) -> tuple[list[PickAndPlace], list[str]]:
+    """Write the paths and the actions that they or a person tell.
+
+    Raises:
+        InvalidConfigError: an action is impossible.
+    """
+    for name, path in paths.items():
+        writer.set_picker_path(name, path)
+    notes = []
+    if words:
+        actions = actions_in_words(words, len(frame_times), list(paths))
+    else:
+        actions, left_out = actions_of(paths, frame_times)
+        if left_out:
+            notes.append(f"{left_out} closures of a picker give no action: no two frames show them")
+    for action in actions:
+        writer.add_action(action.first_frame, action.last_frame, action.pickers)
+    return actions, notes
+
+
 def read_path_table(path: Path) -> dict[str, PickerPath]:
-    """Path per picker of a CSV file; times as the file has them.
+    """Return the path per picker of a CSV file; times as the file has them.
 
     The columns are those of `picker.csv`, or `time, x, y, z` and perhaps `closed`, in any order,
     seconds and metres.
@@ -120,7 +205,7 @@ def _number(word: str) -> float:
 def on_recording_clock(
     paths: Mapping[str, PickerPath], start_s: float, frame_times: Sequence[float], remedy: str
 ) -> dict[str, PickerPath]:
-    """The paths on the clock of the frames.
+    """Return the paths on the clock of the frames.
 
     Args:
         paths: times on another clock.
@@ -148,7 +233,7 @@ def on_recording_clock(
 def actions_of(
     paths: Mapping[str, PickerPath], frame_times: Sequence[float]
 ) -> tuple[list[PickAndPlace], int]:
-    """The actions in which a picker is closed, and how many closures give none.
+    """Return the actions in which a picker is closed, and how many closures give none.
 
     An action begins with the last frame before a picker closes and ends with the first frame after
     it has opened. Pickers that are closed together share an action; an action needs two frames and
@@ -189,7 +274,7 @@ def actions_of(
 def actions_in_words(
     words: Sequence[str], frames: int, pickers: Sequence[str]
 ) -> list[PickAndPlace]:
-    """Actions that a person names: "10-50", first and last frame.
+    """Return actions that a person names: "10-50", first and last frame.
 
     Raises:
         InvalidConfigError: a word is no such thing, or there is no picker.
@@ -217,7 +302,7 @@ def actions_in_words(
 
 
 def _closures(path: PickerPath) -> list[tuple[float, float]]:
-    """When the picker closed and when it had opened again [s]."""
+    """Return when the picker closed and when it had opened again [s]."""
     change = np.diff(np.concatenate([[0], path.closed.astype(np.int8), [0]]))
     opened = np.append(path.time_s, path.time_s[-1])
     starts, stops = np.flatnonzero(change > 0), np.flatnonzero(change < 0)
@@ -226,3 +311,8 @@ def _closures(path: PickerPath) -> list[tuple[float, float]]:
 
 def _covers(path: PickerPath, start_s: float, stop_s: float) -> bool:
     return bool(path.time_s[0] <= start_s + _CLOSE_S and path.time_s[-1] >= stop_s - _CLOSE_S)
+
+
+def _moved(path: PickerPath, pose: Float[np.ndarray, "4 4"]) -> PickerPath:
+    positions = path.positions @ pose[:3, :3].T + pose[:3, 3]
+    return PickerPath(path.time_s, positions, path.closed)

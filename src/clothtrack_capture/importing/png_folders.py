@@ -9,14 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from clothtrack.errors import InvalidRecordingError
-from clothtrack_capture.importing.containers import MOST_BYTES, TruncatedError
+from clothtrack.errors import InvalidRecordingError, TruncatedError
+from clothtrack_capture.importing.containers import MOST_BYTES
 from clothtrack_capture.importing.images import png_depth
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import IntrinsicsFile, read_intrinsics, read_json
 from clothtrack_capture.importing.packed_pictures import packed_color, packed_depth
-from clothtrack_capture.importing.source import Content, StereoCalibration, StreamFrame, Streams
+from clothtrack_capture.importing.source import (
+    Content,
+    StereoCalibration,
+    StreamFrame,
+    Streams,
+    natural_order,
+)
 
 _DEPTH_FOLDERS = ("depth",)
 _COLOR_FOLDERS = ("rgb", "color", "image", "images")
@@ -27,7 +33,7 @@ _MOST_FILES = 1_000_000
 
 
 def is_picture_folder(path: Path) -> bool:
-    """Whether a folder holds a folder of depth pictures."""
+    """Return whether a folder holds a folder of depth pictures."""
     return any((path / name).is_dir() for name in _DEPTH_FOLDERS)
 
 
@@ -41,7 +47,6 @@ class FolderSource:
             InvalidRecordingError: the intrinsics, the unit of depth or the times are not known.
         """
         self._path = path
-        self._size_limit = MOST_BYTES
         if (path / "depth.txt").is_file():
             kind = "folder in TUM style"
             depth, color, notes = self._tum()
@@ -59,11 +64,11 @@ class FolderSource:
         self.streams = Streams(kind, calibration, depth, color, origins, notes)
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives the counts of a depth picture."""
+        """Return a function that gives the counts of a depth picture."""
         return partial(packed_depth, self._bytes(frame))
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives red, green and blue."""
+        """Return a function that gives red, green and blue."""
         return partial(packed_color, self._bytes(frame))
 
     def close(self) -> None:
@@ -72,7 +77,7 @@ class FolderSource:
     def _bytes(self, frame: StreamFrame) -> bytes:
         path: Path = frame.place
         try:
-            if not path.is_file() or path.stat().st_size > self._size_limit:
+            if not path.is_file() or path.stat().st_size > MOST_BYTES:
                 raise TruncatedError(f"{path.name} is missing or too large")
             return path.read_bytes()
         except OSError as error:
@@ -87,7 +92,7 @@ class FolderSource:
         return depth, color, notes
 
     def _listed(self, path: Path, notes: list[str]) -> list[StreamFrame]:
-        """The lines `seconds file` of a list; `#` starts a remark."""
+        """Return the lines `seconds file` of a list; `#` starts a remark."""
         frames, skipped = [], 0
         root = self._path.resolve()
         try:
@@ -117,7 +122,9 @@ class FolderSource:
         if fps is None:
             raise InvalidRecordingError(f"{self._path}: {self._missing(options)}")
         # The same name is the same moment; a picture that is missing leaves its moment empty.
-        stems = sorted({file.stem for file in (*depth_files, *(color_files or ()))}, key=_natural)
+        stems = sorted(
+            {file.stem for file in (*depth_files, *(color_files or ()))}, key=natural_order
+        )
         times = {stem: round(1e9 * number / fps) for number, stem in enumerate(stems)}
         depth = [StreamFrame(times[file.stem], file) for file in depth_files]
         color = None
@@ -149,8 +156,7 @@ class FolderSource:
             raise InvalidRecordingError(f"{self._path}: {self._missing(options)}")
         if unit is None:
             raise InvalidRecordingError(f"{self._path}: {self._missing(options)}")
-        color = given.color if with_color else None
-        return StereoCalibration(given.depth, color, given.color_from_depth, unit, origin)
+        return given.calibration(unit, origin, with_color=with_color)
 
     def _missing(self, options: ImportOptions) -> str:
         """What a folder does not say, all of it, and how to say it."""
@@ -173,7 +179,7 @@ class FolderSource:
         return f"nothing says {' or '.join(what)}; give {' and '.join(options_)}"
 
     def _bop(self) -> tuple[IntrinsicsFile, float]:
-        """Intrinsics and unit [m] of `scene_camera.json`, the same for every picture."""
+        """Return the intrinsics and unit [m] of `scene_camera.json`, the same for every picture."""
         path = self._path / _BOP
         content = read_json(path)
         entries = list(content.values()) if isinstance(content, dict) else []
@@ -215,14 +221,14 @@ def _bop_entry(path: Path, entry: Any) -> tuple[float, float, float, float, floa
 
 
 def _pictures(path: Path, folders: Sequence[str]) -> Any:
-    """Pictures of the first of some folders that is there, in natural order; None without one."""
+    """Return the pictures of the first folder that exists, in natural order; None without one."""
     for name in folders:
         if (path / name).is_dir():
             files = [
                 file for file in islice((path / name).iterdir(), _MOST_FILES)
                 if file.suffix.lower() in _PICTURES and _lies_in(path.resolve(), file)
             ]  # fmt: skip
-            return sorted(files, key=lambda file: _natural(file.stem))
+            return sorted(files, key=lambda file: natural_order(file.stem))
     return None
 
 
@@ -234,13 +240,8 @@ def _lies_in(folder: Path, file: Path) -> bool:
 
 
 def _nanoseconds(word: str) -> int | None:
-    """Seconds with their decimals, to the last digit."""
+    """Return seconds with their decimals, to the last digit."""
     match = re.fullmatch(r"(\d{1,10})(?:\.(\d{0,12}))?", word)
     if match is None:
         return None
     return int(match[1]) * 10**9 + int((match[2] or "").ljust(9, "0")[:9])
-
-
-def _natural(stem: str) -> list[tuple[int, str]]:
-    parts = re.split(r"(\d+)", stem)
-    return [(int(part[:18]), "") if part.isdigit() else (-1, part) for part in parts]

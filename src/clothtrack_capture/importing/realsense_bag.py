@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack_capture.importing.containers import Topic, TruncatedError
+from clothtrack.errors import TruncatedError
+from clothtrack.geometry.camera import rigid_problem
+from clothtrack_capture.importing.containers import Topic
 from clothtrack_capture.importing.messages import rigid_of
 from clothtrack_capture.importing.topics import base_name
 
@@ -21,12 +23,12 @@ WANTED = re.compile(r"^/device_\d+/sensor_\d+/(option/Depth[ _]Units/value|[A-Za
 
 
 def is_stream(topic: Topic) -> bool:
-    """Whether the SDK wrote this picture topic."""
+    """Return whether the SDK wrote this picture topic."""
     return bool(_STREAM.match(base_name(topic.name)))
 
 
 def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
-    """Metres per unit of depth, from the sensor's option.
+    """Return metres per unit of depth, from the sensor's option.
 
     Args:
         heard: first message per topic that matches `WANTED`.
@@ -49,7 +51,7 @@ def depth_unit_m(heard: Mapping[str, Any], depth: Topic) -> float | None:
 def color_from_depth(
     heard: Mapping[str, Any], depth: Topic, color: Topic
 ) -> Float[np.ndarray, "4 4"] | None:
-    """Rigid transform, depth camera to colour camera [m]; None when the file does not say.
+    """Return a rigid transform, depth camera to colour camera [m]; None when the file does not say.
 
     Raises:
         TruncatedError: what it says is no transform.
@@ -82,7 +84,6 @@ def _pose(message: Any) -> Float[np.ndarray, "4 4"]:
         result[:3, 3] = translation
     except (KeyError, ValueError) as error:
         raise TruncatedError("a stream's pose that is none") from error
-    off = np.abs(result[:3, :3] @ result[:3, :3].T - np.eye(3)).max()
-    if not (np.isfinite(result).all() and off < 1e-3):
-        raise TruncatedError("a stream's pose that is not rigid")
+    if problem := rigid_problem(result):
+        raise TruncatedError(f"a stream's pose {problem}")
     return result

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import UInt8, UInt16
 
-from clothtrack_capture.importing.containers import TruncatedError
+from clothtrack.errors import TruncatedError
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.registration_kernels import FARTHEST, splat
 from clothtrack_capture.importing.source import StereoCalibration
@@ -44,7 +44,7 @@ class Registration:
             self._pixels = wp.array(self._painted.ravel(), device="cpu", copy=False)
 
     def keeps_depth(self, size: tuple[int, int]) -> bool:
-        """Whether depth pictures of this width and height pass through.
+        """Return whether depth pictures of this width and height pass through.
 
         Raises:
             TruncatedError: they have another size than their intrinsics.
@@ -53,7 +53,7 @@ class Registration:
         return not self.carried and self._calibration.depth.straight
 
     def keeps_color(self, size: tuple[int, int]) -> bool:
-        """Whether colour pictures of this width and height pass through.
+        """Return whether colour pictures of this width and height pass through.
 
         Raises:
             TruncatedError: they have another size than their intrinsics.
@@ -63,7 +63,7 @@ class Registration:
         return intrinsics.straight
 
     def depth(self, counts: UInt16[np.ndarray, "_ _"]) -> UInt16[np.ndarray, "_ _"]:
-        """The depth picture of the recording's camera, in the same units.
+        """Return the depth picture of the recording's camera, in the same units.
 
         Raises:
             TruncatedError: the picture has another size than its intrinsics.
@@ -92,7 +92,7 @@ class Registration:
             return self._painted.astype(np.uint16)
 
     def color(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
-        """The colour picture without distortion.
+        """Return the colour picture without distortion.
 
         Raises:
             TruncatedError: the picture has another size than its intrinsics.

@@ -9,18 +9,24 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError, InvalidRecordingError
+from clothtrack.errors import InvalidConfigError, InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing import images
 from clothtrack_capture.importing import realsense_bag as realsense
 from clothtrack_capture.importing.bag_pickers import bag_paths
 from clothtrack_capture.importing.bag_walk import frame_of, open_parts, walk
-from clothtrack_capture.importing.containers import Container, Topic, TruncatedError
+from clothtrack_capture.importing.containers import Container, Topic
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.intrinsics import Intrinsics
 from clothtrack_capture.importing.intrinsics_file import read_intrinsics
 from clothtrack_capture.importing.messages import decode, intrinsics_of, payload
 from clothtrack_capture.importing.packed_pictures import packed_color, packed_depth
-from clothtrack_capture.importing.source import Content, StereoCalibration, StreamFrame, Streams
+from clothtrack_capture.importing.source import (
+    Content,
+    StereoCalibration,
+    StreamFrame,
+    Streams,
+    natural_order,
+)
 from clothtrack_capture.importing.topics import (
     COMPRESSED,
     base_name,
@@ -35,11 +41,11 @@ _FLOAT_UNIT_M = 1e-4
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The files of a bag: itself, or those in its folder in natural order."""
+    """Return the files of a bag: itself, or those in its folder in natural order."""
     if not path.is_dir():
         return [path]
     files = [file for file in path.iterdir() if _PART.search(file.name) and file.is_file()]
-    return sorted(files, key=_natural)
+    return sorted(files, key=lambda file: natural_order(file.name))
 
 
 class BagSource:
@@ -59,10 +65,7 @@ class BagSource:
                 self._parts, pose_topic=options.picker_topic, grip_topic=options.gripper_topic
             )
             if not self._walk.topics:
-                raise InvalidRecordingError(
-                    f"{path}: no topic at all{''.join(f' ({text})' for text in self._walk.lost)}; "
-                    "record or copy it again"
-                )
+                raise InvalidRecordingError(f"{path}: no topic at all; record or copy it again")
             self._depth_topic = choose_depth(path, self._walk.topics, options.depth_topic)
             self._color_topic = (
                 None
@@ -77,12 +80,12 @@ class BagSource:
             raise
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives the counts of a depth picture."""
+        """Return a function that gives the counts of a depth picture."""
         data = payload(self._parts[frame.place.part], frame.place)
         return partial(_decode_depth, self._depth_topic, data, self._calibration.depth_unit_m)
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives red, green and blue."""
+        """Return a function that gives red, green and blue."""
         assert self._color_topic is not None
         data = payload(self._parts[frame.place.part], frame.place)
         return partial(_decode_color, self._color_topic, data)
@@ -95,15 +98,14 @@ class BagSource:
     def _first(self, topic: Topic) -> tuple[Container, StreamFrame]:
         frames = self._walk.frames.get(topic.name)
         if not frames:
-            lost = "".join(f" ({text})" for text in self._walk.lost)
             raise InvalidRecordingError(
-                f"{self._path}: not one whole picture of {topic.name}{lost}; record it again, or "
+                f"{self._path}: not one picture of {topic.name}; record it again, or "
                 "name another topic with --depth-topic or --color-topic"
             )
         return self._parts[frames[0].place.part], frames[0]
 
     def _first_encoding(self) -> str:
-        """How depth is encoded, from the first picture that can be read."""
+        """Return how depth is encoded, from the first picture that can be read."""
         self._first(self._depth_topic)
         for frame in self._walk.frames[self._depth_topic.name]:
             try:
@@ -122,8 +124,7 @@ class BagSource:
         unit_m, origin = self._find_unit(options)
         if options.intrinsics is not None:
             file = read_intrinsics(options.intrinsics)
-            color = None if self._color_topic is None else file.color
-            return StereoCalibration(file.depth, color, file.color_from_depth, unit_m, origin)
+            return file.calibration(unit_m, origin, with_color=self._color_topic is not None)
         depth = self._find_intrinsics(self._depth_topic)
         if self._color_topic is None:
             return StereoCalibration(depth, None, np.eye(4), unit_m, origin)
@@ -141,14 +142,11 @@ class BagSource:
         if options.depth_unit_m is not None:
             return options.depth_unit_m, "given by --depth-unit-m"
         topic = self._depth_topic
-        text = realsense.depth_unit_m(self._walk.heard, topic)
-        if text is not None and text > 0:
-            return text, "the sensor's option Depth Units in the recording"
+        unit_m = realsense.depth_unit_m(self._walk.heard, topic)
+        if unit_m is not None and unit_m > 0:
+            return unit_m, "the sensor's option Depth Units in the recording"
         if self._encoding.startswith("32fc1"):
-            return (
-                _FLOAT_UNIT_M,
-                "encoding 32FC1: metres (REP 118), stored in 0.1 mm",
-            )
+            return _FLOAT_UNIT_M, "encoding 32FC1: metres (REP 118), stored in 0.1 mm"
         if self._encoding.startswith("16uc1") and not realsense.is_stream(topic):
             return 1e-3, "encoding 16UC1: millimetres (REP 118)"
         raise InvalidRecordingError(
@@ -169,9 +167,9 @@ class BagSource:
         return intrinsics_of(topic.name, self._walk.infos[topic.name], rectified=rectified)
 
     def _find_pose(self, depth: Topic, color: Topic) -> Float[np.ndarray, "4 4"]:
-        text = realsense.color_from_depth(self._walk.heard, depth, color)
-        if text is not None:
-            return text
+        pose = realsense.color_from_depth(self._walk.heard, depth, color)
+        if pose is not None:
+            return pose
         here, there = self._frame(depth), self._frame(color)
         if here == there and not realsense.is_stream(depth):
             return np.eye(4)
@@ -204,7 +202,7 @@ class BagSource:
             depth=self._walk.frames[self._depth_topic.name],
             color=None if color is None else self._walk.frames[color.name],
             origins={**origins, **picker.origins},
-            notes=[*self._walk.lost, *picker.notes],
+            notes=picker.notes,
             paths=picker.paths,
             path_frame=picker.frame,
             path_start_ns=picker.start_ns,
@@ -235,8 +233,3 @@ def _decode_color(topic: Topic, data: bytes) -> Content:
     if topic.kind == COMPRESSED:
         return packed_color(bytes(message.data))
     return images.raw_color(message)
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part[:18]), "") if part.isdigit() else (-1, part) for part in parts]

@@ -1,5 +1,6 @@
 """What every source of recordings offers, whatever its format."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
@@ -13,6 +14,12 @@ from clothtrack_capture.importing.packed_pictures import PackedPicture
 
 # Pixels, or the file that holds them.
 Content = np.ndarray | PackedPicture
+
+
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Return a key that sorts names by the numbers in them."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part[:18]), "") if part.isdigit() else (-1, part) for part in parts]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +96,9 @@ class Source(Protocol):
         ...
 
     def depth(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives the counts of a depth picture; may be called in another thread.
+        """Return a function that gives the counts of a depth picture.
+
+        May be called in another thread.
 
         Raises:
             TruncatedError: the bytes are not there (or, by the function, no picture).
@@ -97,7 +106,7 @@ class Source(Protocol):
         ...
 
     def color(self, frame: StreamFrame) -> Callable[[], Content]:
-        """A function that gives red, green and blue; may be called in another thread.
+        """Return a function that gives red, green and blue; may be called in another thread.
 
         Raises:
             TruncatedError: the bytes are not there (or, by the function, no picture).

@@ -6,15 +6,8 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
-from clothtrack.errors import InvalidRecordingError
-from clothtrack_capture.importing.containers import (
-    MOST_BYTES,
-    MOST_TOPICS,
-    Message,
-    Place,
-    Topic,
-    TruncatedError,
-)
+from clothtrack.errors import InvalidRecordingError, TruncatedError
+from clothtrack_capture.importing.containers import MOST_BYTES, MOST_TOPICS, Message, Place, Topic
 
 MAGIC = b"SQLite format 3\x00"
 # Steps of SQLite's machine for one row; a damaged tree that runs in circles needs more.
@@ -22,25 +15,27 @@ _MOST_STEPS_M = 50
 
 
 class SqliteContainer:
-    """A `.db3` file. A file that breaks off is read up to the break."""
+    """A `.db3` file."""
 
     def __init__(self, path: Path) -> None:
         """Open the data base without locking or changing anything.
 
         Raises:
-            InvalidRecordingError: it has no tables of a bag.
+            InvalidRecordingError: it has no tables of a bag, or its last messages are in a
+                write-ahead log beside it.
         """
-        self.damage: str | None = None
-        self._path = path
-        self._steps = 0
+        self.path, self._steps = path, 0
+        log = path.with_name(path.name + "-wal")
+        if log.exists() and log.stat().st_size:
+            raise InvalidRecordingError(
+                f"{path}: the recorder was cut off, and the last messages are in {log.name}; run "
+                f"sqlite3 {path.name} 'PRAGMA wal_checkpoint' on a copy of both"
+            )
         where = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
         self._base = sqlite3.connect(where, uri=True, check_same_thread=False)
         try:
             self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
             self._base.set_progress_handler(self._step, 1_000_000)
-            # SQLite refuses a file that is shorter than its header says unless it may repair
-            # it; opened read-only and immutable, it cannot change a byte.
-            self._base.execute("PRAGMA writable_schema = ON")
             self._base.execute("PRAGMA trusted_schema = OFF")
             self._base.execute("PRAGMA cell_size_check = ON")
             tables = dict(
@@ -61,11 +56,15 @@ class SqliteContainer:
             )
 
     def topics(self) -> list[Topic]:
-        """Every topic."""
+        """Return every topic."""
         return list(self._topics.values())
 
     def messages(self) -> Iterator[Message]:
-        """Every message in the order of writing; sets `damage` where the file breaks."""
+        """Yield every message, in the order of writing.
+
+        Raises:
+            TruncatedError: the data base breaks off or is damaged.
+        """
         last = -(2**63)
         try:
             rows = self._base.execute(
@@ -74,20 +73,15 @@ class SqliteContainer:
             for row, topic, time, size in rows:
                 self._steps = 0
                 if not (isinstance(row, int) and row > last):
-                    raise TruncatedError("the rows run in circles")
+                    raise TruncatedError(f"the rows after {last} run in circles")
                 last = row
                 if topic in self._topics and isinstance(time, int) and isinstance(size, int):
                     yield Message(self._topics[topic], time, Place(-1, row, size))
-        except (sqlite3.Error, TruncatedError, ValueError, OverflowError) as error:
-            self.damage = f"the data base breaks off or is damaged after row {last} ({error})"
-        if (wal := self._path.with_name(self._path.name + "-wal")).exists() and wal.stat().st_size:
-            self.damage = (
-                f"{wal.name} lies beside it: the recorder was cut off and the last messages are "
-                f"in there; `sqlite3 {self._path.name} 'PRAGMA wal_checkpoint'` on a copy adds them"
-            )
+        except (sqlite3.Error, ValueError, OverflowError) as error:
+            raise TruncatedError(f"after row {last}: {error}") from error
 
     def fetch(self, place: Place, most: int | None = None) -> bytes:
-        """The bytes of a message, or only the first `most`.
+        """Return the bytes of a message, or only the first `most`.
 
         Raises:
             TruncatedError: they are not there.
@@ -100,7 +94,7 @@ class SqliteContainer:
             raise TruncatedError(f"row {place.offset}: {error}") from error
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         with suppress(sqlite3.Error):
             self._base.close()
 

@@ -32,19 +32,19 @@ _TRANSPORTS = ("/compressedDepth", "/compressed")
 
 
 def base_name(topic: str) -> str:
-    """The topic without the way it is transported."""
+    """Return the topic without the way it is transported."""
     for transport in _TRANSPORTS:
         topic = topic.removesuffix(transport)
     return topic
 
 
 def image_topics(topics: Iterable[Topic]) -> list[Topic]:
-    """Those that carry pictures."""
+    """Return those that carry pictures."""
     return [topic for topic in topics if topic.kind in (IMAGE, COMPRESSED)]
 
 
 def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topic:
-    """The topic of depth.
+    """Return the topic of depth.
 
     Raises:
         InvalidRecordingError: none or several may be it; names all and the flag.
@@ -57,7 +57,7 @@ def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topi
 def choose_color(
     path: Path, topics: Sequence[Topic], depth: Topic, asked: str | None
 ) -> Topic | None:
-    """The topic of colour, or None when there is none.
+    """Return the topic of colour, or None when there is none.
 
     Raises:
         InvalidRecordingError: several may be it, or the one asked for is not there.
@@ -84,7 +84,7 @@ def choose_color(
 
 
 def info_topic(topics: Iterable[Topic], image: Topic) -> Topic | None:
-    """The topic that holds the intrinsics of a picture topic."""
+    """Return the topic that holds the intrinsics of a picture topic."""
     folder, _, _ = base_name(image.name).rpartition("/")
     stream = folder.removesuffix("/image")
     wanted = (
@@ -98,7 +98,7 @@ def info_topic(topics: Iterable[Topic], image: Topic) -> Topic | None:
 
 
 def listed(topics: Iterable[Topic], limit: int = 30) -> str:
-    """The topics in words, pictures first."""
+    """Return the topics in words, pictures first."""
     ranked = sorted(
         set(topics), key=lambda topic: (topic.kind not in (IMAGE, COMPRESSED), topic.name)
     )

@@ -21,7 +21,7 @@ class _Edge:
     numbers: "array[float]" = field(default_factory=lambda: array("d"))
 
     def at(self, times: Int64[np.ndarray, " times"]) -> Float[np.ndarray, "times 4 4"]:
-        """Child to parent at each time [ns]."""
+        """Return the transform from child to parent at each time [ns]."""
         known = np.frombuffer(self.times, dtype=np.int64)
         numbers = np.frombuffer(self.numbers, dtype=np.float64).reshape(-1, 7)
         order = np.argsort(known, kind="stable")
@@ -80,11 +80,11 @@ class TransformTree:
         edge.numbers.extend(numbers.tolist())
 
     def connects(self, first: str, other: str) -> bool:
-        """Whether both frames hang in the same tree."""
+        """Return whether both frames hang in the same tree."""
         return self._chain(first)[-1] == self._chain(other)[-1]
 
     def moments(self, target: str, source: str) -> Int64[np.ndarray, " times"]:
-        """When the transform between two frames was told [ns]; one moment if it never changes."""
+        """Return the times [ns] at which the transform of two frames is known; one if static."""
         text = [
             np.frombuffer(self._edges[name].times, dtype=np.int64)
             for name in self._between(target, source)

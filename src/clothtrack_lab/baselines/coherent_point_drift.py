@@ -173,7 +173,7 @@ def _carried(
     seen: Bool[np.ndarray, " vertices"],
     drift: Float[np.ndarray, "seen 3"],
 ) -> Float[np.ndarray, "vertices 3"]:
-    """The drift of all vertices: hidden ones take the mean of the visible ones under the kernel."""
+    """Return the drift of all vertices; occluded ones take the kernel mean of visible ones."""
     motion = np.zeros(source.shape)
     motion[seen] = drift
     if not seen.all():
@@ -199,7 +199,7 @@ class Projection:
         predicted: Vertices,  # noqa: ARG002
         correction: Correction | None,
     ) -> Corrected:
-        """The vertices after one frame; there are no dynamics to ask."""
+        """Return the vertices after one frame; there are no dynamics to ask."""
         assert correction is not None
         vertices = correction.start + correction.displacement
         fixed = np.zeros(len(vertices), bool)
@@ -233,7 +233,7 @@ class _Tool(HeldCloth):
     """The tool as the peer sees it: where it is at the end of a frame."""
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
-        """Held vertices at the tip of each tool that is closed at the end."""
+        """Return the held vertices at the tip of each tool that is closed at the end."""
         closed = [grasp for grasp in self.grasps if grasp.path.closed_at(end_s)]
         if not closed:
             return PickerAction(None, end_s - start_s)
@@ -273,7 +273,7 @@ class EdgeLengths:
         lengths: tuple[float, float],
         sweeps: int,
     ) -> Float[np.ndarray, "vertices 3"]:
-        """Vertices [m] after so many passes over all edges; `fixed` ones stay.
+        """Return the vertices [m] after so many passes over all edges; `fixed` ones stay.
 
         Args:
             vertices: before [m].
@@ -298,7 +298,7 @@ class EdgeLengths:
 
 
 def _edge_colors(edges: Int[np.ndarray, "edges 2"], count: int) -> list[Int[np.ndarray, " of"]]:
-    """Sets of edges that share no vertex, first fit."""
+    """Return the sets of edges that share no vertex, first fit."""
     used: list[set[int]] = [set() for _ in range(count)]
     colors: list[list[int]] = []
     for number, (a, b) in enumerate(edges.tolist()):

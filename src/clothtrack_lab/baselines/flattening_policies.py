@@ -24,7 +24,7 @@ _RANDOM_TRIES = 20
 def random_actions(
     seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
 ) -> list[PickPlace]:
-    """Random actions of those that the planner tries."""
+    """Return random actions of those that the planner tries."""
     return sample_actions(seen, _RANDOM_TRIES, config.space, rng)
 
 
@@ -39,7 +39,7 @@ def farthest_off_cloth(
 def corner_outwards(
     seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
 ) -> list[PickPlace]:
-    """The geometric heuristic (`farthest_corner`); nothing is drawn."""
+    """Return the geometric heuristic (`farthest_corner`); nothing is drawn."""
     del rng
     action = farthest_corner(seen, config.space)
     return [] if action is None else [action]
@@ -54,7 +54,7 @@ POLICIES: dict[str, Propose] = {
 
 
 def farthest_corner(seen: SeenCloth, space: ActionSpace) -> PickPlace | None:
-    """The pull of the corner that is farthest from the middle, straight outwards.
+    """Return the pull of the corner that is farthest from the middle, straight outwards.
 
     The longest allowed path is taken. Corners are tried from the farthest on until one may be
     pulled.

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from clothtrack.files.atomic_write import atomic_file
+from clothtrack.files.atomic_write import write_file
 from clothtrack.reconstruction.training.checkpoint import Weights
 from clothtrack_lab.model_cards import CARD, made_in_words, markdown_table
 
@@ -21,7 +21,7 @@ _LIMITS = """\
 
 
 def _learned_in_words(whole: Mapping[str, float]) -> str:
-    """How much of it is learned, where both are known."""
+    """Return how much of it is learned, where both are known."""
     if "whole_untrained_mm" not in whole:
         return ""
     alone, whole_mm = whole["whole_untrained_mm"], whole["whole_error_mm"]
@@ -45,16 +45,6 @@ def write_dynamics_card(
     Raises:
         StorageError: the disk refuses.
     """
-    path = weights.path.with_name(CARD)
-    with atomic_file(path) as unfinished:
-        unfinished.write_text(dynamics_card(weights, whole, cpu_s, made), encoding="utf-8")
-    return path
-
-
-def dynamics_card(
-    weights: Weights, whole: Mapping[str, float], cpu_s: float, made: Mapping[str, Any]
-) -> str:
-    """The card, as Markdown; see `write_dynamics_card`."""
     content = weights.path.read_bytes()
     count = sum(value.numel() for value in weights.tensors.values())
     provenance = weights.provenance
@@ -84,4 +74,6 @@ def dynamics_card(
         "## What it cannot do\n\n" + _LIMITS + _learned_in_words(whole),
         "## Network\n\n```json\n" + json.dumps(dict(weights.network), indent=1) + "\n```",
     ]
-    return "\n\n".join(parts) + "\n"
+    path = weights.path.with_name(CARD)
+    write_file(path, ("\n\n".join(parts) + "\n").encode())
+    return path

@@ -72,7 +72,7 @@ class MeshDynamics:
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
     ) -> Float[np.ndarray, "actions vertices 3"]:
-        """The vertices [m] after each of the actions and a rest.
+        """Return the vertices [m] after each of the actions and a rest.
 
         What nobody takes stays where it is. Left alone, this cloth would go on to unfold, and no
         action would promise as much as none.
@@ -90,14 +90,14 @@ class MeshDynamics:
         return ends
 
     def _placed(self, cloth: PlannedCloth) -> np.ndarray:
-        """The vertices [m] with none under the table."""
+        """Return the vertices [m] with none under the table."""
         placed = np.array(cloth.positions, dtype=np.float64)
         lowest = cloth.table_height_m + RESTING_HEIGHT_M
         placed[:, 2] = np.maximum(placed[:, 2], lowest)
         return placed
 
     def _rolled(self, cloth: PlannedCloth, held: HeldPaths) -> np.ndarray:
-        """Some of the candidates."""
+        """Return some of the candidates."""
         config, device = self.config, self._device
         lowest = cloth.table_height_m + RESTING_HEIGHT_M
         start = torch.tensor(self._placed(cloth), dtype=torch.float32, device=device)
@@ -124,7 +124,7 @@ class MeshDynamics:
 
 
 def springs_of(flat: ClothMesh) -> Springs:
-    """The edges of a flat garment, for the network."""
+    """Return the edges of a flat garment, for the network."""
     edges, lengths = np.asarray(flat.edges), np.asarray(flat.edge_lengths, dtype=np.float64)
     graph = coo_matrix((lengths, edges.T), shape=(flat.vertex_count, flat.vertex_count))
     along = dijkstra(graph.tocsr(), directed=False)
@@ -135,14 +135,11 @@ def springs_of(flat: ClothMesh) -> Springs:
     )
 
 
-def load_mesh_dynamics(
-    path: Path, config: MeshDynamicsConfig | None = None, *, device: str = "cpu"
-) -> MeshDynamics:
-    """Learned dynamics from a weights file; nothing in it is executed.
+def load_mesh_dynamics(path: Path, *, device: str = "cpu") -> MeshDynamics:
+    """Return learned dynamics from a weights file; nothing in it is executed.
 
     Args:
         path: the weights.
-        config: how they are asked; in steps of the network's own by default.
         device: where to compute.
 
     Raises:
@@ -159,7 +156,5 @@ def load_mesh_dynamics(
     except (InvalidConfigError, TypeError) as error:
         raise InvalidResultError(f"{path}: its sizes are damaged ({error})") from error
     weights.load_into(network)
-    if config is None:
-        motion = MotionConfig(time_step_s=network.config.step_s)
-        config = MeshDynamicsConfig(motion=motion)
-    return MeshDynamics(network, config, device=device)
+    motion = MotionConfig(time_step_s=network.config.step_s)
+    return MeshDynamics(network, MeshDynamicsConfig(motion=motion), device=device)

@@ -90,7 +90,7 @@ class Ways:
 
 
 def mlp(inputs: int, width: int, outputs: int, *, zero_output: bool = False) -> nn.Sequential:
-    """Two hidden layers, ReLU, no normalisation (reference); with zero output it begins with 0."""
+    """Return two hidden layers with ReLU; `zero_output` starts the last layer at 0."""
     last = nn.Linear(width, outputs)
     if zero_output:
         nn.init.zeros_(last.weight)
@@ -118,7 +118,7 @@ class MessageStep(nn.Module):
     def forward(
         self, nodes: Tensor, edges: Tensor, whole: Tensor, links: tuple[Tensor, Tensor, Tensor]
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """New latents of vertices (B * V), edges (E) and cloths (B)."""
+        """Return new latents of vertices (B * V), edges (E) and cloths (B)."""
         sender, receiver, cloth_of_edge = links
         cloths, width = whole.shape
         hidden = (
@@ -162,7 +162,7 @@ class MeshNetwork(nn.Module):
         *,
         springs: Springs,
     ) -> Tensor:
-        """Accelerations (B, V, 3) [m/s^2].
+        """Return accelerations (B, V, 3) [m/s^2].
 
         Args:
             positions: vertices (B, V, 3) [m].
@@ -206,7 +206,10 @@ class MeshNetwork(nn.Module):
     def _edges(
         self, positions: Tensor, near: Tensor, springs: Springs
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Edges of mesh and collision of all cloths, as numbers into B * V; rest 0: collision."""
+        """Return the edges of mesh and collision of all cloths, as numbers into B * V.
+
+        Rest 0: collision.
+        """
         cloths, vertices, _ = positions.shape
         shift = vertices * torch.arange(cloths, device=positions.device)[:, None]
         cloth, first, second = (near & ~springs.joined).nonzero(as_tuple=True)
@@ -226,7 +229,7 @@ def advance(
     targets: Tensor,
     lowest_m: float = 0.0,
 ) -> tuple[Tensor, Tensor]:
-    """One step of the model: semi-implicit Euler, held vertices where they are told.
+    """Return one step of the model: semi-implicit Euler, held vertices where they are told.
 
     Args:
         network: gives the accelerations.
@@ -272,7 +275,7 @@ def roll_out(
     steps: int,
     lowest_m: float = 0.0,
 ) -> Tensor:
-    """The vertices after so many steps of the model, from rest (B, V, 3) [m]; no gradients.
+    """Return the vertices after so many steps of the model, from rest (B, V, 3) [m]; no gradients.
 
     Args:
         network: gives the accelerations.

@@ -32,7 +32,7 @@ class Springs:
 
     @classmethod
     def of(cls, edges: Tensor, rest: Tensor, along: Tensor) -> "Springs":
-        """Both directions of each edge (edges, 2), with its rest length, and `along` [m]."""
+        """Return both directions of each edge (edges, 2), with its rest length, and `along` [m]."""
         vertices = len(along)
         sender = torch.cat([edges[:, 0], edges[:, 1]])
         receiver = torch.cat([edges[:, 1], edges[:, 0]])
@@ -42,14 +42,14 @@ class Springs:
         return cls(sender, receiver, torch.cat([rest, rest]), joined, count, along)
 
     def to(self, device: str) -> "Springs":
-        """The same on a device."""
+        """Return the same on a device."""
         return Springs(*(one.to(device) for one in vars(self).values()))
 
 
 def nearer_to_rest(
     positions: Tensor, held: Tensor, springs: Springs, *, unfolding: float
 ) -> Tensor:
-    """Every edge comes nearer to its rest length; held vertices stay (B, V, 3) [m].
+    """Return positions with edges nearer to their rest lengths (B, V, 3) [m]; held ones stay.
 
     Args:
         positions: vertices (B, V, 3) [m].
@@ -71,7 +71,7 @@ def nearer_to_rest(
 
 
 def tethered(positions: Tensor, held: Tensor, springs: Springs) -> Tensor:
-    """Vertices farther from the held one of their cloth than along its edges come nearer to it."""
+    """Return positions no farther from the held vertex than along the edges (B, V, 3) [m]."""
     one = held.to(torch.uint8).argmax(dim=1)
     anchor = positions[torch.arange(len(one), device=one.device), one][:, None]
     gap = positions - anchor
@@ -87,7 +87,7 @@ def contacts(positions: Tensor, radius_m: float) -> Tensor:
 
 
 def dragged(before: Tensor, after: Tensor, near: Tensor, held: Tensor, *, times: int) -> Tensor:
-    """What is near moves along: layers in contact hold each other by friction (B, V, 3) [m].
+    """Return positions (B, V, 3) [m] after friction between layers in contact.
 
     Every vertex moves by the mean of what moved near it; a crumpled cloth goes as one clump.
 

@@ -24,6 +24,7 @@ from clothtrack.reconstruction.training.stage import Stage
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack.reconstruction.training.training_loop import train
 from clothtrack.reconstruction.training.training_run import TrainingOutcome
+from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 from clothtrack_lab.graph_dynamics.mesh_card import write_dynamics_card
 from clothtrack_lab.graph_dynamics.mesh_dynamics import springs_of
 from clothtrack_lab.graph_dynamics.mesh_network import (
@@ -36,7 +37,6 @@ from clothtrack_lab.graph_dynamics.mesh_network import (
 from clothtrack_lab.graph_dynamics.mesh_prior import Springs
 from clothtrack_lab.graph_dynamics.roll_outs import RollOutShard, read_roll_outs
 
-RESTING_HEIGHT_M = 0.0015
 WHOLE_ERROR = "whole_error_mm"
 _TINY = 1e-12
 """Of a distance that has no slope at 0."""
@@ -86,7 +86,7 @@ class Windows:
     springs: Springs
 
     def to(self, device: str) -> "Windows":
-        """The same on a device."""
+        """Return the same on a device."""
         return Windows(
             self.past.to(device), self.future.to(device), self.held.to(device),
             self.springs.to(device),
@@ -116,11 +116,11 @@ class WindowExamples:
         return [number for number in range(len(self.shards)) for _ in range(per)]
 
     def __len__(self) -> int:
-        """How many there are in an epoch."""
+        """Return how many there are in an epoch."""
         return len(self.shards) * self.config.examples_per_shard
 
     def __getitem__(self, draw: Draw) -> Windows:
-        """Windows of one garment, turned about the vertical at random."""
+        """Return windows of one garment, turned about the vertical at random."""
         index, epoch = draw
         config, history = self.config, self.config.network.history
         shard, springs = self._shard(index // config.examples_per_shard)
@@ -159,7 +159,7 @@ class WindowExamples:
 
 
 def _turned(moments: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Each window turned about the vertical, or mirrored: dynamics know no direction."""
+    """Return each window turned about the vertical, or mirrored: dynamics know no direction."""
     angle = rng.uniform(0.0, 2.0 * np.pi, len(moments))
     mirror = np.where(rng.random(len(moments)) < 0.5, -1.0, 1.0)
     turn = np.array(
@@ -174,16 +174,11 @@ def _turned(moments: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 class WindowBatch:
     """Several examples, of garments that may differ."""
 
-    parts: list[Windows]
+    parts: Sequence[Windows]
 
     def to(self, device: str) -> "WindowBatch":
-        """The same on a device."""
+        """Return the same on a device."""
         return WindowBatch([one.to(device) for one in self.parts])
-
-
-def window_batch(parts: Sequence[Windows]) -> WindowBatch:
-    """Examples as a batch."""
-    return WindowBatch(list(parts))
 
 
 class MeshDynamicsStage(Stage):
@@ -214,7 +209,7 @@ class MeshDynamicsStage(Stage):
         return {"loss": torch.stack(losses).mean()}
 
     def measure(self, batch: WindowBatch) -> Mapping[str, Tensor]:
-        """Mean distance to the truth after the own steps, and if nothing moved [mm]."""
+        """Return the mean distance to the truth after the own steps, and if nothing moved [mm]."""
         errors, still = [], []
         for windows in batch.parts:
             last = windows.future[:, -1]
@@ -224,7 +219,7 @@ class MeshDynamicsStage(Stage):
         return {"error_mm": torch.stack(errors), "still_mm": torch.stack(still)}
 
     def _unrolled(self, windows: Windows) -> Tensor:
-        """The model's own positions after each step (windows, unrolled, vertices, 3)."""
+        """Return the model's own positions after each step (windows, unrolled, vertices, 3)."""
         step_s = self.network.step_s
         positions = windows.past[:, -1]
         velocities = (windows.past.diff(dim=1) / step_s).transpose(1, 2)
@@ -282,7 +277,7 @@ def train_mesh_dynamics(
         Subset(calm, held_out),
         config.loop,
         folder,
-        collate=window_batch,
+        collate=WindowBatch,
         data=data,
         progress=progress,
     )
@@ -304,7 +299,7 @@ def train_mesh_dynamics(
 def whole_roll_outs(
     network: MeshNetwork, shards: Sequence[Path], *, device: str = "cpu"
 ) -> Mapping[str, float]:
-    """Mean distance to the simulator at the end of whole roll-outs, by name [mm].
+    """Return the mean distance to the simulator at the end of whole roll-outs, by name [mm].
 
     Raises:
         InvalidResultError: a shard is damaged.

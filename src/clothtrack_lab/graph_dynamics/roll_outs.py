@@ -50,7 +50,7 @@ _OF_ROLL_OUTS = 0x5017
 
 
 def _of_flattening() -> StatesConfig:
-    """States of garments as large as those that are flattened, and mostly heaps."""
+    """Return states of garments as large as those that are flattened, and mostly heaps."""
     shirts_m = 0.38, 0.48
     sizes = GarmentRanges(
         towel_side_m=(0.22, 0.34),
@@ -132,7 +132,9 @@ class RollOutShard:
     frame_s: float
 
     def every(self, step_s: float) -> "RollOutShard":
-        """The same with a moment kept every so often; held until the first one after letting go.
+        """Return the same with a moment kept every so often.
+
+        Held until the first one after letting go.
 
         Raises:
             InvalidConfigError: the time is no multiple of what there is.
@@ -147,7 +149,7 @@ class RollOutShard:
 
 
 def frames_per_step(step_s: float, frame_s: float) -> int:
-    """Kept moments of roll-outs from one step of a model to the next.
+    """Return kept moments of roll-outs from one step of a model to the next.
 
     Raises:
         InvalidConfigError: the step is no multiple of the time between two moments.
@@ -251,7 +253,7 @@ def _rolled(
     config: RollOutConfig,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, HeldPaths]:
-    """All actions from one crumpled state; coarse vertices at every kept moment."""
+    """Return all actions from one crumpled state; coarse vertices at every kept moment."""
     fine, coarse = solver.mesh, coarsen(start)
     cloth = PlannedCloth(coarsen.flat, coarse)
     flat_on_table = coarse * [1.0, 1.0, 0.0]
@@ -287,7 +289,7 @@ def _rolled(
 def _joined(
     parts: list[tuple[np.ndarray, HeldPaths]], mesh: ClothMesh, config: RollOutConfig
 ) -> RollOutShard:
-    """One shard; shorter roll-outs stay at rest to the end of the longest."""
+    """Return one shard; shorter roll-outs stay at rest to the end of the longest."""
     longest = max(frames.shape[1] for frames, _ in parts)
     padded = [
         np.concatenate([frames, np.repeat(frames[:, -1:], longest - frames.shape[1], axis=1)], 1)

@@ -66,7 +66,7 @@ class Appearance:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Appearance":
-        """One of the named colours, a weave and a table."""
+        """Return one of the named colours, a weave and a table."""
         return cls(
             cloth=str(rng.choice(list(CLOTH_COLORS))),
             weave=float(rng.uniform(0.04, 0.12)),
@@ -87,7 +87,7 @@ class Painter:
         self._wood = wood.reshape(table_points.shape).astype(np.float32)
 
     def paint(self, view: View) -> UInt8[np.ndarray, "height width 3"]:
-        """The shaded colour picture of a view, red first.
+        """Return the shaded colour picture of a view, red first.
 
         Light is diffuse, from one lamp; the cloth darkens the table around it, and folds are
         darker where higher cloth stands beside them.
@@ -118,7 +118,7 @@ class Painter:
 def _weave(
     material: Float[np.ndarray, "pixels 3"], appearance: Appearance
 ) -> Float[np.ndarray, "pixels 3"]:
-    """Unlit colour (0 to 255) of the cloth: a plaid that is fixed to the material."""
+    """Return the unlit colour (0 to 255) of the cloth: a plaid that is fixed to the material."""
     wave = np.cos(2.0 * np.pi * material[:, :2] / appearance.weave_period_m).sum(axis=1)
     plaid = 1.0 + 0.5 * appearance.weave * wave
     if appearance.print_seed is not None:
@@ -127,7 +127,7 @@ def _weave(
 
 
 def _print(places: Float[np.ndarray, "pixels 2"], seed: int) -> Float[np.ndarray, " pixels"]:
-    """Brightness of a print at places of the flat cloth [m]: waves that cross at random."""
+    """Return the brightness of a print, random waves, at places of the flat cloth [m]."""
     rng = np.random.default_rng(seed)
     shortest, longest = PRINT_PERIODS_M
     periods = shortest * (longest / shortest) ** rng.uniform(size=PRINT_WAVES)
@@ -139,13 +139,13 @@ def _print(places: Float[np.ndarray, "pixels 2"], seed: int) -> Float[np.ndarray
 
 
 def _grain(view: View, seed: int) -> Float[np.ndarray, "height width 3"]:
-    """Noise of one picture; drawn from what is seen, so that a camera has no more to remember."""
+    """Return the noise of one picture, seeded by the picture, so that no state is kept."""
     rng = np.random.default_rng([seed, zlib.crc32(view.depth.tobytes())])
     return GRAIN * rng.standard_normal((*view.depth.shape, 3), dtype=np.float32)
 
 
 def _wood(points: Float[np.ndarray, "pixels 3"], seed: int) -> Float[np.ndarray, "pixels 3"]:
-    """Unlit colour (0 to 255) of the table: planks along x with a wavy grain."""
+    """Return the unlit colour (0 to 255) of the table: planks along x with a wavy grain."""
     rng = np.random.default_rng(seed)
     x, y = points[:, 0], points[:, 1] + rng.uniform(0.0, PLANK_M)
     bend = 0.012 * np.sin(7.0 * x + rng.uniform(0.0, 6.0)) + 0.005 * np.sin(19.0 * x + 40.0 * y)

@@ -135,14 +135,14 @@ class BenchTrajectory:
         return range(self.seed, self.seed + SEEDS_APART)
 
     def config(self, seed: int) -> EpisodeConfig:
-        """What is filmed, and how, with this seed."""
+        """Return what is filmed, and how, with this seed."""
         return replace(hardened(vary(self.kind, seed), self.hardness), **self.changes)
 
 
 def trajectories(
     splits: tuple[Split, ...] = SPLITS, *, printed: bool = False
 ) -> list[BenchTrajectory]:
-    """The trajectories of some splits, in their order.
+    """Return the trajectories of some splits, in their order.
 
     Args:
         splits: which ones.
@@ -166,7 +166,7 @@ def _all() -> Iterator[BenchTrajectory]:
 
 
 def vary(kind: GarmentKind, seed: int, ranges: Ranges | None = None) -> EpisodeConfig:
-    """What is filmed, and how: every value drawn from its range.
+    """Return what is filmed, and how: every value drawn from its range.
 
     Colours, the pose of the garment, the actions and the direction of the camera's tilt are drawn
     from the same seed while it is filmed.
@@ -227,7 +227,7 @@ def vary(kind: GarmentKind, seed: int, ranges: Ranges | None = None) -> EpisodeC
 
 
 def hardened(config: EpisodeConfig, hardness: Hardness) -> EpisodeConfig:
-    """The same trajectory made hard in one way.
+    """Return the same trajectory made hard in one way.
 
     - `middle`: every pick is within 4 cm of the middle of the cloth as it lies.
     - `folded`: a long fold first, then picks of folded cloth with all its layers, carried inwards.
@@ -256,7 +256,7 @@ def hardened(config: EpisodeConfig, hardness: Hardness) -> EpisodeConfig:
 
 
 def _arm(size_m: float) -> Tool:
-    """A hand and forearm in place of the rod, thicker for a larger garment [m]."""
+    """Return a hand and forearm in place of the rod, thicker for a larger garment [m]."""
     radius = 0.04 + 0.04 * size_m
     profile = ((0.0, 0.002), (0.06, 0.03), (0.2, radius), (0.9, radius + 0.02))
     return Tool(elevation_rad=float(np.radians(35.0)), radii_m=profile)

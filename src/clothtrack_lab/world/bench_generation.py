@@ -94,16 +94,16 @@ class _Filming:
     out: Path
 
     def name(self, trajectory: BenchTrajectory) -> str:
-        """The trajectory's own name."""
+        """Return the trajectory's own name."""
         return trajectory.name
 
     def paths(self, trajectory: BenchTrajectory) -> list[Path]:
-        """The truth, and the recording, which comes last."""
+        """Return truth and recording; the recording is written last."""
         recording, truth = _paths(self.out, trajectory.name)
         return [truth, recording]
 
     def kept(self, trajectory: BenchTrajectory) -> Entry | None:
-        """The entry of one that is listed, and as it is listed."""
+        """Return the entry of one that is listed, and as it is listed."""
         entry = _read_list(self.out).get(trajectory.name)
         return None if entry is None or damage(self.out, entry) else entry
 
@@ -114,7 +114,7 @@ class _Filming:
 
 
 def table(entries: Sequence[Entry]) -> str:
-    """One line per trajectory: its seed, how hard it turned out, and what it cost."""
+    """Return one line per trajectory: its seed, how hard it turned out, and what it cost."""
     lines = [f"{'trajectory':<24}{'seed':>6}{'frames':>8}{'hidden':>8}{'missing':>9}{'CPU':>8}"]
     for entry in entries:
         shown = entry["measured"]
@@ -127,7 +127,7 @@ def table(entries: Sequence[Entry]) -> str:
 
 
 def verify_bench(out: Path, selected: Sequence[BenchTrajectory] | None = None) -> list[str]:
-    """What is wrong with a benchmark on disk: one line per trajectory that is not as listed.
+    """Return what is wrong with a benchmark on disk: one line per trajectory that is not as listed.
 
     Args:
         out: folder of the benchmark.
@@ -152,7 +152,7 @@ def verify_bench(out: Path, selected: Sequence[BenchTrajectory] | None = None) -
 
 
 def damage(out: Path, entry: Mapping[str, Any]) -> str:
-    """How the files of a listed trajectory differ from its checksums; empty when they do not."""
+    """Return how the files of a listed trajectory differ from its checksums, or ""."""
     recording, truth = _paths(out, entry["name"])
     for path, key in ((recording, "recording_sha256"), (truth, "truth_sha256")):
         if not path.exists():
@@ -163,7 +163,7 @@ def damage(out: Path, entry: Mapping[str, Any]) -> str:
 
 
 def checksum(path: Path) -> str:
-    """SHA-256 of a file, or of a folder, in hexadecimal digits.
+    """Return the SHA-256 of a file, or of a folder, in hexadecimal digits.
 
     That of a folder is the SHA-256 of the list that `sha256sum` prints of its files, sorted by
     their names relative to the folder (as bytes).
@@ -216,7 +216,7 @@ def _entry(
 
 
 def _measured(truth: Path) -> dict[str, int | float]:
-    """How hard a trajectory turned out, from its truth file."""
+    """Return how hard a trajectory turned out, from its truth file."""
     with np.load(truth) as arrays:
         hidden, missing = arrays["hidden_by_tool"], arrays["depth_missing"]
         carried = arrays["gripper_closed"]
@@ -260,7 +260,7 @@ def _refuse_other_settings(
 
 
 def _plain(config: EpisodeConfig) -> dict[str, Any]:
-    """A configuration as JSON holds it."""
+    """Return a configuration as JSON holds it."""
     return json.loads(json.dumps(asdict(config)))
 
 

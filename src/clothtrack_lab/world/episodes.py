@@ -273,7 +273,7 @@ class _Film:
         self.closed.append(closed)
 
     def measured_path(self, rng: np.random.Generator) -> PickerPath:
-        """The tip's path as the robot measures it."""
+        """Return the tip's path as the robot measures it."""
         config = self._config
         tips = np.array(self._tips)
         bias = config.picker_bias_m * rng.standard_normal(3)
@@ -283,14 +283,17 @@ class _Film:
 
 
 def recording_name(kind: GarmentKind, seed: int, garment: GivenGarment | None) -> str:
-    """What the recording of a seed is called: KIND_SEED, or after the one garment."""
+    """Return what the recording of a seed is called: KIND_SEED, or after the one garment."""
     return f"{kind if garment is None else garment.label}_{seed:04d}"
 
 
 def _provenance(
     seed: int, config: EpisodeConfig, garment: GivenGarment | None
 ) -> dict[str, object]:
-    """How the recording was made; of the physics only what a person at the table could know."""
+    """Return how the recording was made.
+
+    Of the physics only what a person at the table could know.
+    """
     of_garment = {} if garment is None else {"garment_seed": garment.seed}
     return {
         "source": "stand-in world (clothtrack simulate)",

@@ -88,18 +88,18 @@ class _Filming:
     garment: GivenGarment | None
 
     def name(self, seed: int) -> str:
-        """What the recording is called."""
+        """Return what the recording is called."""
         return recording_name(self.kind, seed, self.garment)
 
     def paths(self, seed: int) -> list[Path]:
-        """The truth, and the recording, which comes last."""
+        """Return truth and recording; the recording is written last."""
         return [
             self.out / "truth" / f"{self.name(seed)}.npz",
             self.out / "recordings" / self.name(seed),
         ]
 
     def kept(self, seed: int) -> Path | None:
-        """The recording of before."""
+        """Return the recording of before."""
         folder = self.out / "recordings" / self.name(seed)
         return folder if folder.exists() else None
 

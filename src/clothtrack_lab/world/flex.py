@@ -56,7 +56,7 @@ class Fabric:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Fabric":
-        """A fabric drawn from the range of ordinary knitted and woven cloth."""
+        """Return a fabric drawn from the range of ordinary knitted and woven cloth."""
         return cls(
             young_pa=float(rng.uniform(2.5e4, 6e4)),
             poisson=float(rng.uniform(0.1, 0.3)),
@@ -168,7 +168,7 @@ class FlexWorld:
             )
 
     def save(self) -> Float[np.ndarray, " values"]:
-        """Everything that the next step depends on; only while nothing is held."""
+        """Return everything that the next step depends on; only while nothing is held."""
         size = mujoco.mj_stateSize(self._model, _STATE)
         state = np.empty(size)
         mujoco.mj_getState(self._model, self._data, state, _STATE)
@@ -199,7 +199,7 @@ class FlexWorld:
 
 
 def _scene(mesh: ClothMesh, fabric: Fabric, contact_s: float) -> str:
-    """The MJCF of the table, the cloth and a gripper whose grasp constraints sleep.
+    """Return the MJCF of the table, the cloth and a gripper whose grasp constraints sleep.
 
     The grasp constraints name vertex 0 until `FlexWorld.grasp` points them elsewhere: MuJoCo
     evaluates a constraint's bodies anew in every step.

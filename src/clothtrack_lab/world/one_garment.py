@@ -76,7 +76,7 @@ class OneGarment:
         return outline, (width_m := float(rng.uniform(*SHIRT_WIDTHS_M)), width_m / widest)
 
     def flat(self, *, vertex_count: int = 1000, again: bool = False) -> ClothMesh:
-        """The garment at rest, around the origin.
+        """Return the garment at rest, around the origin.
 
         Args:
             vertex_count: about how many vertices.
@@ -128,7 +128,7 @@ _OUTSIDE = Ranges(
 
 
 def _outside_shirt(rng: np.random.Generator) -> ShirtOutline:
-    """A wide, boxy shirt that flares to its hem, with a large neck and wide sleeves."""
+    """Return a wide, boxy shirt that flares to its hem, with a large neck and wide sleeves."""
     while True:
         outline = ShirtOutline(
             body=rng.uniform(0.97, 1.05),
@@ -151,7 +151,7 @@ def _outside_shirt(rng: np.random.Generator) -> ShirtOutline:
 
 
 def _corners(outline: ShirtOutline) -> np.ndarray:
-    """Corners of a shirt of length 1 [m]."""
+    """Return the corners of a shirt of length 1 [m]."""
     return np.concatenate([one.points for one in outline.spans(1.0, depth=outline.front_depth)])
 
 

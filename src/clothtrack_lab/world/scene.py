@@ -64,7 +64,7 @@ class Scene:
     def view(
         self, vertices: Float[np.ndarray, "vertices 3"], tip: Float[np.ndarray, " 3"] | None
     ) -> View:
-        """The scene with the cloth's vertices and the tool's tip here [m]; None: no tool."""
+        """Return the scene with the cloth's vertices and the tool's tip here [m]; None: no tool."""
         depth = self._table_depth.astype(np.float32)
         label = np.full(len(depth), TABLE, dtype=np.uint8)
         height = np.zeros(len(depth), dtype=np.float32)
@@ -121,7 +121,7 @@ class Scene:
 def _barycentric(
     points: Float[np.ndarray, "points 3"], corners: Float[np.ndarray, "points 3 3"]
 ) -> Float[np.ndarray, "points 3"]:
-    """Weights of the three corners at each point, clipped to the triangle."""
+    """Return the weights of the three corners at each point, clipped to the triangle."""
     u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
     uu, uv, vv, wu, wv = (_dot(p, q) for p, q in ((u, u), (u, v), (v, v), (w, u), (w, v)))
     area = np.maximum(uu * vv - uv * uv, 1e-18)
@@ -143,7 +143,7 @@ def _unit(vectors: Float[np.ndarray, "vectors 3"]) -> Float[np.ndarray, "vectors
 def _face_vectors(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> Float[np.ndarray, "faces 3"]:
-    """Normal of each face, as long as twice its area."""
+    """Return the normal of each face, as long as twice its area."""
     corners = vertices[faces]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -151,7 +151,9 @@ def _face_vectors(
 def _corner_normals(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
 ) -> Float[np.ndarray, "faces 3 3"]:
-    """Normal at each corner of each face: that of the smooth surface, or the face's at a crease.
+    """Return the normal at each corner of each face.
+
+    That of the smooth surface, or the face's at a crease.
 
     At a seam of two layers the smooth normals cancel, and the faces' own remain.
     """

@@ -35,7 +35,7 @@ class Picture:
 
 
 def top_down_camera(config: SensorConfig, rng: np.random.Generator) -> Camera:
-    """A camera above the origin of the table z = 0, looking down, slightly tilted at random.
+    """Return a camera above the origin of the table z = 0, looking down, slightly tilted at random.
 
     Its image has the world's x to the right and y upwards.
     """
@@ -61,7 +61,7 @@ def top_down_camera(config: SensorConfig, rng: np.random.Generator) -> Camera:
 
 
 def misplaced(camera: Camera, error_m: float, rng: np.random.Generator) -> Camera:
-    """The camera as a wrong calibration has it: moved by this length [m] in a random direction."""
+    """Return the camera moved by this length [m] in a random direction: a wrong calibration."""
     direction = rng.standard_normal(3)
     pose = camera.world_from_camera.copy()
     pose[:3, 3] += error_m * direction / np.linalg.norm(direction)
@@ -102,7 +102,7 @@ class Sensor:
         return Picture(self._painter.paint(view), depth, view.hidden_share, missing)
 
     def save(self) -> dict[str, Any]:
-        """Where its noise is, as plain values: the next picture follows from it."""
+        """Return where its noise is, as plain values: the next picture follows from it."""
         patches = 0 if self._patches is None else self._patches.count
         return {"noise": self._rng.bit_generator.state, "patches": patches}
 
@@ -130,7 +130,7 @@ class _Patches:
         ]
 
     def next(self) -> Bool[np.ndarray, "height width"]:
-        """The pixels without depth of one more picture."""
+        """Return the pixels without depth of one more picture."""
         phase = 2.0 * np.pi * self.count / PATCH_PERIOD_FRAMES
         self.count += 1
         field = np.cos(phase) * self._fields[0] + np.sin(phase) * self._fields[1]
@@ -138,7 +138,7 @@ class _Patches:
 
 
 def _wave(camera: Camera, rng: np.random.Generator) -> Float[np.ndarray, "height width"]:
-    """A smooth random field over the image, mean 0 and standard deviation 1."""
+    """Return a smooth random field over the image, mean 0 and standard deviation 1."""
     coarse = rng.standard_normal((5, 6))
     field = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
     return (field - field.mean()) / field.std()

@@ -38,14 +38,12 @@ class SimulatedEpisode:
     Attributes:
         kind: the garment.
         seed: of garment, world, start and candidates.
-        name: of the episode; KIND_SEED by default, KIND_gGARMENT_SEED of one garment.
         garment_seed: of the garment (`OneGarment`), the same for every episode; None: each `seed`
             has its own.
     """
 
     kind: GarmentKind
     seed: int
-    name: str = ""
     garment_seed: int | None = None
 
     @property
@@ -54,14 +52,9 @@ class SimulatedEpisode:
         return None if self.garment_seed is None else OneGarment(self.kind, self.garment_seed)
 
     @property
-    def start(self) -> str:
-        """What garment and crumpled start are known by."""
-        return f"{self.garment.label if self.garment else self.kind}_{self.seed:04d}"
-
-    @property
     def label(self) -> str:
-        """The name."""
-        return self.name or self.start
+        """Name of the episode and of its crumpled start: KIND_SEED, or KIND_gGARMENT_SEED."""
+        return f"{self.garment.label if self.garment else self.kind}_{self.seed:04d}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +119,7 @@ def flatten_simulated(
     if not (out / "episodes" / name / "episode.json").exists():
         if progress is not None:
             progress("crumple the cloth", 0, 0)
-        start = (parts.starts or out / "starts") / f"{episode.start}.npz"
+        start = (parts.starts or out / "starts") / f"{episode.label}.npz"
         begin(robot, start)
     flat, _ = robot.true_cloth()
     flat_area_m2 = projected_area(flat.vertices, flat.faces)
@@ -159,7 +152,7 @@ def flatten_simulated(
 def shared_parts(
     kind: GarmentKind, config: FlattenConfig, *, starts: Path | None = None, device: str = "cpu"
 ) -> EpisodeParts:
-    """What episodes of one garment can share; weights that cannot be read are refused here.
+    """Return what episodes of one garment can share; weights that cannot be read are refused here.
 
     Args:
         kind: the garment.
@@ -182,7 +175,7 @@ def shared_parts(
 def knowing_the_garment(
     config: FlattenConfig, garment: OneGarment | None, out: Path
 ) -> FlattenConfig:
-    """The configuration with the garment's own template, written into `out/garments`.
+    """Return the configuration with the garment's own template, written into `out/garments`.
 
     Whoever has one garment measures it once (`clothtrack garment`). Without a garment, nothing is
     written or changed.
@@ -251,7 +244,7 @@ class _Worlds:
         self._robot.restore(self.folder / f"{step:02d}.npz")
 
     def positions(self, step: int) -> np.ndarray:
-        """True vertices after a step [m]."""
+        """Return true vertices after a step [m]."""
         with np.load(self.folder / f"{step:02d}.npz", allow_pickle=False) as file:
             return file["positions"]
 

@@ -134,11 +134,11 @@ class SimulatedRobot:
     # The four methods
 
     def observe(self) -> RgbdFrame:
-        """A picture without the tool."""
+        """Return a picture without the tool."""
         return self.picture(None)
 
     def check(self, action: PickPlace) -> Reachability:
-        """Whether the path of the tip is within the limits."""
+        """Return whether the path of the tip is within the limits."""
         path = np.vstack([action.pick, self._carried(action)])
         reason = self.config.limits.refusal(path)
         return Reachability(not reason, reason)
@@ -258,13 +258,16 @@ class SimulatedRobot:
         self._pictures = pictures
 
     def _noise(self) -> dict[str, Any]:
-        """Where the generators of camera and picker are, as plain values."""
+        """Return where the generators of camera and picker are, as plain values."""
         return {"sensor": self._sensor.save(), "picker": self._of_picker.bit_generator.state}
 
     # What no camera knows
 
     def true_cloth(self) -> tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]:
-        """The true garment at rest and where it is [m]: for scoring and the named control only."""
+        """Return the true garment at rest and where it is [m].
+
+        For scoring and the named control only.
+        """
         return self._flat, self._world.positions
 
     # Inside
@@ -284,7 +287,7 @@ class SimulatedRobot:
         return carrying_path(planned, replace(self._episode.action, speed=speed), TIME_STEP_S)
 
     def _under(self, pick: Float[np.ndarray, " 3"]) -> Int[np.ndarray, " held"]:
-        """Vertices that closing fingers take: the uppermost layers of the cloth under the tip."""
+        """Return the vertices of the uppermost layers of cloth under the tip."""
         positions = self._world.positions
         gap = np.linalg.norm(positions[:, :2] - pick[:2], axis=1)
         column = np.flatnonzero(gap < self._episode.action.grasp_radius_m)
@@ -314,12 +317,12 @@ class SimulatedRobot:
                 break
 
     def tick(self) -> float:
-        """The time of the camera's next picture [s], which is past then."""
+        """Return the time of the camera's next picture [s], which is past then."""
         self._pictures += 1
         return (self._pictures - 1) * self.frame_s
 
     def picture(self, tip: Float[np.ndarray, " 3"] | None) -> RgbdFrame:
-        """A picture with the tool's tip here [m]; None: without the tool."""
+        """Return a picture with the tool's tip here [m]; None: without the tool."""
         shown = self._sensor.capture(self._world.positions, tip)
         return RgbdFrame(
             self.tick(), self._scene.camera, shown.depth.astype(np.float32), color=shown.color

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.bounds import Bounds, Checked, Count
-from clothtrack.garments.garment_meshes import GarmentKind, TowelPattern, garment
+from clothtrack.garments.garment_meshes import GarmentKind, garment
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import read_template
 from clothtrack_lab.world.flex import CONTACT_RADIUS_M
@@ -57,48 +57,8 @@ class GivenGarment(Protocol):
         ...
 
     def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
-        """The garment at rest, around the origin; `again` in another triangulation."""
+        """Return the garment at rest, around the origin; `again` in another triangulation."""
         ...
-
-
-def flat_garment(
-    kind: GarmentKind,
-    file: str,
-    *,
-    size_m: tuple[float, float] | None,
-    vertex_count: int,
-    pattern: TowelPattern,
-    seed: int,
-) -> ClothMesh:
-    """The garment at rest, around the origin: of a usual cut, or the template of a file.
-
-    Args:
-        kind: the garment.
-        file: of the template (`clothtrack garment`), which has its own size; empty: none.
-        size_m: width and length [m]; usual for its kind when None.
-        vertex_count: about how many vertices.
-        pattern: triangulation of a towel.
-        seed: of the triangulation.
-
-    Raises:
-        InvalidConfigError: the template is of another kind of garment, or a size is given too.
-        InvalidRecordingError: the file is missing or damaged.
-    """
-    if not file:
-        return garment(kind, vertex_count=vertex_count, size_m=size_m, pattern=pattern, seed=seed)
-    mesh = read_template(Path(file))
-    if mesh.canonical is None:
-        raise InvalidConfigError(
-            f"{file}: it has no canonical coordinates; make it with: clothtrack garment"
-        )
-    found = "tshirt" if np.ptp(np.asarray(mesh.canonical)[:, 2]) > 0.0 else "towel"
-    if found != kind:
-        layers = "two layers" if found == "tshirt" else "one layer"
-        raise InvalidConfigError(
-            f"{file}: the template has {layers}, and the garment is {kind!r}; say {found!r}"
-        )
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    return mesh.with_vertices(mesh.vertices - 0.5 * (low + high) * (1.0, 1.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -107,7 +67,7 @@ class SeededGarment:
 
     Attributes:
         kind: the garment.
-        file: as for `flat_garment`.
+        file: of the template (`clothtrack garment`), which has its own size; empty: none.
         size_m: width and length [m]; usual for its kind when None.
         seed: of the recording or episode.
     """
@@ -123,15 +83,35 @@ class SeededGarment:
         return self.kind
 
     def flat(self, *, vertex_count: int, again: bool = False) -> ClothMesh:
-        """The garment at rest, around the origin; `again` in another triangulation."""
-        return flat_garment(
-            self.kind, self.file, size_m=self.size_m, vertex_count=vertex_count,
-            pattern="alternating" if again else "random", seed=2 * self.seed + again,
-        )  # fmt: skip
+        """Return the garment at rest, around the origin; `again` in another triangulation.
+
+        Raises:
+            InvalidConfigError: the template is of another kind of garment, or a size is given too.
+            InvalidRecordingError: the file is missing or damaged.
+        """
+        if not self.file:
+            return garment(
+                self.kind, vertex_count=vertex_count, size_m=self.size_m,
+                pattern="alternating" if again else "random", seed=2 * self.seed + again,
+            )  # fmt: skip
+        mesh = read_template(Path(self.file))
+        if mesh.canonical is None:
+            raise InvalidConfigError(
+                f"{self.file}: it has no canonical coordinates; make it with: clothtrack garment"
+            )
+        found = "tshirt" if np.ptp(np.asarray(mesh.canonical)[:, 2]) > 0.0 else "towel"
+        if found != self.kind:
+            layers = "two layers" if found == "tshirt" else "one layer"
+            raise InvalidConfigError(
+                f"{self.file}: the template has {layers}, and the garment is {self.kind!r}; say "
+                f"{found!r}"
+            )
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        return mesh.with_vertices(mesh.vertices - 0.5 * (low + high) * (1.0, 1.0, 0.0))
 
 
 def size_of(flat: ClothMesh) -> tuple[float, float]:
-    """Width and length of a flat garment [m]."""
+    """Return the width and length of a flat garment [m]."""
     width, length = np.ptp(flat.vertices[:, :2], axis=0)
     return float(width), float(length)
 
@@ -147,7 +127,7 @@ def random_pose(rng: np.random.Generator) -> Float[np.ndarray, "2 3"]:
 def laid_down(
     mesh: ClothMesh, pose: Float[np.ndarray, "2 3"], height_m: float = CONTACT_RADIUS_M
 ) -> ClothMesh:
-    """The flat garment on the table, its lowest vertex at this height [m]: at rest there."""
+    """Return the flat garment on the table, its lowest vertex at this height [m]: at rest there."""
     vertices = np.empty(mesh.vertices.shape)
     vertices[:, :2] = mesh.vertices[:, :2] @ pose[:, :2].T + pose[:, 2]
     vertices[:, 2] = mesh.vertices[:, 2] - mesh.vertices[:, 2].min() + height_m
@@ -161,7 +141,7 @@ def misjudged(
     laid: Callable[[ClothMesh], ClothMesh],
     rng: np.random.Generator,
 ) -> ClothMesh:
-    """The tracker's first mesh: a flat garment on the table, wrong as `TemplateConfig` says.
+    """Return the tracker's first mesh: a flat garment on the table, wrong as `TemplateConfig` says.
 
     Args:
         mesh: the flat garment, of another triangulation than the world's where there is one.

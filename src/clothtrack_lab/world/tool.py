@@ -26,7 +26,7 @@ class Tool:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Tool":
-        """A tool that comes from the far side of the table, at a usual slope."""
+        """Return a random tool that comes from the far side of the table."""
         return cls(
             azimuth_rad=float(np.pi / 2.0 + rng.uniform(-0.7, 0.7)),
             elevation_rad=float(np.radians(rng.uniform(28.0, 45.0))),
@@ -65,7 +65,7 @@ class Tool:
         return faces
 
     def vertices(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "vertices 3"]:
-        """Vertices of the rod [m] when its tip is here."""
+        """Return vertices of the rod [m] when its tip is here."""
         across = np.cross(self.axis, (0.0, 0.0, 1.0))
         across /= np.linalg.norm(across)
         up = np.cross(across, self.axis)

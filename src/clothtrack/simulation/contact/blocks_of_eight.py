@@ -65,7 +65,7 @@ class Eights:
 
 
 def in_eights(points: Float[np.ndarray, "points 3"]) -> Int32[np.ndarray, "eights 8"]:
-    """Numbers of points, those together that are near each other; -1 fills the last eight."""
+    """Return point indices in blocks of 8 along a Morton curve, padded with -1."""
     numbers = np.full(EIGHT * blocks(len(points), EIGHT), -1, np.int32)
     numbers[: len(points)] = along_curve(points)
     return numbers.reshape(-1, EIGHT)

@@ -126,7 +126,7 @@ class EdgeContact:
 
 
 def _faces_beside(mesh: ClothMesh) -> np.ndarray:
-    """The two triangles beside each edge; the second is -1 for an open or a branching edge."""
+    """Return the two triangles at each edge; the second is -1 at an open or branching edge."""
     sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     keys = sides[:, 0].astype(np.int64) * mesh.vertex_count + sides[:, 1]
     wanted = np.sort(mesh.edges, axis=1)

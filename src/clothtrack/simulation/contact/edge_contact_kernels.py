@@ -54,7 +54,7 @@ class Crossing:
 @no_type_check
 @wp.func
 def pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
-    """How the segment from a to b passes the segment from c to d."""
+    """Return how the segment from a to b passes the segment from c to d."""
     crossing = Crossing()
     first = b - a
     second = d - c
@@ -82,7 +82,7 @@ def pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
 @no_type_check
 @wp.func
 def inside(crossing: Crossing):
-    """Whether the segments pass each other between their ends."""
+    """Return whether the segments pass each other between their ends."""
     low = wp.min(crossing.along_first, crossing.along_second)
     high = wp.max(crossing.along_first, crossing.along_second)
     return crossing.square > 0.0 and low > 0.0 and high < 1.0
@@ -91,7 +91,7 @@ def inside(crossing: Crossing):
 @no_type_check
 @wp.func
 def rest_distance(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
-    """Distance between two segments in the rest shape [m]."""
+    """Return the distance between two segments in the rest shape [m]."""
     crossing = pass_by(a, b, c, d)
     if inside(crossing):
         return wp.abs(crossing.gap)
@@ -193,7 +193,7 @@ def side_of(
     positions: wp.array(dtype=wp.vec3),
     velocities: wp.array(dtype=wp.vec3),
 ):
-    """Side on which an edge passes one that it may touch before the next search; 0: it may not."""
+    """Return the side on which an edge passes another that it may touch; 0 if it cannot."""
     i = ends[0]
     j = ends[1]
     c = far[0]

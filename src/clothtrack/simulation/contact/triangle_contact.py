@@ -117,10 +117,7 @@ class TriangleContact:
         return sides, distances, counts
 
     def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:
-        """Take the lists back; a state without memory (other contact) starts afresh."""
-        if sides.shape[2] != TRIANGLES_PER_VERTEX:
-            self.counts.zero_()
-            return
+        """Take the lists back."""
         self.sides.assign(sides)
         self.distances.assign(distances)
         self.counts.assign(counts)
@@ -234,7 +231,7 @@ class GatheredPush:
 
 
 def _face_reach(mesh: ClothMesh, config: SolverConfig) -> np.ndarray:
-    """Radius around each triangle's centre within which a vertex may touch it [m].
+    """Return the radius around each triangle's centre within which a vertex may touch it [m].
 
     A barycentric tolerance t widens a triangle by 1 + 3 t about its centre; 5 % more is for
     stretch.

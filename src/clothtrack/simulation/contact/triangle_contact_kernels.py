@@ -157,7 +157,7 @@ def find_facing(
 @no_type_check
 @wp.func
 def barycentric(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, normal: wp.vec3):
-    """Weights of the corners at the foot of the point; `normal` is the plain cross product."""
+    """Return the barycentric weights of the foot of the point; `normal` is the cross product."""
     squared = wp.dot(normal, normal) + 1.0e-30
     weight_b = wp.dot(wp.cross(point - a, c - a), normal) / squared
     weight_c = wp.dot(wp.cross(b - a, point - a), normal) / squared
@@ -167,7 +167,7 @@ def barycentric(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, normal: wp.v
 @no_type_check
 @wp.func
 def segment_distance(point: wp.vec3, a: wp.vec3, b: wp.vec3):
-    """Distance from a point to the segment from a to b [m]."""
+    """Return the distance from a point to the segment from a to b [m]."""
     along = wp.clamp(wp.dot(point - a, b - a) / wp.dot(b - a, b - a), 0.0, 1.0)
     return wp.length(point - a - along * (b - a))
 
@@ -175,7 +175,7 @@ def segment_distance(point: wp.vec3, a: wp.vec3, b: wp.vec3):
 @no_type_check
 @wp.func
 def triangle_distance(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Distance from a point to a triangle [m]."""
+    """Return the distance from a point to a triangle [m]."""
     normal = wp.cross(b - a, c - a)
     weights = barycentric(point, a, b, c, normal)
     if wp.min(weights) >= 0.0:
@@ -189,7 +189,7 @@ def triangle_distance(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
 @no_type_check
 @wp.func
 def share_a_vertex(first: wp.vec3i, second: wp.vec3i):
-    """Whether two triangles touch."""
+    """Return whether two triangles touch."""
     for i in range(3):
         for j in range(3):
             if first[i] == second[j]:
@@ -248,7 +248,7 @@ def examine_pair(
     old_distances: wp.array(dtype=float),
     remembered: int,
 ):
-    """Whether a vertex may touch a triangle before the next search, and from which side."""
+    """Return whether a vertex may touch a triangle before the next search, and from which side."""
     pair = Pair()
     i = nth(face[0])
     j = nth(face[1])
@@ -332,7 +332,7 @@ def in_reach(
     depth: float,
     tolerance: float,
 ):
-    """Whether a point is where a triangle that is hardly stretched may be touched.
+    """Return whether a point is where a triangle that is hardly stretched may be touched.
 
     That is in a ball around its centre (squared reach [m^2]) and, seen along the normal, in a disc.
     """

@@ -9,6 +9,16 @@ import pytest
 
 pytest.importorskip("torch", reason="the extra [learn] brings it")
 
+from shared import round_labels
+from shared.round_labels import (
+    EXPECTED,
+    EpisodeLabels,
+    read_worth,
+    taught,
+    worth_of,
+    write_worth,
+)
+
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_worth import LabelWorth, better_than_network
 from clothtrack.garments.garment_meshes import garment
@@ -17,15 +27,6 @@ from clothtrack.reconstruction import model_loading
 from clothtrack.reconstruction.data.labelled_picture import LabelledPicture
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording, write_labels
 from clothtrack.tracking.pipeline import Outcome
-from clothtrack_lab.world import round_labels
-from clothtrack_lab.world.round_labels import (
-    EXPECTED,
-    EpisodeLabels,
-    read_worth,
-    taught,
-    worth_of,
-    write_worth,
-)
 
 
 def labelled(folder, name, expected):

@@ -38,14 +38,6 @@ from clothtrack.reconstruction.data.state_store import LIST_FILE
 from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.pipeline import counted_settings
 from clothtrack_lab.world.one_garment import OneGarment
-from clothtrack_lab.world.round_labels import (
-    EpisodeLabels,
-    label_episodes,
-    read_worth,
-    taught,
-    worth_of,
-    write_worth,
-)
 from clothtrack_lab.world.simulated_episodes import (
     SimulatedEpisode,
     flatten_simulated,
@@ -54,6 +46,14 @@ from clothtrack_lab.world.simulated_episodes import (
     shared_parts,
 )
 from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
+from shared.round_labels import (
+    EpisodeLabels,
+    label_episodes,
+    read_worth,
+    taught,
+    worth_of,
+    write_worth,
+)
 
 if TYPE_CHECKING:
     from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
@@ -160,65 +160,47 @@ def improve_rounds(
     with locked_output(out):
         _take_up(out / ASKED, weights, kind, config, old=old, asked=asked)
         config = replace(config, flatten=knowing_the_garment(config.flatten, garment, out))
-        return _rounds(
-            weights, out, kind, config, garment_seed=garment_seed, teaches=teaches, old=old,
-            device=device, seed=seed, progress=progress,
-        )  # fmt: skip
-
-
-def _rounds(
-    weights: Path,
-    out: Path,
-    kind: GarmentKind,
-    config: ImprovementConfig,
-    *,
-    garment_seed: int | None,
-    teaches: Teaches,
-    old: Path | None,
-    device: str,
-    seed: int,
-    progress: Progress | None,
-) -> list[dict[str, Any]]:
-    """The rounds themselves."""
-    template = config.flatten.perception.template
-    curve: list[dict[str, Any]] = []
-    labels: list[EpisodeLabels] = []
-    for number in range(config.rounds + 1):
-        folder = out / f"round_{number}"
-        gained = _flattened(
-            folder / "flattening", out / "starts", weights, kind, config,
-            garment_seed=garment_seed, device=device, seed=seed,
-        )  # fmt: skip
-        curve.append(_row(number, weights, gained))
-        _write(out / CURVE, curve)
-        if number == config.rounds:
-            break
-        labels += label_episodes(
-            folder, kind, weights, config.track, template=template, hindsight=config.hindsight,
-            device=device, progress=progress,
-        )  # fmt: skip
-        if len(labels) < 2:
-            raise ClothTrackError(
-                f"{folder}: {len(labels)} of {config.episodes} episodes could be labelled; "
-                "fine-tuning needs two, one of them to select by: give more --episodes"
+        template = config.flatten.perception.template
+        curve: list[dict[str, Any]] = []
+        labels: list[EpisodeLabels] = []
+        for number in range(config.rounds + 1):
+            folder = out / f"round_{number}"
+            gained = _flattened(
+                folder / "flattening", out / "starts", weights, kind, config,
+                garment_seed=garment_seed, device=device, seed=seed,
+            )  # fmt: skip
+            curve.append(_row(number, weights, gained))
+            _write(out / CURVE, curve)
+            if number == config.rounds:
+                break
+            labels += label_episodes(
+                folder, kind, weights, config.track, template=template, hindsight=config.hindsight,
+                device=device, progress=progress,
+            )  # fmt: skip
+            if len(labels) < 2:
+                raise ClothTrackError(
+                    f"{folder}: {len(labels)} of {config.episodes} episodes could be labelled; "
+                    "fine-tuning needs two, one of them to select by: give more --episodes"
+                )
+            worth = _weighed(
+                folder, labels, weights, kind, teaches, template=template, device=device
             )
-        worth = _weighed(folder, labels, weights, kind, teaches, template=template, device=device)
-        used = [one for one in worth if one.used]
-        curve[-1]["labels"] = {"made": len(worth), "used": len(used)}
-        if len({one.recording for one in used}) < 2:
-            curve[-1]["stopped"] = STOPPED
-        _write(out / CURVE, curve)
-        if "stopped" in curve[-1]:
-            break
-        weights = _tuned(
-            weights, taught(labels, worth), folder / "tuned", config, old=old, device=device,
-            progress=progress,
-        )  # fmt: skip
-    return curve
+            used = [one for one in worth if one.used]
+            curve[-1]["labels"] = {"made": len(worth), "used": len(used)}
+            if len({one.recording for one in used}) < 2:
+                curve[-1]["stopped"] = STOPPED
+            _write(out / CURVE, curve)
+            if "stopped" in curve[-1]:
+                break
+            weights = _tuned(
+                weights, taught(labels, worth), folder / "tuned", config, old=old, device=device,
+                progress=progress,
+            )  # fmt: skip
+        return curve
 
 
 def _row(number: int, weights: Path, gained: Sequence[float]) -> dict[str, Any]:
-    """One point of the curve."""
+    """Return one point of the curve."""
     return {
         "round": number,
         "weights": weights.name,
@@ -291,7 +273,7 @@ def _flattened(
     device: str,
     seed: int,
 ) -> list[float]:
-    """Normalised improvement of each episode with these weights."""
+    """Return the normalised improvement of each episode with these weights."""
     perceived = replace(config.flatten.perception, weights=str(weights))
     flatten = replace(config.flatten, perception=perceived)
     parts = shared_parts(kind, flatten, starts=starts, device=device)
@@ -319,7 +301,7 @@ def _weighed(
     template: str,
     device: str,
 ) -> list[LabelWorth]:
-    """Every label beside the network; once it has learned from them, what was decided then."""
+    """Return the worth of every label; that of an earlier run once the network is tuned."""
     path = folder / WORTH
     if path.exists() and (folder / "tuned" / MODEL).exists():
         return read_worth(path)
@@ -338,7 +320,7 @@ def _tuned(
     device: str,
     progress: Progress | None,
 ) -> Path:
-    """The network fine-tuned on these labels.
+    """Return the network fine-tuned on these labels.
 
     Raises:
         ClothTrackError: it was interrupted.

@@ -129,7 +129,7 @@ def worth_of(
     template: str = "",
     device: str = "cpu",
 ) -> list[LabelWorth]:
-    """Every label beside the network that is to learn from it.
+    """Return every label beside the network that is to learn from it.
 
     Args:
         labels: of all rounds so far.
@@ -160,7 +160,7 @@ def worth_of(
 def taught(
     labels: Sequence[EpisodeLabels], worth: Sequence[LabelWorth]
 ) -> "list[LabelledRecording]":
-    """The labels that are learned from; recordings without one are left out.
+    """Return the labels that are learned from; recordings without one are left out.
 
     Args:
         labels: of all rounds so far.

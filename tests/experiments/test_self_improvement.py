@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from shared import self_improvement
+from shared.round_labels import EpisodeLabels
+from shared.self_improvement import ImprovementConfig, improve_rounds
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_worth import LabelWorth
@@ -22,10 +25,7 @@ from clothtrack.tracking.search import SearchConfig
 from clothtrack_lab.published_networks.model import MeshReconstructor
 from clothtrack_lab.published_networks.network_config import TINY_NETWORK
 from clothtrack_lab.published_networks.published_config import PublishedConfig
-from clothtrack_lab.world import self_improvement
 from clothtrack_lab.world.episodes import SMALL_WORLD
-from clothtrack_lab.world.round_labels import EpisodeLabels
-from clothtrack_lab.world.self_improvement import ImprovementConfig, improve_rounds
 from clothtrack_lab.world.simulated_robot import SimulatedRobotConfig
 
 LEARNING = with_settings(
@@ -199,4 +199,13 @@ def test_what_cannot_be_read_is_refused_before_anything_is_written(tmp_path):
     ):
         with pytest.raises(InvalidResultError):
             improve_rounds(weights, out, kind, asked, old=old)
+    assert not out.exists()
+
+
+def test_a_template_beside_a_garment_seed_is_refused_and_nothing_is_written(tmp_path):
+    out, weights = tmp_path / "out", tmp_path / "weights"
+    weights.write_bytes(b"none")
+    named = FlattenConfig(perception=PerceptionConfig(template="mine.npz"))
+    with pytest.raises(InvalidConfigError, match="own cut and size"):
+        improve_rounds(weights, out, "towel", ImprovementConfig(flatten=named), garment_seed=1)
     assert not out.exists()
