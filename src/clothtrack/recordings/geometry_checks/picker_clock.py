@@ -80,7 +80,7 @@ def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
         f"{limit_s:.2f}): write time_s of picker.csv by the clock of the frames, {change} "
         f"{abs(lag.lag_s):.2f} s"
     )
-    return [Finding("picker clock", lag.lag_s, limit_s, "s", "picker.csv: time_s", text)]
+    return [Finding("picker_clock", lag.lag_s, limit_s, "s", "picker.csv: time_s", text)]
 
 
 def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
