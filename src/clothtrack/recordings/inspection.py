@@ -53,11 +53,12 @@ class Inspection:
                 lines.append(f"  ... and {len(told) - _LISTED} more")
             return "\n".join(lines)
         width = max(map(len, self.facts))
-        doubts = len(self.geometry)
+        doubts = sum(finding.severity == "doubt" for finding in self.geometry)
         doubtful = f"; its geometry is doubtful in {doubts} place{'s' if doubts > 1 else ''}"
         lines = [f"{self.folder}: a valid recording{doubtful if doubts else ''}"]
         lines += [f"  {name:<{width}}  {fact}" for name, fact in self.facts.items()]
-        lines += [f"  doubtful: {finding.text}" for finding in self.geometry]
+        words = {"doubt": "doubtful", "note": "note"}
+        lines += [f"  {words[finding.severity]}: {finding.text}" for finding in self.geometry]
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
 
@@ -69,8 +70,16 @@ class Inspection:
             "facts": dict(self.facts),
             "notes": list(self.notes),
             "violations": [asdict(violation) for violation in self.violations],
-            "geometry": [asdict(finding) for finding in self.geometry],
+            "geometry": [_as_dict(finding) for finding in self.geometry],
         }
+
+
+def _as_dict(finding: Finding) -> dict[str, object]:
+    """A finding for a program; its correction says of what kind it is."""
+    content = asdict(finding)
+    if finding.correction is not None:
+        content["correction"] = {"kind": type(finding.correction).__name__, **content["correction"]}
+    return content
 
 
 def inspect(folder: Path) -> Inspection:

@@ -13,11 +13,10 @@ from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
 
 FARTHEST_MOTION_M = 0.05
-"""A tip that carries cloth has something that moves within this distance in the picture [m]. On right
-recordings nine tenths of the frames have it within 25 mm."""
+"""A tip that carries cloth has something that moves within this distance in the picture [m]."""
 
 MOST_FAR = 0.2
-"""Share of the frames in which a moving closed tip may have none: so many are lost in missing depth."""
+"""Share of the frames in which a moving closed tip may have none: some lack depth there."""
 
 LEAST_STEP_M = 0.015
 """A tip that goes so far in two frames [m] moves what it holds by more than the noise."""

@@ -28,10 +28,7 @@ def check_geometry(recording: Recording) -> tuple[Finding, ...]:
     and picker are not looked at, nor the path of a picker whose clock is.
     """
     frames = ObservedFrames(recording)
-    alone = [
-        *time_findings(recording), *size_findings(recording), *template_findings(recording),
-        *lens_findings(recording), *_picture_findings(recording, frames.small),
-    ]  # fmt: skip
+    alone = sense_findings(recording, frames.small)
     cameras = camera_findings(recording)
     if cameras:
         return (*cameras, *alone)
@@ -45,16 +42,20 @@ def check_geometry(recording: Recording) -> tuple[Finding, ...]:
     return (*alone, *cloth, *path, *([] if path else action_findings(recording, frames.small)))
 
 
-def _picture_findings(recording: Recording, pictures: SmallPictures | None) -> list[Finding]:
-    """Color, depth and masks against each other."""
+def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list[Finding]:
+    """Return what is wrong by itself, and where color, depth and masks contradict each other."""
+    alone = [
+        *time_findings(recording), *size_findings(recording), *template_findings(recording),
+        *lens_findings(recording),
+    ]  # fmt: skip
     if pictures is None:
-        return []
+        return alone
     stream = stream_findings(recording, pictures)
     color = color_findings(_in_step(pictures, stream))
     if color:
         # What is at another place cannot be held against each other in time.
         stream = [finding for finding in stream if finding.kind != "stream_delay"]
-    return [*stream, *color, *mask_findings(recording, pictures)]
+    return [*alone, *stream, *color, *mask_findings(recording, pictures)]
 
 
 def _in_step(pictures: SmallPictures, findings: list[Finding]) -> SmallPictures:

@@ -37,7 +37,9 @@ def change_maps(pictures: SmallPictures, step: int = 1) -> ChangeMaps:
     """Return what changes between frames that are so many apart."""
     color = pictures.color
     if color is not None:
-        stack = np.stack([cv2.absdiff(b, a).max(-1) for a, b in zip(color, color[step:])])
+        stack = np.stack(
+            [cv2.absdiff(b, a).max(-1) for a, b in zip(color, color[step:], strict=False)]
+        )
         color = np.clip(stack.astype(np.float32) - COLOR_NOISE, 0.0, COLOR_MOST)
     heights = pictures.height_m
     change = np.nan_to_num(np.abs(heights[step:] - heights[:-step]), nan=0.0)

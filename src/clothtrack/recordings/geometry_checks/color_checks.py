@@ -28,11 +28,11 @@ from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 
 LARGEST_SHIFT = 2
-"""Shift of the color [reduced pixels, 1/160 of the width] up to which it is taken as right. On right
-recordings the best shift is 0, at most 1 on real ones."""
+"""Shift of the color [reduced pixels, 1/160 of the width] up to which it is right. It is 0 on
+right recordings, at most 1 on real ones."""
 
 LEAST_FIT = 0.4
-"""Sum of the two correlations that another placement must reach. Right placements reach 0.9 to 1.5,
+"""Sum of the two correlations that another placement must reach. Right ones reach 0.9 to 1.5,
 a real T-shirt in front of clutter 0.65; wrong ones stay below 0.35."""
 
 LEAST_GAIN = 0.2
@@ -139,8 +139,8 @@ def _changed(pairs: _Pairs, change: Callable[[_Maps], _Maps]) -> _Pairs:
 def _fit_in_place(pairs: _Pairs) -> float:
     """Sum of the correlations at no shift."""
     total = 0.0
-    for color, height in pairs:
-        color, height = _centered(color), _centered(height)
+    for pair in pairs:
+        color, height = (_centered(maps) for maps in pair)
         total += float((color * height).sum() / max(_scale(color, height), 1e-12))
     return total
 

@@ -1,7 +1,5 @@
 """The intrinsics by themselves, and against the outline of a flat towel."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from jaxtyping import Float
@@ -32,22 +30,12 @@ On right recordings it is below 0.5 %."""
 LEAST_STRAIGHTENED = 0.5
 """So much of the bulge one coefficient of distortion must explain, over all four sides together."""
 
-LARGEST_SKEW_DEG = 3.0
-"""Deviation of the corners of a flat towel from a right angle, all four alternating [degrees]."""
-
 LEAST_SIDE_PX = 60
 """Sides shorter than this [pixels] are not measured."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Outline:
-    """The outline of a towel that lies flat.
-
-    Attributes:
-        sides: pixels (column, row) along each of the four sides, in order around it.
-    """
-
-    sides: tuple[Float[np.ndarray, "pixels 2"], ...]
+_Sides = tuple[Float[np.ndarray, "_ 2"], ...]
+"""Pixels (column, row) along each side of a towel, in order around it."""
 
 
 def lens_findings(recording: Recording) -> list[Finding]:
@@ -58,7 +46,7 @@ def lens_findings(recording: Recording) -> list[Finding]:
         if found:
             return [found]
     outline = _towel_outline(recording)
-    if outline is None or recording.table is None:
+    if outline is None:
         return []
     bulge = _bulge(outline, recording.cameras[0])
     return [bulge] if bulge else []
@@ -93,24 +81,10 @@ def _focal_ratio(camera: Camera, field: str) -> Finding | None:
     )  # fmt: skip
 
 
-def _towel_outline(recording: Recording) -> _Outline | None:
+def _towel_outline(recording: Recording) -> _Sides | None:
     """The four sides of a towel in the first frame; None where it is no clean rectangle."""
-    camera = recording.cameras[0]
-    try:
-        segmenter = default_segmenter(recording, recording.frames[0], camera)
-        views = camera_views(recording, recording.frames[0])
-    except ClothTrackError:
-        return None
-    if recording.cloth.kind != "towel" or isinstance(segmenter, HeightSegmenter) or not views:
-        return None
-    contours, _ = cv2.findContours(
-        views[0].mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-    )
-    if not contours:
-        return None
-    contour = max(contours, key=len)[:, 0].astype(np.float64)
-    far = (camera.width - 2, camera.height - 2)
-    if len(contour) < 4 * LEAST_SIDE_PX or ((contour < 1) | (contour > far)).any():
+    contour = _towel_contour(recording)
+    if contour is None:
         return None
     length = cv2.arcLength(contour.astype(np.float32), True)
     corners = cv2.approxPolyDP(contour.astype(np.float32), 0.03 * length, True)[:, 0]
@@ -125,12 +99,34 @@ def _towel_outline(recording: Recording) -> _Outline | None:
         # A corner is round, and off by a few pixels.
         cut = len(side) // 12
         sides.append(side[cut : len(side) - cut])
-    return _Outline(tuple(sides))
+    return tuple(sides)
 
 
-def _bulge(outline: _Outline, camera: Camera) -> Finding | None:
+def _towel_contour(recording: Recording) -> Float[np.ndarray, "pixels 2"] | None:
+    """Pixels around the towel of the first frame; None where it is not all seen by its color."""
+    camera = recording.cameras[0]
+    if recording.cloth.kind != "towel":
+        return None
+    try:
+        segmenter = default_segmenter(recording, recording.frames[0], camera)
+        views = camera_views(recording, recording.frames[0])
+    except ClothTrackError:
+        return None
+    if isinstance(segmenter, HeightSegmenter) or not views:
+        return None
+    mask = views[0].mask.astype(np.uint8)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return None
+    contour = max(contours, key=len)[:, 0].astype(np.float64)
+    far = (camera.width - 2, camera.height - 2)
+    cut_off = ((contour < 1) | (contour > far)).any()
+    return None if cut_off or len(contour) < 4 * LEAST_SIDE_PX else contour
+
+
+def _bulge(outline: _Sides, camera: Camera) -> Finding | None:
     """The four sides bulge as a radial distortion of the lens makes them."""
-    sides = [(side - (camera.cx, camera.cy)) / (camera.fx, camera.fy) for side in outline.sides]
+    sides = [(side - (camera.cx, camera.cy)) / (camera.fx, camera.fy) for side in outline]
     sags = np.array([_sag(side) for side in sides])
     worst = float(np.abs(sags).max())
     if worst <= LARGEST_SAG:
@@ -144,8 +140,8 @@ def _bulge(outline: _Outline, camera: Camera) -> Finding | None:
     return Finding(
         "lens_distortion", worst, LARGEST_SAG, "", "cameras[0]",
         f"the sides of the flat towel bulge by {100 * worst:.1f} % of their length (at most "
-        f"{100 * LARGEST_SAG:.1f} %), as a lens with k1 = {k1:g} makes them: undistort color, depth "
-        "and masks before they are written",
+        f"{100 * LARGEST_SAG:.1f} %), as a lens with k1 = {k1:g} makes them: undistort color, "
+        "depth and masks before they are written",
         correction=LensDistortion(k1),
     )  # fmt: skip
 

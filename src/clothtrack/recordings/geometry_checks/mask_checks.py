@@ -18,8 +18,8 @@ LEAST_TOLD_APART = 0.8
 away that must not, for colors to say anything."""
 
 MOST_RIM_CLOTH = 0.5
-"""Share of the rim outside of the masks, two reduced pixels wide (1/80 of the picture), that may have
-the cloth's colors. On right recordings it is below 0.2: shadows and mixed pixels."""
+"""Share of the rim outside of the masks, two reduced pixels wide (1/80 of the picture), that may
+have the cloth's colors. On right recordings it is below 0.2: shadows and mixed pixels."""
 
 MOST_RIM_OTHER = 0.5
 """The same of the rim inside the masks and colors that are not the cloth's."""
@@ -36,13 +36,14 @@ LEAST_FOREIGN_FRAMES = 3
 """In so many frames at least."""
 
 SECOND_PART = 0.15
-"""Size of a second part of the first mask, as a share of the first, from which it is another thing."""
+"""Size of a second part of the first mask, as a share of the first, that is another thing."""
 
 PART_GAP = 3
 """Distance of such a part from the first [reduced pixels]."""
 
-RIM_CONTACT = 3
-"""Pixels of the rim of the reduced picture that the cloth may touch: 1/50 of its width."""
+RIM_CONTACT = 5
+"""Pixels of the rim of the reduced picture that the cloth may touch: 1/30 of its width. A real
+hanging cloth whose corner is cut off by a few pixels has 4."""
 
 
 def mask_findings(recording: Recording, pictures: SmallPictures) -> list[Finding]:
@@ -206,8 +207,9 @@ def _out_of_picture(
     return [
         Finding(
             "cloth_leaves_picture", pixels, limit, "px", "cameras",
-            f"the cloth reaches the rim of the picture in {int((rims > RIM_CONTACT).sum())} frames, "
-            f"over {pixels:.0f} pixels in frame {pictures.frames[worst]} (at most {limit:.0f}), and "
-            "tracking needs all of it in the picture: move the camera or the cloth",
+            f"the cloth reaches the rim of the picture in {int((rims > RIM_CONTACT).sum())} "
+            f"frames, over {pixels:.0f} pixels in frame {pictures.frames[worst]} (at most "
+            f"{limit:.0f}), and tracking needs all of it in the picture: move the camera or the "
+            "cloth",
         )
     ]  # fmt: skip

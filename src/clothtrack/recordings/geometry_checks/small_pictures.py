@@ -2,6 +2,7 @@
 
 import zlib
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -48,7 +49,7 @@ class SmallPictures:
 
 
 def small_pictures(recording: Recording) -> SmallPictures | None:
-    """Return the reduced pictures of the first camera with depth; None where nothing is readable."""
+    """Return the reduced pictures of the first camera with depth; None where there are none."""
     camera = next((c for c in recording.cameras if c.name in recording.depth_units_m), None)
     if camera is None:
         return None
@@ -80,7 +81,7 @@ def small_pictures(recording: Recording) -> SmallPictures | None:
         return None
     if not shown:
         return None
-    same = [[False, False], *([a == b for a, b in zip(x, y)] for x, y in zip(sums, sums[1:]))]
+    same = [(False, False), *((a[0] == b[0], a[1] == b[1]) for a, b in pairwise(sums))]
     return SmallPictures(
         camera,
         factor,

@@ -6,7 +6,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.recordings.geometry_checks.change_maps import ChangeMaps, change_maps, moving
+from clothtrack.recordings.geometry_checks.change_maps import (
+    ChangeMaps,
+    change_maps,
+    filling,
+    moving,
+)
 from clothtrack.recordings.geometry_checks.corrections import StreamDelay
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
@@ -34,12 +39,12 @@ STUCK_SPEED = 0.3
 LEAST_CARRIED_M = 0.03
 """A closed tip that goes so far [m] moves cloth in the pictures."""
 
-OUT_OF_ORDER = 1.25
-"""Two frames are out of order where the way through them and their neighbors is so many times as
-long as with the two exchanged. In even motion it is half as long, exchanged frames give 2."""
+MOST_OUT_OF_ORDER, LEAST_OUT_OF_ORDER = 0.05, 3
+"""Share of moving frames, and number, from which the order is doubted: frames so far from those
+around them that the way is shorter with the next one first. Right recordings have 2 % at most."""
 
-MOST_OUT_OF_ORDER = 0.1
-"""Share of moving frames out of order that is doubted, and three frames at least."""
+MOST_AWAY_M = 0.15
+"""Heights count up to so far from their middle over all frames [m]."""
 
 MOST_TWICE = 0.2
 """Share of the frames that come twice from which tracking is disturbed."""
@@ -52,10 +57,10 @@ def stream_findings(recording: Recording, pictures: SmallPictures) -> list[Findi
     changes = change_maps(pictures)
     stuck = _stuck(recording, pictures, changes)
     disordered = [] if stuck else _disordered(pictures)
-    return [*stuck, *(disordered or _delayed(pictures, changes)), *_twice(pictures, bool(stuck))]
+    return [*stuck, *(disordered or _delayed(changes)), *_twice(pictures, bool(stuck))]
 
 
-def _delayed(pictures: SmallPictures, changes: ChangeMaps) -> list[Finding]:
+def _delayed(changes: ChangeMaps) -> list[Finding]:
     """The depth moves where the color moves, some frames later or earlier."""
     if changes.color is None or moving(changes.height_m).sum() < LEAST_MOVING_STEPS:
         return []
@@ -105,7 +110,7 @@ def _fit(
 
 
 def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -> list[Finding]:
-    """One stream repeats a picture bit for bit while the other moves, or both while cloth is moved."""
+    """One stream repeats a picture bit for bit while the other moves, or cloth is carried."""
     found = []
     carried_m = _carried_m(recording, pictures)
     streams = [("depth", pictures.same_depth, changes.color)]
@@ -157,18 +162,17 @@ def _disordered(pictures: SmallPictures) -> list[Finding]:
     """Neighbors that would be nearer to the frames around them the other way round."""
     if len(pictures.frames) < LEAST_MOVING_STEPS + 3:
         return []
-
-    def apart(step: int) -> np.ndarray:
-        changes = change_maps(pictures, step)
-        total = _relative(changes.height_m)
-        return total if changes.color is None else total + _relative(changes.color)
-
-    one, two = apart(1), apart(2)
+    filled = filling(pictures.height_m)
+    away = np.nan_to_num(pictures.height_m - filled, nan=0.0)
+    one, two = _apart(np.clip(away, -MOST_AWAY_M, MOST_AWAY_M))
+    if pictures.color is not None:
+        color_one, color_two = _apart(pictures.color.astype(np.float32))
+        one, two = one + color_one, two + color_two
     as_recorded, exchanged = one[:-2] + one[2:], two[:-1] + two[1:]
-    judged = np.minimum(as_recorded, exchanged) > 1.0
-    wrong = judged & (as_recorded > OUT_OF_ORDER * exchanged)
+    judged = np.minimum(as_recorded, exchanged) > 2.0
+    wrong = judged & (as_recorded > exchanged)
     share = float(wrong.sum() / max(judged.sum(), 1))
-    if wrong.sum() < 3 or share <= MOST_OUT_OF_ORDER:
+    if wrong.sum() < LEAST_OUT_OF_ORDER or share <= MOST_OUT_OF_ORDER:
         return []
     named = ", ".join(str(pictures.frames[place + 1]) for place in np.flatnonzero(wrong)[:4])
     return [
@@ -179,6 +183,25 @@ def _disordered(pictures: SmallPictures) -> list[Finding]:
             "time, files whose numbers have no leading zeros sort wrongly",
         )
     ]  # fmt: skip
+
+
+def _apart(
+    pictures: Float[np.ndarray, "frames rows columns *channels"],
+) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " steps_of_two"]]:
+    """Differences of pictures one frame apart and two, as shares of the middle one of one frame.
+
+    Blurred, so that what moves by more than its own width is still nearer after a shorter way.
+    """
+    columns, rows = pictures.shape[2] // 4, pictures.shape[1] // 4
+    soft = np.stack(
+        [
+            cv2.resize(cv2.GaussianBlur(each, (0, 0), 4.0), (columns, rows)).ravel()
+            for each in pictures
+        ]
+    )
+    one, two = (np.abs(soft[step:] - soft[:-step]).mean(axis=1) for step in (1, 2))
+    typical = max(float(np.median(one)), 1e-9)
+    return one / typical, two / typical
 
 
 def _relative(changes: Float[np.ndarray, "steps rows columns"]) -> Float[np.ndarray, " steps"]:

@@ -21,15 +21,15 @@ MOST_SLIVERS = 0.02
 the solver's bending has no meaning there."""
 
 LEAST_PIECE = 0.02
-"""A piece with less than this share of the vertices is a speck; two larger pieces are two cloths."""
+"""A piece with less than this share of the vertices is a speck; two larger ones are two cloths."""
 
 PLAUSIBLE_M = {
     "towel": (0.08, 2.2),
     "tshirt": (0.25, 1.2),
     "trousers": (0.25, 1.4),
 }
-"""Shortest and longest plausible longer side of a flat garment [m]: from a doll's napkin to a beach
-towel, from a baby's shirt to size 5XL with its sleeves spread, from a baby's trousers to size 62."""
+"""Least and greatest plausible longer side of a flat garment [m]: from a coaster to a bath sheet,
+from a baby's shirt to 5XL with its sleeves spread, from a baby's trousers to the longest sold."""
 
 LEAST_ASPECT = 0.2
 """Shorter side of a garment as a share of the longer one: 0.25 for trousers laid leg on leg."""
