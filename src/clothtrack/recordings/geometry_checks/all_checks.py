@@ -8,7 +8,7 @@ from clothtrack.recordings.geometry_checks.action_checks import action_findings
 from clothtrack.recordings.geometry_checks.camera_checks import camera_findings
 from clothtrack.recordings.geometry_checks.clock_checks import time_findings
 from clothtrack.recordings.geometry_checks.cloth_checks import cloth_findings
-from clothtrack.recordings.geometry_checks.color_checks import color_findings
+from clothtrack.recordings.geometry_checks.color_checks import color_findings, registration
 from clothtrack.recordings.geometry_checks.corrections import StreamDelay
 from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
 from clothtrack.recordings.geometry_checks.lens_checks import lens_findings
@@ -51,11 +51,15 @@ def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list
     if pictures is None:
         return alone
     stream = stream_findings(recording, pictures)
-    color = color_findings(_in_step(pictures, stream))
-    if color:
-        # What is at another place cannot be held against each other in time.
-        stream = [finding for finding in stream if finding.kind != "stream_delay"]
-    return [*alone, *stream, *color, *mask_findings(recording, pictures)]
+    color = registration(pictures)
+    in_step = registration(_in_step(pictures, stream))
+    if color is not None and color.correction is not None and in_step is not None:
+        if in_step.correction is None and in_step.fit >= color.fit:
+            color = in_step  # What is late is at another place.
+        else:
+            stream = [finding for finding in stream if finding.kind != "stream_delay"]
+    placed = [] if color is None else color_findings(pictures, color)
+    return [*alone, *stream, *placed, *mask_findings(recording, pictures)]
 
 
 def _in_step(pictures: SmallPictures, findings: list[Finding]) -> SmallPictures:

@@ -22,9 +22,9 @@ LEAST_GAP_S = 0.25
 LEAST_GAP_M = 0.05
 """A gap matters where a closed tip goes so far in it [m]: the cloth between was not seen."""
 
-LARGEST_JITTER = 0.35
-"""Middle deviation of the steps from the middle step, as a share of it: cameras that drop single
-frames have 0, those that wait for a slow disk up to 0.2."""
+UNEVEN, LARGEST_JITTER = 0.3, 0.2
+"""A step is uneven from this difference from the middle one, as a share of it; so large a share of
+the steps may be: cameras drop a frame now and then."""
 
 
 def time_findings(recording: Recording) -> list[Finding]:
@@ -108,14 +108,15 @@ def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
 def _jitter(times: np.ndarray) -> list[Finding]:
     steps = np.diff(times)
     middle = float(np.median(steps))
-    jitter = float(np.median(np.abs(steps - middle)) / middle)
+    jitter = float((np.abs(steps - middle) > UNEVEN * middle).mean())
     if jitter <= LARGEST_JITTER:
         return []
     return [
         Finding(
             "frame_spacing", jitter, LARGEST_JITTER, "", "frames: time_s",
-            f"the time between frames varies by {100 * jitter:.0f} % of its middle {middle:.3g} s "
-            f"(at most {100 * LARGEST_JITTER:.0f} %): write the camera's own time stamps",
+            f"{100 * jitter:.0f} % of the times between frames differ by more than "
+            f"{100 * UNEVEN:.0f} % from the middle one, {middle:.3g} s (at most "
+            f"{100 * LARGEST_JITTER:.0f} %): write the camera's own time stamps",
             severity="note",
         )
     ]  # fmt: skip

@@ -6,6 +6,7 @@ turned over or scaled. Nothing is doubted unless another placement fits clearly 
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -52,31 +53,54 @@ _Maps = Float[np.ndarray, "frames rows columns"]
 _Pairs = tuple[tuple[_Maps, _Maps], ...]
 
 
-def color_findings(pictures: SmallPictures) -> list[Finding]:
-    """Return where the color is not registered to the depth: at most one finding."""
+@dataclass(frozen=True)
+class Registration:
+    """How the color lies on the depth.
+
+    Attributes:
+        correction: what would place it better; None where nothing clearly would.
+        fit: sum of the correlations of motion and edges, with the correction.
+        as_recorded: the same as recorded.
+    """
+
+    correction: ColorFlip | ColorShift | ColorScale | None
+    fit: float
+    as_recorded: float
+
+
+def registration(pictures: SmallPictures) -> Registration | None:
+    """Return how the color lies on the depth; None where too little moves to say it."""
     pairs = _maps(pictures)
     if pairs is None:
-        return []
+        return None
     as_recorded = _fit_in_place(pairs)
     flips = [ColorFlip(True, False), ColorFlip(False, True), ColorFlip(True, True)]
     turned = [_fit_in_place(_changed(pairs, lambda m, f=f: _turned(m, f))) for f in flips]
     best = int(np.argmax(turned))
     if turned[best] >= max(LEAST_FIT, as_recorded + LEAST_GAIN):
-        return [_finding(pictures, flips[best], turned[best], as_recorded)]
+        return Registration(flips[best], turned[best], as_recorded)
+    right = Registration(None, as_recorded, as_recorded)
     shift, fit = _best_shift(pairs)
     if _length(shift) <= LARGEST_SHIFT and fit >= 2 * LEAST_FIT:
-        return []
-    for factor in SCALES:
-        _, there = _best_shift(_changed(pairs, lambda m, f=factor: _scaled(m, f)))
-        if there >= max(LEAST_FIT, fit + LEAST_GAIN):
-            return [_finding(pictures, ColorScale(factor), there, as_recorded)]
+        return right
+    scaled = [_best_shift(_changed(pairs, lambda m, f=f: _scaled(m, f)))[1] for f in SCALES]
+    best = int(np.argmax(scaled))
+    if scaled[best] >= max(LEAST_FIT, fit + LEAST_GAIN):
+        return Registration(ColorScale(SCALES[best]), scaled[best], as_recorded)
     edges_shift, _ = _best_shift(pairs[1:])
     agreed = np.abs(np.subtract(shift, edges_shift)).max() <= LARGEST_SHIFT
     gained = fit >= max(LEAST_FIT, as_recorded + LEAST_SHIFT_GAIN)
     if min(_length(shift), _length(edges_shift)) <= LARGEST_SHIFT or not agreed or not gained:
+        return right
+    columns, rows = (pixels * pictures.factor for pixels in edges_shift)
+    return Registration(ColorShift(columns, rows), fit, as_recorded)
+
+
+def color_findings(pictures: SmallPictures, found: Registration) -> list[Finding]:
+    """Return where the color is not registered to the depth: at most one finding."""
+    if found.correction is None:
         return []
-    moved = ColorShift(edges_shift[0] * pictures.factor, edges_shift[1] * pictures.factor)
-    return [_finding(pictures, moved, fit, as_recorded)]
+    return [_finding(pictures, found.correction, found.fit, found.as_recorded)]
 
 
 def _finding(

@@ -23,15 +23,15 @@ picture, whose principal point may be anywhere."""
 LARGEST_FOCAL_RATIO = 1.04
 """Ratio of fx and fy. Pixels are square within 0.1 % on sensors; one real set states 2.9 %."""
 
-LARGEST_SAG = 0.012
+LARGEST_SAG = 0.006
 """Bulge of the sides of a flat towel, as a share of their length, from which the lens is doubted.
 On right recordings it is below 0.5 %."""
 
 LEAST_STRAIGHTENED = 0.5
 """So much of the bulge one coefficient of distortion must explain, over all four sides together."""
 
-LEAST_SIDE_PX = 60
-"""Sides shorter than this [pixels] are not measured."""
+LEAST_SIDE_PX = 100
+"""Sides shorter than this [pixels] are not measured: their bulge would be less than a pixel."""
 
 
 _Sides = tuple[Float[np.ndarray, "_ 2"], ...]

@@ -26,7 +26,10 @@ MOST_RIM_OTHER = 0.5
 
 NEW_COLOR = 14.0
 """Difference in a and b of CIE Lab from all colors of the first frame's cloth from which a color is
-another thing: skin on a red cloth differs by 20."""
+another one: skin and a red cloth differ by 20."""
+
+HAND_HEIGHT_M = 0.015
+"""Height above the table [m] from which such a part is a hand, and not the table."""
 
 MOST_FOREIGN = 0.04
 """Share of a mask that may have colors that the cloth did not have and that go on outside of it: a
@@ -54,7 +57,7 @@ def mask_findings(recording: Recording, pictures: SmallPictures) -> list[Finding
     foreign = np.zeros_like(cloth)
     found = []
     if pictures.mask is not None and pictures.color is not None:
-        foreign = _foreign(pictures.color, cloth)
+        foreign = _foreign(pictures, cloth) if recording.table is not None else foreign
         found = _hand(pictures, cloth, foreign) or _rim(pictures, cloth)
     return [*found, *_second_part(cloth[0]), *_out_of_picture(pictures, cloth & ~foreign)]
 
@@ -123,31 +126,32 @@ def _rim(pictures: SmallPictures, cloth: Bool[np.ndarray, "frames rows columns"]
 
 
 def _foreign(
-    color: np.ndarray, cloth: Bool[np.ndarray, "frames rows columns"]
+    pictures: SmallPictures, cloth: Bool[np.ndarray, "frames rows columns"]
 ) -> Bool[np.ndarray, "frames rows columns"]:
-    """Parts of the masks with colors that neither cloth nor table had at first, as a hand has.
+    """Raised parts of the masks with colors that the cloth did not have at first, as a hand has.
 
-    They count where they go on outside of the mask, or to the rim of the picture: the other side
-    of a cloth does not.
+    They count where they go on outside of the mask in the same color, or to the rim of the picture:
+    the other side of a cloth does not.
     """
-    planes = np.stack([cv2.cvtColor(each, cv2.COLOR_RGB2LAB)[..., 1:] for each in color])
-    known = np.zeros((256, 256), np.uint8)
-    first, second = planes[0].reshape(-1, 2).T
-    counts = np.zeros((256, 256), np.int32)
-    np.add.at(counts, (first, second), 1)
-    known[counts >= 3] = 1
-    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(NEW_COLOR) + 1,) * 2)
-    new = cv2.dilate(known, reach)[planes[..., 0], planes[..., 1]] == 0
-    kernel = np.ones((3, 3), np.uint8)
     parts = np.zeros_like(cloth)
+    assert pictures.color is not None
+    planes = np.stack([cv2.cvtColor(each, cv2.COLOR_RGB2LAB)[..., 1:] for each in pictures.color])
+    counts = np.zeros((256, 256), np.int32)
+    np.add.at(counts, tuple(planes[0][cloth[0]].T), 1)
+    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(NEW_COLOR) + 1,) * 2)
+    known = cv2.dilate((counts >= 3).astype(np.uint8), reach)
+    new = known[planes[..., 0], planes[..., 1]] == 0
+    new &= np.nan_to_num(pictures.height_m, nan=1.0) > HAND_HEIGHT_M
     for place, (mark, mask) in enumerate(zip(new, cloth, strict=True)):
-        opened = cv2.morphologyEx(mark.view(np.uint8), cv2.MORPH_OPEN, kernel)
+        opened = cv2.morphologyEx(mark.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         count, labels = cv2.connectedComponents(opened)
         for part in range(1, count):
-            here = labels == part
-            rim = here[0].any() or here[-1].any() or here[:, 0].any() or here[:, -1].any()
-            if rim or (here & ~mask).sum() > 0.2 * here.sum():
-                parts[place] |= here & mask
+            inside, outside = (labels == part) & mask, (labels == part) & ~mask
+            rim = inside[0].any() or inside[-1].any() or inside[:, [0, -1]].any()
+            if inside.any() and (rim or outside.sum() > 0.2 * inside.sum()):
+                colors = [np.median(planes[place][each], axis=0) for each in (inside, outside)]
+                if rim or np.abs(colors[0] - colors[1]).max() < NEW_COLOR:
+                    parts[place] |= inside
     return parts
 
 

@@ -40,7 +40,7 @@ def template_findings(recording: Recording) -> list[Finding]:
     template = recording.cloth.template
     if template is None:
         return []
-    for check in (_double, _branching, _pieces, _slivers):
+    for check in (_double, _pieces, _slivers):
         if found := check(template):
             return [found]
     return []
@@ -90,21 +90,13 @@ def _double(template: ClothMesh) -> Finding | None:
     )  # fmt: skip
 
 
-def _branching(template: ClothMesh) -> Finding | None:
-    counts, _ = _edge_counts(template)
-    share = float((counts > 2).mean())
-    if share <= 0.0:
-        return None
-    return _finding(share, 0.0, f"{int((counts > 2).sum())} of its edges join three triangles (0)")
-
-
 def _pieces(template: ClothMesh) -> Finding | None:
     _, edges = _edge_counts(template)
     count = len(template.vertices)
     links = coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
     _, piece = connected_components(links, directed=False)
     large = int((np.bincount(piece) >= LEAST_PIECE * count).sum())
-    return _finding(large, 1.0, f"it has {large} separate pieces (1)") if large > 1 else None
+    return _finding(float(large), 1.0, f"it has {large} separate pieces (1)") if large > 1 else None
 
 
 def _slivers(template: ClothMesh) -> Finding | None:
