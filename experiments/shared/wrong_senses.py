@@ -1,5 +1,6 @@
-"""Reduced pictures and recordings spoilt in memory: one sense contradicts the other, by a random
-strength. The pictures on disk stay those of the right recording.
+"""Reduced pictures and recordings spoilt in memory, by a random strength, in one sense each.
+
+The pictures on disk stay those of the right recording.
 """
 
 from collections.abc import Callable

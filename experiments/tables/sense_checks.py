@@ -1,7 +1,7 @@
 """Whether a sense that contradicts another one is found, over random strengths.
 
-Claim judged: each kind of contradiction (color against depth, clock, masks, actions, template, lens)
-is found in ten random strengths, and no right recording is accused.
+Claim judged: each kind of contradiction (color against depth, clock, masks, actions, template,
+lens) is found in ten random strengths, and no right recording is accused.
 
     python experiments sense_checks --recordings DIR [DIR ...] --json OUT
 
@@ -14,7 +14,6 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ import _path  # noqa: F401
 import numpy as np
 from shared.figures import say, write_json
 from shared.wrong_senses import SENSE_KINDS, SenseKind
-from tables.geometry_checks import recordings_in
 
 from clothtrack.geometry import quiet_warp
 from clothtrack.recordings import Recording, read_recording
@@ -30,6 +28,7 @@ from clothtrack.recordings.geometry_checks.action_checks import action_findings
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry, sense_findings
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures, small_pictures
 from clothtrack_lab.world import SMALL_WORLD, simulate
+from tables.geometry_checks import recordings_in
 
 DRAWS = 10
 
@@ -89,7 +88,7 @@ def needed(kind: SenseKind, recording: Recording, small: SmallPictures) -> bool:
     text = kind.text
     colored = small.mask is not None or recording.cloth.color is not None
     if "mask" in text or "picture" in text:
-        return colored and small.mask is not None or "with another" in text and colored
+        return (colored and small.mask is not None) or ("with another" in text and colored)
     if "template" in text:
         return recording.cloth.template is not None
     if "action" in text or "carry" in text or "path" in text:

@@ -199,10 +199,10 @@ def test_a_pick_beyond_the_rim_of_the_picture_is_not_doubted(tmp_path):
     # The upper third is missing, and with it the end of the towel that is picked.
     folder = drawn(tmp_path / "cut", replace(camera(), height=120, cy=29.5))
     inspection = inspect(folder)
-    assert inspection.geometry == ()
-    assert any("reaches the rim of the picture in frame 0" in note for note in inspection.notes)
+    assert [finding.kind for finding in inspection.geometry] == ["cloth_leaves_picture"]
+    assert "the cloth reaches the rim of the picture in" in inspection.text()
     inside = moved_path(read_recording(folder), 0.2, -0.2, 0.0)
-    assert [finding.kind for finding in check_geometry(inside)][:1] == ["picker_path"]
+    assert "picker_path" in [finding.kind for finding in check_geometry(inside)]
 
 
 def test_what_was_cut_away_accuses_nobody(film):

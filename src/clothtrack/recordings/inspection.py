@@ -89,7 +89,8 @@ def inspect(folder: Path) -> Inspection:
     if recording is None:
         return Inspection(folder, {}, (), checked.violations)
     geometry = check_geometry(recording)
-    return Inspection(folder, _facts(recording), _notes(recording), (), geometry)
+    notes = _notes(recording, cut_off=any(f.kind == "cloth_leaves_picture" for f in geometry))
+    return Inspection(folder, _facts(recording), notes, (), geometry)
 
 
 def _facts(recording: Recording) -> dict[str, str]:
@@ -176,7 +177,8 @@ def _cloth(recording: Recording) -> str:
     return ", ".join(parts)
 
 
-def _notes(recording: Recording) -> tuple[str, ...]:
+def _notes(recording: Recording, *, cut_off: bool) -> tuple[str, ...]:
+    """What is worth knowing; a cloth that leaves the picture is said once."""
     notes = []
     if not recording.actions:
         notes.append("no actions: there is nothing that moves the cloth in the simulation")
@@ -192,7 +194,7 @@ def _notes(recording: Recording) -> tuple[str, ...]:
             f"frame 0 shows {len(observation.points)} points of cloth at 4 mm, "
             f"{extent[0]:.2f} x {extent[1]:.2f} x {extent[2]:.2f} m along x, y, z"
         )
-        if reaches_rim(observation):
+        if reaches_rim(observation) and not cut_off:
             notes.append(
                 "the cloth reaches the rim of the picture in frame 0, and tracking needs all of it "
                 "in the picture: move the camera or the cloth"
