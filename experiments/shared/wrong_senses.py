@@ -117,12 +117,19 @@ def _with_hand(recording: Recording, small: SmallPictures, rng: np.random.Genera
 def _with_neighbor(recording: Recording, small: SmallPictures, rng: np.random.Generator) -> Spoilt:
     """A square of some size in the first corner that is free."""
     masks = _masked(recording, small)
-    side = int(np.sqrt(rng.uniform(0.3, 0.9) * masks[0].sum()))
     rows, columns = masks.shape[1:]
     masks = masks.copy()
-    for top, left in ((2, 2), (2, columns - side - 2), (rows - side - 2, 2)):
-        free = ~cv2.dilate(masks[0].astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
-        if free[top : top + side, left : left + side].all():
+    near = cv2.dilate(masks[0].astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    for share in np.linspace(rng.uniform(0.3, 0.9), 0.26, 8):
+        side = int(np.sqrt(share * masks[0].sum())) + 1
+        free = [
+            (top, left)
+            for top in range(2, rows - side - 2, 3)
+            for left in range(2, columns - side - 2, 3)
+            if not near[top : top + side, left : left + side].any()
+        ]
+        if free:
+            top, left = free[int(rng.integers(len(free)))]
             masks[:, top : top + side, left : left + side] = True
             break
     return recording, replace(small, mask=masks.astype(np.float32))
@@ -148,6 +155,20 @@ def _clocked(recording: Recording, small: SmallPictures, rng: np.random.Generato
     return replace(recording, frames=frames, picker_paths=paths), small
 
 
+def without_pictures(small: SmallPictures) -> SmallPictures:
+    """Reduced pictures of the first frame alone, which say nothing of motion."""
+    color, mask = small.color, small.mask
+    return replace(
+        small,
+        frames=small.frames[:1],
+        color=None if color is None else color[:1],
+        height_m=small.height_m[:1],
+        mask=None if mask is None else mask[:1],
+        same_color=small.same_color[:1],
+        same_depth=small.same_depth[:1],
+    )
+
+
 def _gap(recording: Recording, small: SmallPictures, rng: np.random.Generator) -> Spoilt:
     """Frames in the middle of the first carry are missing."""
     action = recording.actions[0]
@@ -159,8 +180,11 @@ def _gap(recording: Recording, small: SmallPictures, rng: np.random.Generator) -
     ]  # fmt: skip
     count = min(int(rng.integers(6, 10)), len(held) - 3)
     begin = held[1] + int(rng.integers(0, max(len(held) - count - 2, 1)))
-    frames = recording.frames[:begin] + recording.frames[begin + count :]
-    return replace(recording, frames=frames), small
+    kept = recording.frames[:begin] + recording.frames[begin + count :]
+    frames = tuple(replace(each, index=number) for number, each in enumerate(kept))
+    # An action may end with the recording, which is shorter now.
+    cut = replace(action, last_frame=min(action.last_frame, len(frames) - 1))
+    return replace(recording, frames=frames, actions=(cut,)), without_pictures(small)
 
 
 def _cut_action(recording: Recording, small: SmallPictures, rng: np.random.Generator) -> Spoilt:

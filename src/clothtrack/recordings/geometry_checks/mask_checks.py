@@ -149,10 +149,18 @@ def _foreign(
             inside, outside = (labels == part) & mask, (labels == part) & ~mask
             rim = inside[0].any() or inside[-1].any() or inside[:, [0, -1]].any()
             if inside.any() and (rim or outside.sum() > 0.2 * inside.sum()):
-                colors = [np.median(planes[place][each], axis=0) for each in (inside, outside)]
-                if rim or np.abs(colors[0] - colors[1]).max() < NEW_COLOR:
+                if rim or _same_color(planes[place], inside, outside):
                     parts[place] |= inside
     return parts
+
+
+def _same_color(
+    planes: np.ndarray,
+    inside: Bool[np.ndarray, "rows columns"],
+    outside: Bool[np.ndarray, "rows columns"],
+) -> bool:
+    middle = [np.median(planes[each], axis=0) for each in (inside, outside)]
+    return bool(np.abs(middle[0] - middle[1]).max() < NEW_COLOR)
 
 
 def _hand(
@@ -200,10 +208,8 @@ def _second_part(mask: Bool[np.ndarray, "rows columns"]) -> list[Finding]:
 def _out_of_picture(
     pictures: SmallPictures, cloth: Bool[np.ndarray, "frames rows columns"]
 ) -> list[Finding]:
-    rims: Float[np.ndarray, " frames"] = sum(
-        side.sum(axis=1)
-        for side in (cloth[:, 0], cloth[:, -1], cloth[:, 1:-1, 0], cloth[:, 1:-1, -1])
-    )
+    sides = (cloth[:, 0], cloth[:, -1], cloth[:, 1:-1, 0], cloth[:, 1:-1, -1])
+    rims = np.sum([side.sum(axis=1) for side in sides], axis=0)
     worst = int(np.argmax(rims))
     if rims[worst] <= RIM_CONTACT:
         return []

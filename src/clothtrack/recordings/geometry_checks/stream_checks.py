@@ -36,6 +36,9 @@ STUCK_FRAMES = 3
 STUCK_SPEED = 0.3
 """Something moves in steps that change at least this share of what the middle moving step does."""
 
+MOST_SAME = 0.02
+"""Share of the other frames that may repeat a picture where the camera has noise."""
+
 LEAST_CARRIED_M = 0.03
 """A closed tip that goes so far [m] moves cloth in the pictures."""
 
@@ -122,9 +125,10 @@ def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -
             speed[1:] = _relative(other)
         for begin, end in _runs(same):
             moved = speed[begin:end].mean() >= STUCK_SPEED if other is not None else False
-            if end - begin < STUCK_FRAMES - 1 or not (
-                moved or carried_m[begin:end].sum() >= LEAST_CARRIED_M
-            ):
+            # Pictures without noise repeat whenever nothing moves, closed picker or not.
+            noisy = same.sum() - (end - begin) <= MOST_SAME * len(same)
+            carried = noisy and carried_m[begin:end].sum() >= LEAST_CARRIED_M
+            if end - begin < STUCK_FRAMES - 1 or not (moved or carried):
                 continue
             first, last = pictures.frames[begin - 1], pictures.frames[end - 1]
             found.append(
