@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from clothtrack.recordings.colors import CORE, NO, learned_set, named_set, votes_of
 from clothtrack.recordings.geometry_checks.finding import Finding
@@ -148,9 +148,9 @@ def _foreign(
         for part in range(1, count):
             inside, outside = (labels == part) & mask, (labels == part) & ~mask
             rim = inside[0].any() or inside[-1].any() or inside[:, [0, -1]].any()
-            if inside.any() and (rim or outside.sum() > 0.2 * inside.sum()):
-                if rim or _same_color(planes[place], inside, outside):
-                    parts[place] |= inside
+            goes_on = outside.sum() > 0.2 * inside.sum() and inside.any()
+            if rim or (goes_on and _same_color(planes[place], inside, outside)):
+                parts[place] |= inside
     return parts
 
 
