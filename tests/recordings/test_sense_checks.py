@@ -213,6 +213,16 @@ def test_pictures_without_color_or_motion_are_not_accused(film, small):
     assert [each.kind for each in sense_findings(film, replace(still, mask=None))] == []
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_a_few_frames_are_not_accused(film, count):
+    actions = (PickAndPlace(0, count - 1, ("hand",)),) if count > 1 else ()
+    assert check_geometry(replace(film, frames=film.frames[:count], actions=())) == ()
+    few = replace(film, frames=film.frames[CLOSED : CLOSED + count], actions=actions)
+    few = replace(few, frames=tuple(replace(f, index=n) for n, f in enumerate(few.frames)))
+    seen = small_pictures(few)
+    assert "picker_moves_nothing" not in [each.kind for each in action_findings(few, seen)]
+
+
 def test_another_thing_in_the_first_mask_is_found(film, small):
     def beside(place, mask):
         marked = mask > 0.5

@@ -144,6 +144,8 @@ def _motion_gaps_m(
 ) -> Iterator[tuple[int, float]]:
     """Frames with a moving closed tip in the picture, and how far from it something moves [m]."""
     path, camera, step = recording.picker_paths[name], pictures.camera, 2
+    if len(pictures.frames) <= step:
+        return
     changes = change_maps(pictures, step)
     times = [recording.frames[frame].time_s for frame in pictures.frames]
     for place in range(len(pictures.frames) - step):
