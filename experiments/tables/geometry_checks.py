@@ -99,7 +99,7 @@ def looked_at(folder: Path, kind: str, field: str) -> Row:
         return {**row, "checks": ["refused"], "named": field in str(error), "text": [str(error)]}
     return {
         **row,
-        "checks": [finding.check for finding in findings],
+        "checks": [finding.kind for finding in findings],
         "named": any(field in finding.field + finding.text for finding in findings),
         "text": [finding.text for finding in findings],
     }
@@ -112,7 +112,7 @@ def without_template(recording: Recording) -> Row:
     return {
         "recording": recording.name,
         "kind": "bare",
-        "checks": [finding.check for finding in findings],
+        "checks": [finding.kind for finding in findings],
         "text": [finding.text for finding in findings],
     }
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clothtrack.api.results import Many
+from clothtrack.errors import InvalidConfigError
 
 if TYPE_CHECKING:
     from clothtrack.api.verification import Verification
@@ -16,6 +17,7 @@ def inspect_many(
     artefacts: Sequence[Path | str],
     *,
     recordings: Path | str | None = None,
+    suggest: Path | str | None = None,
     progress: "Progress | None" = None,
 ) -> "Many[Inspection | Verification]":
     """Is it readable, and still what was written? What is in it, what is wrong with it?
@@ -30,16 +32,23 @@ def inspect_many(
         artefacts: recordings, NAME.zarr that `track` wrote, labels and truth (.npz), weights
             (.safetensors), folders of states or of the benchmark.
         recordings: the recording, or the folder in which recordings lie by name.
+        suggest: folder that gets a copy of the recording, with what is doubtful corrected where
+            that can be computed; the recording itself stays as it is.
         progress: called with how much is done.
+
+    Raises:
+        InvalidConfigError: `suggest` is given for anything but one recording.
     """
     from clothtrack.api.verification import verify
     from clothtrack.files.progress import one_of
     from clothtrack.recordings.inspection import inspect
 
+    if suggest is not None and not (len(artefacts) == 1 and _is_recording(Path(artefacts[0]))):
+        raise InvalidConfigError("--suggest corrects one recording; name one alone")
     found = []
     for done, artefact in enumerate(map(Path, artefacts)):
         if _is_recording(artefact):
-            found.append(inspect(artefact))
+            found.append(inspect(artefact, suggest=None if suggest is None else Path(suggest)))
         else:
             of_all = one_of(progress, done, len(artefacts))
             found.append(verify(artefact, recordings, progress=of_all))

@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.recordings.corrected_copy import write_corrected
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.corrections import Correction
 from clothtrack.recordings.geometry_checks.finding import Finding, reaches_rim
 from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.point_cloud import observe
@@ -29,6 +31,8 @@ class Inspection:
         notes: what is allowed but worth knowing before tracking.
         violations: everything that is wrong; empty for a valid recording.
         geometry: what of a valid recording its own pictures contradict; empty for a right one.
+        corrections: that a copy was written with; empty where none was asked for.
+        corrected: folder of that copy.
     """
 
     folder: Path
@@ -36,6 +40,8 @@ class Inspection:
     notes: tuple[str, ...]
     violations: tuple[Violation, ...]
     geometry: tuple[Finding, ...] = ()
+    corrections: tuple[Correction, ...] = ()
+    corrected: Path | None = None
 
     @property
     def valid(self) -> bool:
@@ -58,12 +64,18 @@ class Inspection:
                 lines.append(f"  ... and {len(told) - _LISTED} more")
             return "\n".join(lines)
         width = max(map(len, self.facts))
-        doubts = len(self.geometry)
+        doubts = sum(finding.severity == "doubt" for finding in self.geometry)
         doubtful = f"; its geometry is doubtful in {doubts} place{'s' if doubts > 1 else ''}"
         lines = [f"{self.folder}: a valid recording{doubtful if doubts else ''}"]
         lines += [f"  {name:<{width}}  {fact}" for name, fact in self.facts.items()]
-        lines += [f"  doubtful: {finding.text}" for finding in self.geometry]
+        words = {"doubt": "doubtful", "note": "note"}
+        lines += [f"  {words[finding.severity]}: {finding.text}" for finding in self.geometry]
         lines += [f"  note: {note}" for note in self.notes]
+        if self.corrected is not None:
+            lines += [
+                f"corrected  {self.corrected}   ({', '.join(map(repr, self.corrections))})",
+                f"next       clothtrack inspect {self.corrected}",
+            ]
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, object]:
@@ -78,19 +90,38 @@ class Inspection:
             "facts": dict(self.facts),
             "notes": list(self.notes),
             "violations": [asdict(violation) for violation in self.violations],
-            "geometry": [asdict(finding) for finding in self.geometry],
+            "geometry": [_as_dict(finding) for finding in self.geometry],
         }
 
 
-def inspect(folder: Path | str) -> Inspection:
-    """Look through a recording: every picture is decoded, and its geometry held against them."""
+def _as_dict(finding: Finding) -> dict[str, object]:
+    """A finding for a program; its correction says of what kind it is."""
+    content = asdict(finding)
+    if finding.correction is not None:
+        content["correction"] = {"kind": type(finding.correction).__name__, **content["correction"]}
+    return content
+
+
+def inspect(folder: Path | str, *, suggest: Path | None = None) -> Inspection:
+    """Look through a recording: every picture is decoded, and its geometry held against them.
+
+    Args:
+        folder: with a recording.json.
+        suggest: folder of a copy with what is doubtful corrected, where that can be computed.
+
+    Raises:
+        InvalidRecordingError: nothing that was found can be corrected.
+        StorageError: the copy cannot be written.
+    """
     folder = Path(folder)
     checked = check_recording(folder, thorough=True)
     recording = checked.recording
     if recording is None:
         return Inspection(folder, {}, (), checked.violations)
     geometry = check_geometry(recording)
-    return Inspection(folder, _facts(recording), _notes(recording), (), geometry)
+    notes = _notes(recording, cut_off=any(f.kind == "cloth_leaves_picture" for f in geometry))
+    made = () if suggest is None else write_corrected(recording, geometry, suggest)
+    return Inspection(folder, _facts(recording), notes, (), geometry, made, suggest)
 
 
 def _facts(recording: Recording) -> dict[str, str]:
@@ -177,7 +208,8 @@ def _cloth(recording: Recording) -> str:
     return ", ".join(parts)
 
 
-def _notes(recording: Recording) -> tuple[str, ...]:
+def _notes(recording: Recording, *, cut_off: bool) -> tuple[str, ...]:
+    """What is worth knowing; a cloth that leaves the picture is said once."""
     notes = []
     if not recording.actions:
         notes.append("no actions: there is nothing that moves the cloth in the simulation")
@@ -193,7 +225,7 @@ def _notes(recording: Recording) -> tuple[str, ...]:
             f"frame 0 shows {len(observation.points)} points of cloth at 4 mm, "
             f"{extent[0]:.2f} x {extent[1]:.2f} x {extent[2]:.2f} m along x, y, z"
         )
-        if reaches_rim(observation):
+        if reaches_rim(observation) and not cut_off:
             notes.append(
                 "the cloth reaches the rim of the picture in frame 0, and tracking needs all of it "
                 "in the picture: move the camera or the cloth"

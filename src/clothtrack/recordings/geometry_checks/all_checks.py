@@ -1,25 +1,82 @@
 """All checks of the geometry, in the order in which one finding explains the next."""
 
+from dataclasses import replace
+
+import numpy as np
+
+from clothtrack.recordings.geometry_checks.action_checks import action_findings
 from clothtrack.recordings.geometry_checks.camera_checks import camera_findings
+from clothtrack.recordings.geometry_checks.clock_checks import time_findings
 from clothtrack.recordings.geometry_checks.cloth_checks import cloth_findings
+from clothtrack.recordings.geometry_checks.color_checks import color_findings, registration
+from clothtrack.recordings.geometry_checks.corrections import StreamDelay
 from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
+from clothtrack.recordings.geometry_checks.lens_checks import lens_findings
+from clothtrack.recordings.geometry_checks.mask_checks import mask_findings
 from clothtrack.recordings.geometry_checks.picker_checks import picker_findings
 from clothtrack.recordings.geometry_checks.picker_clock import clock_findings
+from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
+from clothtrack.recordings.geometry_checks.stream_checks import stream_findings
+from clothtrack.recordings.geometry_checks.template_checks import size_findings, template_findings
 from clothtrack.recordings.recording import Recording
 
 
 def check_geometry(recording: Recording) -> tuple[Finding, ...]:
-    """Where what a recording says contradicts what its pictures show; empty for a right one.
+    """Return where what a recording says contradicts what its pictures show; empty for a right one.
 
     What stands in a wrong world is wrong for that reason alone: where a camera is doubted, cloth
     and picker are not looked at, nor the path of a picker whose clock is.
     """
+    frames = ObservedFrames(recording)
+    alone = sense_findings(recording, frames.small)
     cameras = camera_findings(recording)
     if cameras:
-        return tuple(cameras)
-    frames = ObservedFrames(recording)
+        return (*cameras, *alone)
     cloth = cloth_findings(recording, frames)
-    if any(finding.check in ("depth unit", "cloth height") for finding in cloth):
-        return tuple(cloth)
+    if any(finding.kind in ("depth_unit", "cloth_height") for finding in cloth):
+        return (*cloth, *alone)
+    if any(finding.kind == "clock_unit" for finding in alone):
+        return (*alone, *cloth)
     clock = clock_findings(recording, frames)
-    return (*cloth, *(clock or picker_findings(recording, frames)))
+    path = clock or picker_findings(recording, frames)
+    return (*alone, *cloth, *path, *([] if path else action_findings(recording, frames.small)))
+
+
+def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list[Finding]:
+    """Return what is wrong by itself, and where color, depth and masks contradict each other."""
+    alone = [
+        *time_findings(recording), *size_findings(recording), *template_findings(recording),
+        *lens_findings(recording),
+    ]  # fmt: skip
+    if pictures is None:
+        return alone
+    stream = stream_findings(recording, pictures)
+    color = registration(pictures)
+    in_step = registration(_in_step(pictures, stream))
+    if color is not None and color.correction is not None and in_step is not None:
+        if in_step.correction is None and in_step.fit >= color.fit:
+            color = in_step  # What is late is at another place.
+        else:
+            stream = [finding for finding in stream if finding.kind != "stream_delay"]
+    placed = [] if color is None else color_findings(pictures, color)
+    return [*alone, *stream, *placed, *mask_findings(recording, pictures)]
+
+
+def _in_step(pictures: SmallPictures, findings: list[Finding]) -> SmallPictures:
+    """The pictures with the delay of one stream taken out."""
+    delays = [each.correction for each in findings if isinstance(each.correction, StreamDelay)]
+    if not delays or pictures.color is None:
+        return pictures
+    (delay,) = delays
+    count = len(pictures.frames) - delay.frames
+    later, earlier = np.arange(delay.frames, len(pictures.frames)), np.arange(count)
+    color, height = (later, earlier) if delay.stream == "color" else (earlier, later)
+    return replace(
+        pictures,
+        frames=pictures.frames[:count],
+        color=pictures.color[color],
+        height_m=pictures.height_m[height],
+        mask=None,
+        same_color=pictures.same_color[color],
+        same_depth=pictures.same_depth[height],
+    )

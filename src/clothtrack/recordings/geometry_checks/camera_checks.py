@@ -66,7 +66,7 @@ def _wrong_unit(recording: Recording, camera: Camera, table: Table, place: int) 
     unit_m, field = recording.depth_units_m[camera.name], f"cameras[{place}].depth_unit_m"
     measured, expected = float(np.median(depth[seen])), float(np.median(height / away[seen]))
     return Finding(
-        "depth unit", measured, expected, "m", field,
+        "depth_unit", measured, expected, "m", field,
         f"the depth of camera {camera.name!r} is {measured:.3g} m where the recorded table is "
         f"{expected:.3g} m away: correct {field}, {unit_m:g} is likely to be {unit_m / factor:g}",
     )  # fmt: skip
@@ -86,13 +86,13 @@ def _wrong_pose(recording: Recording, camera: Camera, table: Table, place: int) 
     shown = f"the table in the depth of camera {camera.name!r} is"
     if tilt_deg > LARGEST_TILT_DEG:
         return Finding(
-            "camera pose", tilt_deg, LARGEST_TILT_DEG, "deg", field,
+            "camera_pose", tilt_deg, LARGEST_TILT_DEG, "deg", field,
             f"{shown} tilted by {tilt_deg:.1f} degrees against the recorded one (at most "
             f"{LARGEST_TILT_DEG:g}): {remedy}",
         )  # fmt: skip
     expected = fit.distance_m - shift_m
     return Finding(
-        "camera pose", fit.distance_m, expected, "m", field,
+        "camera_pose", fit.distance_m, expected, "m", field,
         f"{shown} {fit.distance_m:.3f} m under it, the recorded one {expected:.3f} m: {remedy}, "
         "or correct the table",
     )  # fmt: skip

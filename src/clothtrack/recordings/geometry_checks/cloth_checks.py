@@ -94,7 +94,7 @@ def _scale(recording: Recording, observation: Observation) -> Finding | None:
     field = "cameras[0].depth_unit_m"
     unit_m = recording.depth_units_m.get(camera.name, 0.001)
     return Finding(
-        "depth unit", measured, expected, "m", field,
+        "depth_unit", measured, expected, "m", field,
         f"the cloth is {measured:.3g} m long in the first frame and {expected:.3g} m by its size: "
         f"correct {field}, {unit_m:g} is likely to be {unit_m / factor:g}",
     )  # fmt: skip
@@ -105,7 +105,7 @@ def _height(spread: _Spread) -> Finding | None:
         return None
     under = spread.lowest_m < LOW_M
     return Finding(
-        "cloth height", spread.lowest_m, LOW_M if under else HIGH_M, "m", "table",
+        "cloth_height", spread.lowest_m, LOW_M if under else HIGH_M, "m", "table",
         f"the lowest part of the cloth is {1e3 * spread.lowest_m:.0f} mm above the table in the "
         f"first frame ({1e3 * LOW_M:.0f} to {1e3 * HIGH_M:.0f}): correct table, or the "
         "world_from_camera of the cameras",
@@ -169,13 +169,13 @@ def _flatness(recording: Recording, spread: _Spread) -> Finding | None:
     remedy = "begin with the cloth spread out flat, or give cloth.template as it lies there"
     if spread.rise_m > THICK_M:
         return Finding(
-            "first frame", spread.rise_m, THICK_M, "m", "frames[0]",
+            "first_frame", spread.rise_m, THICK_M, "m", "frames[0]",
             f"the cloth does not lie flat in the first frame, its top is {1e3 * spread.rise_m:.0f} "
             f"mm above its middle (at most {1e3 * THICK_M:.0f}): {remedy}",
         )  # fmt: skip
     if recording.cloth.kind == "towel" and spread.fill < TOWEL_FILL:
         return Finding(
-            "first frame", spread.fill, TOWEL_FILL, "", "frames[0]",
+            "first_frame", spread.fill, TOWEL_FILL, "", "frames[0]",
             f"the towel does not lie flat in the first frame, it covers {100 * spread.fill:.0f} % "
             f"of the rectangle around it (at least {100 * TOWEL_FILL:.0f} %): {remedy}",
         )  # fmt: skip

@@ -1,11 +1,15 @@
 """What a check of the geometry finds, and what the checks look at."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.recordings.geometry_checks.corrections import Correction
+from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures, small_pictures
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording, Table
 
@@ -18,39 +22,49 @@ class Finding:
     """Something that the recording says and its pictures contradict.
 
     Attributes:
-        check: which check: "depth unit", "camera pose", "cloth height", "size", "template",
-            "first frame", "picker path" or "picker clock".
+        kind: what is wrong, a stable name for programs, such as "camera_pose" or "color_shift";
+            docs/data_format.md lists all.
         measured: what the pictures show, in `unit`.
-        expected: what the recording says, or the limit that is passed, in `unit`.
-        unit: of both: "m", "deg", "s", or "" for a plain number.
-        field: of recording.json, or picker.csv, that is to be corrected first.
+        limit: what the recording says, or the limit that is passed, in `unit`.
+        unit: of both: "m", "deg", "s", "px", or "" for a plain number.
+        field: of recording.json, or the file, that is to be corrected first.
         text: the finding in one sentence, with the remedy.
+        severity: "doubt" where a trajectory tracked from this recording must not be trusted;
+            "note" where it loses a little.
+        correction: what would put it right, where that can be computed.
     """
 
-    check: str
+    kind: str
     measured: float
-    expected: float
+    limit: float
     unit: str
     field: str
     text: str
+    severity: Literal["doubt", "note"] = "doubt"
+    correction: Correction | None = None
 
 
 class ObservedFrames:
-    """The clouds of a recording, each made once."""
+    """The clouds and reduced pictures of a recording, each made once."""
 
     def __init__(self, recording: Recording) -> None:
-        """Nothing is read before it is asked for."""
+        """Read nothing yet."""
         self.recording = recording
         self._seen: dict[int, Observation | None] = {}
 
     def at(self, frame: int) -> Observation | None:
-        """What was seen of the cloth in a frame; None where it is not found."""
+        """Return what was seen of the cloth in a frame; None where it is not found."""
         if frame not in self._seen:
             try:
                 self._seen[frame] = observe(self.recording, self.recording.frames[frame])
             except ClothTrackError:
                 self._seen[frame] = None
         return self._seen[frame]
+
+    @cached_property
+    def small(self) -> SmallPictures | None:
+        """Reduced pictures of one camera; None where there is no readable depth."""
+        return small_pictures(self.recording)
 
 
 def reaches_rim(observation: Observation) -> bool:

@@ -79,7 +79,7 @@ def _never_closed(hold: _Hold) -> Finding | None:
     if hold.closed:
         return None
     return Finding(
-        "picker path", 0.0, 1.0, "", "picker.csv: closed",
+        "picker_path", 0.0, 1.0, "", "picker.csv: closed",
         f"picker {hold.name!r} is closed in no frame of action {hold.action + 1}: correct closed "
         "of picker.csv (1 while it holds cloth), or the frames of the action",
     )  # fmt: skip
@@ -99,7 +99,7 @@ def _closes_beside(recording: Recording, hold: _Hold, frames: ObservedFrames) ->
     if not np.isfinite(gap_m) or gap_m <= limit_m:
         return None
     return Finding(
-        "picker path", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
+        "picker_path", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
         f"picker {hold.name!r} closes {1e3 * gap_m:.0f} mm from the cloth at {time_s:g} s, in "
         f"action {hold.action + 1} (at most {1e3 * limit_m:.0f}): write x_m, y_m, z_m of "
         "picker.csv in the world of the cameras, and closed as 1 while it holds cloth",
@@ -120,7 +120,7 @@ def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> 
     if gap_m <= limit_m:
         return None
     return Finding(
-        "picker path", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
+        "picker_path", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
         f"no cloth is where picker {hold.name!r} carries it in action {hold.action + 1}, the "
         f"nearest is {1e3 * gap_m:.0f} mm away (at most {1e3 * limit_m:.0f}): write x_m, y_m, z_m "
         "of picker.csv in the world of the cameras, and time_s by their clock",

@@ -1,0 +1,174 @@
+"""The picker and the actions against what moves in the pictures."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import distance_transform_edt
+
+from clothtrack.recordings.geometry_checks.change_maps import change_maps
+from clothtrack.recordings.geometry_checks.finding import Finding
+from clothtrack.recordings.geometry_checks.picker_checks import allowance_m, held_by_name
+from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
+from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
+
+FARTHEST_MOTION_M = 0.05
+"""A tip that carries cloth has something that moves within this distance in the picture [m]."""
+
+MOST_FAR = 0.2
+"""Share of the frames in which a moving closed tip may have none: some lack depth there."""
+
+LEAST_STEP_M = 0.015
+"""A tip that goes so far in two frames [m] moves what it holds by more than the noise."""
+
+LEAST_FRAMES = 5
+"""Fewer frames with a moving tip than this say nothing."""
+
+LEAST_LATE_S = 0.1
+LEAST_LATE_M = 0.02
+"""A pick or a release outside of its action counts when the closed tip goes so far there [m], in so
+much time [s]."""
+
+
+def action_findings(recording: Recording, pictures: SmallPictures | None) -> list[Finding]:
+    """Return actions that leave out the pick or the release, and paths where nothing moves."""
+    found = []
+    for number, action in enumerate(recording.actions):
+        for name in action.pickers:
+            if held_by_name(recording, name):
+                continue
+            path = recording.picker_paths[name]
+            found += _left_out(recording, number, name, path)
+            if pictures is not None:
+                found += _moves_nothing(recording, pictures, number, name)
+    return found
+
+
+def _left_out(recording: Recording, number: int, name: str, path: PickerPath) -> list[Finding]:
+    """The picker is closed and goes on before the action begins, or after it ends."""
+    action, times = recording.actions[number], [frame.time_s for frame in recording.frames]
+    begin_s, end_s = times[action.first_frame], times[action.last_frame]
+    before = after = (begin_s, begin_s)
+    if not _continued(recording, number - 1, name, action.first_frame):
+        before = (max(_closed_since(path, begin_s), times[0]), begin_s)
+    if not _continued(recording, number + 1, name, action.last_frame):
+        after = (end_s, min(_closed_until(path, end_s), times[-1]))
+    found = []
+    for (first_s, last_s), kind, word, field, remedy in (
+        (before, "action_begins_late", "before", "first_frame", "pick"),
+        (after, "action_ends_early", "after", "last_frame", "release"),
+    ):
+        gone_m = _way_m(path, first_s, last_s)
+        if last_s - first_s < LEAST_LATE_S or gone_m < LEAST_LATE_M:
+            continue
+        edge = action.first_frame if field == "first_frame" else action.last_frame
+        found.append(
+            Finding(
+                kind, last_s - first_s, LEAST_LATE_S, "s", f"actions[{number}].{field}",
+                f"picker {name!r} is closed for {last_s - first_s:.2f} s and goes "
+                f"{100 * gone_m:.0f} cm {word} frame {edge}, where action {number + 1} "
+                f"{'begins' if field == 'first_frame' else 'ends'} (at most {LEAST_LATE_S:g} s): "
+                f"put the {remedy} inside the action, {field} "
+                f"{_frame_beside(times, first_s if field == 'first_frame' else last_s, field)}",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _frame_beside(times: list[float], time_s: float, field: str) -> int:
+    """The last frame up to a time, or the first one from it on."""
+    place = int(np.searchsorted(times, time_s + 1e-9, side="right")) - 1
+    return max(place - 1, 0) if field == "first_frame" else min(place + 1, len(times) - 1)
+
+
+def _continued(recording: Recording, number: int, name: str, frame: int) -> bool:
+    """Whether another action of the picker goes on where this one begins or ends."""
+    if not 0 <= number < len(recording.actions):
+        return False
+    other: PickAndPlace = recording.actions[number]
+    near = min(abs(other.first_frame - frame), abs(other.last_frame - frame)) <= 2
+    return near and name in other.pickers
+
+
+def _closed_since(path: PickerPath, time_s: float) -> float:
+    """When a picker that is closed at a time closed; the time itself where it is open."""
+    place = int(np.searchsorted(path.time_s, time_s + 1e-9, side="right")) - 1
+    since = time_s
+    while place >= 0 and path.closed[place]:
+        since = min(since, float(path.time_s[place]))
+        place -= 1
+    return since
+
+
+def _closed_until(path: PickerPath, time_s: float) -> float:
+    """When a picker that is closed at a time opens; the time itself where it is open."""
+    if not path.closed_at(time_s):
+        return time_s
+    later = (path.time_s > time_s) & ~path.closed
+    return float(path.time_s[later][0]) if later.any() else float(path.time_s[-1])
+
+
+def _way_m(path: PickerPath, first_s: float, last_s: float) -> float:
+    """How far a tip gets away from where it was at the first time [m]."""
+    spots = np.stack([path.position_at(time) for time in np.linspace(first_s, last_s, 20)])
+    return float(np.linalg.norm(spots - spots[0], axis=1).max())
+
+
+def _moves_nothing(
+    recording: Recording, pictures: SmallPictures, number: int, name: str
+) -> list[Finding]:
+    """Nothing moves in the picture where a closed tip moves."""
+    action = recording.actions[number]
+    far = [
+        gap
+        for frame, gap in _motion_gaps_m(recording, pictures, name)
+        if action.first_frame <= frame <= action.last_frame
+    ]
+    limit_m = FARTHEST_MOTION_M + allowance_m(recording)
+    share = float(np.mean(np.array(far) > limit_m)) if far else 0.0
+    if len(far) < LEAST_FRAMES or share <= MOST_FAR:
+        return []
+    gap_m = float(np.percentile(far, 100 * (1 - MOST_FAR)))
+    return [
+        Finding(
+            "picker_moves_nothing", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
+            f"in {100 * share:.0f} % of the frames of action {number + 1} nothing moves within "
+            f"{1e3 * limit_m:.0f} mm of the closed picker {name!r} (at most "
+            f"{100 * MOST_FAR:.0f} %): correct pick, place and times of its path in picker.csv",
+        )
+    ]  # fmt: skip
+
+
+def _motion_gaps_m(
+    recording: Recording, pictures: SmallPictures, name: str
+) -> Iterator[tuple[int, float]]:
+    """Frames with a moving closed tip in the picture, and how far from it something moves [m]."""
+    path, camera, step = recording.picker_paths[name], pictures.camera, 2
+    if len(pictures.frames) <= step:
+        return
+    changes = change_maps(pictures, step)
+    times = [recording.frames[frame].time_s for frame in pictures.frames]
+    for place in range(len(pictures.frames) - step):
+        before, after = times[place], times[place + step]
+        tips = np.stack([path.position_at(before), path.position_at(after)])
+        held = path.closed_at(before) and path.closed_at(after)
+        if not held or np.linalg.norm(tips[1] - tips[0]) < LEAST_STEP_M:
+            continue
+        moved = changes.height_m[place] > 0
+        if changes.color is not None:
+            moved = moved | (changes.color[place] > 0)
+        spots, depth = camera.project(tips)
+        inside = ((spots >= 0) & (spots < (camera.width, camera.height))).all()
+        if not inside or not (depth > 0).all():
+            continue
+        pixels = _nearest(moved, spots / pictures.factor)
+        yield pictures.frames[place], pixels * pictures.factor * float(depth.min()) / camera.fx
+
+
+def _nearest(moved: Bool[np.ndarray, "rows columns"], spots: Float[np.ndarray, "2 2"]) -> float:
+    """Distance of the nearer of two spots from the nearest pixel that moved [reduced pixels]."""
+    if not moved.any():
+        return float(np.hypot(*moved.shape))
+    away = distance_transform_edt(~moved)
+    columns, rows = np.minimum(spots.astype(int), np.array(moved.shape[::-1]) - 1).T
+    return float(away[rows, columns].min())

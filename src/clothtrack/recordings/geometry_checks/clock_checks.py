@@ -1,0 +1,122 @@
+"""Times against each other: their unit, gaps, and how fast a picker can be."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from clothtrack.recordings.geometry_checks.corrections import ClockScale
+from clothtrack.recordings.geometry_checks.finding import Finding
+from clothtrack.recordings.recording import Recording
+
+LONGEST_STEP_S, SHORTEST_STEP_S = 5.0, 0.002
+"""Middle time between frames [s] beyond which a clock is not in seconds: cameras take 1 to 300
+pictures a second, and at 30 a second milliseconds look like 33 s and microseconds like 33,333."""
+
+SLOWEST_M_S, FASTEST_M_S = 0.002, 5.0
+"""Middle speed of a closed tip while it moves [m/s]: hands and arms carry cloth at 0.05 to 1."""
+
+LARGEST_GAP = 3.0
+"""Times the middle step between frames from which a step is a gap, and 0.25 s at least."""
+
+LEAST_GAP_S = 0.25
+LEAST_GAP_M = 0.05
+"""A gap matters where a closed tip goes so far in it [m]: the cloth between was not seen."""
+
+UNEVEN, LARGEST_JITTER = 0.3, 0.2
+"""A step is uneven from this difference from the middle one, as a share of it; so large a share of
+the steps may be: cameras drop a frame now and then."""
+
+
+def time_findings(recording: Recording) -> list[Finding]:
+    """Return what is wrong with the recorded times, pictures aside."""
+    times = np.array([frame.time_s for frame in recording.frames])
+    if len(times) < 5:
+        return []
+    return _unit(recording, times) or [*_gaps(recording, times), *_jitter(times)]
+
+
+def _unit(recording: Recording, times: np.ndarray) -> list[Finding]:
+    """Steps that no camera has, or a tip slower or faster than one that carries cloth."""
+    step_s = float(np.median(np.diff(times)))
+    speed = _speed_m_s(recording)
+    wrong_step = not SHORTEST_STEP_S <= step_s <= LONGEST_STEP_S
+    wrong_speed = speed is not None and not SLOWEST_M_S <= speed <= FASTEST_M_S
+    if not (wrong_speed or (wrong_step and speed is None)):
+        return []
+    factor = _factor(step_s)
+    told = f"the frames are {step_s:.3g} s apart"
+    if speed is not None:
+        told += f" and the closed picker moves at {speed:.2g} m/s"
+    remedy = "write time_s of frames and of picker.csv in seconds, by one clock"
+    if factor is not None:
+        remedy += f"; all times {factor:g} times as large would be those of a camera"
+    limit = LONGEST_STEP_S if step_s > LONGEST_STEP_S else SHORTEST_STEP_S
+    if not wrong_step:
+        step_s, limit = (
+            float(speed or 0.0),
+            SLOWEST_M_S if (speed or 0.0) < SLOWEST_M_S else FASTEST_M_S,
+        )
+    return [
+        Finding(
+            "clock_unit", step_s, limit, "s" if wrong_step else "m/s", "frames: time_s",
+            f"{told}: {remedy}",
+            correction=None if factor is None else ClockScale(factor),
+        )
+    ]  # fmt: skip
+
+
+def _factor(step_s: float) -> float | None:
+    """The power of a thousand that makes a step that of a camera of 4 to 250 pictures a second."""
+    for factor in (1e-3, 1e-6, 1e-9, 1e3):
+        if 0.004 <= step_s * factor <= 0.25:
+            return factor
+    return None
+
+
+def _speed_m_s(recording: Recording) -> float | None:
+    """Middle speed of the closed tips while they move; None where none goes 5 cm."""
+    speeds, gone_m = [], 0.0
+    for path in recording.picker_paths.values():
+        away = np.linalg.norm(np.diff(path.positions, axis=0), axis=1)
+        held = path.closed[:-1] & (away > 1e-4)
+        gone_m += float(away[held].sum())
+        speeds += (away[held] / np.diff(path.time_s)[held]).tolist()
+    return float(np.median(speeds)) if gone_m >= LEAST_GAP_M else None
+
+
+def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
+    """Times without a frame in which a closed picker moves on."""
+    limit_s = max(LARGEST_GAP * float(np.median(np.diff(times))), LEAST_GAP_S)
+    for frame, (before, after) in enumerate(pairwise(times.tolist())):
+        if after - before <= limit_s:
+            continue
+        for path in recording.picker_paths.values():
+            gone = path.position_at(after) - path.position_at(before)
+            gone_m = float(np.linalg.norm(gone))
+            if path.closed_at(before) and path.closed_at(after - 1e-6) and gone_m > LEAST_GAP_M:
+                return [
+                    Finding(
+                        "frame_gap", after - before, limit_s, "s", f"frames[{frame + 1}]: time_s",
+                        f"no frame for {after - before:.2f} s after frame {frame} (at most "
+                        f"{limit_s:.2f}), while the closed picker goes {100 * gone_m:.0f} cm: "
+                        "record without gaps, or end the action at the gap",
+                    )
+                ]  # fmt: skip
+    return []
+
+
+def _jitter(times: np.ndarray) -> list[Finding]:
+    steps = np.diff(times)
+    middle = float(np.median(steps))
+    jitter = float((np.abs(steps - middle) > UNEVEN * middle).mean())
+    if jitter <= LARGEST_JITTER:
+        return []
+    return [
+        Finding(
+            "frame_spacing", jitter, LARGEST_JITTER, "", "frames: time_s",
+            f"{100 * jitter:.0f} % of the times between frames differ by more than "
+            f"{100 * UNEVEN:.0f} % from the middle one, {middle:.3g} s (at most "
+            f"{100 * LARGEST_JITTER:.0f} %): write the camera's own time stamps",
+            severity="note",
+        )
+    ]  # fmt: skip

@@ -1,0 +1,208 @@
+"""Color against depth in the picture: turned over, shifted, or of another size.
+
+What moves, and the rims of what stands out of the table, are at the same pixels in color and in
+depth. Both are correlated over all shifts, for the color as it is and as it would be if it were
+turned over or scaled. Nothing is doubted unless another placement fits clearly better.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.recordings.geometry_checks.change_maps import (
+    change_maps,
+    color_edges,
+    filling,
+    height_edges,
+    moving,
+)
+from clothtrack.recordings.geometry_checks.corrections import (
+    ColorFlip,
+    ColorScale,
+    ColorShift,
+    Correction,
+)
+from clothtrack.recordings.geometry_checks.finding import Finding
+from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
+
+LARGEST_SHIFT = 2
+"""Shift of the color [reduced pixels, 1/160 of the width] up to which it is right. It is 0 on
+right recordings, at most 1 on real ones."""
+
+LEAST_FIT = 0.4
+"""Sum of the two correlations that another placement must reach. Right ones reach 0.9 to 1.5,
+a real T-shirt in front of clutter 0.65; wrong ones stay below 0.35."""
+
+LEAST_GAIN = 0.2
+"""By so much another placement must correlate better than the recorded one."""
+
+FRAMES = 12
+"""Frames that are correlated: those in which most moves."""
+
+SCALES = (0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0)
+"""Sizes that a color picture of another stream has, times that of the depth: 1280 x 720 cut or
+resized to 640 x 480, and 320 x 240 of the same."""
+
+LEAST_SHIFT_GAIN = 0.05
+"""The same of a shift on which motion and edges agree."""
+
+_Maps = Float[np.ndarray, "frames rows columns"]
+_Pairs = tuple[tuple[_Maps, _Maps], ...]
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How the color lies on the depth.
+
+    Attributes:
+        correction: what would place it better; None where nothing clearly would.
+        fit: sum of the correlations of motion and edges, with the correction.
+        as_recorded: the same as recorded.
+    """
+
+    correction: ColorFlip | ColorShift | ColorScale | None
+    fit: float
+    as_recorded: float
+
+
+def registration(pictures: SmallPictures) -> Registration | None:
+    """Return how the color lies on the depth; None where too little moves to say it."""
+    pairs = _maps(pictures)
+    if pairs is None:
+        return None
+    as_recorded = _fit_in_place(pairs)
+    flips = [ColorFlip(True, False), ColorFlip(False, True), ColorFlip(True, True)]
+    turned = [_fit_in_place(_changed(pairs, lambda m, f=f: _turned(m, f))) for f in flips]
+    best = int(np.argmax(turned))
+    if turned[best] >= max(LEAST_FIT, as_recorded + LEAST_GAIN):
+        return Registration(flips[best], turned[best], as_recorded)
+    right = Registration(None, as_recorded, as_recorded)
+    shift, fit = _best_shift(pairs)
+    if _length(shift) <= LARGEST_SHIFT and fit >= 2 * LEAST_FIT:
+        return right
+    scaled = [_best_shift(_changed(pairs, lambda m, f=f: _scaled(m, f)))[1] for f in SCALES]
+    best = int(np.argmax(scaled))
+    if scaled[best] >= max(LEAST_FIT, fit + LEAST_GAIN):
+        return Registration(ColorScale(SCALES[best]), scaled[best], as_recorded)
+    edges_shift, _ = _best_shift(pairs[1:])
+    agreed = np.abs(np.subtract(shift, edges_shift)).max() <= LARGEST_SHIFT
+    gained = fit >= max(LEAST_FIT, as_recorded + LEAST_SHIFT_GAIN)
+    if min(_length(shift), _length(edges_shift)) <= LARGEST_SHIFT or not agreed or not gained:
+        return right
+    columns, rows = (pixels * pictures.factor for pixels in edges_shift)
+    return Registration(ColorShift(columns, rows), fit, as_recorded)
+
+
+def color_findings(pictures: SmallPictures, found: Registration) -> list[Finding]:
+    """Return where the color is not registered to the depth: at most one finding."""
+    if found.correction is None:
+        return []
+    return [_finding(pictures, found.correction, found.fit, found.as_recorded)]
+
+
+def _finding(
+    pictures: SmallPictures, correction: Correction, fit: float, as_recorded: float
+) -> Finding:
+    told = f"(correlation {fit:.2f} against {as_recorded:.2f} as recorded)"
+    remedy = "give color pictures that are registered to the depth, or leave color and masks out"
+    if isinstance(correction, ColorShift):
+        measured = float(np.hypot(correction.columns, correction.rows))
+        limit = float(LARGEST_SHIFT * pictures.factor)
+        return Finding(
+            "color_shift", measured, limit, "px", "frames: color",
+            f"the color fits the depth when it is moved by ({correction.columns}, "
+            f"{correction.rows}) pixels {told} (at most {limit:.0f}): {remedy}",
+            correction=correction,
+        )  # fmt: skip
+    if isinstance(correction, ColorFlip):
+        sides = "left to right" if correction.columns else "upside down"
+        sides = "by half a turn" if correction.columns and correction.rows else sides
+        return Finding(
+            "color_mirrored", fit, as_recorded + LEAST_GAIN, "", "frames: color",
+            f"the color fits the depth when it is turned {sides} {told}: {remedy}",
+            correction=correction,
+        )  # fmt: skip
+    factor = correction.factor if isinstance(correction, ColorScale) else 1.0
+    return Finding(
+        "color_scale", factor, 1.0, "", "frames: color",
+        f"the color fits the depth when it is {factor:.2f} times as large {told}, as that of "
+        f"another stream or picture size: {remedy}",
+        correction=correction,
+    )  # fmt: skip
+
+
+def _maps(pictures: SmallPictures) -> _Pairs | None:
+    """Motion and edges of color and of height, without their means; None where too little moves."""
+    if pictures.color is None or len(pictures.frames) < 3:
+        return None
+    changes = change_maps(pictures, step=2 if len(pictures.frames) > 4 else 1)
+    assert changes.color is not None
+    both = moving(changes.height_m) & moving(changes.color)
+    if both.sum() < 2:
+        return None
+    strength = np.where(both, changes.height_m.sum(axis=(1, 2)), 0.0)
+    chosen = np.sort(np.argsort(strength)[::-1][: min(FRAMES, int(both.sum()))])
+    filled = filling(pictures.height_m)
+    edges = (
+        np.stack([color_edges(pictures.color[place]) for place in chosen]),
+        np.stack([height_edges(pictures.height_m[place], filled) for place in chosen]),
+    )
+    motion = (changes.color[chosen], changes.height_m[chosen])
+    if not all(maps.any() for maps in (*edges, *motion)):
+        return None
+    return motion, edges
+
+
+def _changed(pairs: _Pairs, change: Callable[[_Maps], _Maps]) -> _Pairs:
+    return tuple((change(color), height) for color, height in pairs)
+
+
+def _fit_in_place(pairs: _Pairs) -> float:
+    """Sum of the correlations at no shift."""
+    total = 0.0
+    for pair in pairs:
+        color, height = (_centered(maps) for maps in pair)
+        total += float((color * height).sum() / max(_scale(color, height), 1e-12))
+    return total
+
+
+def _best_shift(pairs: _Pairs) -> tuple[tuple[int, int], float]:
+    """Shift of the color that fits best, to the right and down [reduced pixels], and its fit."""
+    fit = np.sum([_correlation(color, height) for color, height in pairs], axis=0)
+    rows, columns = fit.shape
+    row, column = np.unravel_index(int(fit.argmax()), fit.shape)
+    return (int(columns // 2 - column), int(rows // 2 - row)), float(fit.max())
+
+
+def _length(shift: tuple[int, int]) -> float:
+    return float(np.hypot(*shift))
+
+
+def _centered(maps: _Maps) -> _Maps:
+    return maps - maps.mean(axis=(1, 2), keepdims=True)
+
+
+def _scale(color: _Maps, height: _Maps) -> float:
+    return float(np.sqrt((color**2).sum() * (height**2).sum()))
+
+
+def _correlation(color: _Maps, height: _Maps) -> Float[np.ndarray, "shifts_down shifts_right"]:
+    """Normalized cross-correlation over all frames; no shift is in the middle."""
+    color, height = _centered(color), _centered(height)
+    size = [2 * side for side in color.shape[1:]]
+    total = np.einsum("fyx,fyx->yx", np.fft.rfft2(color, size), np.fft.rfft2(height, size).conj())
+    return np.fft.fftshift(np.fft.irfft2(total, size)) / max(_scale(color, height), 1e-12)
+
+
+def _turned(maps: _Maps, flip: ColorFlip) -> _Maps:
+    return maps[:, :: -1 if flip.rows else 1, :: -1 if flip.columns else 1]
+
+
+def _scaled(maps: _Maps, factor: float) -> _Maps:
+    rows, columns = maps.shape[1:]
+    middle = ((columns - 1) / 2, (rows - 1) / 2)
+    matrix = cv2.getRotationMatrix2D(middle, 0.0, factor)
+    return np.stack([cv2.warpAffine(each, matrix, (columns, rows)) for each in maps])

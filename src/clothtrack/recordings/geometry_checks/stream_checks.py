@@ -1,0 +1,237 @@
+"""Color against depth in time: one late, one stuck, frames out of order or twice."""
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.recordings.geometry_checks.change_maps import (
+    ChangeMaps,
+    change_maps,
+    filling,
+    moving,
+)
+from clothtrack.recordings.geometry_checks.corrections import StreamDelay
+from clothtrack.recordings.geometry_checks.finding import Finding
+from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
+from clothtrack.recordings.recording import Recording
+
+LARGEST_DELAY = 1
+"""Frames by which one stream may be behind the other: shutters and time stamps differ by one."""
+
+FARTHEST_DELAY = 15
+"""Delays up to so many frames are tried."""
+
+LEAST_FIT, LEAST_GAIN = 0.3, 0.1
+"""Correlation that another delay must reach, and by how much it must be better than none. Motion
+correlates with 0.5 to 0.9 on right recordings."""
+
+LEAST_MOVING_STEPS = 5
+"""Fewer steps with motion than this say nothing about delay or order."""
+
+STUCK_FRAMES = 3
+"""So many frames in a row with the same bits are a stream that is stuck, if something moves."""
+
+STUCK_SPEED = 0.3
+"""Something moves in steps that change at least this share of what the middle moving step does."""
+
+MOST_SAME = 0.02
+"""Share of the other frames that may repeat a picture where the camera has noise."""
+
+LEAST_CARRIED_M = 0.03
+"""A closed tip that goes so far [m] moves cloth in the pictures."""
+
+MOST_OUT_OF_ORDER, LEAST_OUT_OF_ORDER = 0.05, 3
+"""Share of moving frames, and number, from which the order is doubted: frames so far from those
+around them that the way is shorter with the next one first. Right recordings have 2 % at most."""
+
+MOST_AWAY_M = 0.15
+"""Heights count up to so far from their middle over all frames [m]."""
+
+MOST_TWICE = 0.2
+"""Share of the frames that come twice from which tracking is disturbed."""
+
+
+def stream_findings(recording: Recording, pictures: SmallPictures) -> list[Finding]:
+    """Return what is wrong with the order and pace of the pictures."""
+    if len(pictures.frames) < 4:
+        return []
+    changes = change_maps(pictures)
+    stuck = _stuck(recording, pictures, changes)
+    disordered = [] if stuck else _disordered(pictures)
+    return [*stuck, *(disordered or _delayed(changes)), *_twice(pictures, bool(stuck))]
+
+
+def _delayed(changes: ChangeMaps) -> list[Finding]:
+    """The depth moves where the color moves, some frames later or earlier."""
+    if changes.color is None or moving(changes.height_m).sum() < LEAST_MOVING_STEPS:
+        return []
+    color, height = _coarse(changes.color), _coarse(changes.height_m)
+    products = color @ height.T
+    squares = (color**2).sum(axis=1), (height**2).sum(axis=1)
+    delays = np.arange(-FARTHEST_DELAY, FARTHEST_DELAY + 1)
+    fits = np.array([_fit(products, *squares, int(delay)) for delay in delays])
+    none, best = fits[FARTHEST_DELAY], int(np.argmax(fits))
+    delay = int(delays[best])
+    if abs(delay) <= LARGEST_DELAY or fits[best] < max(LEAST_FIT, none + LEAST_GAIN):
+        return []
+    late = "depth" if delay > 0 else "color"
+    return [
+        Finding(
+            "stream_delay", float(abs(delay)), float(LARGEST_DELAY), "", f"frames: {late}",
+            f"the {late} shows the same motion {abs(delay)} frames later than the "
+            f"{'color' if delay > 0 else 'depth'} (at most {LARGEST_DELAY}; correlation "
+            f"{fits[best]:.2f} against {none:.2f} as recorded): pair color and depth of the same "
+            "time in frames",
+            correction=StreamDelay(late, abs(delay)),
+        )
+    ]  # fmt: skip
+
+
+def _coarse(maps: Float[np.ndarray, "steps rows columns"]) -> Float[np.ndarray, "steps places"]:
+    """Quarters of the size, without the mean of the frame, one row each."""
+    rows, columns = (max(side // 4, 1) for side in maps.shape[1:])
+    small = [cv2.resize(each, (columns, rows), interpolation=cv2.INTER_AREA) for each in maps]
+    flat = np.stack(small).reshape(len(maps), -1).astype(np.float64)
+    return flat - flat.mean(axis=1, keepdims=True)
+
+
+def _fit(
+    products: Float[np.ndarray, "steps steps"],
+    color: Float[np.ndarray, " steps"],
+    height: Float[np.ndarray, " steps"],
+    delay: int,
+) -> float:
+    """Correlation of the color with the height so many steps later; 0 where half has no partner."""
+    count = len(color) - abs(delay)
+    first, later = max(-delay, 0), max(delay, 0)
+    used = color[first : first + count].sum(), height[later : later + count].sum()
+    if used[0] < 0.5 * color.sum() or used[1] < 0.5 * height.sum():
+        return 0.0
+    return float(np.trace(products, offset=delay) / max(np.sqrt(used[0] * used[1]), 1e-12))
+
+
+def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -> list[Finding]:
+    """One stream repeats a picture bit for bit while the other moves, or cloth is carried."""
+    found = []
+    carried_m = _carried_m(recording, pictures)
+    streams = [("depth", pictures.same_depth, changes.color)]
+    if changes.color is not None:
+        streams.append(("color", pictures.same_color, changes.height_m))
+    for name, same, other in streams:
+        speed = np.zeros(len(same))
+        if other is not None:
+            speed[1:] = _relative(other)
+        for begin, end in _runs(same):
+            moved = speed[begin:end].mean() >= STUCK_SPEED if other is not None else False
+            # Pictures without noise repeat whenever nothing moves, closed picker or not.
+            noisy = same.sum() - (end - begin) <= MOST_SAME * len(same)
+            carried = noisy and carried_m[begin:end].sum() >= LEAST_CARRIED_M
+            if end - begin < STUCK_FRAMES - 1 or not (moved or carried):
+                continue
+            first, last = pictures.frames[begin - 1], pictures.frames[end - 1]
+            found.append(
+                Finding(
+                    f"{name}_stuck", float(last - first + 1), float(STUCK_FRAMES), "",
+                    f"frames[{first + 1}]: {name}",
+                    f"the {name} of frames {first} to {last} is one picture, bit for bit, while "
+                    f"{'the rest' if moved else 'the closed picker'} moves: leave these frames "
+                    "out, or write what the camera saw then",
+                )
+            )  # fmt: skip
+            break
+    return found
+
+
+def _carried_m(recording: Recording, pictures: SmallPictures) -> Float[np.ndarray, " frames"]:
+    """How far closed tips went since the frame before [m]."""
+    times = [recording.frames[frame].time_s for frame in pictures.frames]
+    gone = np.zeros(len(times))
+    for path in recording.picker_paths.values():
+        for place, (before, now) in enumerate(pairwise(times), start=1):
+            if path.closed_at(before) and path.closed_at(now):
+                away = path.position_at(now) - path.position_at(before)
+                gone[place] += float(np.linalg.norm(away))
+    return gone
+
+
+def _runs(marks: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
+    """First and behind the last place of each run of marks."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _disordered(pictures: SmallPictures) -> list[Finding]:
+    """Neighbors that would be nearer to the frames around them the other way round."""
+    if len(pictures.frames) < LEAST_MOVING_STEPS + 3:
+        return []
+    filled = filling(pictures.height_m)
+    away = np.nan_to_num(pictures.height_m - filled, nan=0.0)
+    one, two = _apart(np.clip(away, -MOST_AWAY_M, MOST_AWAY_M))
+    if pictures.color is not None:
+        color_one, color_two = _apart(pictures.color.astype(np.float32))
+        one, two = one + color_one, two + color_two
+    as_recorded, exchanged = one[:-2] + one[2:], two[:-1] + two[1:]
+    judged = np.minimum(as_recorded, exchanged) > 2.0
+    wrong = judged & (as_recorded > exchanged)
+    share = float(wrong.sum() / max(judged.sum(), 1))
+    if wrong.sum() < LEAST_OUT_OF_ORDER or share <= MOST_OUT_OF_ORDER:
+        return []
+    named = ", ".join(str(pictures.frames[place + 1]) for place in np.flatnonzero(wrong)[:4])
+    return [
+        Finding(
+            "frame_order", share, MOST_OUT_OF_ORDER, "", "frames",
+            f"{100 * share:.0f} % of the moving frames fit better in the place of the next (at "
+            f"most {100 * MOST_OUT_OF_ORDER:.0f} %; frames {named}): put frames in order of "
+            "time, files whose numbers have no leading zeros sort wrongly",
+        )
+    ]  # fmt: skip
+
+
+def _apart(
+    pictures: Float[np.ndarray, "frames rows columns *channels"],
+) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " steps_of_two"]]:
+    """Differences of pictures one frame apart and two, as shares of the middle one of one frame.
+
+    Blurred, so that what moves by more than its own width is still nearer after a shorter way.
+    """
+    columns, rows = pictures.shape[2] // 4, pictures.shape[1] // 4
+    soft = np.stack(
+        [
+            cv2.resize(cv2.GaussianBlur(each, (0, 0), 4.0), (columns, rows)).ravel()
+            for each in pictures
+        ]
+    )
+    one, two = (np.abs(soft[step:] - soft[:-step]).mean(axis=1) for step in (1, 2))
+    typical = max(float(np.median(one)), 1e-9)
+    return one / typical, two / typical
+
+
+def _relative(changes: Float[np.ndarray, "steps rows columns"]) -> Float[np.ndarray, " steps"]:
+    """Change of each step, as a share of that of the middle moving step."""
+    total = changes.sum(axis=(1, 2))
+    typical = float(np.median(total[moving(changes)])) if moving(changes).any() else np.inf
+    return total / typical
+
+
+def _twice(pictures: SmallPictures, stuck: bool) -> list[Finding]:
+    """Single frames that repeat the one before, although a camera's noise never repeats."""
+    same = pictures.same_depth
+    if pictures.color is not None:
+        same = same & pictures.same_color
+    if stuck or not same.any() or same.mean() > 0.6:
+        return []  # Pictures without noise repeat whenever nothing moves.
+    single = [begin for begin, end in _runs(same) if end - begin < STUCK_FRAMES - 1]
+    share = len(single) / len(same)
+    if len(single) < 2:
+        return []
+    named = ", ".join(str(pictures.frames[place]) for place in single[:4])
+    return [
+        Finding(
+            "frame_twice", share, MOST_TWICE, "", "frames",
+            f"{len(single)} frames repeat the one before bit for bit (frames {named}): leave them "
+            "out, the camera delivered fewer frames than were written",
+            severity="doubt" if share > MOST_TWICE else "note",
+        )
+    ]  # fmt: skip
