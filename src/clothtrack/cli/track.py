@@ -5,7 +5,6 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -184,6 +183,7 @@ def _track(
     watch: "Watch | None" = None,
     ray: str = "",
 ) -> "list[Outcome]":
+    from clothtrack.evaluation.verdict import judged
     from clothtrack.front.run import run_config
     from clothtrack.geometry.devices import require_device
     from clothtrack.tracking.pipeline import track_recordings
@@ -193,7 +193,7 @@ def _track(
     config = run_config(mode, settings, seed=seed)
     return track_recordings(
         recordings, output, config, workers=workers, device=device, progress=progress, force=force,
-        watch=watch, ray=ray,
+        watch=watch, judge=judged, ray=ray,
     )  # fmt: skip
 
 
@@ -212,6 +212,4 @@ def _verdict_fields(outcome: "Outcome") -> dict[str, Any] | None:
     """The verdict as JSON holds it; None where nothing was tracked."""
     if outcome.result is None:
         return None
-    verdict = _verdict(outcome)
-    expected = verdict.expected_error_m
-    return {**asdict(verdict), "expected_error_m": expected if isfinite(expected) else None}
+    return _verdict(outcome).as_dict()
