@@ -161,6 +161,23 @@ def judge(
     return _verdict(evidence, max(expected, key=_or_infinite))
 
 
+def verdict_of(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    labels: Sequence[LabelQuality] | None = None,
+) -> Verdict:
+    """Return the verdict that is stored with a trajectory; a new one where none is.
+
+    Args:
+        tracked: what the tracker left.
+        recording: what it was tracked from.
+        labels: its labels, judged; judged here where they are needed.
+    """
+    if tracked.verdict_fields:
+        return Verdict.from_dict(tracked.verdict_fields)
+    return judge(tracked, recording, labels)
+
+
 def judged(
     tracked: TrackedTrajectory,
     recording: Recording,

@@ -18,7 +18,7 @@ from clothtrack.errors import (
 from clothtrack.evaluation import results
 from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.truth import Truth
-from clothtrack.evaluation.verdict import Verdict, judge, judged
+from clothtrack.evaluation.verdict import Verdict, judged, verdict_of
 from clothtrack.evaluation.vertex_errors import expected_vertex_errors
 from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp, require_device
@@ -134,9 +134,7 @@ class Run(TrackedTrajectory):
         Raises:
             InvalidRecordingError: the recording is not known.
         """
-        if self.verdict_fields:
-            return Verdict.from_dict(self.verdict_fields)
-        return judge(self, recording_of(self), self._judged)
+        return verdict_of(self, recording_of(self))
 
     @cached_property
     def _judged(self) -> tuple[LabelQuality, ...]:

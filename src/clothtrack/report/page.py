@@ -20,7 +20,7 @@ from clothtrack.report.curves import chart_html
 from clothtrack.report.document import write_document
 from clothtrack.report.evidence import Observer, evidence_of, observed, thinned
 from clothtrack.report.film_colors import cloud_colors, vertex_colors
-from clothtrack.report.label_cards import review_card, verdict_strip
+from clothtrack.report.label_cards import evidence_card, review_card, verdict_strip
 from clothtrack.report.layers import Layers
 from clothtrack.report.measures import charts, edge_strains
 from clothtrack.report.overlay import (
@@ -109,6 +109,7 @@ def write_report(
     drawn = charts(tracked, evidence.rms_mm, evidence.floor_mm)
     body = f"""{lead_line(tracked, recording)}
 {verdict_strip(judged)}
+{evidence_card(verdict_of(tracked, recording, judged)) if judged else ""}
 {upper}
 {labels}
 {key_figures(figures_of(tracked, evidence, edge_strains(tracked)))}

@@ -7,7 +7,7 @@ import numpy as np
 
 from clothtrack.evaluation.metrics import root_mean_square_mm
 from clothtrack.evaluation.results import observed_chamfer
-from clothtrack.evaluation.verdict import Verdict, judge
+from clothtrack.evaluation.verdict import Verdict, verdict_of
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.report.coloring import judged_or_none
 from clothtrack.report.evidence import Observer, observed
@@ -49,7 +49,7 @@ def summary_of(
     width = round(picture.shape[1] * THUMBNAIL_PX / picture.shape[0])
     small = cv2.resize(picture, (width, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
     judged = judged_or_none(tracked, recording)
-    verdict = judge(tracked, recording, judged)
+    verdict = verdict_of(tracked, recording, judged)
     return TrajectorySummary(
         jpeg_uri(small, quality=80),
         verdict,
