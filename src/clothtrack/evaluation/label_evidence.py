@@ -144,17 +144,6 @@ def label_evidence(
     return tuple(evidence)
 
 
-def cloud_gap_m(
-    mesh: ClothMesh,
-    vertices: Float[np.ndarray, "vertices 3"],
-    cloud: Float[np.ndarray, "points 3"],
-) -> float:
-    """Mean distance [m] of a cloud's points to the surface of the mesh."""
-    if not (len(cloud) and np.isfinite(vertices).all()):
-        return float("nan")
-    return float(distance_to_mesh(cloud, vertices, mesh.faces).mean())
-
-
 def _far_quantile(
     cloud: Float[np.ndarray, "points 3"], vertices: Float[np.ndarray, "judged 3"]
 ) -> float:

@@ -245,7 +245,7 @@ def _misplaced(
     if not far.any():
         return Misplaced()
     off_m = float(np.percentile(misfit_m[far], 90))
-    return Misplaced(float(far.mean()), off_m, place_of(vertices, far, recording))
+    return Misplaced(float(far.mean()), off_m, place_of(vertices, far, recording.cameras))
 
 
 def _idle_pickers(tracked: TrackedTrajectory, recording: Recording, action: int) -> tuple[str, ...]:

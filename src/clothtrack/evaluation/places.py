@@ -1,9 +1,11 @@
 """Where a part of the cloth lies, in words that a person at the picture understands."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.recordings.recording import Recording
+from clothtrack.geometry.camera import Camera
 
 MIDDLE = 0.25
 """Nearer to the middle of the cloth than this share of its half extent, a part has no side."""
@@ -12,17 +14,17 @@ MIDDLE = 0.25
 def place_of(
     vertices: Float[np.ndarray, "vertices 3"],
     part: Bool[np.ndarray, " vertices"],
-    recording: Recording,
+    cameras: Sequence[Camera],
 ) -> str:
     """Return where a part of the cloth lies in the first camera's picture, such as "at the left".
 
     Args:
         vertices: of the whole cloth [m, world].
         part: which of them, at least one.
-        recording: with its cameras.
+        cameras: the first one's picture counts; without any, the world seen from above.
     """
-    camera = recording.cameras[0] if recording.cameras else None
-    whole = vertices[:, :2] if camera is None else camera.project(np.asarray(vertices, float))[0]
+    points = np.asarray(vertices, np.float64)
+    whole = cameras[0].project(points)[0] if cameras else points[:, :2] * (1, -1)
     middle, extent = whole.mean(axis=0), np.ptp(whole, axis=0).max() / 2
     across, down = (whole[part].mean(axis=0) - middle) / max(float(extent), 1e-9)
     sides = []

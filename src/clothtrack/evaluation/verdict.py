@@ -130,6 +130,23 @@ class Verdict:
         return cls(plain["word"], plain["reason"], expected, evidence)
 
 
+def trajectory_verdict(labels: Sequence[LabelQuality], findings: Iterable[Finding] = ()) -> Verdict:
+    """Return what the worst evidence about a trajectory deserves.
+
+    Args:
+        labels: of all its actions, judged.
+        findings: in what its recording contradicts itself.
+    """
+    evidence = [of_finding(finding) for finding in findings]
+    for label in labels:
+        evidence += evidence_of(label)
+    if not labels:
+        reason = "no action, so that no mesh was judged"
+        return Verdict("look", reason, math.nan, tuple(evidence))
+    expected = [1e-3 * label.expected_error_mm for label in labels]
+    return _verdict(evidence, max(expected, key=_or_infinite), actions=len(labels))
+
+
 def judge(
     tracked: TrackedTrajectory,
     recording: Recording,
@@ -152,13 +169,7 @@ def judge(
     """
     if labels is None:
         labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
-    evidence = [of_finding(finding) for finding in check_geometry(recording)]
-    for label in labels:
-        evidence += evidence_of(label)
-    if not labels:
-        return _verdict(evidence, math.nan, nothing="no action, so that no mesh was judged")
-    expected = [1e-3 * label.expected_error_mm for label in labels]
-    return _verdict(evidence, max(expected, key=_or_infinite))
+    return trajectory_verdict(labels, check_geometry(recording))
 
 
 def verdict_of(
@@ -231,22 +242,26 @@ def _measured(name: str, measured: float, text: str) -> Evidence:
     return Evidence(name, measured, limit.look, limit.unit, word, text, limit.remedy)
 
 
-def _verdict(evidence: Iterable[Evidence], expected_m: float, nothing: str = "") -> Verdict:
+def _verdict(evidence: Iterable[Evidence], expected_m: float, *, actions: int = 1) -> Verdict:
     """Return the word that the worst evidence deserves, and why."""
     ranked = sorted(evidence, key=lambda one: (-WORDS.index(one.word), -_excess(one)))
     against = [one for one in ranked if one.word != "trust"]
-    word: Word = against[0].word if against else "look" if nothing else "trust"
-    reason = nothing or f"expected error {1e3 * expected_m:.1f} mm"
-    if against:
-        worst = against[0]
-        reason = worst.text if worst.name == "expected error" else f"{worst.text} ({reason})"
-        if worst.name == "expected error" and math.isfinite(worst.measured):
-            reason += f" (trusted up to {1e3 * worst.limit:g})"
-        if worst.action:
-            reason += f", after action {worst.action + 1}"
-        if len(against) > 1:
-            reason += f"; {len(against) - 1} more"
-    return Verdict(word, reason, expected_m, tuple(ranked))
+    text = f"expected error {1e3 * expected_m:.1f} mm"
+    if not against:
+        return Verdict("trust", text, expected_m, tuple(ranked))
+    worst = against[0]
+    reason = worst.text
+    if worst.name != "expected error":
+        reason += f" ({text})"
+    elif math.isfinite(worst.measured):
+        limit = LIMITS[worst.name]
+        most = f"at most {1e3 * limit.reject:g}"
+        reason += f" ({most if worst.word == 'reject' else f'trusted up to {1e3 * limit.look:g}'})"
+    if worst.action is not None and actions > 1:
+        reason += f", after action {worst.action + 1} of {actions}"
+    if len(against) > 1:
+        reason += f"; {len(against) - 1} more"
+    return Verdict(worst.word, reason, expected_m, tuple(ranked))
 
 
 def _excess(one: Evidence) -> float:

@@ -128,8 +128,8 @@ def _word_help(found: Verdict) -> str:
     meaning = {
         "trust": f"Expected to be at most {1e3 * error.look:g} mm off: use it.",
         "look": "Look at it before it is used.",
-        "reject": f"Expected to be more than {1e3 * error.reject:g} mm off, or nothing was seen: leave "
-        "it out.",
+        "reject": f"Expected to be more than {1e3 * error.reject:g} mm off, or nothing was seen: "
+        "leave it out.",
     }[found.word]
     return escape(f"{meaning} Because: {found.reason}.", quote=True)
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.evaluation.truth import Truth
+from clothtrack.evaluation.verdict import verdict_of
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.store import read_recording
 from clothtrack.report.coloring import Coloring, colorings, judged_or_none
