@@ -231,7 +231,7 @@ def test_dynamics_that_are_handed_in_make_their_own_predictions(recording):
             predicted.append(action)
             return self.dyn(state, action)
 
-    whole.method = replace(whole.method, dynamics=Mine)
+    whole.method = replace(whole.method, dynamics=Mine, at_rest=never_at_rest)
     whole.track()
     (action,) = recording.actions
     assert len(predicted) == action.last_frame - action.first_frame

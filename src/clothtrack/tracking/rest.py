@@ -19,9 +19,9 @@ from clothtrack.tracking.protocols import Observe
 WINDOW = 5
 """Width of the windows in which changes of depth are averaged [pixels]: a fifth of the noise."""
 
-NOISE_FACTOR = 4.0
+NOISE_FACTOR = 6.0
 """A pixel has changed if its averaged change is so many times the median of the whole picture,
-most of which is table that never moves."""
+most of which is table that never moves: four deviations of Gaussian noise."""
 
 SMALLEST_CHANGE_M = 0.0015
 """Least averaged change of depth [m] that counts."""
