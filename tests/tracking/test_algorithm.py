@@ -16,6 +16,7 @@ from clothtrack.tracking.feature_anchors import no_anchors
 from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.protocols import Candidate, Corrected, Correction, Method
 from clothtrack.tracking.recorder import Recorder
+from clothtrack.tracking.rest import never_at_rest
 from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
@@ -90,6 +91,7 @@ def method(recording):
         line_search=half,
         align_last=no_final_alignment,
         anchor=no_anchors,
+        at_rest=never_at_rest,
     )
 
 
@@ -230,7 +232,26 @@ def test_dynamics_that_are_handed_in_make_their_own_predictions(recording):
             predicted.append(action)
             return self.dyn(state, action)
 
-    whole.method = replace(whole.method, dynamics=Mine)
+    whole.method = replace(whole.method, dynamics=Mine, at_rest=never_at_rest)
     whole.track()
     (action,) = recording.actions
     assert len(predicted) == action.last_frame - action.first_frame
+
+
+def test_a_mesh_at_rest_stays_and_is_compared_with_the_frame_that_it_was_moved_into(
+    recording, method
+):
+    (action,) = recording.actions
+    asked = []
+
+    def at_rest(picker_action, tracked_at, frame):
+        asked.append((tracked_at.index, frame.index))
+        return frame.index > action.first_frame + 2
+
+    result = tracked(recording, replace(method, at_rest=at_rest))
+    moved = action.first_frame + 2
+    assert asked[:4] == [(moved - 2, moved - 1), (moved - 1, moved), (moved, moved + 1),
+                         (moved, moved + 2)]  # fmt: skip
+    assert (result.positions[moved:, 0] == result.positions[moved, 0]).all()
+    assert (result.positions[moved, 0] != result.positions[moved - 1, 0]).any()
+    assert np.isnan(result.steps.predict_s[moved + 1 :]).all()

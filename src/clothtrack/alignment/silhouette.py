@@ -52,7 +52,7 @@ class _Outline:
         self._faces, self._observation = mesh.faces, observation
         self._views = []
         for camera in observation.cameras:
-            seen = shown = _picture(observation.points, camera)
+            seen = shown = cloud_picture(observation.points, camera)
             if (hidden := observation.hidden.get(camera.name)) is not None:
                 shown = seen & ~hidden
             rasteriser = Rasteriser(mesh.faces, camera, device=device)
@@ -123,7 +123,7 @@ def slide_to_outline(
     return moved(best.x) if best.fun < first else vertices
 
 
-def _picture(
+def cloud_picture(
     points: Float[np.ndarray, "points 3"], camera: Camera
 ) -> Bool[np.ndarray, "height width"]:
     """Return the pixels that a cloud covers: those of its points, and the gaps between them."""

@@ -18,7 +18,7 @@ from clothtrack.errors import (
 from clothtrack.evaluation import results
 from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.truth import Truth
-from clothtrack.evaluation.verdict import Verdict, trajectory_verdict
+from clothtrack.evaluation.verdict import Verdict, judged, verdict_of
 from clothtrack.evaluation.vertex_errors import expected_vertex_errors
 from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp, require_device
@@ -135,12 +135,15 @@ class Run(TrackedTrajectory):
 
     @property
     def verdict(self) -> Verdict:
-        """Trust, look or reject, with the expected error: what the worst label deserves.
+        """Trust, look or reject, with the reason and all evidence.
+
+        What was stored with the trajectory; a new judgement for one that was tracked before
+        verdicts were stored.
 
         Raises:
             InvalidRecordingError: the recording is not known.
         """
-        return trajectory_verdict(self._judged)
+        return verdict_of(self, recording_of(self))
 
     @cached_property
     def _judged(self) -> tuple[LabelQuality, ...]:
@@ -189,7 +192,7 @@ def track(
     source = _read(recording)
     tracked = track_recording(
         source, whole, device=device, segmenter=segmenter, progress=progress, parts=parts,
-        force=force,
+        force=force, judge=judged,
     )  # fmt: skip
     return Run.of(tracked, source)
 

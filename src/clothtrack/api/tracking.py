@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +46,7 @@ class TrackedRecording:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the outcome with its verdict as JSON holds them."""
-        return {**asdict(self.outcome), "verdict": _fields(self.verdict)}
+        return {**asdict(self.outcome), "verdict": self.verdict and self.verdict.as_dict()}
 
 
 @dataclass(frozen=True)
@@ -153,6 +152,7 @@ def track_many(
         InvalidConfigError: an argument is wrong, or another run writes to `output`.
     """
     from clothtrack.api.run import load
+    from clothtrack.evaluation.verdict import judged
     from clothtrack.geometry.devices import quiet_warp, require_device
     from clothtrack.report.live_tracking import live_tracking
     from clothtrack.tracking.pipeline import track_recordings
@@ -172,7 +172,8 @@ def track_many(
     with page as shown:
         outcomes = track_recordings(
             [Path(one) for one in recordings], Path(output), config, workers=workers,
-            device=device, progress=told, force=force, watch=shown and shown.watch, ray=ray,
+            device=device, progress=told, force=force, watch=shown and shown.watch,
+            judge=judged, ray=ray,
         )  # fmt: skip
         tracked = Many(
             tuple(
@@ -220,10 +221,3 @@ def _line(outcome: "Outcome") -> str:
     """Where a result lies, and why it was tracked again or was not."""
     again = "   (recording changed, tracked again)" if outcome.tracked_again else ""
     return f"{outcome.result}" + ("   (finished before)" if outcome.skipped else again)
-
-
-def _fields(verdict: "Verdict | None") -> dict[str, Any] | None:
-    if verdict is None:
-        return None
-    expected = verdict.expected_error_m
-    return {**asdict(verdict), "expected_error_m": expected if isfinite(expected) else None}

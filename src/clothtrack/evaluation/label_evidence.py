@@ -5,7 +5,7 @@ truth. What is observed becomes one number in `clothtrack.evaluation.label_quali
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from clothtrack.alignment.silhouette import silhouette_gap
 from clothtrack.errors import InvalidResultError
+from clothtrack.evaluation.local_misfit import LocalMisfit, local_misfit
 from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings
@@ -57,6 +58,7 @@ class LabelEvidence:
         travelled_m: mean way of the vertices from label to label, summed up to this one [m].
         share_hidden: share of the vertices that no camera sees.
         action: number of the action, from 1: errors are handed on.
+        misfit: where the mesh contradicts what was seen; None from what does not say.
     """
 
     silhouette_gap: float
@@ -68,13 +70,14 @@ class LabelEvidence:
     travelled_m: float
     share_hidden: float
     action: int
+    misfit: LocalMisfit | None = field(default=None, compare=False, repr=False)
 
     def as_dict(self) -> dict[str, float]:
-        """The evidence by name."""
-        return asdict(self)
+        """Return the numbers by name."""
+        return {name: getattr(self, name) for name in EVIDENCE_NAMES}
 
 
-EVIDENCE_NAMES = tuple(field.name for field in fields(LabelEvidence))
+EVIDENCE_NAMES = tuple(one.name for one in fields(LabelEvidence) if one.name != "misfit")
 
 
 def labels_of(tracked: TrackedTrajectory) -> tuple[Label, ...]:
@@ -121,12 +124,13 @@ def label_evidence(
         previous = label.vertices
         dense = observe(recording, recording.frames[label.frame], segmenter, spacing_m=None)
         cloud = thin(dense.points, CLOUD_SPACING_M)
+        away = distance_to_mesh(cloud, label.vertices, mesh.faces) if len(cloud) else np.zeros(0)
         seen = visible_vertices(label.vertices, mesh.faces, recording.cameras, device=device)
         judged = seen & ~dense.unobservable(label.vertices)
         evidence.append(
             LabelEvidence(
                 silhouette_gap=silhouette_gap(mesh, label.vertices, dense, device=device),
-                cloud_gap_m=cloud_gap_m(mesh, label.vertices, cloud),
+                cloud_gap_m=float(away.mean()) if len(away) else float("nan"),
                 mesh_gap_m=_far_quantile(cloud, label.vertices[judged]),
                 edge_strain_p95=_edge_strain_p95(mesh, label.vertices),
                 crossing_rate=1e3 * crossings(label.vertices, mesh.faces) / len(mesh.edges),
@@ -134,20 +138,10 @@ def label_evidence(
                 travelled_m=travelled,
                 share_hidden=float(1.0 - seen.mean()),
                 action=number,
+                misfit=local_misfit(mesh, label.vertices, dense, cloud, away, device=device),
             )
         )
     return tuple(evidence)
-
-
-def cloud_gap_m(
-    mesh: ClothMesh,
-    vertices: Float[np.ndarray, "vertices 3"],
-    cloud: Float[np.ndarray, "points 3"],
-) -> float:
-    """Mean distance [m] of a cloud's points to the surface of the mesh."""
-    if not (len(cloud) and np.isfinite(vertices).all()):
-        return float("nan")
-    return float(distance_to_mesh(cloud, vertices, mesh.faces).mean())
 
 
 def _far_quantile(

@@ -24,6 +24,7 @@ from clothtrack.evaluation.label_evidence import (
     label_evidence,
     labels_of,
 )
+from clothtrack.evaluation.places import place_of
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Bounds, Checked, Positive
 from clothtrack.recordings.recording import Recording
@@ -147,6 +148,33 @@ class QualityModel(Checked):
         )
 
 
+FAR_M = 0.015
+"""Misfit of a patch of cloth (`local_misfit`) [m] from which on it is misplaced."""
+
+
+@dataclass(frozen=True)
+class Misplaced:
+    """The part of the cloth that lies away from what was seen.
+
+    Attributes:
+        share: of the vertices, 0 to 1.
+        far_m: misfit [m] that 90 % of them stay under; 0 without any.
+        place: where in the picture, such as "at the left".
+    """
+
+    share: float = 0.0
+    far_m: float = 0.0
+    place: str = ""
+
+    @property
+    def text(self) -> str:
+        """The part in words."""
+        if not self.share:
+            return f"no part of the cloth is more than {1e3 * FAR_M:.0f} mm from what was seen"
+        part = f"the cloth {self.place}, {100 * self.share:.0f} % of it"
+        return f"{part}, may be {1e3 * self.far_m:.0f} mm off"
+
+
 @dataclass(frozen=True)
 class LabelQuality:
     """One label, judged.
@@ -157,6 +185,8 @@ class LabelQuality:
         expected_error_mm: mean vertex error to expect [mm]; NaN where nothing was seen.
         label_quality: weight for training in 0..1; one half is typical of the benchmark.
         evidence: what it follows from.
+        misplaced: the part of the cloth that lies away from what was seen.
+        idle_pickers: pickers of the action that held no cloth.
     """
 
     action: int
@@ -164,6 +194,8 @@ class LabelQuality:
     expected_error_mm: float
     label_quality: float
     evidence: LabelEvidence
+    misplaced: Misplaced = Misplaced()
+    idle_pickers: tuple[str, ...] = ()
 
 
 def judge_labels(
@@ -196,9 +228,31 @@ def judge_labels(
             1e3 * model.expected_error_m(one),
             model.quality(one),
             one,
+            _misplaced(label.vertices, one, recording),
+            _idle_pickers(tracked, recording, one.action - 1),
         )
         for label, one in zip(labels, evidence, strict=True)
     )
+
+
+def _misplaced(
+    vertices: Float[np.ndarray, "vertices 3"], evidence: LabelEvidence, recording: Recording
+) -> Misplaced:
+    if evidence.misfit is None:
+        return Misplaced()
+    misfit_m = evidence.misfit.patch_m
+    far = misfit_m > FAR_M
+    if not far.any():
+        return Misplaced()
+    off_m = float(np.percentile(misfit_m[far], 90))
+    return Misplaced(float(far.mean()), off_m, place_of(vertices, far, recording.cameras))
+
+
+def _idle_pickers(tracked: TrackedTrajectory, recording: Recording, action: int) -> tuple[str, ...]:
+    """Return the pickers of an action that held no cloth."""
+    names = recording.actions[action].pickers if action < len(recording.actions) else ()
+    held = tracked.actions[action].held_vertices
+    return tuple(name for name in names if not held.get(name))
 
 
 @cache

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from textwrap import wrap
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from clothtrack.errors import InvalidResultError
 from clothtrack.evaluation.label_evidence import LabelEvidence
-from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
+from clothtrack.evaluation.label_quality import LabelQuality, Misplaced, judge_labels
 from clothtrack.evaluation.metrics import (
     ClothMeasures,
     ErrorSummary,
@@ -257,8 +257,11 @@ def as_json(evaluations: Sequence[Evaluation]) -> str:
 
 def as_plain(evaluation: Evaluation) -> dict[str, Any]:
     """An evaluation as JSON holds it, with a verdict on every label."""
-    verdicts = [{"action": one.action, **asdict(verdict(one))} for one in evaluation.labels]
-    return _plain({**asdict(evaluation), "verdicts": verdicts})
+    verdicts = [{"action": one.action, **verdict(one).as_dict()} for one in evaluation.labels]
+    numbers = tuple(
+        replace(one, evidence=replace(one.evidence, misfit=None)) for one in evaluation.labels
+    )
+    return _plain({**asdict(replace(evaluation, labels=numbers)), "verdicts": verdicts})
 
 
 def from_plain(document: Mapping[str, Any]) -> Evaluation:
@@ -279,7 +282,14 @@ def from_plain(document: Mapping[str, Any]) -> Evaluation:
         cloth = ClothMeasures(**numbers(row["cloth"]))
         rows.append(Row(**{**numbers(row), "vertex_error_mm": errors, "cloth": cloth}))
     labels = [
-        LabelQuality(**{**numbers(one), "evidence": LabelEvidence(**numbers(one["evidence"]))})
+        LabelQuality(
+            **{
+                **numbers(one),
+                "evidence": LabelEvidence(**numbers(one["evidence"])),
+                "misplaced": Misplaced(**one.get("misplaced", {})),
+                "idle_pickers": tuple(one.get("idle_pickers", ())),
+            }
+        )
         for one in document["labels"]
     ]
     return Evaluation(document["name"], tuple(rows), tuple(labels), document["provenance"])

@@ -1,33 +1,83 @@
-"""One word about a label or a trajectory: trust, look or reject, and why.
+"""One word about a label or a trajectory: trust, look or reject, with everything that decided.
 
-The one place that decides. It knows what was observed, and no truth: the expected error of the
-label (`evaluation.label_quality`) and what that error cannot tell.
+The one place that decides. It knows what was observed, and no truth. All evidence has a name, a
+measure and a limit (`LIMITS`); what the checks of the recording find is evidence, too.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, get_args
 
-from clothtrack.evaluation.label_quality import LabelQuality
+from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
+from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.finding import Finding
+from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 Word = Literal["trust", "look", "reject"]
 WORDS: tuple[Word, ...] = get_args(Word)
 """From the best to the worst."""
 
-TRUSTED_MM = 8.0
-"""Largest expected error [mm] of a label that is trusted unseen. On the benchmark the true error
-differs from it by a factor of 1.18, and so stays under 10 mm: the reach of a tip sideways, within
-which a pick finds the cloth that it is meant for (`tracking.picking`)."""
 
-LARGEST_MM = 16.0
-"""Expected error [mm] above which a label is rejected. The model was fitted on labels whose true
-errors lie between 1.4 and 12.3 mm: what is expected beyond is only known to be larger."""
+@dataclass(frozen=True)
+class Limit:
+    """Up to where a measure speaks against nothing.
 
-TORN = 0.1
-"""Change of length that 95 % of the edges stay under in a label that is trusted. A mesh that is
-torn to its cloud has the right outline, and no label that the model was fitted on was torn. Nine of
-ten labels of the benchmark stay below 0.018 (docs/label_quality.md)."""
+    Attributes:
+        unit: of the measure: "m" or "" for a plain number.
+        look: above it, look at the label first.
+        reject: above it, do not use the label.
+        remedy: what helps: a command, or what to do.
+    """
+
+    unit: str
+    look: float
+    reject: float = math.inf
+    remedy: str = "look at it: clothtrack view NAME.zarr"
+
+
+LIMITS: Mapping[str, Limit] = {
+    # On the benchmark the true error differs from the expected one by a factor of 1.18, so that
+    # it stays under 10 mm at 8: within that reach a pick finds the cloth that it is meant for
+    # (`tracking.picking`). The model was fitted on errors up to 12.3 mm; beyond 16 it only knows
+    # that the error is larger.
+    "expected error": Limit("m", 0.008, 0.016),
+    # A mesh that is torn to its cloud has the right outline. Nine of ten labels of the benchmark
+    # stay below 0.018 (docs/label_quality.md).
+    "stretched edges": Limit("", 0.1),
+    # Share of the cloth (`label_quality.Misplaced`).
+    "misplaced part": Limit("", 0.02, 0.5),
+    "pickers that hold nothing": Limit("", 0.0, remedy="clothtrack inspect RECORDING"),
+}
+"""The evidence that tracking leaves. What a recording contradicts itself in is evidence, too
+(`recordings.geometry_checks`), and each such finding is above its limit."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One measure of how right a mesh is.
+
+    Attributes:
+        name: one of `LIMITS`, or the check of the recording that found it.
+        measured: what was measured, in `unit`; NaN where nothing was seen.
+        limit: largest value that speaks against nothing.
+        unit: "m", "deg", "s" or "" for a plain number.
+        word: what it alone deserves.
+        text: what was seen, in words.
+        remedy: what to do about it.
+        action: number of the action, from 0; None for the whole recording.
+    """
+
+    name: str
+    measured: float
+    limit: float
+    unit: str
+    word: Word
+    text: str
+    remedy: str
+    action: int | None = None
 
 
 @dataclass(frozen=True)
@@ -38,48 +88,201 @@ class Verdict:
         word: "trust": use it; "look": look at it first; "reject": do not use it.
         reason: what decided, in words.
         expected_error_m: mean vertex error to expect [m]; NaN where nothing was seen.
+        evidence: everything that was measured, the worst first.
     """
 
     word: Word
     reason: str
     expected_error_m: float
+    evidence: tuple[Evidence, ...] = ()
 
     def __str__(self) -> str:
-        """The verdict for a person, in one line."""
+        """Return the verdict for a person, in one line."""
         return f"{self.word}: {self.reason}"
+
+    @property
+    def remedy(self) -> str:
+        """What to do about what decided; empty where nothing speaks against the mesh."""
+        return "" if self.word == "trust" or not self.evidence else self.evidence[0].remedy
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the verdict as JSON holds it: what is not known is None."""
+        plain = asdict(self)
+        plain["expected_error_m"] = _known(self.expected_error_m)
+        plain["evidence"] = [
+            {**asdict(one), "measured": _known(one.measured), "limit": _known(one.limit)}
+            for one in self.evidence
+        ]
+        return plain
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> "Verdict":
+        """Return what `as_dict` wrote.
+
+        Raises:
+            KeyError, TypeError: it is something else.
+        """
+        evidence = tuple(
+            Evidence(**one | {name: _or_nan(one[name]) for name in ("measured", "limit")})
+            for one in plain["evidence"]
+        )
+        expected = _or_nan(plain["expected_error_m"])
+        return cls(plain["word"], plain["reason"], expected, evidence)
+
+
+def trajectory_verdict(labels: Sequence[LabelQuality], findings: Iterable[Finding] = ()) -> Verdict:
+    """Return what the worst evidence about a trajectory deserves.
+
+    Args:
+        labels: of all its actions, judged.
+        findings: in what its recording contradicts itself.
+    """
+    evidence = [of_finding(finding) for finding in findings]
+    for label in labels:
+        evidence += evidence_of(label)
+    if not labels:
+        reason = "no action, so that no mesh was judged"
+        return Verdict("look", reason, math.nan, tuple(evidence))
+    expected = [1e-3 * label.expected_error_mm for label in labels]
+    return _verdict(evidence, max(expected, key=_or_infinite), actions=len(labels))
+
+
+def judge(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    labels: Sequence[LabelQuality] | None = None,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
+) -> Verdict:
+    """Return what to do with a trajectory, from all evidence.
+
+    Args:
+        tracked: what the tracker left.
+        recording: what it was tracked from.
+        labels: its labels, judged; judged here by default.
+        segmenter: finds the cloth in a picture; the recording's own way by default.
+        device: "cpu" or "cuda:0", for visibility.
+
+    Raises:
+        InvalidResultError: trajectory and recording do not belong together.
+    """
+    if labels is None:
+        labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
+    return trajectory_verdict(labels, check_geometry(recording))
+
+
+def verdict_of(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    labels: Sequence[LabelQuality] | None = None,
+) -> Verdict:
+    """Return the verdict that is stored with a trajectory; a new one where none is.
+
+    Args:
+        tracked: what the tracker left.
+        recording: what it was tracked from.
+        labels: its labels, judged; judged here where they are needed.
+    """
+    if tracked.verdict_fields:
+        return Verdict.from_dict(tracked.verdict_fields)
+    return judge(tracked, recording, labels)
+
+
+def judged(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
+) -> dict[str, Any]:
+    """Return the verdict as it is stored with a trajectory (`tracking.pipeline.Judge`)."""
+    return judge(tracked, recording, segmenter=segmenter, device=device).as_dict()
 
 
 def verdict(label: LabelQuality) -> Verdict:
-    """What to do with one label."""
-    expected = label.expected_error_mm
-    if not math.isfinite(expected):
-        return Verdict("reject", "nothing of the cloth was seen at its end", math.nan)
-    text = f"expected error {expected:.1f} mm"
-    if expected > LARGEST_MM:
-        return Verdict("reject", f"{text} (at most {LARGEST_MM:g})", 1e-3 * expected)
-    if expected > TRUSTED_MM:
-        reason = f"{text} (trusted up to {TRUSTED_MM:g})"
-        return Verdict("look", reason, 1e-3 * expected)
-    strain = label.evidence.edge_strain_p95
-    if strain > TORN:
-        reason = f"{text}, but edges are stretched by {100 * strain:.0f} % (at most {100 * TORN:g})"
-        return Verdict("look", reason, 1e-3 * expected)
-    return Verdict("trust", text, 1e-3 * expected)
+    """Return what to do with one label, from the evidence about it alone."""
+    return _verdict(evidence_of(label), 1e-3 * label.expected_error_mm)
 
 
-def trajectory_verdict(labels: Sequence[LabelQuality]) -> Verdict:
-    """What to do with a trajectory: what its worst label deserves; errors are handed on."""
-    if not labels:
-        return Verdict("look", "no action, so that no mesh was judged", math.nan)
-    worst, action = max(
-        ((verdict(label), label.action) for label in labels),
-        key=lambda one: (WORDS.index(one[0].word), _or_infinite(one[0].expected_error_m)),
-    )
-    if len(labels) == 1:
-        return worst
-    reason = f"{worst.reason}, after action {action + 1} of {len(labels)}"
-    return Verdict(worst.word, reason, worst.expected_error_m)
+def evidence_of(label: LabelQuality) -> list[Evidence]:
+    """Return the evidence about one label."""
+    expected_m, strain = 1e-3 * label.expected_error_mm, label.evidence.edge_strain_p95
+    part, idle = label.misplaced, label.idle_pickers
+    found = [
+        _measured("expected error", expected_m, f"expected error {1e3 * expected_m:.1f} mm"),
+        _measured("stretched edges", strain, f"edges are stretched by {100 * strain:.0f} %"),
+        _measured("misplaced part", part.share, part.text),
+        _measured(
+            "pickers that hold nothing",
+            float(len(idle)),
+            f"picker {' and '.join(idle)} holds no cloth" if idle else "every picker holds cloth",
+        ),
+    ]
+    return [replace(one, action=label.action) for one in found]
+
+
+def of_finding(finding: Finding) -> Evidence:
+    """Return what a check of the recording found as evidence."""
+    return Evidence(
+        finding.kind, finding.measured, finding.limit, finding.unit,
+        "look" if finding.severity == "doubt" else "trust", finding.text, _remedy(finding),
+    )  # fmt: skip
+
+
+def _remedy(finding: Finding) -> str:
+    """Return the command that shows or corrects what a check found."""
+    if finding.correction is None:
+        return "clothtrack inspect RECORDING"
+    return "clothtrack inspect RECORDING --suggest CORRECTED"
+
+
+def _measured(name: str, measured: float, text: str) -> Evidence:
+    limit = LIMITS[name]
+    word: Word = "trust"
+    if not math.isfinite(measured):
+        word, text = "reject", "nothing of the cloth was seen at its end"
+    elif measured > limit.reject:
+        word = "reject"
+    elif measured > limit.look:
+        word = "look"
+    return Evidence(name, measured, limit.look, limit.unit, word, text, limit.remedy)
+
+
+def _verdict(evidence: Iterable[Evidence], expected_m: float, *, actions: int = 1) -> Verdict:
+    """Return the word that the worst evidence deserves, and why."""
+    ranked = sorted(evidence, key=lambda one: (-WORDS.index(one.word), -_excess(one)))
+    against = [one for one in ranked if one.word != "trust"]
+    text = f"expected error {1e3 * expected_m:.1f} mm"
+    if not against:
+        return Verdict("trust", text, expected_m, tuple(ranked))
+    worst = against[0]
+    reason = worst.text
+    if worst.name != "expected error":
+        reason += f" ({text})"
+    elif math.isfinite(worst.measured):
+        limit = LIMITS[worst.name]
+        most = f"at most {1e3 * limit.reject:g}"
+        reason += f" ({most if worst.word == 'reject' else f'trusted up to {1e3 * limit.look:g}'})"
+    if worst.action is not None and actions > 1:
+        reason += f", after action {worst.action + 1} of {actions}"
+    if len(against) > 1:
+        reason += f"; {len(against) - 1} more"
+    return Verdict(worst.word, reason, expected_m, tuple(ranked))
+
+
+def _excess(one: Evidence) -> float:
+    """Return how many times the limit was measured."""
+    return _or_infinite(one.measured) / one.limit if one.limit > 0 else _or_infinite(one.measured)
 
 
 def _or_infinite(value: float) -> float:
     return value if math.isfinite(value) else math.inf
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value

@@ -27,6 +27,8 @@ def expected_vertex_errors(
     expected_m = 1e-3 * label.expected_error_mm
     spread_m, vertices = action.calibration.spread_m, len(action.positions_after_final_alignment)
     mean_m = float(spread_m.mean()) if len(spread_m) else 0.0
-    if mean_m == 0.0:
-        return np.full(vertices, expected_m)
-    return expected_m * (1.0 - SPREAD_SHARE + SPREAD_SHARE * spread_m / mean_m)
+    dealt = np.full(vertices, expected_m)
+    if mean_m > 0.0:
+        dealt = expected_m * (1.0 - SPREAD_SHARE + SPREAD_SHARE * spread_m / mean_m)
+    misfit = label.evidence.misfit
+    return dealt if misfit is None else np.maximum(dealt, misfit.patch_m)

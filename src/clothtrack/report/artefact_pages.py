@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.errors import InvalidRecordingError
-from clothtrack.evaluation.verdict import Verdict, trajectory_verdict
+from clothtrack.evaluation.verdict import Verdict, verdict_of
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.coloring import judged_or_none, vertex_errors
@@ -258,7 +258,7 @@ def summary_of(tracked: TrackedTrajectory, recording: Recording) -> TrajectorySu
     width = round(picture.shape[1] * THUMBNAIL_PX / picture.shape[0])
     small = cv2.resize(picture, (width, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
     judged = judged_or_none(tracked, recording)
-    verdict = trajectory_verdict(judged)
+    verdict = verdict_of(tracked, recording, judged)
     observation = observed(recording, overlay.frame(step))
     return TrajectorySummary(
         jpeg_uri(small, quality=80),

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from clothtrack.evaluation.label_review import LabelReview
 from clothtrack.evaluation.truth import Truth
+from clothtrack.evaluation.verdict import verdict_of
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.coloring import Coloring, colorings, judged_or_none
 from clothtrack.report.curves import chart_html
@@ -32,6 +33,7 @@ from clothtrack.report.sections import (
     actions_html,
     charts,
     edge_strains,
+    evidence_card,
     figures_of,
     key_figures,
     lead_line,
@@ -106,6 +108,7 @@ def write_report(
     drawn = charts(tracked, evidence.rms_mm, evidence.floor_mm)
     body = f"""{lead_line(tracked, recording)}
 {verdict_strip(judged)}
+{evidence_card(verdict_of(tracked, recording, judged)) if judged else ""}
 {upper}
 {labels}
 {key_figures(figures_of(tracked, evidence, edge_strains(tracked)))}

@@ -15,7 +15,7 @@ from clothtrack.errors import StorageError
 from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.evaluation.label_review import REVIEW_SUFFIX, LabelReview
 from clothtrack.evaluation.metrics import root_mean_square_mm
-from clothtrack.evaluation.verdict import LARGEST_MM, TRUSTED_MM, Verdict, verdict
+from clothtrack.evaluation.verdict import Evidence, Verdict, verdict
 from clothtrack.geometry.quality import edge_strain
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.curves import Chart, Line
@@ -325,6 +325,36 @@ def verdict_strip(judged: Sequence[LabelQuality]) -> str:
     return f'<div class="verdicts">{chips}</div>'
 
 
+def evidence_card(found: Verdict) -> str:
+    """Return the verdict of the whole trajectory, with the measures that speak against it first."""
+    against = [one for one in found.evidence if one.word != "trust"]
+    for_it = [one for one in found.evidence if one.word == "trust"]
+    remedy = f"<p>What helps: <code>{escape(found.remedy)}</code></p>" if found.remedy else ""
+    folded = ""
+    if for_it:
+        rows = "".join(map(_evidence_row, for_it))
+        folded = (
+            f"<details><summary>{len(for_it)} measures within their limits</summary>"
+            f"<table><tbody>{rows}</tbody></table></details>"
+        )
+    return (
+        f'<section id="evidence" class="card"><header><b class="word" data-word="{found.word}">'
+        f"{found.word}</b> {escape(found.reason)}</header>"
+        f"<table><tbody>{''.join(map(_evidence_row, against))}</tbody></table>{remedy}{folded}"
+        "</section>"
+    )
+
+
+def _evidence_row(one: Evidence) -> str:
+    scale, unit = (1e3, " mm") if one.unit == "m" else (1.0, f" {one.unit}".rstrip())
+    where = "recording" if one.action is None else f"label {one.action + 1}"
+    return (
+        f'<tr><td><b class="word" data-word="{one.word}">{one.word}</b></td><td>{where}</td>'
+        f"<td>{escape(one.text)}</td><td>{scale * one.measured:.3g}{unit}, limit "
+        f"{scale * one.limit:.3g}{unit}</td></tr>"
+    )
+
+
 def quality_cell(judged: LabelQuality) -> str:
     """Return what is expected of a label, with the explanation of each number."""
     if not np.isfinite(judged.expected_error_mm):
@@ -343,11 +373,12 @@ def _error(judged: LabelQuality) -> str:
 
 
 def _word_help(found: Verdict) -> str:
+    error = LIMITS["expected error"]
     meaning = {
-        "trust": f"Expected to be at most {TRUSTED_MM:g} mm off: use it.",
+        "trust": f"Expected to be at most {1e3 * error.look:g} mm off: use it.",
         "look": "Look at it before it is used.",
-        "reject": f"Expected to be more than {LARGEST_MM:g} mm off, or nothing was seen: leave "
-        "it out.",
+        "reject": f"Expected to be more than {1e3 * error.reject:g} mm off, or nothing was seen: "
+        "leave it out.",
     }[found.word]
     return escape(f"{meaning} Because: {found.reason}.", quote=True)
 

@@ -79,13 +79,17 @@ def track_action(
         recorder: notes what happens at every frame.
     """
     notes, dyn = recorder.begin(action, candidate), method.dynamics(candidate.theta)
+    tracked_at = recording.frames[action.first_frame]  # where the state was last moved
     for before, frame in pairwise(recording.frames[action.first_frame : action.last_frame + 1]):
         picker_action = candidate.grasps.action(before.time_s, frame.time_s)
+        if method.at_rest(picker_action, tracked_at, frame):  # not in the paper
+            notes.rest(frame, state)
+            continue
         corrected, correction = track_frame(
             dyn, state, picker_action, method.observe(frame), method
         )
         notes.step(frame, correction, corrected)
-        state = corrected.state
+        state, tracked_at = corrected.state, frame
     return notes.finished(state)
 
 

@@ -35,6 +35,7 @@ from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.open_loop import BATCH, OpenLoopScore
 from clothtrack.tracking.picking import HeldCloth, pick
 from clothtrack.tracking.protocols import Anchor, Calibrate, Dynamics, Method, Observe, State
+from clothtrack.tracking.rest import PicturesAtRest, never_at_rest
 from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.visible_alignment import VisibleAlignment, no_alignment, only_at
@@ -205,6 +206,7 @@ def default(components: Components) -> Assembled:
             components.recording, components.mesh, aligner, simulator, device=components.device
         ),
         anchor=components.anchor,
+        at_rest=PicturesAtRest(components.recording, components.observe),
     )
     state = aligned_first(components, method, simulator.solver.save())
     return Assembled(method, state, components.config.cloth.theta())
@@ -225,6 +227,7 @@ def paper(components: Components) -> Assembled:
             slide=False, untangle=False, rounds=1, roll_s=0.0, device=components.device,
         ),
         anchor=components.anchor,
+        at_rest=never_at_rest,
     )  # fmt: skip
     return Assembled(method, simulator.solver.save(), components.config.cloth.theta(held_layers=0))
 

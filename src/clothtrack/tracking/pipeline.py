@@ -44,6 +44,10 @@ CLOUDS_KEPT = 256
 """Most clouds in memory, however long an action is: some 100 MB with pictures of 640 x 480. What a
 search needs again and is not among them is read and segmented once more."""
 
+Judge = Callable[..., Mapping[str, Any]]
+"""Return what to do with a trajectory, as it is stored: `judge(tracked, recording, segmenter=,
+device=)`. It is handed in because tracking knows nothing of its evaluation."""
+
 PARTS = tuple(part.name for part in fields(Method))
 """The functions of Algorithm 1 that a caller may replace (`tracking.protocols.Method`)."""
 
@@ -111,6 +115,7 @@ def track_recording(
     assemble: Callable[[Components], Assembled] | None = None,
     force: bool = True,
     watch: Watch | None = None,
+    judge: Judge | None = None,
 ) -> TrackedTrajectory:
     """Recording -> clouds -> first mesh -> calibration and tracking (Fig. 2 of the paper).
 
@@ -124,6 +129,7 @@ def track_recording(
         assemble: makes the method; that of `config.mode` by default.
         force: track although the first mesh lies beside its cloud.
         watch: is shown every mesh.
+        judge: says what to do with the trajectory; nobody by default.
 
     Raises:
         InvalidConfigError: Algorithm 1 has no function of that name.
@@ -164,7 +170,11 @@ def track_recording(
         "first_mesh_gap_m": gap_m,
         "cpu_s": round(time.process_time() - clock, 2),
     }
-    return replace(tracked, config=asdict(config), provenance=stamp)
+    tracked = replace(tracked, config=asdict(config), provenance=stamp)
+    if judge is None:
+        return tracked
+    verdict = judge(tracked, recording, segmenter=segmenter, device=device)
+    return replace(tracked, verdict_fields=verdict)
 
 
 def _first_gap_m(first: InitialState, observation: Observation, device: str) -> float | None:
@@ -196,6 +206,7 @@ def track_recordings(
     progress: Progress | None = None,
     force: bool = True,
     watch: Watch | None = None,
+    judge: Judge | None = None,
     ray: str = "",
 ) -> list[Outcome]:
     """Track many recordings; finished ones are skipped, a bad one does not stop the others.
@@ -211,6 +222,7 @@ def track_recordings(
         progress: called after every frame (with one worker) or every recording; counts all.
         force: track although a first mesh lies beside its cloud; otherwise that is its outcome.
         watch: is shown every mesh; needs one worker.
+        judge: says what to do with each trajectory; nobody by default.
         ray: address of Ray, which is to do it; worker processes by default.
 
     Returns:
@@ -244,7 +256,9 @@ def track_recordings(
                 "rename the folder"
             )
     alone = not ray and (workers == 1 or len(folders) == 1)
-    work = _Tracking(output, config, device, force, *((progress, watch, folders) if alone else ()))
+    work = _Tracking(
+        output, config, device, force, judge, *((progress, watch, folders) if alone else ())
+    )
     tracked = attempts(
         work, folders, kind="recordings", workers=workers, ray=ray, device=device,
         progress=None if alone else progress,
@@ -272,6 +286,7 @@ class _Tracking:
     config: RunConfig
     device: str
     force: bool
+    judge: Judge | None
     progress: Progress | None = None
     watch: Watch | None = None
     folders: Sequence[Path] = ()
@@ -302,7 +317,7 @@ class _Tracking:
             progress = one_of(progress, self.folders.index(folder), len(self.folders))
         tracked = track_recording(
             read_recording(folder), self.config, device=self.device, progress=progress,
-            force=self.force, watch=self.watch,
+            force=self.force, watch=self.watch, judge=self.judge,
         )  # fmt: skip
         tracked.save(path)
         return Outcome(folder, path, tracked_again=again)

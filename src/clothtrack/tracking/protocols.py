@@ -211,6 +211,10 @@ AlignLast = Callable[[State, Theta, Observation, bool], tuple[State, tuple[float
 Calibrate = Callable[[PickAndPlace, State, Theta], Search]
 """Begin the search for the parameters of an action; theta is the previous action's."""
 
+AtRest = Callable[[PickerAction, Frame, Frame], bool]
+"""Return whether no picker holds the cloth and it lies in the second frame as it lay in the first,
+so that the mesh stays as it is (not in the paper)."""
+
 Anchor = Callable[[State, Observation], None]
 """Bind the feature tracks that are seen in the pictures to material points (not in the paper)."""
 
@@ -231,6 +235,7 @@ class Method:
         line_search: roll-out with the pseudo-action.
         align_last: TTO2.
         anchor: feature tracks to material points, at the start of every action.
+        at_rest: whether the cloth lies still.
     """
 
     observe: Observe
@@ -240,3 +245,4 @@ class Method:
     line_search: LineSearch
     align_last: AlignLast
     anchor: Anchor
+    at_rest: AtRest

@@ -195,6 +195,12 @@ class CandidateNotes:
         self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
         self._tell(self._action, frame, self._positions[-1])
 
+    def rest(self, frame: Frame, state: State) -> None:
+        """Note that the mesh stays as it is at one frame."""
+        self._clocks.reset()
+        self._positions.append(np.asarray(state.positions[0], np.float32))
+        self._tell(self._action, frame, self._positions[-1])
+
     def finished(self, state: State) -> TrackedCandidate:
         """Return the tracked candidate with the state that it ends with."""
         return TrackedCandidate(

@@ -146,6 +146,8 @@ class TrackedTrajectory:
         steps: one record per frame.
         config: the whole configuration of the run.
         provenance: versions, commit, seed, device, the recording's own provenance.
+        verdict_fields: what to do with it and why, as `evaluation.Verdict.as_dict` wrote it; empty
+            where nobody judged it.
     """
 
     name: str
@@ -158,6 +160,7 @@ class TrackedTrajectory:
     steps: StepRecords
     config: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    verdict_fields: Mapping[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path | str) -> None:
         """Write the Zarr group, whole or not at all.
@@ -251,6 +254,7 @@ def _write(group: zarr.Group, tracked: TrackedTrajectory) -> None:
             "action_count": len(tracked.actions),
             "config": dict(tracked.config),
             "provenance": dict(tracked.provenance),
+            "verdict": dict(tracked.verdict_fields),
         },
     )
 
@@ -270,7 +274,8 @@ def _read(group: zarr.Group) -> TrackedTrajectory:
     attributes = sealed_attributes(group)
     if problem := name_problem(attributes["name"]):
         raise InvalidResultError(f"its name is {attributes['name']!r:.80}: {problem}")
-    for named in ("config", "provenance"):
+    attributes.setdefault("verdict", {})  # before it was stored
+    for named in ("config", "provenance", "verdict"):
         if not isinstance(attributes[named], dict):
             raise InvalidResultError(
                 f"its {named} is {attributes[named]!r:.80}, it must be a set of named values"
@@ -295,6 +300,7 @@ def _read(group: zarr.Group) -> TrackedTrajectory:
         ),
         config=attributes["config"],
         provenance=attributes["provenance"],
+        verdict_fields=attributes["verdict"],
     )
 
 

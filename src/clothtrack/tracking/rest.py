@@ -1,0 +1,113 @@
+"""Whether the cloth lies still, so that its mesh stays as it is. Not in the paper.
+
+A simulated fold may go on settling when the real one has come to rest, for example because the real
+cloth holds a stiff loop that the simulated one lets collapse.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.pictures import read_depth
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.simulation.picker_action import PickerAction
+from clothtrack.tracking.protocols import Observe
+
+WINDOW = 5
+"""Width of the windows in which changes of depth are averaged [pixels]: a fifth of the noise."""
+
+NOISE_FACTOR = 6.0
+"""A pixel has changed if its averaged change is so many times the median of the whole picture,
+most of which is table that never moves: four deviations of Gaussian noise."""
+
+SMALLEST_CHANGE_M = 0.0015
+"""Least averaged change of depth [m] that counts."""
+
+CHANGED_SHARE = 0.005
+"""Share of the cloth's pixels that may have changed in a cloth at rest. Before the first grasp of
+the benchmark's recordings it is below 0.001, while cloth settles above 0.01."""
+
+REACH = 2
+"""A pixel shows cloth if a point of the cloud is so near [pixels]: clouds are thinned to 4 mm."""
+
+
+@dataclass(frozen=True)
+class PicturesAtRest:
+    """Compare the depth pictures of two frames while no picker holds the cloth.
+
+    Attributes:
+        recording: with depth pictures; without any, no frame is at rest.
+        observe: the cloud of a frame.
+    """
+
+    recording: Recording
+    observe: Observe
+
+    def __call__(self, action: PickerAction, tracked_at: Frame, frame: Frame) -> bool:
+        """Return whether the cloth lies in a frame as it lay where it was tracked last.
+
+        Args:
+            action: what the pickers do until the frame.
+            tracked_at: the last frame into which the mesh was moved. Against it, and not against
+                the frame before, slow motion adds up until it shows.
+            frame: the frame.
+        """
+        if action.motion is not None:
+            return False
+        cameras = [
+            camera
+            for camera in self.recording.cameras
+            if camera.name in tracked_at.depth and camera.name in frame.depth
+        ]
+        return bool(cameras) and not any(
+            self._changed(camera, tracked_at, frame) for camera in cameras
+        )
+
+    def _changed(self, camera: Camera, before: Frame, after: Frame) -> bool:
+        """Return whether the cloth that is seen in both frames has moved towards a camera."""
+        unit_m = self.recording.depth_units_m[camera.name]
+        depths = [read_depth(frame.depth[camera.name], unit_m) for frame in (before, after)]
+        cloth = [shown(self.observe(frame).points, camera) for frame in (before, after)]
+        change_m = averaged_change(*depths)
+        known = np.isfinite(change_m)
+        judged = known & cloth[0] & cloth[1]
+        if not judged.any():
+            return True
+        limit_m = max(SMALLEST_CHANGE_M, NOISE_FACTOR * float(np.median(change_m[known])))
+        return float((change_m[judged] > limit_m).mean()) > CHANGED_SHARE
+
+
+def averaged_change(
+    before_m: Float[np.ndarray, "height width"], after_m: Float[np.ndarray, "height width"]
+) -> Float[np.ndarray, "height width"]:
+    """Return the absolute change of depth [m], averaged in windows; NaN where most is unknown."""
+    both = (before_m > 0) & (after_m > 0)
+    change = np.where(both, after_m - before_m, 0.0).astype(np.float32)
+    share = cv2.boxFilter(both.astype(np.float32), -1, (WINDOW, WINDOW))
+    mean = cv2.boxFilter(change, -1, (WINDOW, WINDOW))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(share > 0.5, np.abs(mean / share), np.nan).astype(np.float64)
+
+
+def shown(
+    points: Float[np.ndarray, "points 3"], camera: Camera
+) -> Bool[np.ndarray, "height width"]:
+    """Return the pixels that show a cloud."""
+    image = np.zeros((camera.height, camera.width), np.uint8)
+    pixels, depth = camera.project(points)
+    columns, rows = np.rint(pixels[depth > 0]).astype(np.int64).T
+    inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    image[rows[inside], columns[inside]] = 1
+    return cv2.dilate(image, np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)).view(bool)
+
+
+def never_at_rest(
+    action: PickerAction,  # noqa: ARG001
+    tracked_at: Frame,  # noqa: ARG001
+    frame: Frame,  # noqa: ARG001
+) -> bool:
+    """Return False: every frame is tracked, as in the paper."""
+    return False
