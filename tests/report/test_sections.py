@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clothtrack.report.evidence import Evidence
+from clothtrack.report.evidence import ObservedSteps
 from clothtrack.report.sections import actions_html, figures_of, lead_line, settings_html
 from clothtrack.tracking.tracked_trajectory import Calibration
 
@@ -36,7 +36,7 @@ def test_settings_are_shown_as_they_are_and_cannot_break_out(tracked, two_camera
 
 
 def test_an_unknown_distance_is_left_out(tracked):
-    nothing = Evidence([], np.full(6, np.nan), np.full(6, np.nan))
+    nothing = ObservedSteps([], np.full(6, np.nan), np.full(6, np.nan))
     shown = figures_of(tracked, nothing, np.full(6, 0.01))
     figures = {one.name: one.value for one in shown}
     assert figures["Distance to cloud, median"] == ""

@@ -122,7 +122,7 @@ def test_a_crumpled_cloth_without_weights_is_fitted_flat_with_a_warning(
 def test_shipped_weights_are_used_when_they_are_there(
     towels, cloud, none_shipped, weights, monkeypatch
 ):
-    (none_shipped / "towel.safetensors").write_bytes(weights.read_bytes())
+    (none_shipped / "tokens.safetensors").write_bytes(weights.read_bytes())
     # A cloth that lies flat is fitted: nothing of it is hidden.
     assert find_initial_state(towels, cloud, FEW).origin == {"source": "flat"}
     monkeypatch.setattr(initial_state, "FLAT_MISFIT_M", 0.0)
@@ -148,7 +148,7 @@ def test_shipped_weights_are_used_when_they_are_there(
 
 
 def test_a_source_that_is_asked_for_is_the_source(towels, cloud, none_shipped, weights):
-    shipped = none_shipped / "towel.safetensors"
+    shipped = none_shipped / "tokens.safetensors"
     shipped.write_bytes(weights.read_bytes())
     template = garment("towel", vertex_count=120)
     recording = with_cloth(towels, template=template)
@@ -203,7 +203,7 @@ def test_a_missing_extra_is_named_or_passed_over(seen, none_shipped, weights, mo
     monkeypatch.setattr(availability, "EXTRA", ("no_such_module",))
     with pytest.raises(InvalidConfigError, match=r"no_such_module; install with: .*learn"):
         find_initial_state(towels, cloud, replace(FEW, weights=str(weights)))
-    (none_shipped / "towel.safetensors").write_bytes(weights.read_bytes())
+    (none_shipped / "tokens.safetensors").write_bytes(weights.read_bytes())
     with caplog.at_level(logging.INFO):
         assert find_initial_state(towels, cloud, FEW).origin == {"source": "flat"}
     assert "no_such_module is not installed" in caplog.text

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class ObservedSteps:
     """What was observed at every step of a trajectory, and how far its mesh is from it.
 
     Attributes:
@@ -59,7 +59,7 @@ def observed_points(recording: Recording, frame: Frame) -> Float[np.ndarray, "po
     return np.empty((0, 3)) if observation is None else observation.points
 
 
-def evidence_of(tracked: TrackedTrajectory, recording: Recording) -> Evidence:
+def evidence_of(tracked: TrackedTrajectory, recording: Recording) -> ObservedSteps:
     """Look at every step of a trajectory; one observation is held at a time."""
     clouds, rms_mm = [], np.full(len(tracked.frames), np.nan)
     floor_mm = rms_mm.copy()
@@ -69,7 +69,7 @@ def evidence_of(tracked: TrackedTrajectory, recording: Recording) -> Evidence:
         if observation is not None:
             rms_mm[step] = mesh_distance_mm(tracked, step, observation)
             floor_mm[step] = root_mean_square_mm(cloud_floor(observation.points))
-    return Evidence(clouds, rms_mm, floor_mm)
+    return ObservedSteps(clouds, rms_mm, floor_mm)
 
 
 def frame_of(tracked: TrackedTrajectory, recording: Recording, step: int) -> Frame:
@@ -80,7 +80,7 @@ def frame_of(tracked: TrackedTrajectory, recording: Recording, step: int) -> Fra
 
 
 def mesh_distance_mm(tracked: TrackedTrajectory, step: int, observation: Observation) -> float:
-    """Return the distance [mm] of visible mesh and observed points (`Evidence.rms_mm`)."""
+    """Return the distance [mm] of visible mesh and observed points (`ObservedSteps.rms_mm`)."""
     vertices = tracked.positions[step].astype(np.float64)
     return root_mean_square_mm(observed_chamfer(vertices, tracked.visible[step], observation))
 

@@ -15,11 +15,11 @@ from clothtrack.errors import StorageError
 from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.evaluation.label_review import REVIEW_SUFFIX, LabelReview
 from clothtrack.evaluation.metrics import root_mean_square_mm
-from clothtrack.evaluation.verdict import Evidence, Verdict, verdict
+from clothtrack.evaluation.verdict import LIMITS, Evidence, Verdict, verdict
 from clothtrack.geometry.quality import edge_strain
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.curves import Chart, Line
-from clothtrack.report.evidence import Evidence
+from clothtrack.report.evidence import ObservedSteps
 from clothtrack.report.lettering import Picture, heat_legend
 from clothtrack.report.overlay import scene_view
 from clothtrack.report.palette import heat
@@ -71,7 +71,7 @@ def key_figures(figures: Sequence[Figure]) -> str:
 
 
 def figures_of(
-    tracked: TrackedTrajectory, evidence: Evidence, strains: Float[np.ndarray, " frames"]
+    tracked: TrackedTrajectory, evidence: ObservedSteps, strains: Float[np.ndarray, " frames"]
 ) -> list[Figure]:
     """Return the numbers that a reader wants first."""
     steps = tracked.steps
