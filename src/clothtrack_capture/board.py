@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 
-LEAST_CORNERS = 6
+_LEAST_CORNERS = 6
 """Fewer corners than this of a board are not trusted to give a pose."""
 
-DICTIONARIES = ("4X4_50", "4X4_100", "5X5_50", "5X5_100", "6X6_50", "6X6_250", "7X7_50")
+_DICTIONARIES = ("4X4_50", "4X4_100", "5X5_50", "5X5_100", "6X6_50", "6X6_250", "7X7_50")
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class Board:
                 f"square_m is {self.square_m} and marker_m {self.marker_m}; both in metres, the "
                 "marker smaller than its square"
             )
-        if self.dictionary not in DICTIONARIES:
+        if self.dictionary not in _DICTIONARIES:
             raise InvalidConfigError(
-                f"dictionary is {self.dictionary!r}; choose from {', '.join(DICTIONARIES)}"
+                f"dictionary is {self.dictionary!r}; choose from {', '.join(_DICTIONARIES)}"
             )
 
     @cached_property
@@ -133,10 +133,10 @@ def locate_board(
     seen = [board.find(picture) for picture in pictures]
     ids = np.concatenate([one for one, _ in seen])
     pixels = np.concatenate([one for _, one in seen])
-    if len(set(ids.tolist())) < LEAST_CORNERS:
+    if len(set(ids.tolist())) < _LEAST_CORNERS:
         raise InvalidRecordingError(
             f"camera {camera.name!r}: {len(set(ids.tolist()))} corners of the board are seen (at "
-            f"least {LEAST_CORNERS}); check the number of squares, the dictionary "
+            f"least {_LEAST_CORNERS}); check the number of squares, the dictionary "
             f"({board.dictionary}), light and focus"
         )
     points = board.corners[ids]

@@ -20,13 +20,13 @@ from clothtrack_capture.amendment import amend_document
 from clothtrack_capture.board import Board, BoardPose, locate_board, locate_boards
 from clothtrack_capture.hand_eye import HandEye, RobotPose, calibrate_hand_eye
 
-BOARD_PICTURES = 8
+_BOARD_PICTURES = 8
 
 DOUBTFUL_RESIDUAL_M, LARGEST_RESIDUAL_M = 0.004, 0.010
 """Distance of the table's depth from a plane (root mean square) [m] above which a placement is
 doubted, and refused. A table 0.5 to 1 m away has 1 to 2 mm."""
 
-LEAST_INLIERS = 0.5
+_LEAST_INLIERS = 0.5
 """Share of the depth that is not cloth; with less of it on the plane a placement is doubted."""
 
 
@@ -138,8 +138,8 @@ def placement_doubt(placement: CameraPlacement) -> str:
             f"residual_mm is {residual_mm:g} (1 to 2 for a table, doubtful above "
             f"{1e3 * DOUBTFUL_RESIDUAL_M:g})"
         )
-    if share < LEAST_INLIERS:
-        return f"inlier_share is {share:g} (doubtful below {LEAST_INLIERS:g})"
+    if share < _LEAST_INLIERS:
+        return f"inlier_share is {share:g} (doubtful below {_LEAST_INLIERS:g})"
     return ""
 
 
@@ -165,7 +165,7 @@ def place_by_board(
             f"{recording.folder}: camera {camera.name!r} has no colour pictures to find a board "
             "in; leave the board out and let depth find the table"
         )
-    places = np.unique(np.linspace(0, len(frames) - 1, BOARD_PICTURES).round().astype(int))
+    places = np.unique(np.linspace(0, len(frames) - 1, _BOARD_PICTURES).round().astype(int))
     seen = locate_board([read_color(frames[n].color[camera.name]) for n in places], board, camera)
     pose = np.linalg.inv(seen.camera_from_board)
     pose[2, 3] += thickness_m

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-USUAL_LIFT_M = 0.08
+_USUAL_LIFT_M = 0.08
 """Height of the arc [m] where the cloth does not show it."""
 WINDOW_S = 0.4
 """Start and end are sought this near to the clicked frames [s]."""
-CORRIDOR_M = 0.05
+_CORRIDOR_M = 0.05
 """Cloth as far as this [m] from the line, seen from above, can be the cloth that is held."""
-RISE_M = 0.015
+_RISE_M = 0.015
 """Cloth that is higher than what lies there before and after by more [m] is lifted."""
 UNDER_TIP_M = 0.01
 """The highest cloth in view is so far [m] under the tip: the fingers hide what they hold."""
@@ -52,7 +52,7 @@ class CarriedPath:
     up: Float[np.ndarray, " 3"]
     start_s: float
     end_s: float
-    lift_m: float = USUAL_LIFT_M
+    lift_m: float = _USUAL_LIFT_M
     steepness: int = 2
 
     def positions_at(self, times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, "samples 3"]:
@@ -96,7 +96,7 @@ def highest_cloth(
     forward, way_m = _direction(pick, place, up)
     along = (points - pick) @ forward
     aside = (points - pick) @ np.cross(up, forward)
-    near = (along > -CORRIDOR_M) & (along < way_m + CORRIDOR_M) & (np.abs(aside) < CORRIDOR_M)
+    near = (along > -_CORRIDOR_M) & (along < way_m + _CORRIDOR_M) & (np.abs(aside) < _CORRIDOR_M)
     if np.count_nonzero(near) < _LEAST_POINTS:
         return float("nan"), float("nan")
     heights, along = heights[near], along[near]
@@ -131,7 +131,7 @@ def fitted_path(
     if before is None or after is None:
         return None
     span = clicked.start_s, clicked.end_s
-    lifted = known & (height > np.interp(seen.time_s, span, (before, after)) + RISE_M)
+    lifted = known & (height > np.interp(seen.time_s, span, (before, after)) + _RISE_M)
     if np.count_nonzero(lifted) < _LEAST_LIFTED_FRAMES:
         return None
     starts, ends = _candidate_times(clicked, between_s)

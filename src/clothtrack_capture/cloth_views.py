@@ -35,7 +35,7 @@ class Click:
 
 
 @dataclass(frozen=True, eq=False)
-class ClothView:
+class _ClothView:
     """The cloth as one frame shows it.
 
     Attributes:
@@ -127,13 +127,13 @@ class ClothViews:
         above = float(self.table.heights(camera.position[None])[0])
         return camera.position - above / float(ray @ normal) * ray
 
-    def _seen_in(self, index: int) -> ClothView:
+    def _seen_in(self, index: int) -> _ClothView:
         depth, mask = self._depth_and_mask(index)
         shown = mask & (depth > 0) & ~flying_pixels(depth, self.camera.fx)
         rows, columns = np.nonzero(shown)
         around = cv2.dilate(mask.view(np.uint8), _RIM) > 0
         high = height_picture(depth, self.camera, self.table) > _HAND_HEIGHT_M
-        return ClothView(
+        return _ClothView(
             self.camera.back_project(depth, shown),
             np.stack([columns, rows], axis=1).astype(np.int32),
             (cv2.erode(mask.view(np.uint8), _RIM) > 0)[shown],

@@ -30,10 +30,10 @@ from clothtrack.recordings.recording import PickerPath
 
 logger = logging.getLogger(__name__)
 
-HIGHEST_SPEED = 0.5
+_HIGHEST_SPEED = 0.5
 """No configuration allows more than this [m/s]: cloth is not worth a faster arm near a table."""
 
-DOWNWARDS = (1.0, 0.0, 0.0, 0.0)
+_DOWNWARDS = (1.0, 0.0, 0.0, 0.0)
 """Quaternion (x, y, z, w) of a flange that points down, x forward."""
 
 
@@ -89,10 +89,10 @@ class FrankaConfig(Checked):
             InvalidConfigError: with the field, its value and the limit.
         """
         super().__post_init__()
-        if not 0.0 < self.limits.speed <= HIGHEST_SPEED:
+        if not 0.0 < self.limits.speed <= _HIGHEST_SPEED:
             raise InvalidConfigError(
                 f"limits.speed is {self.limits.speed} m/s; it must be above 0 and at most "
-                f"{HIGHEST_SPEED}"
+                f"{_HIGHEST_SPEED}"
             )
         turn = self.base_from_world[:3, :3]
         if np.abs(turn.T @ turn - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0.0:
@@ -312,7 +312,7 @@ class FrankyArm:
         """A straight line, fingers down."""
         franky = self._franky
         self._robot.translation_velocity_limit.set(float(speed))
-        target = franky.Affine(position.tolist(), list(DOWNWARDS))
+        target = franky.Affine(position.tolist(), list(_DOWNWARDS))
         self._robot.move(franky.CartesianMotion(target, franky.ReferenceType.Absolute))
 
     def open(self) -> None:

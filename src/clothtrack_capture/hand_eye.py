@@ -26,8 +26,8 @@ from clothtrack.files.csv_table import NUMBER, Column, filled, read_csv
 COLUMNS = {"picture": Column(filled, "name a picture")} | dict.fromkeys(
     ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"), NUMBER
 )
-LEAST_POSES = 5
-LEAST_TURN_DEG = 10.0
+_LEAST_POSES = 5
+_LEAST_TURN_DEG = 10.0
 _METRES_PER_RADIAN = 0.3
 """At this distance from the board an angle counts as much as the length it sweeps [m]."""
 
@@ -89,9 +89,9 @@ def calibrate_hand_eye(
     Raises:
         InvalidRecordingError: too few poses, or they hardly turn, so that nothing is determined.
     """
-    if len(robot) < LEAST_POSES:
+    if len(robot) < _LEAST_POSES:
         raise InvalidRecordingError(
-            f"{len(robot)} pictures show the board (at least {LEAST_POSES}); take more, 10 to 20"
+            f"{len(robot)} pictures show the board (at least {_LEAST_POSES}); take more, 10 to 20"
         )
     moves = np.stack([pose if camera_on_hand else np.linalg.inv(pose) for pose in robot])
     boards = np.stack(camera_from_board)
@@ -127,10 +127,10 @@ def _first_guess(
     # open. Half a turn has two rotation vectors, so such pairs say nothing.
     sound = np.linalg.norm(alpha, axis=1) < np.radians(170.0)
     spread = np.sqrt(np.linalg.eigvalsh(alpha[sound].T @ alpha[sound] / max(sound.sum(), 1)))
-    if np.degrees(spread[1]) < LEAST_TURN_DEG:
+    if np.degrees(spread[1]) < _LEAST_TURN_DEG:
         raise InvalidRecordingError(
             f"the poses turn by {np.degrees(spread[2]):.0f} degrees about one axis and by "
-            f"{np.degrees(spread[1]):.0f} about others (at least {LEAST_TURN_DEG:.0f}); turn the "
+            f"{np.degrees(spread[1]):.0f} about others (at least {_LEAST_TURN_DEG:.0f}); turn the "
             "hand about two axes, by 20 to 40 degrees"
         )
     turn = Rotation.align_vectors(alpha[sound], beta[sound])[0]

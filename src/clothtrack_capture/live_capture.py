@@ -32,8 +32,8 @@ from clothtrack.recordings.violation import DOCUMENT
 
 logger = logging.getLogger(__name__)
 
-JOURNAL = "journal.jsonl"
-FLUSH_FRAMES = 15
+_JOURNAL = "journal.jsonl"
+_FLUSH_FRAMES = 15
 WAITING_FRAMES = 60
 
 
@@ -106,7 +106,7 @@ class ReplayedCamera:
 
 
 @dataclass
-class CaptureState:
+class _CaptureState:
     """How a capture goes.
 
     Attributes:
@@ -136,7 +136,7 @@ class CaptureWriter:
             raise StorageError(
                 f"{self.folder} is left of a broken capture; finish it with --salvage, or delete it"
             )
-        self._unit, self.state = source.depth_unit_m, CaptureState()
+        self._unit, self.state = source.depth_unit_m, _CaptureState()
         camera = source.camera
         head = {
             "camera": {
@@ -152,7 +152,7 @@ class CaptureWriter:
         with storage(self.folder):
             for kind in ("depth", "color"):
                 (self.folder / kind).mkdir(parents=True)
-            self._journal = (self.folder / JOURNAL).open("w", encoding="utf-8")
+            self._journal = (self.folder / _JOURNAL).open("w", encoding="utf-8")
             self._note(head, flush=True)
         self._waiting: queue.Queue[CapturedFrame | str | None] = queue.Queue(WAITING_FRAMES)
         self._last_s: float | None = None
@@ -211,7 +211,7 @@ class CaptureWriter:
         if frame.color is not None:
             (self.folder / conventional_name("color", index)).write_bytes(encode_png(frame.color))
         entry = {"index": index, "time_s": frame.time_s, "color": frame.color is not None}
-        self._note(entry, flush=index % FLUSH_FRAMES == 0)
+        self._note(entry, flush=index % _FLUSH_FRAMES == 0)
         self.state.written += 1
 
     def _note(self, entry: Mapping[str, Any], *, flush: bool) -> None:
@@ -237,7 +237,7 @@ def salvage_capture(target: Path) -> Recording:
         StorageError: the disk refuses.
     """
     target, folder = Path(target), capture_folder(target)
-    if not (folder / JOURNAL).is_file():
+    if not (folder / _JOURNAL).is_file():
         raise InvalidRecordingError(f"{folder}: there is no broken capture of {target}")
     head, entries, marks = _read_journal(folder)
     unit = head["camera"]["depth_unit_m"]
@@ -269,7 +269,7 @@ def salvage_capture(target: Path) -> Recording:
     if checked.recording is None:
         raise InvalidRecordingError(f"{folder}: {checked.violations[0].message}")
     with storage(target):
-        (folder / JOURNAL).unlink()
+        (folder / _JOURNAL).unlink()
         if not any((folder / "color").iterdir()):
             shutil.rmtree(folder / "color")
         folder.rename(target)
@@ -280,8 +280,8 @@ def _read_journal(
     folder: Path,
 ) -> tuple[dict[str, Any], list[dict[str, Any]], list[list[Any]]]:
     """Return head, frames and marks of a capture; a last line that breaks off is left out."""
-    with storage(folder / JOURNAL):
-        lines = (folder / JOURNAL).read_bytes().split(b"\n")
+    with storage(folder / _JOURNAL):
+        lines = (folder / _JOURNAL).read_bytes().split(b"\n")
     notes: list[dict[str, Any]] = []
     for line in lines:
         try:
@@ -292,7 +292,7 @@ def _read_journal(
             notes.append(note)
     if not notes or "camera" not in notes[0]:
         raise InvalidRecordingError(
-            f"{folder / JOURNAL}: its first line is gone; delete it and record again"
+            f"{folder / _JOURNAL}: its first line is gone; delete it and record again"
         )
     entries = [note for note in notes if {"index", "time_s", "color"} <= note.keys()]
     marks = [[note["mark"], note["at"]] for note in notes if {"mark", "at"} <= note.keys()]

@@ -11,11 +11,11 @@ from clothtrack_capture.segmentation_setup import SegmentationSetup
 NEIGHBOURS = 5
 """A mask is compared with the median of so many before and so many after it."""
 
-SUDDEN = 0.25
+_SUDDEN = 0.25
 """A cloth that is folded or lifted changes its area slowly; a mask that differs from those around
 it by more than this share has lost a piece, or gained something that is no cloth."""
 
-LISTED = 8
+_LISTED = 8
 """Most frames that a line names."""
 
 
@@ -48,8 +48,8 @@ class MaskSummary:
         )
         if not self.doubtful:
             return f"{text}\nno frame is doubtful: the area changes slowly everywhere"
-        named = ", ".join(map(str, self.doubtful[:LISTED]))
-        more = f" and {len(self.doubtful) - LISTED} more" if len(self.doubtful) > LISTED else ""
+        named = ", ".join(map(str, self.doubtful[:_LISTED]))
+        more = f" and {len(self.doubtful) - _LISTED} more" if len(self.doubtful) > _LISTED else ""
         return f"{text}\nlook at frames {named}{more}: much less or more cloth than around them"
 
     def as_dict(self) -> dict[str, Any]:
@@ -84,7 +84,7 @@ def doubtful(areas: Float[np.ndarray, " frames"]) -> np.ndarray:
     """Return which of the areas [pixels] are empty, or differ suddenly from those around them."""
     padded = np.pad(areas, NEIGHBOURS, mode="edge")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1)
-    return (areas < 1) | (np.abs(areas - around) > SUDDEN * around)
+    return (areas < 1) | (np.abs(areas - around) > _SUDDEN * around)
 
 
 def _indices(setup: SegmentationSetup, chosen: np.ndarray) -> tuple[int, ...]:

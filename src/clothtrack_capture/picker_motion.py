@@ -14,15 +14,15 @@ from clothtrack.geometry.camera import Camera
 
 logger = logging.getLogger(__name__)
 
-LEAST_LIFT_M = 0.02
+_LEAST_LIFT_M = 0.02
 """The tip rises at least so high [m] between pick and place, and around them."""
-TOUCH_HEIGHT_M = 0.05
+_TOUCH_HEIGHT_M = 0.05
 """A tip higher over the table than this [m] touches no cloth."""
-REST_M = 0.004
+_REST_M = 0.004
 """A tip that stays this near to its lowest point [m] rests there."""
 JUMP_M = 0.04
 """A position farther than this [m] from the line between its neighbours is a wrong one."""
-BORDER_PIXELS = 60.0
+_BORDER_PIXELS = 60.0
 """A tip last seen this near to the picture's border [pixels] has left it; else cloth hides it."""
 
 
@@ -40,7 +40,7 @@ def visits_of(
         if after == before + 1 or last is None or next_one is None:
             continue
         rim = min(np.min([pixel, edges - pixel]) for pixel in (last, next_one))
-        if rim < BORDER_PIXELS:
+        if rim < _BORDER_PIXELS:
             cuts.append(place)
     return np.split(frames, cuts)
 
@@ -73,7 +73,7 @@ def closed_by_rest(
     spans = []
     for visit in visits:
         lows = _low_points(heights[visit])
-        touched = [int(visit[low]) for low in lows if heights[visit[low]] < TOUCH_HEIGHT_M]
+        touched = [int(visit[low]) for low in lows if heights[visit[low]] < _TOUCH_HEIGHT_M]
         if len(touched) % 2:
             logger.warning(
                 "frames %d to %d: the tip comes down %d times (frames %s), not in pairs of pick "
@@ -108,26 +108,26 @@ def closed_by_gap(
         changes = np.flatnonzero(np.diff(np.concatenate([[False], shut, [False]])))
         for start, stop in zip(changes[::2], changes[1::2], strict=True):
             # Closed in the air it holds nothing; closed until it leaves, it held all the way.
-            down = heights[visit[start]] < TOUCH_HEIGHT_M
-            if down and np.ptp(heights[visit[start:stop]]) > LEAST_LIFT_M:
+            down = heights[visit[start]] < _TOUCH_HEIGHT_M
+            if down and np.ptp(heights[visit[start:stop]]) > _LEAST_LIFT_M:
                 spans.append((int(visit[start]), int(visit[min(stop, len(visit) - 1)])))
     return spans
 
 
 def _low_points(heights: Float[np.ndarray, " frames"]) -> list[int]:
-    """Return places of the lowest points between rises and falls of at least `LEAST_LIFT_M`."""
+    """Return places of the lowest points between rises and falls of at least `_LEAST_LIFT_M`."""
     lows: list[int] = []
     lowest, highest, falling = 0, 0, True
     for place, height in enumerate(heights):
         if falling:
             if height < heights[lowest]:
                 lowest = place
-            elif height > heights[lowest] + LEAST_LIFT_M:
+            elif height > heights[lowest] + _LEAST_LIFT_M:
                 lows.append(lowest)
                 highest, falling = place, False
         elif height > heights[highest]:
             highest = place
-        elif height < heights[highest] - LEAST_LIFT_M:
+        elif height < heights[highest] - _LEAST_LIFT_M:
             lowest, falling = place, True
     # A tip that leaves the picture, or the recording that ends, right after the last low point.
     return [*lows, lowest] if falling and len(heights) else lows
@@ -136,8 +136,8 @@ def _low_points(heights: Float[np.ndarray, " frames"]) -> list[int]:
 def _rest(
     positions: Float[np.ndarray, "frames 3"], visit: Int[np.ndarray, " _"], low: int
 ) -> tuple[int, int]:
-    """First and last frame of the visit around the low one that are within `REST_M` of it."""
-    near = np.linalg.norm(positions[visit] - positions[low], axis=1) <= REST_M
+    """First and last frame of the visit around the low one that are within `_REST_M` of it."""
+    near = np.linalg.norm(positions[visit] - positions[low], axis=1) <= _REST_M
     first = last = int(np.searchsorted(visit, low))
     while first > 0 and near[first - 1]:
         first -= 1

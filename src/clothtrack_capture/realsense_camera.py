@@ -14,12 +14,12 @@ from clothtrack_capture.live_capture import CapturedFrame
 
 logger = logging.getLogger(__name__)
 
-WAIT_MS = 5000
-NOTICEABLE_PX = 0.5
+_WAIT_MS = 5000
+_NOTICEABLE_PX = 0.5
 
 
 @runtime_checkable
-class FrameSource(Protocol):
+class _FrameSource(Protocol):
     """What gives framesets: `rs.pipeline`, or `rs.syncer` behind a software device."""
 
     def wait_for_frames(self, timeout_ms: int) -> Any:
@@ -30,7 +30,7 @@ class FrameSource(Protocol):
 class RealSenseCamera:
     """A RealSense camera, or anything that gives frames as one does."""
 
-    def __init__(self, source: FrameSource, *, pipeline: Any = None, name: str = "top") -> None:
+    def __init__(self, source: _FrameSource, *, pipeline: Any = None, name: str = "top") -> None:
         """Wait for the first frames, to learn the intrinsics.
 
         Args:
@@ -77,7 +77,7 @@ class RealSenseCamera:
         """Return depth laid on colour, and colour; None when nothing comes any more."""
         for _ in range(30):
             try:
-                frames = self._source.wait_for_frames(WAIT_MS)
+                frames = self._source.wait_for_frames(_WAIT_MS)
             except RuntimeError as error:
                 logger.info("no more frames: %s", error)
                 return None
@@ -94,7 +94,7 @@ class RealSenseCamera:
         r2 = x * x + y * y
         bend = coefficients[0] * r2 + coefficients[1] * r2**2 + coefficients[4] * r2**3
         off = abs(bend) * float(np.hypot(x * lens.fx, y * lens.fy))
-        if off > NOTICEABLE_PX:
+        if off > _NOTICEABLE_PX:
             logger.warning(
                 "the lens bends the corner of the picture by about %.1f pixels; this is not "
                 "undone", off,

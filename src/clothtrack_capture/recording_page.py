@@ -32,7 +32,7 @@ PROTOCOL = (
 
 LEAST_MEASURED = 0.6
 NEAREST_M, FARTHEST_M = 0.25, 1.6
-PREVIEW_WIDTH = 640
+_PREVIEW_WIDTH = 640
 FAREWELL_S = 0.6
 
 
@@ -205,7 +205,7 @@ def preview_of(frame: CapturedFrame) -> Picture:
     if seen.any():
         shown[seen] = _depth_colors(depth[seen])
     color = np.full_like(shown, 128) if frame.color is None else frame.color
-    size = PREVIEW_WIDTH, round(PREVIEW_WIDTH * depth.shape[0] / depth.shape[1])
+    size = _PREVIEW_WIDTH, round(_PREVIEW_WIDTH * depth.shape[0] / depth.shape[1])
     sides = [cv2.resize(side, size, interpolation=cv2.INTER_AREA) for side in (color, shown)]
     return np.concatenate(sides, axis=1)
 

@@ -9,7 +9,7 @@ from clothtrack.report.local_page import Answer, serve_until
 from clothtrack_capture.mask_pictures import jpeg, masked_picture, spread
 from clothtrack_capture.segmentation_setup import SegmentationSetup
 
-THUMBNAILS = 24
+_THUMBNAILS = 24
 LARGEST_WIDTH = 1920
 
 
@@ -94,6 +94,6 @@ class _Page:
             "width": setup.camera.width,
             "height": setup.camera.height,
             "frames": indices,
-            "thumbnails": spread(indices, THUMBNAILS),
+            "thumbnails": spread(indices, _THUMBNAILS),
             "chosen": setup.chosen,
         }

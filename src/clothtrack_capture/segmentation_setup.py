@@ -20,7 +20,7 @@ Point = tuple[int, int]
 Box = tuple[int, int, int, int]
 
 _REMEMBERED = 64
-NAMED_SHARE = 0.85
+_NAMED_SHARE = 0.85
 
 
 class SegmentationSetup:
@@ -163,6 +163,6 @@ class SegmentationSetup:
         color = self.picture(self.frames[0].index)
         for name in NAMED_COLORS:
             named = votes_of(color, named_set(name)) == CORE
-            if named[mask].mean() > NAMED_SHARE and mask[named].mean() > NAMED_SHARE:
+            if named[mask].mean() > _NAMED_SHARE and mask[named].mean() > _NAMED_SHARE:
                 return name
         return None

@@ -28,17 +28,17 @@ LEAST_PIXELS = 8
 """Fewer pixels of the surest colour are specks, no tip."""
 WIDEST_SHARE = 0.03
 """More of the picture than this is no tip: a tip is a few pixels wide."""
-ELONGATED = 2.0
+_ELONGATED = 2.0
 """Length over width from which a tip has an end; a rounder one counts by its middle."""
-DEPTH_BAND_M = 0.003
+_DEPTH_BAND_M = 0.003
 """Depths along the tip agree when they are this near to a line [m]."""
 STEEPEST = 3.0
 """A line along the tip changes depth by at most so much [m] per metre across."""
-RADIUS_M = 0.0015
+_RADIUS_M = 0.0015
 """Half the thickness of the tip [m]: depth is measured on its surface."""
-SECOND_SHARE = 0.4
+_SECOND_SHARE = 0.4
 """A second piece of this share of the first one's pixels is the other arm of open tweezers."""
-WIDEST_GAP_M = 0.1
+_WIDEST_GAP_M = 0.1
 """Arms farther apart than this [m] do not belong together."""
 _LASTING_SHARE = 0.9
 _LEARNING_ROUNDS = 2
@@ -140,7 +140,7 @@ class TipFinder:
         first, *others = tips
         for other in others:
             gap = float(np.linalg.norm(other.position - first.position))
-            if gap < WIDEST_GAP_M:
+            if gap < _WIDEST_GAP_M:
                 return Tip(
                     0.5 * (first.pixel + other.pixel),
                     0.5 * (first.position + other.position),
@@ -179,7 +179,7 @@ class TipFinder:
         best = int(np.argmax(worth))
         chosen = [best] if areas[best] >= LEAST_PIXELS else []
         for piece in np.argsort(-worth):
-            large = areas[piece] >= max(SECOND_SHARE * areas[best], LEAST_PIXELS)
+            large = areas[piece] >= max(_SECOND_SHARE * areas[best], LEAST_PIXELS)
             if chosen and piece != best and large:
                 chosen.append(int(piece))
                 break
@@ -204,7 +204,7 @@ class TipFinder:
         if line is None:
             return None
         offset, slope = line
-        if np.sqrt(spread[1] / max(spread[0], 1.0 / 12.0)) < ELONGATED:
+        if np.sqrt(spread[1] / max(spread[0], 1.0 / 12.0)) < _ELONGATED:
             return self._tip(middle, offset, np.zeros(2), len(pixels))
         # The tool comes from above: the end of the tip is the far one.
         sign = np.sign(slope * np.ptp(places))
@@ -223,7 +223,7 @@ class TipFinder:
     ) -> Tip:
         camera = self._camera
         ray = np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1])
-        local = ray * (depth + RADIUS_M)
+        local = ray * (depth + _RADIUS_M)
         position = camera.world_from_camera[:3, :3] @ local + camera.position
         return Tip(np.asarray(pixel, dtype=float), position, axis, 0.0, pixels)
 
@@ -233,7 +233,7 @@ class TipFinder:
         """Return depth [m] in the middle of the tip and its slope per pixel; None if unknown."""
         if len(depths) < 3:
             return None
-        band = DEPTH_BAND_M
+        band = _DEPTH_BAND_M
         steepest = STEEPEST * float(np.median(depths)) / self._camera.fx
         first, second = np.triu_indices(len(depths), 1)
         if len(first) > 4000:

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from clothtrack.recordings.point_cloud import Observation
 
-MOST_CUBES = 1 << 20
+_MOST_CUBES = 1 << 20
 """Vertices that are spread over more cubes than this keep every point beside them."""
 
 
@@ -72,7 +72,7 @@ def beside(
     origin = vertices.min(axis=0) - side_m
     cells = np.floor((vertices - origin) / side_m).astype(np.int64)
     shape = cells.max(axis=0) + 2
-    if not shape.prod(dtype=np.float64) <= MOST_CUBES:
+    if not shape.prod(dtype=np.float64) <= _MOST_CUBES:
         return points
     filled = np.zeros(shape, dtype=bool)
     for offset in np.ndindex(3, 3, 3):

@@ -75,7 +75,7 @@ class Progress:
 
 @no_type_check
 @wp.struct
-class Neighbour:
+class _Neighbour:
     """The nearest item (-1: none in reach), its distance and a bound for every other item [m]."""
 
     item: wp.int32
@@ -166,7 +166,7 @@ def _search(
                     found = item
                 elif square < second:
                     second = square
-    result = Neighbour()
+    result = _Neighbour()
     result.item = found
     result.distance = wp.sqrt(best)
     result.others = wp.sqrt(second)
@@ -256,7 +256,7 @@ def _match_point(
     else:
         cells[number] = _cell_of(grid, point)
     if search:
-        found = Neighbour()
+        found = _Neighbour()
         if before < 0:
             found = _search_far(point, positions, grid, 4.0 * reach, 1.0e6, stale)
         else:

@@ -17,7 +17,7 @@ from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Table
 
-FIRST_STEP_M = 0.006
+_FIRST_STEP_M = 0.006
 """First shift that is tried when an outline is to be fitted [m]."""
 
 TRIALS = 50
@@ -117,7 +117,7 @@ def slide_to_outline(
     first = gap(np.zeros(3))
     if not np.isfinite(first):
         return vertices
-    simplex = np.vstack([np.zeros(3), FIRST_STEP_M * np.eye(3)])
+    simplex = np.vstack([np.zeros(3), _FIRST_STEP_M * np.eye(3)])
     options = {"initial_simplex": simplex, "maxfev": TRIALS, "xatol": 3e-4, "fatol": 1e-4}
     best = minimize(gap, np.zeros(3), method="Nelder-Mead", options=options)
     return moved(best.x) if best.fun < first else vertices

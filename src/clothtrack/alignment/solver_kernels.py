@@ -184,7 +184,7 @@ def linearise(
 
 @no_type_check
 @wp.func
-def multiply_strip(strip: wp.int32, scene: Scene, conjugate: Conjugate):
+def _multiply_strip(strip: wp.int32, scene: Scene, conjugate: Conjugate):
     """Matrix times search direction, and the direction's curvature."""
     conjugate.residual_dots[strip] = conjugate.new_residual_dots[strip]
     dots = wp.float64(0.0)
@@ -221,7 +221,7 @@ def multiply_strip(strip: wp.int32, scene: Scene, conjugate: Conjugate):
 
 @no_type_check
 @wp.func
-def descend_strip(strip: wp.int32, conjugate: Conjugate):
+def _descend_strip(strip: wp.int32, conjugate: Conjugate):
     """Go to the minimum along the search direction."""
     residual_dot = _sum(conjugate.residual_dots)
     curvature = _sum(conjugate.curvature_dots)
@@ -241,7 +241,7 @@ def descend_strip(strip: wp.int32, conjugate: Conjugate):
 
 @no_type_check
 @wp.func
-def turn_strip(strip: wp.int32, conjugate: Conjugate):
+def _turn_strip(strip: wp.int32, conjugate: Conjugate):
     """Make the next search direction conjugate to the last."""
     before = _sum(conjugate.residual_dots)
     now = _sum(conjugate.new_residual_dots)
@@ -257,22 +257,22 @@ def turn_strip(strip: wp.int32, conjugate: Conjugate):
 @no_type_check
 @wp.kernel(enable_backward=False)
 def multiply(scene: Scene, conjugate: Conjugate):
-    """`multiply_strip`, a thread per strip."""
-    multiply_strip(wp.tid(), scene, conjugate)
+    """`_multiply_strip`, a thread per strip."""
+    _multiply_strip(wp.tid(), scene, conjugate)
 
 
 @no_type_check
 @wp.kernel(enable_backward=False)
 def descend(conjugate: Conjugate):
-    """`descend_strip`, a thread per strip."""
-    descend_strip(wp.tid(), conjugate)
+    """`_descend_strip`, a thread per strip."""
+    _descend_strip(wp.tid(), conjugate)
 
 
 @no_type_check
 @wp.kernel(enable_backward=False)
 def turn(conjugate: Conjugate):
-    """`turn_strip`, a thread per strip."""
-    turn_strip(wp.tid(), conjugate)
+    """`_turn_strip`, a thread per strip."""
+    _turn_strip(wp.tid(), conjugate)
 
 
 @no_type_check
@@ -280,10 +280,10 @@ def turn(conjugate: Conjugate):
 def solve_alone(scene: Scene, conjugate: Conjugate, steps: wp.int32):
     """All steps by one thread, for a CPU, where a launch costs more than it would save."""
     for step in range(steps):
-        multiply_strip(0, scene, conjugate)
-        descend_strip(0, conjugate)
+        _multiply_strip(0, scene, conjugate)
+        _descend_strip(0, conjugate)
         if step < steps - 1:
-            turn_strip(0, conjugate)
+            _turn_strip(0, conjugate)
 
 
 @no_type_check

@@ -94,7 +94,7 @@ class Residual:
     `gradient` is half of the gradient of the weighted term, `square` the unweighted squares of the
     residuals [m^2]. `stiffness` and `axis_stiffness` are half of the weighted Gauss-Newton Hessian
     of the vertex with itself: the first in all directions, the second along `axis` (unit). At most
-    one term may use the axis. Terms of edges leave both 0 and set `Term.edges` instead.
+    one term may use the axis. Terms of edges leave both 0 and set `_Term.edges` instead.
     """
 
     gradient: wp.vec3
@@ -254,7 +254,7 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Term:
+class _Term:
     """One term of the objective.
 
     Attributes:
@@ -275,12 +275,12 @@ class Term:
 
 # The matcher adds the squares of the first term: they belong to cloud points, not to vertices.
 TERMS = (
-    Term("chamfer", chamfer, lambda config, n: config.chamfer_weight / n.points),
-    Term("two_way", two_way, lambda config, _: config.two_way_weight, per_partner=True),
-    Term("marks", marks, lambda config, n: n.marks * config.marks_weight / n.points),
-    Term("rigidity", rigidity, lambda config, n: config.rigidity_weight / n.edges, "coupled"),
-    Term("length", length, lambda config, n: config.length_weight / n.edges, "along"),
-    Term("table", table, lambda _, n: n.table * TABLE_WEIGHT / n.vertices),
+    _Term("chamfer", chamfer, lambda config, n: config.chamfer_weight / n.points),
+    _Term("two_way", two_way, lambda config, _: config.two_way_weight, per_partner=True),
+    _Term("marks", marks, lambda config, n: n.marks * config.marks_weight / n.points),
+    _Term("rigidity", rigidity, lambda config, n: config.rigidity_weight / n.edges, "coupled"),
+    _Term("length", length, lambda config, n: config.length_weight / n.edges, "along"),
+    _Term("table", table, lambda _, n: n.table * TABLE_WEIGHT / n.vertices),
 )
 
 TERM_COUNT = len(TERMS)
@@ -291,12 +291,12 @@ _ON_EDGES = [term.edges != "uncoupled" for term in TERMS]
 _STARTS_GROUP = [k > 0 and _ON_EDGES[k] != _ON_EDGES[k - 1] for k in range(TERM_COUNT)]
 
 TermVector = wp.types.vector(length=TERM_COUNT, dtype=wp.float32)
-TermSums = wp.types.vector(length=TERM_COUNT, dtype=wp.float64)
+_TermSums = wp.types.vector(length=TERM_COUNT, dtype=wp.float64)
 
 
 @no_type_check
 @wp.struct
-class Slope:
+class _Slope:
     """The residuals of all terms at one vertex, added up; squares per term."""
 
     gradient: wp.vec3
@@ -316,7 +316,7 @@ def slope_at(
     displacements: wp.array(dtype=wp.vec3),
 ):
     """Half of the objective's gradient at one vertex, the squares and the stiffness there."""
-    slope = Slope()
+    slope = _Slope()
     group = wp.vec3()
     for k in range(wp.static(TERM_COUNT)):
         residual = wp.static(TERMS[k].residual)(weights[k], vertex, scene, positions, displacements)
@@ -338,13 +338,13 @@ def slope_at(
 class Tally:
     """Squares per term [m^2] and longest way [m] of the vertices that one thread looks after."""
 
-    squares: TermSums
+    squares: _TermSums
     stale: wp.float32
 
 
 @no_type_check
 @wp.func
-def add_squares(tally: Tally, slope: Slope):
+def add_squares(tally: Tally, slope: _Slope):
     """Add the squares of one vertex."""
     for k in range(wp.static(TERM_COUNT)):
         tally.squares[k] += wp.float64(slope.squares[k])

@@ -20,7 +20,7 @@ _PLACE = re.compile(r"(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)")
 
 
 @dataclass(frozen=True)
-class GarmentTemplate:
+class _GarmentTemplate:
     """A garment's template, and what is known of it.
 
     Attributes:
@@ -72,14 +72,14 @@ class GarmentTemplate:
         return (
             f"{self.output}   {self.kind} of {size}, {1e4 * measures['area_m2']:.0f} cm2, "
             f"{self.mesh.vertex_count} vertices\n{lengths} cm\n"
-            f"{outline_path(self.output)}   (look at it)"
+            f"{_outline_path(self.output)}   (look at it)"
         )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the same as JSON holds it."""
         return {
             "template": str(self.output),
-            "outline": str(outline_path(self.output)),
+            "outline": str(_outline_path(self.output)),
             "kind": self.kind,
             "vertices": self.template.mesh.vertex_count,
             "asymmetry_m": self.template.asymmetry_m,
@@ -103,7 +103,7 @@ def garment_template(
     front_neck_m: Annotated[float | None, arg(name="front-neck")] = None,
     openings: Sequence[str] = (),
     as_it_lies: bool = False,
-) -> GarmentTemplate:
+) -> _GarmentTemplate:
     """Make a garment's template mesh from a picture of it lying flat, its front up.
 
     Writes TEMPLATE.outline.png beside it: look at it before you use the template.
@@ -165,8 +165,8 @@ def garment_template(
         name=flat.name,
     )
     write_template(template.mesh, output)
-    write_file(outline_path(output), encode_png(outline_picture(template, flat.shown)))
-    return GarmentTemplate(template, kind, output, as_it_lies)
+    write_file(_outline_path(output), encode_png(outline_picture(template, flat.shown)))
+    return _GarmentTemplate(template, kind, output, as_it_lies)
 
 
 def _places(openings: Sequence[str]) -> list[tuple[float, float]]:
@@ -180,7 +180,7 @@ def _places(openings: Sequence[str]) -> list[tuple[float, float]]:
     return places
 
 
-def outline_path(output: Path) -> Path:
+def _outline_path(output: Path) -> Path:
     """Where the outline over the picture is written, beside a template."""
     return output.with_suffix(".outline.png")
 

@@ -124,7 +124,7 @@ def label(
     return Path(output)
 
 
-def pretraining_config(
+def _pretraining_config(
     network: str = "tokens", settings: Sequence[str] = (), *, seed: int = 0
 ) -> Any:
     """Return the configuration of `pretrain` with some settings changed.
@@ -141,7 +141,7 @@ def pretraining_config(
     )
 
 
-@configured_by(pretraining_config)
+@configured_by(_pretraining_config)
 def pretrain(
     states: Sequence[Path | str],
     *,
@@ -183,7 +183,7 @@ def pretrain(
     from clothtrack.reconstruction.model_loading import design_named
 
     output, start = Path(output), start and Path(start)
-    config = pretraining_config(network, settings, seed=seed)
+    config = _pretraining_config(network, settings, seed=seed)
     sets = [open_states(Path(folder)) for folder in states]
     learn = partial(design_named(network).pretrain, sets, config, output, start=start, hours=hours)
     return _learn(learn, device, progress)
@@ -239,14 +239,14 @@ def finetune(
     design = design_of(start)
     config = with_settings(design.configuration(training, seed=seed), settings)
     if old is not None:
-        config = config.mixing(OLD_SHARE)
+        config = config.mixing(_OLD_SHARE)
     old_states = [] if old is None else [open_states(Path(old))]
     labelled = [read_labels(file) for file in files]
     learn = partial(design.finetune, start, labelled, config, Path(output), old=old_states)
     return _learn(learn, device, progress)
 
 
-OLD_SHARE = 0.25
+_OLD_SHARE = 0.25
 """How often an example of `finetune` is an old one, if old ones are given."""
 
 

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-IMPORTED_SUFFIXES = (".bag", ".db3", ".mcap", ".mkv")
-VIEWED = (
+_IMPORTED_SUFFIXES = (".bag", ".db3", ".mcap", ".mkv")
+_VIEWED = (
     "view takes NAME.zarr that `track` wrote, a folder of them, a recording (a folder with "
     "recording.json), or a mesh (.obj, .ply, .stl)"
 )
@@ -94,7 +94,7 @@ def view(
     from clothtrack.report import live
 
     if html is not None:
-        require_file_name(Path(html))
+        _require_file_name(Path(html))
     show = opened or _say_address
     trajectories = _trajectories(thing)
     if trajectories:
@@ -142,7 +142,7 @@ def _shown(
     return artefact.name, write, None if path is None else live.Decisions(review, path)
 
 
-def require_file_name(html: Path) -> None:
+def _require_file_name(html: Path) -> None:
     """Refuse a page under the name of a folder before any work is done.
 
     Raises:
@@ -257,13 +257,13 @@ def _nothing_to_view(path: Path) -> str:
     from clothtrack.recordings.mesh_file import MESH_SUFFIXES
 
     if not path.exists():
-        return f"{path}: there is no such file or folder; {VIEWED}"
+        return f"{path}: there is no such file or folder; {_VIEWED}"
     if path.is_file():
         suffix = path.suffix.lower()
         kind = f"a {suffix} file" if suffix else "a file without a suffix"
-        if suffix in IMPORTED_SUFFIXES:
+        if suffix in _IMPORTED_SUFFIXES:
             return f"{path} is {kind}; make a recording of it first: clothtrack import"
-        return f"{path} is {kind}; {VIEWED}"
+        return f"{path} is {kind}; {_VIEWED}"
     if path.suffix == ".zarr":
         return f"{path} has no zarr.json: it was not finished; track the recording again"
     inside = sorted(path.iterdir())
@@ -272,7 +272,7 @@ def _nothing_to_view(path: Path) -> str:
             return f"{path} holds several things; view one of them, such as {entry}"
     names = ", ".join(entry.name for entry in inside[:3]) or "nothing"
     more = f" and {len(inside) - 3} more" if len(inside) > 3 else ""
-    return f"{path} is a folder with {names}{more}; {VIEWED}"
+    return f"{path} is a folder with {names}{more}; {_VIEWED}"
 
 
 def _say_address(address: str) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TrackedRecording:
+class _TrackedRecording:
     """What became of one recording.
 
     Attributes:
@@ -50,7 +50,7 @@ class TrackedRecording:
 
 
 @dataclass(frozen=True)
-class Demonstration:
+class _Demonstration:
     """What came of the demo.
 
     Attributes:
@@ -80,7 +80,7 @@ class Demonstration:
         return {**asdict(self.outcome), "report": self.report, "evaluation": evaluation}
 
 
-def tracking_config(
+def _tracking_config(
     mode: str = "default",
     template: Path | str | None = None,
     weights: Path | str | None = None,
@@ -103,7 +103,7 @@ def tracking_config(
     return run_config(mode, [*named, *settings], seed=seed)
 
 
-@configured_by(tracking_config)
+@configured_by(_tracking_config)
 def track_many(
     recordings: Sequence[Path | str],
     *,
@@ -120,7 +120,7 @@ def track_many(
     live: bool = False,
     progress: "Progress | None" = None,
     opened: "Callable[[str], None] | None" = None,
-) -> Many[TrackedRecording]:
+) -> Many[_TrackedRecording]:
     """Track recordings: the full mesh at every observation (Algorithm 1).
 
     A trajectory ends with a word: trust, look (at it first), or reject; and the expected error.
@@ -160,7 +160,7 @@ def track_many(
     quiet_warp()
     if not ray:
         require_device(device)
-    config = tracking_config(mode, template, weights, settings, seed)
+    config = _tracking_config(mode, template, weights, settings, seed)
     words = [""]
 
     def told(place: str, done: int, total: int) -> None:
@@ -177,7 +177,7 @@ def track_many(
         )  # fmt: skip
         tracked = Many(
             tuple(
-                TrackedRecording(one, one.result and load(one.result, one.recording).verdict)
+                _TrackedRecording(one, one.result and load(one.result, one.recording).verdict)
                 for one in outcomes
             )
         )
@@ -191,7 +191,7 @@ def demo(
     output: Path | str = Path("out/demo"),
     device: str = "cpu",
     progress: "Progress | None" = None,
-) -> Demonstration:
+) -> _Demonstration:
     """Track a recording that comes with clothtrack, and write its report.
 
     Args:
@@ -214,7 +214,7 @@ def demo(
         raise InvalidRecordingError(outcome.error)
     run = load(outcome.result, folder)
     page = write_report(run, Path(output) / f"{run.name}.html")
-    return Demonstration(outcome, run.verdict, evaluate(run, device=device), page)
+    return _Demonstration(outcome, run.verdict, evaluate(run, device=device), page)
 
 
 def _line(outcome: "Outcome") -> str:

@@ -23,7 +23,7 @@ from clothtrack.tracking.artefacts import inside
 from clothtrack.tracking.replay import replay
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-VERIFIED = (
+_VERIFIED = (
     "inspect takes a recording, NAME.zarr that `track` wrote, labels or truth (.npz), weights "
     "(.safetensors), or a folder of states or of the benchmark"
 )
@@ -100,10 +100,10 @@ def verify(
         return Verification(path, kind, (text,))
 
 
-Findings = tuple[tuple[str, ...], tuple[str, ...]]
+_Findings = tuple[tuple[str, ...], tuple[str, ...]]
 """Problems and notes."""
 
-Check = Callable[[Path, Progress | None], Findings]
+Check = Callable[[Path, Progress | None], _Findings]
 
 
 def _kind_of(path: Path) -> tuple[str, Check]:
@@ -122,8 +122,8 @@ def _kind_of(path: Path) -> tuple[str, Check]:
     if path.suffix == ".npz":
         return ("labels", _labels) if "document" in _names_in(path) else ("truth", _truth)
     if not path.exists():
-        raise InvalidConfigError(f"{path}: there is no such file or folder; {VERIFIED}")
-    raise InvalidConfigError(f"{path}: nothing that can be told by its content; {VERIFIED}")
+        raise InvalidConfigError(f"{path}: there is no such file or folder; {_VERIFIED}")
+    raise InvalidConfigError(f"{path}: nothing that can be told by its content; {_VERIFIED}")
 
 
 def _is_shard(path: Path) -> bool:
@@ -140,13 +140,13 @@ def _names_in(path: Path) -> set[str]:
         with zipfile.ZipFile(path) as archive:
             return {name.removesuffix(".npy") for name in archive.namelist()}
     except FileNotFoundError as error:
-        raise InvalidConfigError(f"{path}: there is no such file; {VERIFIED}") from error
+        raise InvalidConfigError(f"{path}: there is no such file; {_VERIFIED}") from error
     except (zipfile.BadZipFile, ValueError, NotImplementedError):
         # Whoever reads it says what is wrong.
         return {"document"} if path.name.endswith(".labels.npz") else set()
 
 
-def _recording(path: Path, progress: Progress | None) -> Findings:
+def _recording(path: Path, progress: Progress | None) -> _Findings:
     del progress
     checked = check_recording(path, thorough=True)
     if checked.recording is None:
@@ -156,7 +156,7 @@ def _recording(path: Path, progress: Progress | None) -> Findings:
     return (), (*counts, "every picture decoded")
 
 
-def _tracked(path: Path, progress: Progress | None) -> Findings:
+def _tracked(path: Path, progress: Progress | None) -> _Findings:
     del progress
     return (), (_counts(TrackedTrajectory.load(path)),)
 
@@ -185,7 +185,7 @@ def _replayed(path: Path, recordings: Path, progress: Progress | None) -> Verifi
     return Verification(path, "tracked trajectory", problems, (_counts(tracked), again.text))
 
 
-def _labels(path: Path, progress: Progress | None) -> Findings:
+def _labels(path: Path, progress: Progress | None) -> _Findings:
     del progress
     require_learning()
     from clothtrack.reconstruction.data.pseudo_labels import read_labels
@@ -195,13 +195,13 @@ def _labels(path: Path, progress: Progress | None) -> Findings:
     return (), (f"{_count(len(labels.pictures), 'label')} of {labels.name:.80}", *sealed)
 
 
-def _truth(path: Path, progress: Progress | None) -> Findings:
+def _truth(path: Path, progress: Progress | None) -> _Findings:
     del progress
     truth = Truth.load(path)
     return (), (f"{_count(len(truth.frames), 'frame')}, {truth.positions.shape[1]} vertices",)
 
 
-def _weights(path: Path, progress: Progress | None) -> Findings:
+def _weights(path: Path, progress: Progress | None) -> _Findings:
     del progress
     require_learning()
     from clothtrack.reconstruction.training.checkpoint import is_sealed, load_weights
@@ -230,7 +230,7 @@ def _stated(card: Path, name: str) -> str:
     return found[1] if found else ""
 
 
-def _states(path: Path, progress: Progress | None) -> Findings:
+def _states(path: Path, progress: Progress | None) -> _Findings:
     from clothtrack.reconstruction.data.state_store import SHARD_FOLDER, open_states, read_shard
 
     found = open_states(path)
@@ -249,14 +249,14 @@ def _states(path: Path, progress: Progress | None) -> Findings:
     return tuple(problems), (f"{_count(len(found.shards), 'garment')}, {states} states",)
 
 
-def _shard(path: Path, progress: Progress | None) -> Findings:
+def _shard(path: Path, progress: Progress | None) -> _Findings:
     del progress
     from clothtrack.reconstruction.data.state_store import read_shard
 
     return (), (f"{len(read_shard(path).positions)} states",)
 
 
-def _bench(path: Path, progress: Progress | None) -> Findings:
+def _bench(path: Path, progress: Progress | None) -> _Findings:
     del progress
     try:
         # The benchmark belongs to a package that this one does not import.

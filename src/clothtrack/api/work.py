@@ -21,7 +21,7 @@ from clothtrack.tracking.artefacts import inside, load_tracked, recording_folder
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 from clothtrack.version import __version__
 
-MADE_FROM = "made_from_sha256"
+_MADE_FROM = "made_from_sha256"
 """Field of the labels' provenance: digest of all that they depend on."""
 
 
@@ -89,7 +89,7 @@ class Labelling:
         from clothtrack.reconstruction.data.pseudo_labels import read_labels
 
         try:
-            made_from = read_labels(file).provenance.get(MADE_FROM)
+            made_from = read_labels(file).provenance.get(_MADE_FROM)
         except InvalidResultError:
             return None
         if made_from != self.source.digest(path):
@@ -99,7 +99,7 @@ class Labelling:
 
     def do(self, path: Path) -> Path:
         """Label it."""
-        (file,), made_from = self.paths(path), {MADE_FROM: self.source.digest(path)}
+        (file,), made_from = self.paths(path), {_MADE_FROM: self.source.digest(path)}
         run = self.source.run(path)
         label(run, file, **self.source.options, provenance=made_from)
         self.source.tell(path, run)

@@ -68,7 +68,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """The order of `--help`; a verb that is in no group comes last."""
 
-GONE: Mapping[str, str] = {
+_GONE: Mapping[str, str] = {
     "verify": "clothtrack inspect PATH...",
     "bench": "clothtrack simulate OUT --benchmark all",
     "calibrate-hand-eye": "clothtrack calibrate-camera RECORDING --robot-poses POSES.csv",
@@ -77,7 +77,7 @@ GONE: Mapping[str, str] = {
 }
 """What to type instead of verbs that there were."""
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that numeric libraries read when they are loaded. The operations here are small, and
 threads wait for each other more than they compute: on a busy machine several times as long."""
 
@@ -98,11 +98,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if words[:1] in (["-h"], ["--help"]):
             say(overview(VERBS, GROUPS))
             return 0
-        function, chosen = parse(words, VERBS, GONE)
+        function, chosen = parse(words, VERBS, _GONE)
     except WrongUsageError as wrong:
         complain(str(wrong))
         return WRONG_USAGE
-    for variable in THREADS:
+    for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     with logged(verbose=chosen.pop("verbose")):
         code = exit_code(lambda: _run(words[0], function, chosen))
@@ -119,7 +119,7 @@ def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:
     quiet_warp()
     json = chosen.pop("json")
     if chosen.pop("show_settings", False):
-        return list_settings(function, chosen)
+        return _list_settings(function, chosen)
     if verb == "reconstruct" and chosen["output"] is None:
         from clothtrack.api.learning import default_mesh
 
@@ -174,7 +174,7 @@ def _say(verb: str, result: Any, *, json: bool, said: bool) -> int:
     return getattr(result, "exit_code", 0)
 
 
-def list_settings(function: Function, chosen: Mapping[str, Any]) -> int:
+def _list_settings(function: Function, chosen: Mapping[str, Any]) -> int:
     """Write every setting of a verb with its value and its meaning, group by group."""
     from clothtrack.files.settings import settings_of
 

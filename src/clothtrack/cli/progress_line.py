@@ -11,16 +11,16 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
-REWRITTEN_S = 0.1
+_REWRITTEN_S = 0.1
 """Least time between two states of the line on a terminal [s]; a person reads no faster."""
 
 LOGGED_S = 30.0
-LOGGED_SHARE = 0.05
+_LOGGED_SHARE = 0.05
 """Elsewhere a line comes this often [s], or after this share of the time that has passed."""
 
 _USUAL_COLUMNS = 80
 
-TRUSTED_S = 2.0
+_TRUSTED_S = 2.0
 """No time left is said before this much of it has passed [s]: the first steps compile kernels."""
 
 
@@ -60,11 +60,11 @@ class ProgressLine:
         self._done = done
         text = self.text = f"{self._share(now, done, total)}{place}"
         if self._stream.isatty():
-            if not self._shown or now - self._written_s >= REWRITTEN_S or done == total:
+            if not self._shown or now - self._written_s >= _REWRITTEN_S or done == total:
                 self._stream.write(f"\r{text[: _columns(self._stream) - 1]}\x1b[K")
                 self._stream.flush()
                 self._written_s, self._shown = now, True
-        elif now - self._written_s >= max(LOGGED_S, LOGGED_SHARE * (now - self._began_s)):
+        elif now - self._written_s >= max(LOGGED_S, _LOGGED_SHARE * (now - self._began_s)):
             self._stream.write(text + "\n")
             self._stream.flush()
             self._written_s = now
@@ -85,7 +85,7 @@ class ProgressLine:
             return ""
         began_s, before, _ = self._start
         left = ""
-        if done > before and now - began_s >= TRUSTED_S:
+        if done > before and now - began_s >= _TRUSTED_S:
             rest_s = (now - began_s) * max(total - done, 0) / (done - before)
             left = f"{duration(rest_s)} left"
         return f"{100 * min(done, total) // total:3d} %  {left:>11}  "

@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-OF_THE_TERMINAL: Mapping[str, Any] = {
+_OF_THE_TERMINAL: Mapping[str, Any] = {
     "json": Annotated[bool, arg(name="json", help="write one JSON document to standard output")],
     "show_settings": Annotated[bool, arg(help="list what --set can change, and do nothing else")],
     "verbose": Annotated[bool, arg(name="verbose", help="log what happens, on standard error")],
@@ -93,7 +93,7 @@ def _of_the_terminal(function: Callable[..., Any]) -> list[inspect.Parameter]:
         names.insert(0, "show_settings")
     return [
         inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=OF_THE_TERMINAL[name]
+            name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_OF_THE_TERMINAL[name]
         )
         for name in names
     ]

@@ -20,7 +20,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 from clothtrack.cli.signature import SHOW_SETTINGS, command, options_of, parameters_of
 from clothtrack.errors import WrongUsageError
 
-DESCRIPTION = (
+_DESCRIPTION = (
     "Know where every point of a crumpled cloth is, from one depth camera. Every verb takes "
     "--verbose, to log what happens, and --json, to write one JSON document in place of text; "
     "clothtrack --version says what is installed."
@@ -90,7 +90,7 @@ def overview(
     named = {name for names in groups.values() for name in names}
     whole = {**groups, "others": [name for name in verbs if name not in named]}
     width = max(map(len, verbs))
-    parts = ["usage: clothtrack VERB ...", fill(DESCRIPTION, _WIDTH)]
+    parts = ["usage: clothtrack VERB ...", fill(_DESCRIPTION, _WIDTH)]
     for title, names in whole.items():
         rows = [
             f"  {name:<{width}}  {_sentence(verbs[name](), _WIDTH - width - 4)}"

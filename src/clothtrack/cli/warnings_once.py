@@ -12,7 +12,7 @@ _COUNTED = re.compile(r"(?<!\w)\d+")
 """Numbers of frames, files and places; those in a name belong to it."""
 
 
-class WarningsOnce(logging.Handler):
+class _WarningsOnce(logging.Handler):
     """Writes the first warning of each cause, and at the end how many more there were."""
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ def logged(*, verbose: bool) -> Iterator[None]:
     Args:
         verbose: not only warnings, but what happens, too.
     """
-    root, handler = logging.getLogger(), WarningsOnce()
+    root, handler = logging.getLogger(), _WarningsOnce()
     level = root.level
     root.setLevel(logging.INFO if verbose else logging.WARNING)
     root.addHandler(handler)

@@ -23,7 +23,7 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-CLOUD_SPACING_M = 0.004
+_CLOUD_SPACING_M = 0.004
 """Clouds are thinned to this before distances are taken [m]: what a vertex is tracked with."""
 
 
@@ -123,7 +123,7 @@ def label_evidence(
         travelled += _mean_distance(label.vertices, previous)
         previous = label.vertices
         dense = observe(recording, recording.frames[label.frame], segmenter, spacing_m=None)
-        cloud = thin(dense.points, CLOUD_SPACING_M)
+        cloud = thin(dense.points, _CLOUD_SPACING_M)
         away = distance_to_mesh(cloud, label.vertices, mesh.faces) if len(cloud) else np.zeros(0)
         seen = visible_vertices(label.vertices, mesh.faces, recording.cameras, device=device)
         judged = seen & ~dense.unobservable(label.vertices)

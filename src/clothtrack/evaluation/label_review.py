@@ -27,7 +27,7 @@ Verdict = Literal["accepted", "rejected", "open"]
 
 
 @dataclass(frozen=True)
-class ReviewedLabel:
+class _ReviewedLabel:
     """One label and what was decided about it.
 
     Attributes:
@@ -54,13 +54,13 @@ class LabelReview:
     """
 
     name: str
-    labels: tuple[ReviewedLabel, ...]
+    labels: tuple[_ReviewedLabel, ...]
 
     @classmethod
     def blank(cls, tracked: TrackedTrajectory) -> "LabelReview":
         """Nothing decided yet."""
         labels = (
-            ReviewedLabel(number, int(label.frame), _digest(label.vertices))
+            _ReviewedLabel(number, int(label.frame), _digest(label.vertices))
             for number, label in enumerate(labels_of(tracked))
         )
         return cls(tracked.name, tuple(labels))

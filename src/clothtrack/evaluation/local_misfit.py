@@ -17,14 +17,14 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.point_cloud import Observation
 
-PIXELS_OF_NOISE = 1.5
+_PIXELS_OF_NOISE = 1.5
 """Outlines that differ by less [pixels] agree: masks and z-buffers are rounded to pixels."""
 
-PATCH_M = 0.04
+_PATCH_M = 0.04
 """Radius of the patch of flat cloth around a vertex whose misfit it shares [m]: a flap that is
 shifted shows it at its rim alone."""
 
-PATCH_QUANTILE = 80.0
+_PATCH_QUANTILE = 80.0
 """Percentile of the misfits in a patch that its middle shares; a higher one lets a single vertex
 decide."""
 
@@ -96,7 +96,7 @@ def _outside(
 ) -> tuple[Int[np.ndarray, " pixels"], Int[np.ndarray, " pixels"], Float[np.ndarray, " pixels"]]:
     """Return the pixels of a shape outside of another: rows, columns, and how far [pixels]."""
     away = cv2.distanceTransform((~other).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    rows, columns = np.nonzero(shape & (away > PIXELS_OF_NOISE))
+    rows, columns = np.nonzero(shape & (away > _PIXELS_OF_NOISE))
     return rows, columns, away[rows, columns].astype(np.float64)
 
 
@@ -119,9 +119,9 @@ def _by_patch(
 ) -> Float[np.ndarray, " vertices"]:
     """Return a high percentile of the misfits in the patch around each vertex [m]."""
     flat = np.asarray(mesh.vertices, np.float64)
-    near = cKDTree(flat).sparse_distance_matrix(cKDTree(flat), PATCH_M, output_type="ndarray")
+    near = cKDTree(flat).sparse_distance_matrix(cKDTree(flat), _PATCH_M, output_type="ndarray")
     order = np.lexsort((misfit_m[near["j"]], near["i"]))
     ends = np.cumsum(np.bincount(near["i"], minlength=len(flat)))
     starts = np.concatenate([[0], ends[:-1]])
-    place = starts + ((ends - 1 - starts) * PATCH_QUANTILE / 100.0).astype(np.int64)
+    place = starts + ((ends - 1 - starts) * _PATCH_QUANTILE / 100.0).astype(np.int64)
     return misfit_m[near["j"][order]][place]

@@ -19,7 +19,7 @@ from clothtrack.recordings.recording import Table
 CLOSE_PAIR_M = 0.005
 """Non-adjacent vertices nearer than this [m] count as a close pair (paper, Sec. IV)."""
 
-BELOW_TABLE_M = 0.003
+_BELOW_TABLE_M = 0.003
 """A vertex lies below the table when it is this far [m] under its resting height."""
 
 SURFACE_SAMPLES = 40_000
@@ -179,4 +179,4 @@ def below_table(
     """Share of vertices more than 3 mm under their resting height; NaN without a table."""
     if table is None:
         return float("nan")
-    return float((table.heights(vertices) < rest_height_m - BELOW_TABLE_M).mean())
+    return float((table.heights(vertices) < rest_height_m - _BELOW_TABLE_M).mean())

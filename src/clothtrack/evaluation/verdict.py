@@ -16,8 +16,8 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-Word = Literal["trust", "look", "reject"]
-WORDS: tuple[Word, ...] = get_args(Word)
+_Word = Literal["trust", "look", "reject"]
+WORDS: tuple[_Word, ...] = get_args(_Word)
 """From the best to the worst."""
 
 
@@ -74,7 +74,7 @@ class Evidence:
     measured: float
     limit: float
     unit: str
-    word: Word
+    word: _Word
     text: str
     remedy: str
     action: int | None = None
@@ -91,7 +91,7 @@ class Verdict:
         evidence: everything that was measured, the worst first.
     """
 
-    word: Word
+    word: _Word
     reason: str
     expected_error_m: float
     evidence: tuple[Evidence, ...] = ()
@@ -137,7 +137,7 @@ def trajectory_verdict(labels: Sequence[LabelQuality], findings: Iterable[Findin
         labels: of all its actions, judged.
         findings: in what its recording contradicts itself.
     """
-    evidence = [of_finding(finding) for finding in findings]
+    evidence = [_of_finding(finding) for finding in findings]
     for label in labels:
         evidence += evidence_of(label)
     if not labels:
@@ -222,7 +222,7 @@ def evidence_of(label: LabelQuality) -> list[Evidence]:
     return [replace(one, action=label.action) for one in found]
 
 
-def of_finding(finding: Finding) -> Evidence:
+def _of_finding(finding: Finding) -> Evidence:
     """Return what a check of the recording found as evidence."""
     return Evidence(
         finding.kind, finding.measured, finding.limit, finding.unit,
@@ -239,7 +239,7 @@ def _remedy(finding: Finding) -> str:
 
 def _measured(name: str, measured: float, text: str) -> Evidence:
     limit = LIMITS[name]
-    word: Word = "trust"
+    word: _Word = "trust"
     if not math.isfinite(measured):
         word, text = "reject", "nothing of the cloth was seen at its end"
     elif measured > limit.reject:

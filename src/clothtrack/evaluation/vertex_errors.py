@@ -11,7 +11,7 @@ from jaxtyping import Float
 from clothtrack.evaluation.label_quality import LabelQuality
 from clothtrack.tracking.tracked_trajectory import TrackedAction
 
-SPREAD_SHARE = 0.8
+_SPREAD_SHARE = 0.8
 """Share of the expected error that is dealt out by the spread; the rest falls on all alike."""
 
 
@@ -29,6 +29,6 @@ def expected_vertex_errors(
     mean_m = float(spread_m.mean()) if len(spread_m) else 0.0
     dealt = np.full(vertices, expected_m)
     if mean_m > 0.0:
-        dealt = expected_m * (1.0 - SPREAD_SHARE + SPREAD_SHARE * spread_m / mean_m)
+        dealt = expected_m * (1.0 - _SPREAD_SHARE + _SPREAD_SHARE * spread_m / mean_m)
     misfit = label.evidence.misfit
     return dealt if misfit is None else np.maximum(dealt, misfit.patch_m)

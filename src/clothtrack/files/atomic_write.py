@@ -17,13 +17,13 @@ from pathlib import Path
 
 from clothtrack.errors import StorageError
 
-LATE_WRITERS_S = 2.0
+_LATE_WRITERS_S = 2.0
 """Longest time [s] that late writers may still write into a folder that is removed."""
 
 OLD = ".old"
 """Ends the hidden name of a folder that is being replaced."""
 
-LONGEST_NAME = 200
+_LONGEST_NAME = 200
 """Characters of a name; file systems take 255, and suffixes come on top."""
 
 _HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
@@ -43,8 +43,8 @@ def name_problem(name: object) -> str:
         return "it has a separator of folders"
     if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
         return "it has a control character"
-    if len(name) > LONGEST_NAME:
-        return f"it has {len(name)} characters, more than {LONGEST_NAME}"
+    if len(name) > _LONGEST_NAME:
+        return f"it has {len(name)} characters, more than {_LONGEST_NAME}"
     return ""
 
 
@@ -161,7 +161,7 @@ def remove_folder(folder: Path) -> None:
     A process that is told to end meanwhile removes it first.
     """
     with _undisturbed():
-        deadline = time.monotonic() + LATE_WRITERS_S
+        deadline = time.monotonic() + _LATE_WRITERS_S
         shutil.rmtree(folder, ignore_errors=True)
         while folder.exists() and time.monotonic() < deadline:
             time.sleep(0.05)

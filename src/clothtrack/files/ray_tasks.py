@@ -19,13 +19,13 @@ from clothtrack.files.extras import install_command
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-LOCAL = "local"
+_LOCAL = "local"
 """The address that starts Ray on this machine, for this program alone."""
 
-CANCEL_S = 10.0
+_CANCEL_S = 10.0
 """Time for canceled tasks to end [s]."""
 
-ANSWER_S = 5.0
+_ANSWER_S = 5.0
 """Time for a cluster to accept a connection [s]; Ray itself tries, and logs, for two minutes."""
 
 
@@ -69,7 +69,7 @@ def finished_by_ray(
         for job in left:
             ray.cancel(job, force=True)
         if left:
-            ray.wait(left, num_returns=len(left), timeout=CANCEL_S)
+            ray.wait(left, num_returns=len(left), timeout=_CANCEL_S)
 
 
 def _result(ray: Any, job: Any, name: str) -> Any:
@@ -99,7 +99,7 @@ def _done_in(work: Callable[[Item], Result], item: Item, folder: str) -> Result:
 def _connected(address: str, workers: int) -> Any:
     """Return the module `ray`, connected; a Ray that this program has started is used as it is."""
     os.environ.update(RAY_USAGE_STATS_ENABLED="0", RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO="0")
-    if address == LOCAL and not {"RAY_AUTH_MODE", "ray"} & {*os.environ, *sys.modules}:
+    if address == _LOCAL and not {"RAY_AUTH_MODE", "ray"} & {*os.environ, *sys.modules}:
         # Its ports are open to the network: only who has the token may use them. It is read once,
         # when Ray is imported.
         os.environ.update(RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=os.urandom(32).hex())
@@ -109,18 +109,18 @@ def _connected(address: str, workers: int) -> Any:
         raise InvalidConfigError(
             f"working with Ray needs {error.name}; install with: {install_command('ray')}"
         ) from error
-    options = {"num_cpus": workers, "include_dashboard": False} if address == LOCAL else {}
+    options = {"num_cpus": workers, "include_dashboard": False} if address == _LOCAL else {}
     try:
         with _own_sigterm():
             if not ray.is_initialized():
                 host, _, port = address.removeprefix("ray://").rpartition(":")
                 if host and port.isdigit():
-                    socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+                    socket.create_connection((host.strip("[]"), int(port)), _ANSWER_S).close()
                 ray.init(address, logging_level=logging.ERROR, **options)
     except (OSError, OverflowError, RuntimeError, ValueError) as error:
         raise InvalidConfigError(
             f"Ray at {address!r} does not answer ({_first_line(error)}); give the address of a "
-            f"running cluster, or {LOCAL} to start Ray on this machine"
+            f"running cluster, or {_LOCAL} to start Ray on this machine"
         ) from error
     return ray
 

@@ -8,10 +8,10 @@ from typing import Any
 from clothtrack.errors import InvalidConfigError, InvalidResultError
 from clothtrack.files.atomic_write import storage, write_file
 
-LONGEST = 40
+_LONGEST = 40
 """Characters of a value that a message shows."""
 
-RETIRED = {
+_RETIRED = {
     "planner.finalists": None,
     "planner.within_picture": True,
     "materials": 1,
@@ -95,7 +95,7 @@ def _differing(stored: Any, asked: Any, name: str = "") -> Iterator[tuple[str, s
 
 def _is_retired(name: str, value: Any) -> bool:
     """Return whether a stored setting is gone, and had the value that is now constant."""
-    for retired, kept in RETIRED.items():
+    for retired, kept in _RETIRED.items():
         if name == retired or name.endswith(f".{retired}"):
             return kept is None or value == kept
     return False
@@ -103,4 +103,4 @@ def _is_retired(name: str, value: Any) -> bool:
 
 def _in_short(value: Any) -> str:
     text = json.dumps(value)
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

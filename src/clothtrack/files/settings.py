@@ -13,11 +13,11 @@ from clothtrack.errors import InvalidConfigError
 
 Config = TypeVar("Config")
 
-LINE = 120
+_LINE = 120
 """Most characters of what a setting means."""
 
 
-class Setting(NamedTuple):
+class _Setting(NamedTuple):
     """One value that can be changed by its name.
 
     Attributes:
@@ -33,7 +33,7 @@ class Setting(NamedTuple):
     meaning: str
 
 
-def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Setting]:
+def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[_Setting]:
     """Yield all settings that `with_settings` can change, a group before those below it.
 
     Args:
@@ -53,7 +53,7 @@ def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Set
             below.append((value, name, meanings.get(key, "")))
         elif value is not None and not _is_group(value):  # no text can say a table or a sensor
             text = value if isinstance(value, str) else json.dumps(value)
-            yield Setting(group, name, text, meanings.get(key, ""))
+            yield _Setting(group, name, text, meanings.get(key, ""))
     for one in below:
         yield from settings_of(*one)
 
@@ -65,7 +65,7 @@ def _meanings(owner: type) -> dict[str, str]:
     found = {}
     for names, text in entry.findall(attributes):
         sentence = re.split(r"\.(?: (?=[A-Z])|$)", " ".join(text.split()))[0]
-        found.update(dict.fromkeys(names.split(", "), shorten(sentence, LINE, placeholder=" ...")))
+        found.update(dict.fromkeys(names.split(", "), shorten(sentence, _LINE, placeholder=" ...")))
     return found
 
 

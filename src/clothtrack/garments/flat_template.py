@@ -23,19 +23,19 @@ from clothtrack.garments.silhouettes import Outline, Silhouette, signed_area
 from clothtrack.garments.triangulation import Span, evenly_along
 from clothtrack.geometry.mesh import ClothMesh
 
-TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
+_TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
 """Garments that a template can be made of."""
 
-USUAL_FRONT_NECK_SHARE = 0.10
+_USUAL_FRONT_NECK_SHARE = 0.10
 """Depth of the front's neck over the garment's length: the picture shows the back's."""
 
-RECTANGLE_SHARE = 0.02
+_RECTANGLE_SHARE = 0.02
 """A towel whose area differs less than this from a rectangle's is one."""
 
-MIRROR_LIMIT_SHARE = 0.05
+_MIRROR_LIMIT_SHARE = 0.05
 """Halves farther apart than this share of the garment's extent (root mean square) are left so."""
 
-STRETCH_POINTS = 241
+_STRETCH_POINTS = 241
 """Points of a stretch after both halves were compared; odd, so that one is in the middle."""
 
 
@@ -78,7 +78,7 @@ class FlatTemplate:
         neck_seen: whether the neck's ends were seen, or are a guess.
     """
 
-    kind: TemplateKind
+    kind: _TemplateKind
     mesh: ClothMesh
     stretches: tuple[Stretch, ...]
     asymmetry_m: float = 0.0
@@ -100,7 +100,7 @@ class FlatTemplate:
 
 def make_template(
     outline: Silhouette,
-    kind: TemplateKind,
+    kind: _TemplateKind,
     *,
     vertex_count: int = 1000,
     front_neck_m: float | None = None,
@@ -125,9 +125,9 @@ def make_template(
         InvalidConfigError: another kind, or a number that does not fit.
         InvalidRecordingError: the outline is not that of such a garment.
     """
-    if kind not in get_args(TemplateKind):
+    if kind not in get_args(_TemplateKind):
         raise InvalidConfigError(
-            f"kind is {kind!r}; a template can be made of: {', '.join(get_args(TemplateKind))}"
+            f"kind is {kind!r}; a template can be made of: {', '.join(get_args(_TemplateKind))}"
         )
     if front_neck_m is not None and kind in ("towel", "trousers"):
         raise InvalidConfigError(f"front_neck_m: a {kind} has no neck; leave it out")
@@ -156,11 +156,11 @@ def _sewn_template(
         outline, kind, pixels
     )  # fmt: skip
     numbers = range(len(found.names))
-    evenly = [evenly_along(found.stretch(number), STRETCH_POINTS) for number in numbers]
-    in_picture = [evenly_along(found.stretch_pixels(number), STRETCH_POINTS) for number in numbers]
+    evenly = [evenly_along(found.stretch(number), _STRETCH_POINTS) for number in numbers]
+    in_picture = [evenly_along(found.stretch_pixels(number), _STRETCH_POINTS) for number in numbers]
     parts, asymmetry = _about_their_axis(evenly)
     extent = float(np.ptp(np.concatenate(parts), axis=0).max())
-    mirrored = mirrored and asymmetry <= MIRROR_LIMIT_SHARE * extent
+    mirrored = mirrored and asymmetry <= _MIRROR_LIMIT_SHARE * extent
     if mirrored:
         parts = [0.5 * (part + other) for part, other in zip(parts, _images(parts), strict=True)]
     around = np.concatenate([part[:-1] for part in parts])
@@ -171,7 +171,7 @@ def _sewn_template(
     front = back
     if kind != "trousers":
         length = float(np.ptp(around[:, 1]))
-        depth = USUAL_FRONT_NECK_SHARE * length if front_neck_m is None else front_neck_m
+        depth = _USUAL_FRONT_NECK_SHARE * length if front_neck_m is None else front_neck_m
         if not 0.0 < depth < 0.5 * length:
             raise InvalidConfigError(
                 f"front_neck_m is {depth:.3g} for a length of {length:.3g} m; it must be above 0 "
@@ -198,7 +198,7 @@ def _towel_template(outline: Silhouette, vertex_count: int, seed: int) -> FlatTe
     extent = max(width, length)
     area = signed_area(upright.points)
     spread = np.abs(_to_rectangle(upright.points, width, length))
-    if abs(area / (width * length) - 1.0) < RECTANGLE_SHARE and spread.mean() < 0.01 * extent:
+    if abs(area / (width * length) - 1.0) < _RECTANGLE_SHARE and spread.mean() < 0.01 * extent:
         mesh = with_vertices(
             lambda edge_m: towel(width, length, edge_m),
             vertex_count,

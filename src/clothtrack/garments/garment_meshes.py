@@ -34,7 +34,7 @@ GarmentKind = Literal["towel", "tshirt"]
 ClothKind = Literal["towel", "tshirt", "trousers"]
 """Garments of which states are made, and that are reconstructed from a picture."""
 
-TowelPattern = Literal["alternating", "regular", "random"]
+_TowelPattern = Literal["alternating", "regular", "random"]
 
 DEFAULT_SIZES_M: dict[str, tuple[float, float]] = {"towel": (0.3, 0.3), "tshirt": (0.5, 0.45)}
 """Width and length [m] of each kind of garment when none is asked for."""
@@ -45,7 +45,7 @@ TOWEL_SIDES_M = (0.22, 0.34)
 TSHIRT_WIDTHS_M, TSHIRT_LENGTHS_M = (0.42, 0.54), (0.38, 0.48)
 """From where the widths, from sleeve to sleeve, and lengths of generated T-shirts are drawn [m]."""
 
-SEAM_TAPER_M = 0.02
+_SEAM_TAPER_M = 0.02
 """Distance [m] from a seam over which the two layers of a flat garment reach their full gap."""
 
 
@@ -54,7 +54,7 @@ def towel(
     length_m: float = 0.3,
     spacing_m: float = 0.01,
     *,
-    pattern: TowelPattern = "alternating",
+    pattern: _TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
     """Make a rectangle in the plane z = 0, centred at the origin.
@@ -156,7 +156,7 @@ def two_layers(
     points, faces, side = _sewn_together(ahead, behind)
     seams = [span.points for span in front if span.sewn]
     from_seam = np.min([distance_to_polyline(points, seam) for seam in seams], axis=0)
-    gap = 0.5 * layer_gap_m * _rounded(from_seam / SEAM_TAPER_M)
+    gap = 0.5 * layer_gap_m * _rounded(from_seam / _SEAM_TAPER_M)
     width_m = float(np.ptp(points[:, 0]))
     inflated = 0.12 * width_m * _rounded(from_seam / (0.25 * width_m))
     return ClothMesh(
@@ -244,7 +244,7 @@ def garment(
     *,
     vertex_count: int = 1000,
     size_m: tuple[float, float] | None = None,
-    pattern: TowelPattern = "alternating",
+    pattern: _TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
     """Make a flat garment with about the wanted number of vertices (within some 8 %).

@@ -18,8 +18,8 @@ from clothtrack.garments.silhouettes import Outline, Silhouette, mirror_axis, sy
 SewnKind = Literal["tshirt", "polo", "sweater", "trousers"]
 """Garments of two layers."""
 
-SHIRT_STRETCHES = ("hem", "side", "cuff", "shoulder", "neck", "shoulder", "cuff", "side")
-TROUSERS_STRETCHES = ("waist", "outer seam", "cuff", "inner seam", "cuff", "outer seam")
+_SHIRT_STRETCHES = ("hem", "side", "cuff", "shoulder", "neck", "shoulder", "cuff", "side")
+_TROUSERS_STRETCHES = ("waist", "outer seam", "cuff", "inner seam", "cuff", "outer seam")
 """Stretches of an outline, counter-clockwise; each begins where the one before ends."""
 
 OPENINGS = ("hem", "cuff", "neck", "waist")
@@ -28,16 +28,16 @@ OPENINGS = ("hem", "cuff", "neck", "waist")
 CORNER_SHARE = 0.012
 """A bend that leaves the straight line by this share of the garment's extent is a corner."""
 
-SNAP_SHARE = 0.025
+_SNAP_SHARE = 0.025
 """Landmarks go to a corner that is nearer than this share of the garment's extent."""
 
-NOTCH_SHARE = 0.015
+_NOTCH_SHARE = 0.015
 """A notch of less than this share of the garment's extent is no armpit and no crotch."""
 
-NECK_DIP_SHARE = 0.008
+_NECK_DIP_SHARE = 0.008
 """A neck less deep than this share of the garment's length cannot be told from noise."""
 
-USUAL_NECK_SHARE = 0.28
+_USUAL_NECK_SHARE = 0.28
 """Width of a neck that cannot be seen, over the width between the armpits."""
 
 
@@ -48,7 +48,7 @@ class Openings:
     Attributes:
         outline: upright and counter-clockwise.
         starts: index of the first point of every stretch.
-        names: what each stretch is, as in `SHIRT_STRETCHES`.
+        names: what each stretch is, as in `_SHIRT_STRETCHES`.
         neck_seen: whether the neck's ends were seen, or are a guess.
     """
 
@@ -100,9 +100,9 @@ def find_openings(outline: Silhouette, kind: SewnKind, name: str = "the picture"
     right = landmarks.places
     left = right[::-1] * (-1.0, 1.0)
     if kind == "trousers":
-        names, ends = TROUSERS_STRETCHES, np.concatenate([right[2:], left, right[:2]])
+        names, ends = _TROUSERS_STRETCHES, np.concatenate([right[2:], left, right[:2]])
     else:
-        names, ends = SHIRT_STRETCHES, np.concatenate([left[3:], right, left[:3]])
+        names, ends = _SHIRT_STRETCHES, np.concatenate([left[3:], right, left[:3]])
     starts = _snapped(upright.points, ends)
     if not _once_around(starts, len(upright.points)):
         raise InvalidRecordingError(
@@ -126,7 +126,7 @@ def openings_at(
     Raises:
         InvalidConfigError: there are too many or too few, or they are not in order.
     """
-    names = TROUSERS_STRETCHES if kind == "trousers" else SHIRT_STRETCHES
+    names = _TROUSERS_STRETCHES if kind == "trousers" else _SHIRT_STRETCHES
     wanted = 2 * sum(name in OPENINGS for name in names)
     if pixels.shape != (wanted, 2):
         order = "waist, cuff, cuff" if kind == "trousers" else "hem, cuff, neck, cuff"
@@ -166,7 +166,7 @@ def _shirt_landmarks(upright: Outline) -> _Landmarks | None:
         return None
     depth, armpit = _deepest_notch(points)
     extent = float(np.ptp(upright, axis=0).max())
-    if depth < NOTCH_SHARE * extent:
+    if depth < _NOTCH_SHARE * extent:
         return None
     hem = _farthest_from_chord(points, 0, armpit)
     neck, seen = _neck(points, armpit)
@@ -188,7 +188,7 @@ def _trousers_landmarks(upright: Outline) -> _Landmarks | None:
         return None
     extent = float(np.ptp(upright, axis=0).max())
     gap = float(points[0, 1] - points[:, 1].min())
-    if gap < NOTCH_SHARE * extent:
+    if gap < _NOTCH_SHARE * extent:
         return None
     foot = points[int(points[:, 1].argmin())]
     out = foot - points[0]
@@ -280,11 +280,11 @@ def _neck(half: Outline, armpit: int) -> tuple[int, bool]:
     normal = _turned(along / np.linalg.norm(along), -np.pi / 2)
     height = (rest - rest[0]) @ normal
     peak = int(height.argmax())
-    if height[peak] >= NECK_DIP_SHARE * float(np.ptp(half[:, 1])) and (
+    if height[peak] >= _NECK_DIP_SHARE * float(np.ptp(half[:, 1])) and (
         rest[peak, 0] > 0.06 * width
     ):
         return shoulder + peak, True
-    beyond = np.flatnonzero(rest[:, 0] > 0.5 * USUAL_NECK_SHARE * width)
+    beyond = np.flatnonzero(rest[:, 0] > 0.5 * _USUAL_NECK_SHARE * width)
     return shoulder + int(beyond[-1]), False
 
 
@@ -313,9 +313,9 @@ def _once_around(indices: list[int], count: int) -> bool:
 
 def _snapped(outline: Outline, places: Outline) -> list[int]:
     """Return the index of the corner near each place, or else of the nearest point."""
-    reach = SNAP_SHARE * float(np.ptp(outline, axis=0).max())
+    reach = _SNAP_SHARE * float(np.ptp(outline, axis=0).max())
     apart = np.linalg.norm(outline[None] - places[:, None], axis=2)
-    corners = corners_of(outline, CORNER_SHARE * reach / SNAP_SHARE)[1:-1]
+    corners = corners_of(outline, CORNER_SHARE * reach / _SNAP_SHARE)[1:-1]
     snapped = []
     for distances in apart:
         nearest = int(distances.argmin())

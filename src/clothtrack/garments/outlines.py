@@ -14,7 +14,7 @@ from jaxtyping import Float
 from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.triangulation import Span
 
-UNDERARM = 0.04
+_UNDERARM = 0.04
 """A drawn sleeve's end stands off the body by more than this, over the shirt's length."""
 
 NECK_POINTS = 65
@@ -144,7 +144,7 @@ def _with_free_sleeves(draw: Callable[[], ShirtOutline]) -> ShirtOutline:
             continue
         # Of the spans, up from the hem: the right side, the sleeve's lower edge.
         armpit, cuff = spans[2].points
-        if cuff[0] - max(armpit[0], spans[1].points[0, 0]) > UNDERARM:
+        if cuff[0] - max(armpit[0], spans[1].points[0, 0]) > _UNDERARM:
             return outline
 
 

@@ -12,22 +12,22 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.garments.triangulation import evenly_along
 
 Outline = Float[np.ndarray, "_ 2"]
-ToPlane = Callable[[Outline], Outline]
+_ToPlane = Callable[[Outline], Outline]
 
-OUTLINE_POINTS = 1200
+_OUTLINE_POINTS = 1200
 """Points of an outline, equally far apart: 2 to 4 mm for most garments."""
 
-SMALLEST_CLOTH_PX = 400
+_SMALLEST_CLOTH_PX = 400
 """A cloth of fewer pixels has no outline worth measuring."""
 
-SMOOTHING_PX = 13.0
+_SMOOTHING_PX = 13.0
 """Length of the outline [pixels] to which a parabola is fitted: a border wrong by two pixels comes
 out right to one, and a corner keeps its place within two."""
 
-SPECK_SHARE = 0.02
+_SPECK_SHARE = 0.02
 """A second piece or a hole of more than this share of the cloth is none of the sensor's specks."""
 
-MEDIAN_PX = 5
+_MEDIAN_PX = 5
 """Side of the square [pixels] whose majority a pixel of the mask follows: gaps and hairs go."""
 
 _SUBPIXELS = 4
@@ -63,7 +63,7 @@ class Silhouette:
 
 
 def silhouette(
-    mask: Bool[np.ndarray, "height width"], to_plane: ToPlane, name: str = "the picture"
+    mask: Bool[np.ndarray, "height width"], to_plane: _ToPlane, name: str = "the picture"
 ) -> Silhouette:
     """Return the outline of the cloth in a mask.
 
@@ -87,9 +87,9 @@ def silhouette(
     )
     contour = max(contours, key=cv2.contourArea)[:, 0].astype(np.float64)
     # The contour runs through the middle of the outermost subpixels.
-    pixels = _evenly((contour + 0.5) / _SUBPIXELS - 0.5 - margin, OUTLINE_POINTS)
+    pixels = _evenly((contour + 0.5) / _SUBPIXELS - 0.5 - margin, _OUTLINE_POINTS)
     step_px = float(np.linalg.norm(np.diff(pixels, axis=0), axis=1).mean())
-    window = 2 * round(0.5 * max(5.0, SMOOTHING_PX / step_px)) + 1
+    window = 2 * round(0.5 * max(5.0, _SMOOTHING_PX / step_px)) + 1
     pixels = savgol_filter(pixels, window, 2, axis=0, mode="wrap")
     points = to_plane(pixels)
     if signed_area(points) < 0.0:
@@ -145,7 +145,7 @@ def symmetric(points: Outline) -> Outline:
         (distance > 0.0).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
     contour = max(contours, key=cv2.contourArea)[:, 0].astype(np.float64)
-    outline = _evenly((contour + 0.5) / scale - reach, OUTLINE_POINTS)
+    outline = _evenly((contour + 0.5) / scale - reach, _OUTLINE_POINTS)
     outline = np.asarray(savgol_filter(outline, 11, 2, axis=0, mode="wrap"))
     return outline if signed_area(outline) > 0.0 else outline[::-1]
 
@@ -189,18 +189,18 @@ def _whole_cloth(
     mask: Bool[np.ndarray, "height width"], name: str
 ) -> Bool[np.ndarray, "height width"]:
     """Return the one piece of cloth of a mask, its specks filled."""
-    closed = cv2.medianBlur(mask.astype(np.uint8), MEDIAN_PX)
+    closed = cv2.medianBlur(mask.astype(np.uint8), _MEDIAN_PX)
     _, label, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=4)
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
     largest = int(areas.argmax())
-    if areas[largest] < SMALLEST_CLOTH_PX:
+    if areas[largest] < _SMALLEST_CLOTH_PX:
         raise InvalidRecordingError(
-            f"{name}: the cloth has {areas[largest]} pixels, at least {SMALLEST_CLOTH_PX} are "
+            f"{name}: the cloth has {areas[largest]} pixels, at least {_SMALLEST_CLOTH_PX} are "
             "needed; check the mask, or go nearer with the camera"
         )
     second = int(np.sort(areas)[-2])
-    if second > SPECK_SHARE * areas[largest]:
+    if second > _SPECK_SHARE * areas[largest]:
         raise InvalidRecordingError(
             f"{name}: the cloth is in two pieces of {areas[largest]} and {second} pixels; lay down "
             "one garment, or give its mask with --mask"
@@ -214,7 +214,7 @@ def _whole_cloth(
     filled = cv2.fillPoly(np.zeros(mask.shape, np.uint8), contours, 1) > 0
     holes = cv2.connectedComponentsWithStats((filled & ~cloth).astype(np.uint8), connectivity=4)[2]
     hole = int(holes[1:, cv2.CC_STAT_AREA].max(initial=0))
-    if hole > SPECK_SHARE * areas[largest]:
+    if hole > _SPECK_SHARE * areas[largest]:
         raise InvalidRecordingError(
             f"{name}: the cloth has a hole of {hole} of {areas[largest]} pixels; a sleeve that "
             "touches the body, or a wrong mask: lay it out again, or give a mask without the hole"

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay
 
-CLEARANCE_OF_BOUNDARY = 0.65
+_CLEARANCE_OF_BOUNDARY = 0.65
 """Interior points keep this many spacings from the outline, so that every outline edge survives."""
 
 SMOOTHING_ROUNDS = 10
@@ -133,7 +133,7 @@ def _lattice(
     lattice = (lattice + rng.uniform(0.0, 1.0, 2)) @ turn * spacing + centre
     lattice = lattice[inside(lattice, outline)]
     closed = np.concatenate([outline, outline[:1]])
-    return lattice[distance_to_polyline(lattice, closed) > CLEARANCE_OF_BOUNDARY * spacing]
+    return lattice[distance_to_polyline(lattice, closed) > _CLEARANCE_OF_BOUNDARY * spacing]
 
 
 def _delaunay(

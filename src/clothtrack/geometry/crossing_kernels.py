@@ -61,7 +61,7 @@ def find_boxes(
 
 @no_type_check
 @wp.func
-def passes_through(p: wp.vec3d, q: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+def _passes_through(p: wp.vec3d, q: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     """Return whether a segment crosses the inside of a triangle (signed volumes, strictly)."""
     zero = wp.float64(0.0)
     normal = wp.cross(b - a, c - a)
@@ -78,7 +78,7 @@ def passes_through(p: wp.vec3d, q: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec
 
 @no_type_check
 @wp.func
-def list_between(
+def _list_between(
     edges: int,
     faces: int,
     around_faces: Box,
@@ -105,7 +105,7 @@ def list_between(
             a = vertices[corners[faces, 0, face]]
             b = vertices[corners[faces, 1, face]]
             c = vertices[corners[faces, 2, face]]
-            if passes_through(vertices[i], vertices[j], a, b, c):
+            if _passes_through(vertices[i], vertices[j], a, b, c):
                 slot = wp.atomic_add(count, 0, 1)
                 if slot < found.shape[0]:
                     found[slot] = wp.vec2i(_EIGHT * edges + edge, _EIGHT * faces + face)
@@ -141,7 +141,7 @@ def list_crossings(
             find_touching(around_faces, around, edge_block, near_edges)
             while near_edges != wp.uint32(0):
                 take_lowest(near_edges, edge_place)
-                list_between(
+                _list_between(
                     _EIGHT * edge_block + edge_place, _EIGHT * block + place, around_faces,
                     vertices, corners, boxes, found, count,
                 )  # fmt: skip

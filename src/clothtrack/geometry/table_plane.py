@@ -23,15 +23,15 @@ PIXELS = 40_000
 """About how many measurements are taken from them together; they bound the time."""
 TRIALS = 400
 """Planes through three random measurements; at `LEAST_SHARE` they miss the table once in 50,000."""
-TOLERANCE = 0.008
+_TOLERANCE = 0.008
 """Deviation in inverse depth [1/m] within which a measurement may be table; 4.5 mm at 0.75 m."""
 LEAST_SHARE = 0.3
 """Less of the measurements than this on one plane is no table."""
-RIVAL_SHARE = 0.7
+_RIVAL_SHARE = 0.7
 """Another plane with so large a share of the first one's measurements may be the table, too."""
-LOWER_M = 0.05
+_LOWER_M = 0.05
 """A plane under the first one by at most this [m] is the table, and the first one lies on it."""
-LOWER_SHARE = 0.12
+_LOWER_SHARE = 0.12
 """Share of the measurements that such a plane needs: the rim around a cloth that fills it."""
 _SEED = 0
 
@@ -104,7 +104,7 @@ def fit_plane(
     """
     rng = np.random.default_rng(_SEED)
     plane = _dominant(sight, inverse, rng)
-    on_it = np.abs(inverse - sight @ plane) < TOLERANCE
+    on_it = np.abs(inverse - sight @ plane) < _TOLERANCE
     share = float(on_it.mean())
     if share < LEAST_SHARE:
         raise InvalidRecordingError(
@@ -113,7 +113,7 @@ def fit_plane(
             "picture, and say what is cloth"
         )
     plane = _lower(sight, inverse, plane, rng)
-    on_it = np.abs(inverse - sight @ plane) < TOLERANCE
+    on_it = np.abs(inverse - sight @ plane) < _TOLERANCE
     _require_single(sight, inverse, plane, rng)
     plane, used = _refined(sight, inverse, plane)
     length = float(np.linalg.norm(plane))
@@ -174,7 +174,7 @@ def _dominant(
     off = np.abs(planes @ sight[judges].T - inverse[judges])
     if not len(planes):
         raise InvalidRecordingError("all depth lies on one line; let the table be seen")
-    best = planes[np.argmax((off < TOLERANCE).sum(axis=1))]
+    best = planes[np.argmax((off < _TOLERANCE).sum(axis=1))]
     plane, _ = _refined(sight, inverse, best)
     return plane
 
@@ -188,15 +188,15 @@ def _refined(
 
     It stays wider than the steps of the depth: most of the pixels may lie on one of them.
     """
-    band = TOLERANCE
+    band = _TOLERANCE
     used = np.abs(inverse - sight @ plane) < band
     steps = np.diff(np.unique(inverse[used]))
     narrowest = max(1.5 * float(np.median(steps)) if len(steps) else 0.0, 1e-6)
     for _ in range(_ROUNDS):
         plane, *_ = np.linalg.lstsq(sight[used], inverse[used], rcond=None)
         off = np.abs(inverse - sight @ plane)
-        spread = 1.4826 * float(np.median(off[off < TOLERANCE]))
-        band = min(TOLERANCE, max(3.0 * spread, narrowest))
+        spread = 1.4826 * float(np.median(off[off < _TOLERANCE]))
+        band = min(_TOLERANCE, max(3.0 * spread, narrowest))
         used = off < band
         if used.sum() < 3:
             break
@@ -213,13 +213,13 @@ def _lower(
     length = float(np.linalg.norm(plane))
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
     off = inverse - sight @ plane
-    under = (height > -LOWER_M) & (height < 0.0) & (off < -TOLERANCE)
-    if under.sum() < max(LOWER_SHARE * len(sight), LEAST_POINTS):
+    under = (height > -_LOWER_M) & (height < 0.0) & (off < -_TOLERANCE)
+    if under.sum() < max(_LOWER_SHARE * len(sight), LEAST_POINTS):
         return plane
     lower = _dominant(sight[under], inverse[under], rng)
-    shown = float((np.abs(inverse - sight @ lower) < TOLERANCE).mean())
+    shown = float((np.abs(inverse - sight @ lower) < _TOLERANCE).mean())
     parallel = abs(float(lower @ plane)) / (np.linalg.norm(lower) * length)
-    return lower if shown > LOWER_SHARE and parallel > np.cos(np.radians(3.0)) else plane
+    return lower if shown > _LOWER_SHARE and parallel > np.cos(np.radians(3.0)) else plane
 
 
 def _require_single(
@@ -231,14 +231,14 @@ def _require_single(
     """Raise when another plane is nearly as large as this one and does not lie on it."""
     length = float(np.linalg.norm(plane))
     height = 1.0 / length - (sight / inverse[:, None]) @ (plane / length)
-    beside = (height < -LOWER_M) | (height > LOWER_M)
-    first = float((np.abs(inverse - sight @ plane) < TOLERANCE).mean())
-    if beside.mean() < RIVAL_SHARE * first or beside.sum() < LEAST_POINTS:
+    beside = (height < -_LOWER_M) | (height > _LOWER_M)
+    first = float((np.abs(inverse - sight @ plane) < _TOLERANCE).mean())
+    if beside.mean() < _RIVAL_SHARE * first or beside.sum() < LEAST_POINTS:
         return
     rival = _dominant(sight[beside], inverse[beside], rng)
-    second = float((np.abs(inverse[beside] - sight[beside] @ rival) < TOLERANCE).mean())
+    second = float((np.abs(inverse[beside] - sight[beside] @ rival) < _TOLERANCE).mean())
     second *= float(beside.mean())
-    if second > RIVAL_SHARE * first:
+    if second > _RIVAL_SHARE * first:
         raise InvalidRecordingError(
             f"two planes are about as large, with {100 * first:.0f} and {100 * second:.0f} % of "
             "the depth: which is the table? Let it fill most of the picture"

@@ -11,7 +11,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.geometry import raster_kernels as kernels
 from clothtrack.geometry.camera import Camera
 
-NEAREST_DEPTH_M = 1e-3
+_NEAREST_DEPTH_M = 1e-3
 """Surfaces nearer to the camera than this [m] are not drawn."""
 
 
@@ -70,7 +70,7 @@ class Rasteriser:
         """Return rows and columns outside which no pixel shows the mesh at these vertices [m]."""
         pixels, depth = self.camera.project(vertices)
         # What reaches behind the camera may show anywhere.
-        if not ((depth >= 2.0 * NEAREST_DEPTH_M).all() and np.isfinite(pixels).all()):
+        if not ((depth >= 2.0 * _NEAREST_DEPTH_M).all() and np.isfinite(pixels).all()):
             return slice(0, self.camera.height), slice(0, self.camera.width)
         # A pixel beyond them, for rounding to single precision.
         size = (self.camera.width, self.camera.height)
@@ -192,7 +192,7 @@ def _kernel_camera(camera: Camera) -> object:
     value.fx, value.fy, value.cx, value.cy = camera.fx, camera.fy, camera.cx, camera.cy
     value.camera_from_world = wp.mat33(*camera.world_from_camera[:3, :3].T.ravel().tolist())
     value.position = wp.vec3(*camera.position.tolist())
-    value.near = NEAREST_DEPTH_M
+    value.near = _NEAREST_DEPTH_M
     return value
 
 

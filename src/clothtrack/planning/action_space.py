@@ -17,16 +17,16 @@ from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.pick_and_place import ActionConfig, PlannedAction, carrying_path
 
-EDGE_REACH_M = 0.02
+_EDGE_REACH_M = 0.02
 """Radius of the neighbourhood [m] that tells an edge from the middle of a cloth."""
 
-LEAST_WEIGHT = 0.02
+_LEAST_WEIGHT = 0.02
 """How often the middle of the cloth is picked, compared with a straight edge's 0.18."""
 
 ON_CLOTH_M = 0.012
 """A place this near to a seen point [m] is on the cloth; a pick farther from any is on none."""
 
-OUTWARDS = 0.5
+_OUTWARDS = 0.5
 """Share of moves that lead within 60 degrees of straight away from the middle of the cloth; the
 others lead anywhere."""
 
@@ -119,7 +119,7 @@ class SeenCloth:
 
 
 def edge_measure(
-    points: Float[np.ndarray, "points dimensions"], radius_m: float = EDGE_REACH_M
+    points: Float[np.ndarray, "points dimensions"], radius_m: float = _EDGE_REACH_M
 ) -> Float[np.ndarray, " points"]:
     """Return how much of an edge or a corner is at each point, seen from above.
 
@@ -158,10 +158,10 @@ def pick_weights(
     Returns:
         Weights that sum to one.
     """
-    weights = np.maximum(edge_measure(cloud) ** 2, LEAST_WEIGHT)
+    weights = np.maximum(edge_measure(cloud) ** 2, _LEAST_WEIGHT)
     if flat is not None and positions is not None:
         spacing = float(np.median(flat.edge_lengths))
-        at_rest = edge_measure(flat.vertices, max(EDGE_REACH_M, 2.0 * spacing)) ** 2
+        at_rest = edge_measure(flat.vertices, max(_EDGE_REACH_M, 2.0 * spacing)) ** 2
         gap, nearest = cKDTree(positions).query(cloud)
         own = np.where(gap < max(ON_CLOTH_M, spacing), at_rest[nearest], 0.0)
         weights = np.maximum(weights, own)
@@ -200,7 +200,7 @@ def sample_actions(
         )
         pick = cloud[picks].astype(np.float64)
         outward = np.arctan2(*(pick[:, :2] - middle).T[::-1])
-        spread = np.where(rng.random(missing) < OUTWARDS, np.pi / 3.0, np.pi)
+        spread = np.where(rng.random(missing) < _OUTWARDS, np.pi / 3.0, np.pi)
         heading = outward + spread * rng.uniform(-1.0, 1.0, missing)
         distance = rng.uniform(*space.distance_m, missing)
         step = distance[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)

@@ -7,7 +7,7 @@ from jaxtyping import UInt8
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.action_space import PickPlace
 
-ARROW = (217, 70, 50)
+_ARROW = (217, 70, 50)
 OUTLINE = (255, 255, 255)
 
 
@@ -19,9 +19,9 @@ def draw_action(
     pixels, _ = camera.project(np.stack([action.pick, action.place]))
     start, end = (tuple(round(float(value)) for value in pixel) for pixel in pixels)
     wide = max(1, camera.width // 220)
-    for color, width in ((OUTLINE, 2 * wide + 2), (ARROW, wide + 1)):
+    for color, width in ((OUTLINE, 2 * wide + 2), (_ARROW, wide + 1)):
         cv2.arrowedLine(drawn, start, end, color, width, cv2.LINE_AA, tipLength=0.18)
-        cv2.circle(drawn, start, 3 * wide, color, -1 if color == ARROW else width, cv2.LINE_AA)
+        cv2.circle(drawn, start, 3 * wide, color, -1 if color == _ARROW else width, cv2.LINE_AA)
     return drawn
 
 

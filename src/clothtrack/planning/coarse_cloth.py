@@ -15,10 +15,10 @@ from clothtrack.geometry.mesh import ClothMesh
 LAYERS = {"towel": 1.0, "tshirt": 1.2}
 """Area of all layers of a garment over width times length, about."""
 
-COUNTED_AREA = 1.0 / 1.08
+_COUNTED_AREA = 1.0 / 1.08
 """A triangular or square lattice has this many vertices per square of its spacing, with hems."""
 
-FEWEST = 64
+_FEWEST = 64
 """Vertices below which a garment's outline is lost."""
 
 
@@ -32,7 +32,7 @@ class CoarseConfig(Checked):
     """
 
     spacing_m: Positive = 0.025
-    most_vertices: Annotated[int, Bounds(least=FEWEST)] = 400
+    most_vertices: Annotated[int, Bounds(least=_FEWEST)] = 400
 
 
 class Coarsener:
@@ -63,8 +63,8 @@ class Coarsener:
         if kind not in DEFAULT_SIZES_M or flat.canonical is None:
             return
         width, length = (float(side) for side in np.ptp(flat.canonical[:, :2], axis=0))
-        wanted = LAYERS[kind] * width * length / config.spacing_m**2 / COUNTED_AREA
-        count = int(min(config.most_vertices, max(float(FEWEST), wanted)))
+        wanted = LAYERS[kind] * width * length / config.spacing_m**2 / _COUNTED_AREA
+        count = int(min(config.most_vertices, max(float(_FEWEST), wanted)))
         if count >= flat.vertex_count:
             return
         coarse = garment(kind, vertex_count=count, size_m=(width, length))

@@ -31,7 +31,7 @@ from clothtrack.recordings.store import RecordingWriter, read_recording
 
 DOCUMENT = "episode.json"
 PICKER = "gripper"
-DEPTH_UNIT_M = 0.0005
+_DEPTH_UNIT_M = 0.0005
 PACKAGES = ("numpy", "scipy", "warp-lang", "mujoco-core", "torch")
 
 
@@ -212,7 +212,7 @@ def write_step(
     """
     camera = frames[0].camera
     with RecordingWriter(
-        folder, [camera], {camera.name: DEPTH_UNIT_M}, table=table, cloth=cloth,
+        folder, [camera], {camera.name: _DEPTH_UNIT_M}, table=table, cloth=cloth,
         provenance=dict(provenance or {}),
     ) as writer:  # fmt: skip
         for frame in frames:

@@ -53,7 +53,7 @@ def weights_used(config: FlattenConfig) -> dict[str, Path]:
         named = config.perception.weights
         used["network"] = Path(named) if named else shipped_weights()
     if config.policy == "planned" and config.dynamics == "mesh":
-        used["dynamics"] = Path(config.dynamics_weights or learned_dynamics("mesh").shipped)
+        used["dynamics"] = Path(config.dynamics_weights or _learned_dynamics("mesh").shipped)
     return {name: path for name, path in used.items() if path is not None}
 
 
@@ -71,7 +71,7 @@ def episode_identity(config: FlattenConfig) -> dict[str, Any]:
     return {"config": settings, "weights_sha256": hashes}
 
 
-def learned_dynamics(name: str) -> LearnedDynamics:
+def _learned_dynamics(name: str) -> LearnedDynamics:
     """Return the learned dynamics of a name, of whichever package has them.
 
     Raises:
@@ -93,7 +93,7 @@ def dynamics_of(config: FlattenConfig, *, device: str = "cpu") -> PlanningDynami
         InvalidResultError: the weights are missing, damaged or of something else.
     """
     if config.dynamics == "mesh":
-        learned = learned_dynamics("mesh")
+        learned = _learned_dynamics("mesh")
         missing = missing_modules()
         if missing:
             raise InvalidConfigError(

@@ -24,7 +24,7 @@ from clothtrack.simulation.state import Attachment, ClothState
 REACH = 1.5
 """A pick this many edges from every vertex holds nothing."""
 
-FINE_REACH_M = 0.01
+_FINE_REACH_M = 0.01
 """Vertices of a fine cloth this near to the pick, seen from above, lie under the fingers [m]."""
 
 COLUMN = 0.75
@@ -106,7 +106,7 @@ def held_vertex(cloth: PlannedCloth, action: PickPlace) -> int | None:
     """
     if cloth.fine is not None and cloth.stands_for is not None:
         gap = np.linalg.norm(cloth.fine[:, :2] - action.pick[:2], axis=1)
-        under = np.flatnonzero(gap <= FINE_REACH_M)
+        under = np.flatnonzero(gap <= _FINE_REACH_M)
         if len(under):
             return int(cloth.stands_for[under[np.argmax(cloth.fine[under, 2])]])
     spacing = float(np.median(cloth.flat.edge_lengths))
@@ -190,7 +190,7 @@ cloth ends 24 instead of 30 mm from where it should (docs/flattening.md). Contac
 for every 25 ms, which takes 0.6 of the time of 10 ms and ranks actions as well.
 """
 
-TOGETHER = 26
+_TOGETHER = 26
 """About how many candidates the simulator rolls out at once, those that last alike: each batch
 takes as long as its longest."""
 
@@ -221,7 +221,7 @@ class SimulatorDynamics:
         config: SimulatorConfig | None = None,
         *,
         solver: SolverConfig = PLANNING_SOLVER,
-        together: int = TOGETHER,
+        together: int = _TOGETHER,
         device: str = "cpu",
     ) -> None:
         """Compute with this motion and material; the solver's table is that of the cloth."""

@@ -15,14 +15,14 @@ from clothtrack.reconstruction.tokens.garment_tokens import GarmentTokens
 TOWEL_ASPECTS = (1.0, 0.75, 0.55)
 """Shorter over longer side of towels from which a search begins."""
 
-SHIRTS = {
+_SHIRTS = {
     "wide T-shirt": ShirtOutline(),
     "narrow T-shirt": ShirtOutline(body=0.64, sleeve=0.2, sleeve_angle_rad=0.4),
     "sweater": ShirtOutline(body=0.8, sleeve=0.72, sleeve_angle_rad=0.75, cuff=0.14),
 }
 """Shirts from which a search begins."""
 
-TROUSERS = {
+_TROUSERS = {
     "trousers": TrousersOutline(),
     "shorts": TrousersOutline(
         waist=0.36, hip=0.45, rise=0.5, spread_rad=0.15, thigh=0.47, cuff=0.4
@@ -96,9 +96,9 @@ def cuts(kind: str, vertex_count: int) -> tuple[KnownGarment, ...]:
         for aspect in TOWEL_ASPECTS:
             makers[f"rectangle 1:{aspect:g}"] = partial(garment, "towel", size_m=(1.0, aspect))
     elif kind == "trousers":
-        makers = {name: partial(trousers, cut, 1.0) for name, cut in TROUSERS.items()}
+        makers = {name: partial(trousers, cut, 1.0) for name, cut in _TROUSERS.items()}
     else:
-        makers = {name: partial(shirt, cut, 1.0) for name, cut in SHIRTS.items()}
+        makers = {name: partial(shirt, cut, 1.0) for name, cut in _SHIRTS.items()}
     found = []
     for name, make in makers.items():
         mesh = make(vertex_count=vertex_count)

@@ -26,13 +26,13 @@ from clothtrack.recordings.recording import Table
 from clothtrack.recordings.segmentation import LOWEST_M, HeightSegmenter
 from clothtrack.recordings.store import read_recording
 
-USUAL_FOCAL = 0.94
+_USUAL_FOCAL = 0.94
 """Focal length per width of the picture of a usual depth camera: 56 degrees across."""
 
 _DISTANCES_M = (0.05, 20.0)
 """Between which a table is looked for: beyond, the depth's unit is another."""
 
-LEAST_TABLE = 0.05
+_LEAST_TABLE = 0.05
 """Where the cloth leaves less than this share of the picture to the table, no plane is fitted."""
 
 _DISTANCE_STEP_M = 0.004
@@ -178,7 +178,7 @@ def from_depth(
 
     The table is the plane that most of the depth beside the cloth lies on, however tilted. It is
     the world's z = 0, and the origin is in the middle of the picture. Where the cloth leaves
-    hardly any table (`LEAST_TABLE`), the camera is assumed to look straight down, from the most
+    hardly any table (`_LEAST_TABLE`), the camera is assumed to look straight down, from the most
     frequent depth.
 
     Args:
@@ -196,7 +196,7 @@ def from_depth(
     """
     _require_positive(focal=focal, table_distance=table_distance_m)
     height, width = depth.shape
-    focal = focal or USUAL_FOCAL * width
+    focal = focal or _USUAL_FOCAL * width
     column, row = principal_point or ((width - 1) / 2, (height - 1) / 2)
     camera = Camera("top", width, height, focal, focal, column, row)
     marked = None if mask is None else _read_mask(mask, depth, name)
@@ -256,7 +256,7 @@ def _fitted_table(
     """
     beside = depth if cloth is None else off_cloth(depth, cloth)
     measured = int((beside > 0).sum())
-    if measured < max(LEAST_TABLE * depth.size, LEAST_POINTS):
+    if measured < max(_LEAST_TABLE * depth.size, LEAST_POINTS):
         return None
     typical_m = float(np.median(beside[beside > 0]))
     if not _DISTANCES_M[0] < typical_m < _DISTANCES_M[1]:

@@ -26,10 +26,10 @@ half of any of them changes little."""
 CELLS = 16
 """Cells along each side of the picture in which layers are counted."""
 
-LEAST_CELLS = 6
+_LEAST_CELLS = 6
 """Fewer cells than this say nothing of layers."""
 
-COVERED = 0.6
+_COVERED = 0.6
 """A cell counts when more than this share of it shows cloth."""
 
 
@@ -120,8 +120,8 @@ class Explainer:
             pixels * CELLS / (camera.width, camera.height), 0, CELLS - 1
         ).astype(np.intp).T  # fmt: skip
         layers = np.bincount(row * CELLS + column, area, CELLS**2).reshape(CELLS, CELLS)
-        chosen = covered > COVERED
-        if chosen.sum() < LEAST_CELLS:
+        chosen = covered > _COVERED
+        if chosen.sum() < _LEAST_CELLS:
             return 1.0
         return 1.0 - _rank_correlation(layers[chosen] / covered[chosen], height_m[chosen])
 

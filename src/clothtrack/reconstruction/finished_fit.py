@@ -13,7 +13,7 @@ SEEN_MOBILITY = 0.3
 """Mobility of a vertex that is seen when a finished fit is taken apart: it lies where it was
 measured, and what is hidden was guessed."""
 
-LAST_ROUNDS = 30
+_LAST_ROUNDS = 30
 """Most rounds in which what still crosses is taken apart wherever it is seen."""
 
 
@@ -42,5 +42,5 @@ def finished(
     mobility = np.where(fit.visible(drawn, cloth), SEEN_MOBILITY, 1.0)
     last = apart(drawn, mobility=mobility, table=table)
     if last.crossings_after:
-        last = apart(last.positions, table=table, rounds=LAST_ROUNDS)
+        last = apart(last.positions, table=table, rounds=_LAST_ROUNDS)
     return replace(last, crossings_before=first.crossings_before)

@@ -27,19 +27,19 @@ from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
 FITTED_KINDS = ("towel", "tshirt")
 
-RIM_M = 0.001
+_RIM_M = 0.001
 """How far inside the cloth's edge the outermost points lie [m]. Where the edge cuts the cubes in
 which points are averaged, their mean is a quarter of a cube inside: 1 mm for the usual 4 mm."""
 
 FARTHEST_M = 10.0
 """No vertex of a template is farther from its origin [m]: a file in millimetres is told by that."""
 
-STARTS = 12
+_STARTS = 12
 """Directions that the fit is started from, equally spaced: one is within 15 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
-class FlatFit:
+class _FlatFit:
     """A flat garment where a cloud is.
 
     Attributes:
@@ -53,7 +53,7 @@ class FlatFit:
 
 def flat_fit(
     recording: Recording, observation: Observation, *, template: str = "", vertex_count: int = 1000
-) -> FlatFit:
+) -> _FlatFit:
     """Fit a flat garment to a cloud, whether or not the recording has a template.
 
     Args:
@@ -90,9 +90,9 @@ def _fitted(
     points: Float[np.ndarray, "points 3"],
     file: str,
     vertex_count: int,
-) -> FlatFit:
+) -> _FlatFit:
     axes = _plane_axes(table)
-    covered = CoveredRegion((points - table.point) @ axes[:2].T, RIM_M)
+    covered = _CoveredRegion((points - table.point) @ axes[:2].T, _RIM_M)
     cloth = recording.cloth
     if file:
         template = read_template(Path(file))
@@ -102,12 +102,12 @@ def _fitted(
                 f"{file}: a vertex lies {reach:.3g} m from the origin (at most "
                 f"{FARTHEST_M:g} m); write the template in metres, around the origin"
             )
-        unit, size_m = outline_of(template), (1.0, 1.0)
+        unit, size_m = _outline_of(template), (1.0, 1.0)
     else:
-        template, unit, size_m = None, unit_outline(cloth.kind), cloth.size_m
+        template, unit, size_m = None, _unit_outline(cloth.kind), cloth.size_m
     fits = [
         _fit_outline(unit, covered, angle, size_m)
-        for angle in np.linspace(0.0, 2.0 * np.pi, STARTS, endpoint=False)
+        for angle in np.linspace(0.0, 2.0 * np.pi, _STARTS, endpoint=False)
     ]
     best = min(fits, key=lambda fit: fit.cost)
     misfit = float(np.sqrt(np.mean(best.fun**2)))
@@ -121,23 +121,23 @@ def _fitted(
     placed = mesh.vertices.astype(np.float64).copy()
     placed[:, :2] = _rotated(placed[:, :2], angle) + (x, y)
     placed[:, 2] += RESTING_HEIGHT_M - placed[:, 2].min()
-    return FlatFit(mesh.with_vertices(table.point + placed @ axes), misfit)
+    return _FlatFit(mesh.with_vertices(table.point + placed @ axes), misfit)
 
 
 GRID_M = 0.001
 """Side of the squares [m] in which the covered part of the table is drawn."""
 
-CLOSED_M = 0.006
+_CLOSED_M = 0.006
 """Points nearer to each other than twice this [m] have cloth between them."""
 
-OUTLIER_M = 0.003
+_OUTLIER_M = 0.003
 """Distance of outlines [m] from which a misfit counts less than its square: a curled corner."""
 
-OUTLINE_SPACING_M = 0.004
+_OUTLINE_SPACING_M = 0.004
 """Distance [m] at which outlines are compared."""
 
 
-class CoveredRegion:
+class _CoveredRegion:
     """The part of the table that a cloud covers, as a signed distance and as an outline.
 
     Args:
@@ -147,7 +147,7 @@ class CoveredRegion:
 
     def __init__(self, cloud: Float[np.ndarray, "points 2"], rim_m: float) -> None:
         apart = np.percentile(cKDTree(cloud).query(cloud, k=2)[0][:, 1], 95)
-        reach = max(CLOSED_M, 1.5 * float(apart))
+        reach = max(_CLOSED_M, 1.5 * float(apart))
         self._origin = cloud.min(axis=0) - 0.05
         shape = np.ceil((np.ptp(cloud, axis=0) + 0.1) / GRID_M).astype(int)[::-1]
         columns, rows = ((cloud - self._origin) / GRID_M).astype(int).T
@@ -175,23 +175,23 @@ class CoveredRegion:
         away, nearest = cKDTree(polygon).query(self.outline)
         across = np.einsum("od,od->o", self.outline - polygon[nearest], normals[nearest])
         # Far from the polygon its normals say nothing.
-        across = np.where(away < 2.0 * OUTLINE_SPACING_M, across, np.copysign(away, across))
+        across = np.where(away < 2.0 * _OUTLINE_SPACING_M, across, np.copysign(away, across))
         return across + self._rim_m
 
     def _to_plane(self, pixels: Float[np.ndarray, "pixels 2"]) -> Float[np.ndarray, "pixels 2"]:
         return (pixels + 0.5) * GRID_M + self._origin
 
 
-def unit_outline(kind: str) -> Float[np.ndarray, "corners 2"]:
+def _unit_outline(kind: str) -> Float[np.ndarray, "corners 2"]:
     """Return the silhouette of a flat garment of 1 m x 1 m [m], counter-clockwise, evenly sampled.
 
     Garments grow along x and y in proportion, so that this is the outline of every size.
     """
-    return outline_of(garment(kind, vertex_count=1000, size_m=(1.0, 1.0)))
+    return _outline_of(garment(kind, vertex_count=1000, size_m=(1.0, 1.0)))
 
 
-def outline_of(flat: ClothMesh) -> Float[np.ndarray, "corners 2"]:
-    """Return the silhouette of a flat garment around the origin [m], as `unit_outline`."""
+def _outline_of(flat: ClothMesh) -> Float[np.ndarray, "corners 2"]:
+    """Return the silhouette of a flat garment around the origin [m], as `_unit_outline`."""
     pixels = 2000
     half = float(np.abs(flat.vertices[:, :2]).max()) + 0.05
     corners = np.rint((flat.vertices[:, :2] + half) * pixels).astype(np.int32)
@@ -204,7 +204,7 @@ def outline_of(flat: ClothMesh) -> Float[np.ndarray, "corners 2"]:
 
 def _fit_outline(
     unit: Float[np.ndarray, "corners 2"],
-    covered: CoveredRegion,
+    covered: _CoveredRegion,
     start_angle: float,
     size_m: tuple[float, float] | None,
 ) -> OptimizeResult:
@@ -232,7 +232,7 @@ def _fit_outline(
         return np.stack([(residuals(variables + step) - here) / _STEP for step in steps], axis=1)
 
     return least_squares(
-        residuals, start, slopes, method="trf", loss="soft_l1", f_scale=OUTLIER_M, xtol=1e-5
+        residuals, start, slopes, method="trf", loss="soft_l1", f_scale=_OUTLIER_M, xtol=1e-5
     )
 
 
@@ -251,7 +251,7 @@ def _distance_inside(mask: Bool[np.ndarray, "rows columns"]) -> Float[np.ndarray
 
 
 def _even_steps(
-    closed: Float[np.ndarray, "corners 2"], spacing_m: float = OUTLINE_SPACING_M
+    closed: Float[np.ndarray, "corners 2"], spacing_m: float = _OUTLINE_SPACING_M
 ) -> Float[np.ndarray, "samples 2"]:
     """A closed polygon resampled at equal distances [m], counter-clockwise."""
     x, y = closed.T

@@ -23,7 +23,7 @@ from clothtrack.recordings.segmentation import (
 )
 from clothtrack.recordings.store import read_recording
 
-FLATTEST_M = 0.05
+_FLATTEST_M = 0.05
 """A garment with a twentieth of its pixels higher above the table than this [m] is not flat."""
 
 _RIM_SHARE = 0.06
@@ -31,7 +31,7 @@ _RIM_SHARE = 0.06
 
 
 @dataclass(frozen=True, eq=False)
-class FlatPicture:
+class _FlatPicture:
     """A flat garment as a camera saw it from above.
 
     Attributes:
@@ -45,7 +45,7 @@ class FlatPicture:
     name: str
 
 
-def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
+def flat_recording(folder: Path, frame: int = 0) -> _FlatPicture:
     """A frame of a recording in which the garment lies flat.
 
     Raises:
@@ -71,7 +71,7 @@ def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
     return _measured(depth, mask, camera, recording.table, name=name, color=color)
 
 
-def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> FlatPicture:
+def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> _FlatPicture:
     """A 16-bit depth picture; `of_picture` as for `depth_input.from_picture`.
 
     Raises:
@@ -96,7 +96,7 @@ def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> Fl
     return _measured(picture.depth_m, whole, picture.camera, table, name=str(path))
 
 
-def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None) -> FlatPicture:
+def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None) -> _FlatPicture:
     """A colour picture or a mask of a camera that looks straight down.
 
     Args:
@@ -128,7 +128,7 @@ def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None)
             f"{height}; give a mask of the same picture"
         )
     scale = np.array([metres_per_pixel, -metres_per_pixel])
-    return FlatPicture(
+    return _FlatPicture(
         silhouette(marked, lambda pixels: pixels * scale, str(path)), shown, str(path)
     )
 
@@ -141,13 +141,14 @@ def _measured(
     *,
     name: str,
     color: UInt8[np.ndarray, "height width 3"] | None = None,
-) -> FlatPicture:
+) -> _FlatPicture:
     heights = height_picture(depth, camera, table)[mask & (depth > 0)]
     top = float(np.percentile(heights, 95)) if len(heights) else 0.0
-    if top > FLATTEST_M:
+    if top > _FLATTEST_M:
         raise InvalidRecordingError(
             f"{name}: the cloth rises {100 * top:.0f} cm above the table (at most "
-            f"{100 * FLATTEST_M:.0f}): it is not flat, or the mask shows something else; smooth it "
+            f"{100 * _FLATTEST_M:.0f}): it is not flat, or the mask shows something else; "
+            f"smooth it "
             "out and take the picture again"
         )
 
@@ -158,7 +159,7 @@ def _measured(
         reach = ((table.point - camera.position) @ table.normal) / (rays @ table.normal)
         return (camera.position + reach[:, None] * rays - table.point) @ _plane_axes(table).T
 
-    return FlatPicture(
+    return _FlatPicture(
         silhouette(mask, to_plane, name), _shades(depth) if color is None else color, name
     )
 

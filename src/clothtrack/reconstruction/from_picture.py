@@ -26,13 +26,13 @@ Method = Literal["template", "implicit"]
 """How a mesh is made: the garment's own mesh laid into the picture, or the surface of a predicted
 field."""
 
-SPACING_M = 0.004
+_SPACING_M = 0.004
 """Side of the cubes [m] in which a picture's points are averaged, as the tracker does."""
 
 LOOSE_FIT_M = 0.02
 """A mesh that is farther from its picture than this [m] is wrong: layers lie closer together."""
 
-RUNNERS_UP = 3
+_RUNNERS_UP = 3
 """Choices of the search that are reported after the best one."""
 
 
@@ -122,7 +122,7 @@ def observation_of(picture: "DepthInput") -> Observation:
     camera = picture.camera
     shown = picture.mask & (picture.depth_m > 0)
     return Observation(
-        points=thin(camera.back_project(picture.depth_m, shown), SPACING_M),
+        points=thin(camera.back_project(picture.depth_m, shown), _SPACING_M),
         cameras=(camera,),
         hidden={camera.name: picture.depth_m <= 0},
         lowest_height_m=None,
@@ -172,7 +172,7 @@ def figures_of(result: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> d
         "trusted": not reason,
         "why_not": reason,
         "garment": _named(result.choices[:1]),
-        "runners_up": _named(result.choices[1 : 1 + RUNNERS_UP]),
+        "runners_up": _named(result.choices[1 : 1 + _RUNNERS_UP]),
     }
 
 

@@ -28,26 +28,26 @@ EDGES = (1.0, 1.0, 1.0, 3.0, 3.0, 10.0, 10.0, 30.0, 30.0)
 """Weight of the edges' lengths in each round, against 1 for a vertex that is well seen: weak first,
 so that the cloth finds its place before it is stiff."""
 
-GUIDED = 2
+_GUIDED = 2
 """The first so many rounds ask the network alone; in the later ones it counts less and less."""
 
-FADING = 0.4
+_FADING = 0.4
 """By what the network's weight is multiplied in every later round."""
 
 ITERATIONS = 10
 """Of each round."""
 
-BEND = 10.0
+_BEND = 10.0
 """Weight of bending."""
 
-CREASE = 0.15
+_CREASE = 0.15
 """Bending that costs no more the sharper it is: distance of a vertex from the mean of its
 neighbours, over the length of an edge. A fold is as cheap as a gentle bow, and ripples are not."""
 
-PLACED = 0.1
+_PLACED = 0.1
 """Weight of the place of a vertex that the network is sure of."""
 
-SURE = 0.02
+_SURE = 0.02
 """A spread of a place below this, over the garment's longer side, is as sure as any."""
 
 OFF_NAME, LATER_OFF = 0.05, 0.02
@@ -70,13 +70,13 @@ laid and while it is polished."""
 GAP_M = 0.002
 """Distance at which layers are kept [m]: a little less than the thinnest have."""
 
-PASSES = 3
+_PASSES = 3
 """Over the pairs of layers in each iteration."""
 
-VOTES = 4
+_VOTES = 4
 """Of the order in which a network says that layers lie; that of a finished cloth needs one."""
 
-BEHIND_M = 0.003
+_BEHIND_M = 0.003
 """A vertex this much behind the surface that is seen is visible yet [m]."""
 
 
@@ -116,7 +116,7 @@ class IsometricFit:
         self._back_along, self._back_bends = self._along.T, self._bends.T
         self._system = NormalMatrix(self._along, self._bends, rest.faces)
         self._lengths = rest.edge_lengths[:, None]
-        self._crease_m = CREASE * float(self._lengths.mean())
+        self._crease_m = _CREASE * float(self._lengths.mean())
         self.layers = LayerOrder(rest)
 
     def lay(
@@ -136,15 +136,15 @@ class IsometricFit:
             layered: keep layers that lie on each other in their order.
         """
         names = _Names.of(guide, self.rest)
-        sure = np.minimum((SURE * guide.size_m / np.maximum(guide.spread_m, 1e-9)) ** 2, 1.0)
-        placed, vertices = PLACED * sure, guide.places
+        sure = np.minimum((_SURE * guide.size_m / np.maximum(guide.spread_m, 1e-9)) ** 2, 1.0)
+        placed, vertices = _PLACED * sure, guide.places
         order_m = guide.places[:, 2]
         share = 1.0
         for number, edge in enumerate(edges):
             drawn = None
             off = OFF_NAME
-            if number >= GUIDED:
-                share, off = share * FADING, LATER_OFF
+            if number >= _GUIDED:
+                share, off = share * _FADING, LATER_OFF
                 drawn = self._drawn(vertices, cloth, REACH * guide.size_m)
             if layered and number > 0:
                 self.layers.find(vertices, order_m)
@@ -183,7 +183,7 @@ class IsometricFit:
 
     def layered(
         self, vertices: Float[np.ndarray, "vertices 3"], order_m: Float[np.ndarray, " vertices"],
-        table_m: float, *, keep: float = 0.3, votes: int = VOTES,
+        table_m: float, *, keep: float = 0.3, votes: int = _VOTES,
     ) -> Float[np.ndarray, "vertices 3"]:  # fmt: skip
         """The vertices [m] at heights at which layers lie apart.
 
@@ -196,19 +196,19 @@ class IsometricFit:
         """
         self.layers.find(vertices, order_m, votes=votes)
         given = vertices[:, 2]
-        smooth = self._system.factorized(0.0, LEVELLED, np.full(len(given), keep + 1.0))
+        smooth = self._system.factorized(0.0, _LEVELLED, np.full(len(given), keep + 1.0))
         heights = given
-        for _ in range(LAYERINGS):
+        for _ in range(_LAYERINGS):
             wanted = np.maximum(self.layers.apart(heights, GAP_M, 4), table_m)
             heights = smooth.solve(keep * given + wanted)
-        for _ in range(LAYERINGS):
+        for _ in range(_LAYERINGS):
             heights = np.maximum(self.layers.apart(heights, GAP_M, 1), table_m)
         return np.column_stack([vertices[:, :2], heights])
 
     def visible(self, vertices: Float[np.ndarray, "vertices 3"], cloth: SeenCloth) -> np.ndarray:
         """Which vertices are seen from above."""
         check = VisibilityCheck(
-            self.rest.faces, (cloth.camera,), tolerance_m=BEHIND_M, device=self._device
+            self.rest.faces, (cloth.camera,), tolerance_m=_BEHIND_M, device=self._device
         )
         return check(vertices)
 
@@ -225,7 +225,7 @@ class IsometricFit:
     ) -> Float[np.ndarray, "vertices 3"]:
         weight, wanted = pulls
         factor = self._system.factorized(
-            edge, BEND, weight + hold, None if named is None else named.corners
+            edge, _BEND, weight + hold, None if named is None else named.corners
         )
         fixed = wanted if named is None else wanted + named.wanted
         along, bends = self._along, self._bends
@@ -233,12 +233,12 @@ class IsometricFit:
             ways = along @ vertices
             ways *= edge * self._lengths / (_norms(ways) + 1e-12)
             bent = bends @ vertices
-            bent *= BEND * np.maximum(1.0 - self._crease_m / (_norms(bent) + 1e-12), 0.0)
+            bent *= _BEND * np.maximum(1.0 - self._crease_m / (_norms(bent) + 1e-12), 0.0)
             right = fixed + self._back_along @ ways + self._back_bends @ bent
             if hold:
                 kept = cloth.confined(vertices)
                 if layered:
-                    kept[:, 2] = self.layers.apart(kept[:, 2], GAP_M, PASSES)
+                    kept[:, 2] = self.layers.apart(kept[:, 2], GAP_M, _PASSES)
                 right += hold * kept
             vertices = factor.solve(right)
         return vertices
@@ -275,10 +275,10 @@ class IsometricFit:
 STILL = 0.02
 """Weight of where a vertex was while a fit is polished."""
 
-LEVELLED = 2.0
+_LEVELLED = 2.0
 """Weight of bending while layers are taken apart by their heights alone."""
 
-LAYERINGS = 40
+_LAYERINGS = 40
 """Iterations of that."""
 
 

@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 
 from clothtrack.geometry.mesh import ClothMesh
 
-SURE_M = 0.003
+_SURE_M = 0.003
 """A difference of heights above this is as good as any [m]: about the distance of two layers."""
 
 
-MAJORITY = 1.5
+_MAJORITY = 1.5
 """By what the mean order around a pair is multiplied before it is cut to -1 to 1."""
 
 
@@ -56,7 +56,7 @@ class LayerOrder:
         vertex, face, blend = self._overlaps(vertices)
         corners = self._faces[face]
         above = order_m[vertex] - (order_m[corners] * blend).sum(axis=1)
-        sign = self._agreed(vertex, corners, blend, np.clip(above / SURE_M, -1.0, 1.0), votes)
+        sign = self._agreed(vertex, corners, blend, np.clip(above / _SURE_M, -1.0, 1.0), votes)
         pairs = np.arange(len(vertex))
         # One row per pair: how high the vertex lies over the triangle, in their order.
         columns = np.column_stack([vertex, corners]).ravel()
@@ -135,7 +135,7 @@ class LayerOrder:
             for _ in range(votes - 1):
                 total = _entries(self._joined @ said @ self._joined, rows, columns)
                 # A little more than the mean: a large majority stays as sure as it was.
-                mean = np.clip(MAJORITY * total / number, -1.0, 1.0)
+                mean = np.clip(_MAJORITY * total / number, -1.0, 1.0)
                 said = sparse.coo_array((mean, (rows, columns)), shape).tocsr()
         together = _entries(self._joined @ said @ self._joined, *ends).reshape(-1, 3)
         return np.where((together * blend).sum(axis=1) >= 0.0, 1.0, -1.0)

@@ -27,7 +27,7 @@ from clothtrack.reconstruction.tokens.token_reconstruction import (
 TURNS_DEG = (0.0, 45.0, 22.5, 67.5)
 """By what the picture is turned, one after the other [deg]; quarter turns are asked at once."""
 
-RIVALS = 5
+_RIVALS = 5
 """Most answers that are laid, of each turn."""
 
 QUICK = (1.0, 3.0, 10.0)
@@ -36,7 +36,7 @@ QUICK = (1.0, 3.0, 10.0)
 ENOUGH = 0.25
 """Score of an explanation below which nothing else is tried."""
 
-COARSE = 400
+_COARSE = 400
 """Vertices of a garment whose size is not known yet, about."""
 
 SCANNED_VIEWS, DESCENT_VIEWS = 2, 4
@@ -142,7 +142,7 @@ class Search:
         """
         extent_m = self.cloth.longest_m
         scanned = []
-        for cut in cuts(kind, COARSE):
+        for cut in cuts(kind, _COARSE):
             for size in SCANNED_SIZES:
                 width, length = (size * extent_m * side for side in cut.size_m)
                 scanned.append(self.tried(cut.resized(width, length), views=SCANNED_VIEWS, most=1))
@@ -167,7 +167,7 @@ class Search:
         turn_deg: float = 0.0,
         *,
         views: int = VIEWS,
-        most: int = RIVALS,
+        most: int = _RIVALS,
     ) -> Try:
         """The best answer about a garment in one turn of the picture.
 

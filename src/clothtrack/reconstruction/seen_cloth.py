@@ -20,12 +20,12 @@ from clothtrack.reconstruction.depth_input import DepthInput
 CLOSED_PIXELS = 2
 """Gaps in the mask up to twice as wide [pixels] are cloth that was not measured."""
 
-STEEP_M = 0.015
+_STEEP_M = 0.015
 """A vertex that would have to move by less than this [m] goes straight down, or to the side: lying
 layers are no thicker. The quick fit of cloth that hangs fares alike with 2, 15 and 30 mm; crumpled
 cloth of real pictures is a little worse with 2, which is why it is not 2."""
 
-TALL_M = 0.015
+_TALL_M = 0.015
 """What stands so high over the table beside the mask [m] hides what is under it."""
 
 
@@ -149,7 +149,7 @@ class SeenCloth:
         moved[:, 1] -= np.where(outside, (to_row - row) * scale, 0.0)
         np.minimum(moved[:, 2], self._top_m[at_row, at_column], out=moved[:, 2])
         shift_m = np.linalg.norm(moved - vertices, axis=1)
-        far = np.flatnonzero(shift_m > STEEP_M)
+        far = np.flatnonzero(shift_m > _STEEP_M)
         if len(far) and len(self.points):
             aside_m, point = self.tree.query(vertices[far], distance_upper_bound=shift_m[far].max())
             nearer = aside_m < shift_m[far]
@@ -179,7 +179,7 @@ def _unknown(
     at = rows[inside].astype(np.intp), columns[inside].astype(np.intp)
     measured = picture.depth_m[at]
     # Straight enough from above for the ray to the table to say how high something stands.
-    tall = (measured > 0) & (measured < depth[inside] * (1.0 - TALL_M / camera.position[2]))
+    tall = (measured > 0) & (measured < depth[inside] * (1.0 - _TALL_M / camera.position[2]))
     unknown = ~inside
     unknown[inside] = tall & ~picture.mask[at]
     whole = unknown.reshape(shape).astype(np.uint8)

@@ -24,14 +24,14 @@ LEAST_IOU = 0.8
 LARGEST_CHAMFER_M2 = 6e-4
 """Two-way Chamfer distance of the visible surface [m^2] above which a mesh is not trusted."""
 
-LARGEST_EXPECTED = 0.1
+_LARGEST_EXPECTED = 0.1
 """Expected error over the longer side of the garment above which a mesh is not trusted."""
 
 _SPACING_M = 0.004
 
 
 @dataclass(frozen=True)
-class Agreement:
+class _Agreement:
     """How a mesh agrees with the picture that it was made from.
 
     Attributes:
@@ -63,7 +63,7 @@ class Agreement:
         return ""
 
 
-def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> Agreement:
+def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> _Agreement:
     """How a mesh agrees with a picture, by rendering it into the picture's own camera."""
     camera = picture.camera
     vertices = np.asarray(mesh.vertices, np.float64)
@@ -76,11 +76,11 @@ def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> Agreement:
     )
     cloud = camera.back_project(picture.depth_m, picture.mask & (picture.depth_m > 0))
     if not len(surface) or not len(cloud):
-        return Agreement(iou, None)
-    return Agreement(iou, two_way(thin(surface, _SPACING_M), thin(cloud, _SPACING_M)))
+        return _Agreement(iou, None)
+    return _Agreement(iou, two_way(thin(surface, _SPACING_M), thin(cloud, _SPACING_M)))
 
 
-def distrust(agreement: Agreement, expected_error_m: float | None, mesh: ClothMesh) -> str:
+def distrust(agreement: _Agreement, expected_error_m: float | None, mesh: ClothMesh) -> str:
     """Why a reconstruction is not to be trusted; empty where it is.
 
     Args:
@@ -93,9 +93,9 @@ def distrust(agreement: Agreement, expected_error_m: float | None, mesh: ClothMe
         return reason
     flat = mesh.vertices if mesh.canonical is None else mesh.canonical
     size_m = float(np.ptp(np.asarray(flat)[:, :2], axis=0).max())
-    if expected_error_m > LARGEST_EXPECTED * size_m:
+    if expected_error_m > _LARGEST_EXPECTED * size_m:
         return (
             f"the network expects its vertices to be {1e3 * expected_error_m:.0f} mm off (at most "
-            f"{1e3 * LARGEST_EXPECTED * size_m:.0f} mm for a garment of {size_m:.2f} m)"
+            f"{1e3 * _LARGEST_EXPECTED * size_m:.0f} mm for a garment of {size_m:.2f} m)"
         )
     return ""

@@ -19,10 +19,10 @@ from clothtrack.recordings.pictures import bands
 BINS = 32
 NO, LOOSE, CORE = 0, 1, 2
 
-LEAST_SATURATION = 0.2
+_LEAST_SATURATION = 0.2
 """Saturation (0 to 1) from which a colour is known again in other light."""
 
-LEAST_VALUE = 0.1
+_LEAST_VALUE = 0.1
 """Colours that are darker (0 to 1) have no hue to tell them by."""
 
 
@@ -151,14 +151,14 @@ def with_shades(
     seen = cv2.cvtColor(color[own][None].astype(np.float32) / 255.0, cv2.COLOR_RGB2HSV)[0]
     outside = np.bincount(bins[~cloth], minlength=BINS**3)
     tints = np.zeros((36, 10))
-    np.add.at(tints, _tint(seen[seen[:, 1] >= LEAST_SATURATION]), 1)
+    np.add.at(tints, _tint(seen[seen[:, 1] >= _LEAST_SATURATION]), 1)
     known = tints > 0.002 * max(len(seen), 1)
     # A neighbour in hue or saturation is the same colour: so wide are the steps of five bits.
     known = maximum_filter(known, size=3, mode=("wrap", "nearest"))
     shade = (
         np.asarray(known, bool)[_tint(hsv)]
-        & (hsv[:, 1] >= LEAST_SATURATION)
-        & (hsv[:, 2] >= LEAST_VALUE)
+        & (hsv[:, 1] >= _LEAST_SATURATION)
+        & (hsv[:, 2] >= _LEAST_VALUE)
     )
     foreign = gaussian_filter(outside.reshape((BINS,) * 3).astype(np.float32), 0.8).ravel() > 1.0
     widened = np.where(shade & ~foreign, CORE, members.ravel())

@@ -13,7 +13,7 @@ from clothtrack.recordings.template_file import read_obj
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl")
 
-VERTEX_ERROR = "expected_error_m"
+_VERTEX_ERROR = "expected_error_m"
 """Property of a PLY's vertices: the expected distance from where they really are [m]."""
 
 
@@ -42,7 +42,9 @@ def write_mesh(
         StorageError: when the disk refuses.
     """
     require_mesh_format(path)
-    errors = {} if expected_error_m is None else {VERTEX_ERROR: expected_error_m.astype(np.float32)}
+    errors = (
+        {} if expected_error_m is None else {_VERTEX_ERROR: expected_error_m.astype(np.float32)}
+    )
     with atomic_file(path) as temporary:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, vertex_attributes=errors).export(
             temporary
@@ -61,7 +63,7 @@ def read_vertex_errors(path: Path) -> Float[np.ndarray, " vertices"] | None:
         with path.open("rb") as file:
             loaded = trimesh.load_mesh(file, file_type="ply", process=False)
         vertices = loaded.metadata["_ply_raw"]["vertex"]["data"]
-        return np.asarray(vertices[VERTEX_ERROR], np.float64).reshape(-1)
+        return np.asarray(vertices[_VERTEX_ERROR], np.float64).reshape(-1)
     except (KeyError, ValueError, IndexError):
         return None
     except (OSError, TypeError, AttributeError) as error:

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 NEIGHBOURS = 8
 """So many points that were beside one say whether it is where it is taken to be."""
 
-STRETCH = 1.1, 0.004
+_STRETCH = 1.1, 0.004
 """Too far apart is more than so many times the distance before, and so much [m]: cloth hardly
 stretches."""
 
@@ -104,5 +104,5 @@ def too_far_apart(
     now: Float[np.ndarray, "points neighbours"], before: Float[np.ndarray, "points neighbours"]
 ) -> Bool[np.ndarray, "points neighbours"]:
     """Return whether two points are farther apart [m] than cloth can have stretched."""
-    ratio, slack = STRETCH
+    ratio, slack = _STRETCH
     return now > ratio * before + slack

@@ -15,27 +15,27 @@ from scipy.spatial import cKDTree
 WINDOW_PX = 15
 """Side of the window that is compared [pixels]."""
 
-HOME_PX = 0.25
+_HOME_PX = 0.25
 """A point that ends farther from home than this [pixels] when it is followed back is not found."""
 
 SMOOTH_PX = 1.5
 """Standard deviation by which a picture is smoothed first [pixels]: noise of single pixels makes
 windows of the same cloth different."""
 
-EVEN_SCALE = 40.0
+_EVEN_SCALE = 40.0
 """Grey values of one standard deviation in an even picture."""
 
-MOST_DIFFERENT = 15.0
+_MOST_DIFFERENT = 15.0
 """Grey values by which a window may differ on average from that which it is taken for. Windows of
 even pictures that have nothing to do with each other differ by 45."""
 
-LEAST_DEVIATION = 1.0
+_LEAST_DEVIATION = 1.0
 """Added to the standard deviation [grey values], so that noise of plain cloth stays small."""
 
-NEAR_PX = 60.0
+_NEAR_PX = 60.0
 """How far away [pixels] a point may be that says where another has gone."""
 
-TOLD_BY = 8
+_TOLD_BY = 8
 """So many points that were found say where one beside them has gone."""
 
 ROUNDS = 4
@@ -64,8 +64,8 @@ def even_picture(
     bright = cv2.GaussianBlur(gray[part].astype(np.float32), (0, 0), SMOOTH_PX)
     difference = (bright - cv2.blur(bright * of_cloth, window) / share) * of_cloth
     square = cv2.blur(difference * difference, window) / share
-    deviation = np.sqrt(np.maximum(square, 0.0)) + LEAST_DEVIATION
-    even[part] = np.clip(128.0 + EVEN_SCALE * difference / deviation, 0.0, 255.0)
+    deviation = np.sqrt(np.maximum(square, 0.0)) + _LEAST_DEVIATION
+    even[part] = np.clip(128.0 + _EVEN_SCALE * difference / deviation, 0.0, 255.0)
     return even
 
 
@@ -106,7 +106,7 @@ def matched(
         return pixels.copy(), np.zeros(0, dtype=bool)
     there, found = _lucas_kanade(before, after, pixels, pixels + guess)
     home, also = _lucas_kanade(after, before, there, there - guess)
-    return there, found & also & (np.linalg.norm(home - pixels, axis=1) < HOME_PX)
+    return there, found & also & (np.linalg.norm(home - pixels, axis=1) < _HOME_PX)
 
 
 def moved_with(
@@ -117,9 +117,9 @@ def moved_with(
     """How far others went that were beside each point [pixels], and which had one beside it."""
     if not len(pixels) or not len(others):
         return np.zeros_like(pixels), np.zeros(len(pixels), dtype=bool)
-    told_by = min(TOLD_BY, len(others))
+    told_by = min(_TOLD_BY, len(others))
     distance, place = cKDTree(others).query(pixels, k=np.arange(1, told_by + 1))
-    return np.median(moves[place], axis=1).astype(np.float32), distance[:, 0] < NEAR_PX
+    return np.median(moves[place], axis=1).astype(np.float32), distance[:, 0] < _NEAR_PX
 
 
 def _lucas_kanade(
@@ -132,4 +132,4 @@ def _lucas_kanade(
         before, after, pixels[:, None], guess[:, None].copy(), winSize=(WINDOW_PX, WINDOW_PX),
         maxLevel=0, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
-    return there[:, 0], (found[:, 0] == 1) & (different[:, 0] < MOST_DIFFERENT)
+    return there[:, 0], (found[:, 0] == 1) & (different[:, 0] < _MOST_DIFFERENT)

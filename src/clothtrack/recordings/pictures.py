@@ -18,7 +18,7 @@ from clothtrack.errors import InvalidRecordingError, why_unreadable
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GREY = 0
-BAND_ROWS = 60
+_BAND_ROWS = 60
 _END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 # OpenCV before 4.12 cannot choose the filter and ignores its name.
 _FAST = [
@@ -30,7 +30,7 @@ _TORN = "the file breaks off; copy or record it again"
 
 
 @dataclass(frozen=True)
-class PngHeader:
+class _PngHeader:
     """What the first bytes of a PNG file say.
 
     Attributes:
@@ -46,7 +46,7 @@ class PngHeader:
     color_type: int
 
 
-def read_header(path: Path) -> PngHeader:
+def read_header(path: Path) -> _PngHeader:
     """Return size and kind of a PNG file, from its first and last bytes only.
 
     Raises:
@@ -169,18 +169,18 @@ def encode_png(picture: np.ndarray, *, by_rows: bool = False) -> bytes:
 
 def bands(height: int) -> Iterator[slice]:
     """Yield row slices small enough for the processor's cache."""
-    for first in range(0, height, BAND_ROWS):
-        yield slice(first, min(first + BAND_ROWS, height))
+    for first in range(0, height, _BAND_ROWS):
+        yield slice(first, min(first + _BAND_ROWS, height))
 
 
-def depth_problem(header: PngHeader) -> str:
+def depth_problem(header: _PngHeader) -> str:
     """Says in which way a PNG is not a depth picture."""
     if header.color_type != GREY:
         return f"a depth picture of PNG colour type {header.color_type} (colour, not grey)"
     return f"a depth picture of {header.bits} bits"
 
 
-def _read_png(path: Path) -> tuple[PngHeader, bytes]:
+def _read_png(path: Path) -> tuple[_PngHeader, bytes]:
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -188,7 +188,7 @@ def _read_png(path: Path) -> tuple[PngHeader, bytes]:
     return check_chunks(path, data), data
 
 
-def check_chunks(path: Path, data: bytes) -> PngHeader:
+def check_chunks(path: Path, data: bytes) -> _PngHeader:
     """Return size and kind of a whole PNG; every chunk's checksum is held against its bytes.
 
     Raises:
@@ -221,7 +221,7 @@ def png_chunks(path: Path, data: bytes) -> Iterator[tuple[bytes, slice]]:
         position = stop + 4
 
 
-def parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:
+def parse_header(path: Path, start: bytes, end: bytes) -> _PngHeader:
     """Return size and kind of a PNG, from its first 29 and last 12 bytes.
 
     Raises:
@@ -232,7 +232,7 @@ def parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:
         raise InvalidRecordingError(f"{path}: {problem}; write pictures as PNG")
     if len(start) < 29 or end != _END:
         raise InvalidRecordingError(f"{path}: {_TORN}")
-    return PngHeader(*struct.unpack(">IIBB", start[16:26]))
+    return _PngHeader(*struct.unpack(">IIBB", start[16:26]))
 
 
 def _decode(path: Path, data: bytes, flags: int) -> np.ndarray:

@@ -17,13 +17,13 @@ from clothtrack.recordings.pictures import read_cloud
 from clothtrack.recordings.recording import Frame, Recording, Table
 from clothtrack.recordings.segmentation import Segmenter, bounds_of, height_picture
 
-CUT_MARGIN_M = 0.012
-TOOL_HEIGHT_M = 0.015
-STRAY_SHARE = 0.04
+_CUT_MARGIN_M = 0.012
+_TOOL_HEIGHT_M = 0.015
+_STRAY_SHARE = 0.04
 """Clusters of less than this share of the points are not of the cloth."""
 LINK_M = 0.012
 """Distance over which points belong together [m]."""
-MOST_CELLS = 1 << 20
+_MOST_CELLS = 1 << 20
 """Cubes around the cloth that are counted one by one; if there were more, they are sorted."""
 
 _HALF_NEIGHBOURS = [
@@ -82,7 +82,7 @@ class Observation:
         for camera in self.cameras:
             unobservable &= ~_in_clear_view(vertices, camera, self.hidden.get(camera.name))
         if self.lowest_height_m is not None:
-            unobservable |= vertices[:, 2] < self.lowest_height_m + CUT_MARGIN_M
+            unobservable |= vertices[:, 2] < self.lowest_height_m + _CUT_MARGIN_M
         for tip in self.tool_positions:
             unobservable |= np.linalg.norm(vertices - tip, axis=1) < self.tool_clearance_m
         return unobservable
@@ -148,7 +148,7 @@ def observation_of(
     if spacing_m is not None:
         points = thin(points, spacing_m)
     spread_m = max(pixel_m, spacing_m or 0.0)
-    points = points.compress(~strays(points, STRAY_SHARE, spacing_m=spread_m), axis=0)
+    points = points.compress(~strays(points, _STRAY_SHARE, spacing_m=spread_m), axis=0)
     if not len(points):
         raise InvalidRecordingError(
             f"{recording.folder}: no cloth is found in frame {frame.index}; look at its mask "
@@ -183,7 +183,7 @@ def hidden_pixels(
     if table is None:
         unseen = blind & mask
     else:
-        unseen = height_picture(depth_m, camera, table) > TOOL_HEIGHT_M
+        unseen = height_picture(depth_m, camera, table) > _TOOL_HEIGHT_M
         unseen &= (depth_m > 0) & ~mask
         unseen |= blind
     cores = cv2.erode(unseen.view(np.uint8), np.ones((3, 3), np.uint8))
@@ -247,7 +247,7 @@ def cloth_measured(
     if shown.any():
         points = camera.back_project(depth_m, shown)
         spacing_m = float(np.median(depth_m[shown])) / camera.fx
-        shown[shown] = ~strays(points, STRAY_SHARE, spacing_m=spacing_m)
+        shown[shown] = ~strays(points, _STRAY_SHARE, spacing_m=spacing_m)
     return shown
 
 
@@ -257,7 +257,7 @@ def _clusters(points: Float[np.ndarray, "points 3"], side_m: float) -> Int[np.nd
     Cubes with points in them that touch belong together.
     """
     place, shape = _places(points, points.mean(axis=0), side_m)
-    if np.prod(shape) <= MOST_CELLS:
+    if np.prod(shape) <= _MOST_CELLS:
         place = place.astype(np.intp)
         filled = np.zeros([int(count) for count in shape], dtype=bool)
         filled.ravel()[place] = True
@@ -280,7 +280,7 @@ def _cell_numbers(
 ) -> Int[np.ndarray, " points"]:
     """Return number of each point's cube, in the order of `_cells`; none is missing."""
     place, shape = _places(points, [axis.mean() for axis in points.T], side_m)
-    if not np.prod(shape) <= MOST_CELLS:
+    if not np.prod(shape) <= _MOST_CELLS:
         return np.unique(_cells(points, side_m), return_inverse=True)[1]
     place = place.astype(np.intp)
     # Nearly all of a box around a cloth is empty: sums over all its cubes would be slow.

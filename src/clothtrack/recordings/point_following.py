@@ -28,28 +28,28 @@ from clothtrack.recordings.recognition import KeyPoints, Recogniser
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 
-SPACING_PX = 10
+_SPACING_PX = 10
 """At most one point is chosen per cell of this side [pixels]."""
 
-LARGEST_ERROR_PX = 0.2
+_LARGEST_ERROR_PX = 0.2
 """A window must tell where it is to so much [pixels]: one standard deviation, from its contrast and
 the noise of the picture (the Cramer-Rao bound of its shift)."""
 
-SLOPES_OF_NOISE = WINDOW_PX**2 * 0.23
+_SLOPES_OF_NOISE = WINDOW_PX**2 * 0.23
 """Squared slopes of a window that shows noise of one grey value and nothing else: 0.23 a pixel by
 Scharr's weights."""
 
-LEAST_NOISE = 0.5
+_LEAST_NOISE = 0.5
 """Noise of a picture [grey values, 0 to 255] that is reckoned with in any case; rounding is 0.3."""
 
-LOOK_AGAIN = 5
+_LOOK_AGAIN = 5
 """Points that were lost are looked for in every so many frames, and where actions begin and end."""
 
-KEPT_PICTURES = 80
+_KEPT_PICTURES = 80
 """So many pictures are kept for the points that they were the last to show; older ones are
 forgotten with theirs."""
 
-BESIDE_PX = 3.0
+_BESIDE_PX = 3.0
 """How far from where those beside it went [pixels] a lost point may be: less than half of a weave's
 repeat."""
 
@@ -59,7 +59,7 @@ SMOOTH_PX = 5
 LEAST_MEASURED = 0.4
 """Share of that square that must have been measured."""
 
-STEEP_PX = 12.0
+_STEEP_PX = 12.0
 """Depth that changes within that square by so many pixels' width of the cloth, and 4 mm, is no
 slope but a step: a window there shows two layers."""
 
@@ -106,7 +106,7 @@ class PointFollower:
     def _follow(self, frame: Frame, views: Sequence[CameraView]) -> None:
         """Follow the points to the next frame."""
         choose = frame.index in self._starts
-        look = choose or frame.index in self._ends or frame.index % LOOK_AGAIN == 0
+        look = choose or frame.index in self._ends or frame.index % _LOOK_AGAIN == 0
         parts = [
             self._followers[view.camera.name].follow(
                 _Picture.of(view, view.color), choose=choose, look=look
@@ -154,7 +154,7 @@ class _Picture:
         smooth /= np.maximum(share, 1e-6)
         step = cv2.dilate(smooth, square) - cv2.erode(smooth, square)
         clear &= (share > LEAST_MEASURED) & (
-            step < LEAST_JUMP_M + STEEP_PX / view.camera.fx * smooth
+            step < LEAST_JUMP_M + _STEEP_PX / view.camera.fx * smooth
         )
         gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
         return cls(gray, even_picture(gray, view.mask), smooth, clear)
@@ -165,9 +165,9 @@ class _Picture:
         Most of what two pictures show stands still.
         """
         if before is None:
-            return LEAST_NOISE
+            return _LEAST_NOISE
         change = float(np.median(cv2.absdiff(self.gray, before.gray)))
-        return max(LEAST_NOISE, 1.4826 * change / np.sqrt(2.0))
+        return max(_LEAST_NOISE, 1.4826 * change / np.sqrt(2.0))
 
     def shows(self, pixels: Float32[np.ndarray, "points 2"]) -> Bool[np.ndarray, " points"]:
         """Return whether a window around each pixel shows one layer of cloth."""
@@ -212,7 +212,7 @@ class _Lost:
         guess, near = moved_with(self.points.pixels, self.others.pixels[then], moves)
         points, guess = self.points[near], guess[near]
         there, found = matched(self.even, picture.even, points.pixels, guess)
-        found &= np.linalg.norm(there - points.pixels - guess, axis=1) < BESIDE_PX
+        found &= np.linalg.norm(there - points.pixels - guess, axis=1) < _BESIDE_PX
         found &= picture.shows(there)
         return replace(points, pixels=there, steps=np.zeros_like(there))[found]
 
@@ -262,7 +262,7 @@ class _Follower:
         moved = old.at(there)[found & picture.shows(there)]
         self._points = moved[moved.near_each_other(self._positions(moved, picture))]
         lost = _Lost(before.even, old, old).without(self._points)
-        self._lost = [*self._lost, *([lost] if len(lost.points) else [])][-KEPT_PICTURES:]
+        self._lost = [*self._lost, *([lost] if len(lost.points) else [])][-_KEPT_PICTURES:]
 
     def _recognise(self, picture: _Picture) -> KeyPoints | None:
         """Add points of a print that were lost; returns its key points that are not known."""
@@ -313,15 +313,15 @@ def _chosen(
     """The best pixel of each cell in which there is none yet, where a window tells its place."""
     weakest = _weakest_contrast(picture.gray)
     # Noise has slopes itself, and they tell nothing.
-    tells = picture.clear & (weakest > (LARGEST_ERROR_PX**-2 + SLOPES_OF_NOISE) * noise**2)
+    tells = picture.clear & (weakest > (_LARGEST_ERROR_PX**-2 + _SLOPES_OF_NOISE) * noise**2)
     row, column = np.nonzero(tells)
     if not len(row):
         return np.zeros((0, 2), np.float32)
-    cells_across = -(-picture.gray.shape[1] // SPACING_PX)
-    cell = row // SPACING_PX * cells_across + column // SPACING_PX
+    cells_across = -(-picture.gray.shape[1] // _SPACING_PX)
+    cell = row // _SPACING_PX * cells_across + column // _SPACING_PX
     order = np.lexsort((-weakest[row, column], cell))
     best = order[np.unique(cell[order], return_index=True)[1]]
-    over, down = np.rint(taken).astype(np.int64).T // SPACING_PX
+    over, down = np.rint(taken).astype(np.int64).T // _SPACING_PX
     best = best[~np.isin(cell[best], down * cells_across + over)]
     return np.stack([column[best], row[best]], axis=1).astype(np.float32)
 

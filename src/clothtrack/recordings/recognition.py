@@ -15,17 +15,17 @@ from scipy.spatial import cKDTree
 
 from clothtrack.recordings.numbered_points import NEIGHBOURS, too_far_apart
 
-CONTRAST = 0.02
+_CONTRAST = 0.02
 """OpenCV's contrast threshold of a key point: half its default, for prints in poor light."""
 
-UNLIKE_OTHERS = 150.0
+_UNLIKE_OTHERS = 150.0
 """Least distance of a description to the nearest other one in its picture. Nine in ten of a print
 lie 230 and more apart, nine in ten of a weave less than 100; a description's length is 512."""
 
-DISTINCT = 0.8
+_DISTINCT = 0.8
 """A description must be so much nearer to the one that it is taken for than to any other (Lowe)."""
 
-TOO_FAR = 0.25
+_TOO_FAR = 0.25
 """No more than this share of them may be too far away: where a part of the print is elsewhere, half
 of them are nearer than they were."""
 
@@ -51,7 +51,7 @@ class KeyPoints:
         cls, gray: UInt8[np.ndarray, "height width"], where: Bool[np.ndarray, "height width"]
     ) -> "KeyPoints":
         """The key points of a picture's brightness, in its marked part, that look like no other."""
-        sift = cv2.SIFT_create(contrastThreshold=CONTRAST)
+        sift = cv2.SIFT_create(contrastThreshold=_CONTRAST)
         found, descriptions = sift.detectAndCompute(gray, where.view(np.uint8))
         if descriptions is None:
             return cls(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
@@ -132,7 +132,7 @@ def _unlike_others(
         return np.ones(len(descriptions), dtype=bool)
     pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(descriptions, descriptions, k=2)
     # The nearest is the description itself, or its twin.
-    return np.array([second.distance > UNLIKE_OTHERS for _, second in pairs])
+    return np.array([second.distance > _UNLIKE_OTHERS for _, second in pairs])
 
 
 def _matches(
@@ -147,7 +147,7 @@ def _matches(
     pairs = [
         (best.queryIdx, best.trainIdx)
         for best, second in matcher.knnMatch(seen, remembered, k=2)
-        if best.distance < DISTINCT * second.distance and back[best.trainIdx] == best.queryIdx
+        if best.distance < _DISTINCT * second.distance and back[best.trainIdx] == best.queryIdx
     ]
     return tuple(np.array(pairs, np.int64).reshape(-1, 2).T)  # type: ignore[return-value]
 
@@ -162,4 +162,4 @@ def _stay_together(
         return np.zeros(len(now), dtype=bool)
     apart, beside = cKDTree(before).query(before, k=near + 1)
     distance = np.linalg.norm(now[beside] - now[:, None], axis=2)
-    return too_far_apart(distance, apart)[:, 1:].mean(axis=1) <= TOO_FAR
+    return too_far_apart(distance, apart)[:, 1:].mean(axis=1) <= _TOO_FAR

@@ -22,25 +22,25 @@ from clothtrack.recordings.colors import (
 from clothtrack.recordings.pictures import read_mask
 from clothtrack.recordings.recording import Frame, Recording, Table
 
-RAISED_M = 0.006
+_RAISED_M = 0.006
 """A colour that is only perhaps cloth counts from this height above the table [m]."""
-TOOL_GAP_M = 0.015
+_TOOL_GAP_M = 0.015
 """What is nearer to the camera than the cloth around it by more [m] is the tool, not a print."""
 WIDEST_SHARE = 0.6
 """More of the picture than this is never the cloth alone: the background has its colour too."""
 LOWEST_M = 0.004
 """What is lower than this above the table [m] is table: above the noise of depth cameras."""
-CLICK_TOLERANCE = 9.0
+_CLICK_TOLERANCE = 9.0
 """How far a colour of a clicked patch may be from the clicked one in a and b of CIE Lab.
 
 A unit is about a visible difference; L counts half.
 """
-BOX_ROUNDS = 2
+_BOX_ROUNDS = 2
 """How often the colours of a box are learned again from the mask that they give."""
-SMALLEST_PART = 0.02
+_SMALLEST_PART = 0.02
 """A part of the mask smaller than this share of the largest one is no cloth that a tool cut off."""
 
-WIDEST_TOOL = 0.1
+_WIDEST_TOOL = 0.1
 """How far such a part may be from the rest: a tool's width, as a share of the picture's."""
 
 _OPENING = np.ones((3, 3), np.uint8)
@@ -124,7 +124,7 @@ class ColorSegmenter:
         middle[top + rim[1] : bottom - rim[1], left + rim[0] : right - rim[0]] = True
         outside = np.ones((height, width), dtype=bool)
         outside[top:bottom, left:right] = False
-        return cls._learn(color, middle, outside, rounds=BOX_ROUNDS)
+        return cls._learn(color, middle, outside, rounds=_BOX_ROUNDS)
 
     @classmethod
     def from_click(
@@ -151,7 +151,7 @@ class ColorSegmenter:
         lab = cv2.cvtColor(soft, cv2.COLOR_RGB2LAB)
         region = np.zeros((height + 2, width + 2), np.uint8)
         # OpenCV stretches L (0 to 100) over 0 to 255: 5 of its units are 2 of Lab.
-        reach = (CLICK_TOLERANCE * 2 * 2.55, CLICK_TOLERANCE, CLICK_TOLERANCE)
+        reach = (_CLICK_TOLERANCE * 2 * 2.55, _CLICK_TOLERANCE, _CLICK_TOLERANCE)
         flags = 4 | (255 << 8) | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE
         cv2.floodFill(lab, region, (column, row), (0, 0, 0), reach, reach, flags)
         patch = region[1:-1, 1:-1] > 0
@@ -225,7 +225,7 @@ class ColorSegmenter:
             heights = None
         else:
             heights = height_picture(depth_m, camera, table, window=window)
-            accepted |= (votes == LOOSE) & measured & (heights > RAISED_M)
+            accepted |= (votes == LOOSE) & measured & (heights > _RAISED_M)
             accepted &= ~(measured & (heights < -0.03))
         share = np.count_nonzero(accepted) / whole
         if share > WIDEST_SHARE:
@@ -235,7 +235,7 @@ class ColorSegmenter:
                     f"picture (at most {100 * WIDEST_SHARE:.0f} %), the background has them "
                     "too; give mask/ files, or the table so that height can decide"
                 )
-            accepted &= measured & (heights > RAISED_M)
+            accepted &= measured & (heights > _RAISED_M)
         return _opened(accepted)
 
     def _without_tool(
@@ -253,7 +253,7 @@ class ColorSegmenter:
         size = (21, 21)
         total = cv2.boxFilter(weight, -1, size, normalize=False)
         around = cv2.boxFilter(weight * depth_m.astype(np.float32), -1, size, normalize=False)
-        nearer = depth_m * total < around - TOOL_GAP_M * total
+        nearer = depth_m * total < around - _TOOL_GAP_M * total
         whole[window] &= ~(doubtful & (nearer | (total == 0)))
         return whole
 
@@ -373,11 +373,11 @@ def main_components(
     areas = np.bincount(labels.ravel())
     areas[0] = 0
     large = (areas > 0) & (areas >= share * areas.max())
-    small = (areas >= SMALLEST_PART * areas.max()) & ~large
+    small = (areas >= _SMALLEST_PART * areas.max()) & ~large
     if small.any():
         away = cv2.distanceTransform((~large[labels]).view(np.uint8), cv2.DIST_L2, 3)
         for part in np.flatnonzero(small):
-            large[part] = away[labels == part].min() < WIDEST_TOOL * mask.shape[1]
+            large[part] = away[labels == part].min() < _WIDEST_TOOL * mask.shape[1]
     kept[window] = large.take(labels)
     return kept
 

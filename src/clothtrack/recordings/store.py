@@ -38,8 +38,8 @@ from clothtrack.recordings.template_file import canonical_text, obj_text
 from clothtrack.recordings.validation import check_recording
 from clothtrack.recordings.violation import DOCUMENT
 
-TEMPLATE_FILE = "template.obj"
-CANONICAL_FILE = "template_canonical.csv"
+_TEMPLATE_FILE = "template.obj"
+_CANONICAL_FILE = "template_canonical.csv"
 
 
 def read_recording(folder: Path | str) -> Recording:
@@ -308,9 +308,9 @@ class RecordingWriter:
     def _finish(self) -> None:
         template = self._cloth.template
         if template is not None:
-            self._write(TEMPLATE_FILE, obj_text(template).encode())
+            self._write(_TEMPLATE_FILE, obj_text(template).encode())
             if template.canonical is not None:
-                self._write(CANONICAL_FILE, canonical_text(template.canonical).encode())
+                self._write(_CANONICAL_FILE, canonical_text(template.canonical).encode())
         if self._paths:
             self._write(PICKER_FILE, picker_text(self._paths).encode())
         text = json.dumps(self._document(), indent=1, ensure_ascii=False, allow_nan=False)
@@ -361,9 +361,9 @@ def _cloth_entry(cloth: ClothDescription) -> dict[str, Any]:
     if cloth.grasp_uncertainty_m:
         entry["grasp_uncertainty_m"] = cloth.grasp_uncertainty_m
     if cloth.template is not None:
-        entry["template"] = TEMPLATE_FILE
+        entry["template"] = _TEMPLATE_FILE
         if cloth.template.canonical is not None:
-            entry["template_canonical"] = CANONICAL_FILE
+            entry["template_canonical"] = _CANONICAL_FILE
     if cloth.held_vertices:
         entry["held_vertices"] = {
             name: np.asarray(held).tolist() for name, held in cloth.held_vertices.items()

@@ -17,9 +17,9 @@ from clothtrack.files.atomic_write import atomic_file, write_file
 from clothtrack.files.csv_table import Column, finite, read_csv
 from clothtrack.geometry.mesh import ClothMesh
 
-TEMPLATE_SUFFIXES = (".npz", ".obj")
+_TEMPLATE_SUFFIXES = (".npz", ".obj")
 
-CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write metres"))
+_CANONICAL_COLUMNS = dict.fromkeys(("x_m", "y_m", "z_m"), Column(finite, "write metres"))
 
 
 def read_obj(path: Path, canonical: Path | None = None) -> ClothMesh:
@@ -73,7 +73,7 @@ def read_canonical(path: Path) -> Float[np.ndarray, "vertices 3"]:
     Raises:
         InvalidRecordingError: the file is missing, a column is, or a field is no number.
     """
-    rows = [row for _, row in read_csv(path, CANONICAL_COLUMNS)]
+    rows = [row for _, row in read_csv(path, _CANONICAL_COLUMNS)]
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 
@@ -139,7 +139,7 @@ def require_template_format(path: Path) -> None:
     Raises:
         InvalidConfigError: naming those that do.
     """
-    if path.suffix.lower() not in TEMPLATE_SUFFIXES:
+    if path.suffix.lower() not in _TEMPLATE_SUFFIXES:
         raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; a template is .npz or .obj")
 
 
@@ -158,7 +158,7 @@ def obj_text(mesh: ClothMesh) -> str:
 def canonical_text(canonical: Float[np.ndarray, "vertices 3"]) -> str:
     """Return the CSV file of canonical coordinates [m]."""
     rows = [f"{x!r},{y!r},{z!r}\n" for x, y, z in canonical.astype(np.float64).tolist()]
-    return "".join([",".join(CANONICAL_COLUMNS) + "\n", *rows])
+    return "".join([",".join(_CANONICAL_COLUMNS) + "\n", *rows])
 
 
 def held_problem(held: Int[np.ndarray, " held"], vertex_count: int) -> str | None:

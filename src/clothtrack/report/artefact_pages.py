@@ -34,13 +34,13 @@ from clothtrack.report.viewpoint import three_quarter_view, view_of
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 MOST_FRAMES = 360
-PICTURE_HEIGHT = 480
+_PICTURE_HEIGHT = 480
 UP = np.array([0.0, 0.0, 1.0])
 
-THUMBNAIL_PX = 120
+_THUMBNAIL_PX = 120
 """Height of the picture in an index [pixels]."""
 
-INDEX_COLUMNS = (
+_INDEX_COLUMNS = (
     ("", "The mesh over the picture at the last label"),
     ("report", "Name of the recording"),
     ("verdict", "Of the worst label: trust it, look at it, or reject it"),
@@ -53,7 +53,7 @@ INDEX_COLUMNS = (
 
 
 @dataclass(frozen=True)
-class TrajectorySummary:
+class _TrajectorySummary:
     """What an index says about one trajectory.
 
     Attributes:
@@ -87,7 +87,7 @@ class IndexEntry:
     page: Path | None
     description: str
     verdicts: str = ""
-    summary: TrajectorySummary | None = None
+    summary: _TrajectorySummary | None = None
 
 
 def write_recording_page(recording: Recording, path: Path) -> Path:
@@ -107,7 +107,7 @@ def write_recording_page(recording: Recording, path: Path) -> Path:
         )
     eye = view_of(points, recording, width=800, height=600)
     camera = recording.cameras[0] if recording.cameras else eye
-    camera = camera.resized(round(camera.width * PICTURE_HEIGHT / camera.height))
+    camera = camera.resized(round(camera.width * _PICTURE_HEIGHT / camera.height))
     views = [whole_view(camera)] if recording.cameras else []
     scene = recorded_scene(recording, frames, eye, clouds, views=views)
 
@@ -195,7 +195,7 @@ def write_index(entries: Sequence[IndexEntry], title: str, path: Path) -> Path:
     rows = "".join(_index_row(entry) for entry in sorted(entries, key=_by_expected_error))
     heads = "".join(
         f'<th title="{escape(help_, quote=True)}">{escape(words)}</th>'
-        for words, help_ in INDEX_COLUMNS
+        for words, help_ in _INDEX_COLUMNS
     )
     body = (
         f'<p class="lead">{len(entries)} tracked trajectories, the largest expected error first'
@@ -231,7 +231,7 @@ def _index_row(entry: IndexEntry) -> str:
     ]
     cells = "".join(
         f'<td title="{escape(help_, quote=True)}">{number}</td>'
-        for number, (_, help_) in zip(numbers, INDEX_COLUMNS[3:6], strict=True)
+        for number, (_, help_) in zip(numbers, _INDEX_COLUMNS[3:6], strict=True)
     )
     return (
         f"<tr><td>{picture}</td><th>{_link(entry)}<small>{escape(entry.description)}</small></th>"
@@ -248,19 +248,19 @@ def _link(entry: IndexEntry) -> str:
     return f'<a href="{quote(entry.page.name)}">{name}</a>'
 
 
-def summary_of(tracked: TrackedTrajectory, recording: Recording) -> TrajectorySummary:
+def summary_of(tracked: TrackedTrajectory, recording: Recording) -> _TrajectorySummary:
     """Look at the last label of a trajectory, and judge all of them."""
     last = tracked.actions[-1].last_frame if tracked.actions else int(tracked.frames[-1])
     step = int(np.abs(tracked.frames - last).argmin())
-    config = OverlayConfig(height=2 * THUMBNAIL_PX, cameras=1)
+    config = OverlayConfig(height=2 * _THUMBNAIL_PX, cameras=1)
     overlay = Overlay(tracked, recording, config=config)
     picture = overlay.draw(step)
-    width = round(picture.shape[1] * THUMBNAIL_PX / picture.shape[0])
-    small = cv2.resize(picture, (width, THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
+    width = round(picture.shape[1] * _THUMBNAIL_PX / picture.shape[0])
+    small = cv2.resize(picture, (width, _THUMBNAIL_PX), interpolation=cv2.INTER_AREA)
     judged = judged_or_none(tracked, recording)
     verdict = verdict_of(tracked, recording, judged)
     observation = observed(recording, overlay.frame(step))
-    return TrajectorySummary(
+    return _TrajectorySummary(
         jpeg_uri(small, quality=80),
         verdict,
         1e3 * verdict.expected_error_m,

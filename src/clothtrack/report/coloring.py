@@ -21,7 +21,7 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 log = logging.getLogger(__name__)
 
-FARTHEST_CLOUD_MM = 20.0
+_FARTHEST_CLOUD_MM = 20.0
 """Top of the scale of distances to the cloud [mm]."""
 
 
@@ -89,7 +89,7 @@ def cloud_gaps(tracked: TrackedTrajectory, clouds: Sequence[Float[np.ndarray, "_
         "cloud",
         "Distance to what was observed [mm]",
         "Small says little about hidden layers; grey vertices were not seen.",
-        min(graded_limit(values), FARTHEST_CLOUD_MM),
+        min(_graded_limit(values), _FARTHEST_CLOUD_MM),
         values,
     )
 
@@ -105,7 +105,7 @@ def expected_errors(tracked: TrackedTrajectory, judged: Sequence[LabelQuality]) 
         "Expected error at the end of the action [mm]",
         "Estimated without the truth: on the whole from what was observed, vertex by vertex from "
         "where the tracked candidates disagree.",
-        graded_limit(values),
+        _graded_limit(values),
         values,
     )
 
@@ -114,10 +114,10 @@ def vertex_errors(expected_error_m: Float[np.ndarray, " vertices"]) -> Coloring:
     """Return the error [mm] that a network expects of each vertex of one mesh."""
     values = 1e3 * expected_error_m[None]
     title, note = "Expected error [mm]", "As the network says it, vertex by vertex."
-    return Coloring("expected", title, note, graded_limit(values), values)
+    return Coloring("expected", title, note, _graded_limit(values), values)
 
 
-def true_positions(
+def _true_positions(
     tracked: TrackedTrajectory, truth: Truth
 ) -> Float[np.ndarray, "frames vertices 3"]:
     """Return where the cloth at each vertex really is [m]; NaN at frames without truth.
@@ -146,7 +146,7 @@ def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
         InvalidResultError: truth or trajectory have no canonical coordinates, or no frame in
             common.
     """
-    points = true_positions(tracked, truth)
+    points = _true_positions(tracked, truth)
     values = 1e3 * np.linalg.norm(tracked.positions - points, axis=2).astype(np.float32)
     if not np.isfinite(values).any():
         raise InvalidResultError(
@@ -156,12 +156,12 @@ def truth_errors(tracked: TrackedTrajectory, truth: Truth) -> Coloring:
         "truth",
         "Error against the truth [mm]",
         "The truth is of a simulated world; the tracker never saw it.",
-        graded_limit(values),
+        _graded_limit(values),
         values,
     )
 
 
-def graded_limit(values: Float[np.ndarray, "frames vertices"]) -> float:
+def _graded_limit(values: Float[np.ndarray, "frames vertices"]) -> float:
     """Return a round number that 95 % of the values stay under; 2 at least."""
     finite = values[np.isfinite(values)]
     if not len(finite):

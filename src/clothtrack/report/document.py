@@ -6,7 +6,7 @@ from pathlib import Path
 
 from clothtrack.files.atomic_write import atomic_file
 
-POLICY = (
+_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data: blob:; media-src data: blob:"
 )
@@ -25,7 +25,7 @@ def document(title: str, body: str, *, script: bool = True) -> str:
 <html lang="en">
 <head>
 <meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{escape(title)} · clothtrack</title>
 <link rel="icon" href="data:,">
@@ -57,7 +57,7 @@ def served_document(page: str, version: int) -> str:
     """Return the same page as a local server gives it: it may ask that server, and nobody else."""
     code = f"<script>{_resource('page_live.js')}</script>"
     for plain, served in (
-        (POLICY, f"{POLICY}; connect-src 'self'"),
+        (_POLICY, f"{_POLICY}; connect-src 'self'"),
         ("<body>", f'<body data-version="{version}">'),
         ("</body>", f"{code}\n</body>"),
     ):

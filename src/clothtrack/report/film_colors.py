@@ -19,21 +19,21 @@ log = logging.getLogger(__name__)
 PALETTE_SIZE = 255
 """Most colours of points: one byte each."""
 
-DEPTH_AGREES_M = 0.02
+_DEPTH_AGREES_M = 0.02
 """A pixel whose depth differs by more than this [m] shows something else than the point."""
 
-FILM_STEPS = 16
+_FILM_STEPS = 16
 """Number of frames from which the colour of the cloth is taken."""
 
-SPREADING_ROUNDS = 64
+_SPREADING_ROUNDS = 64
 """Distance that colours spread into parts that no camera ever saw [edges]."""
 
-Colors = UInt8[np.ndarray, "points 3"]
+_Colors = UInt8[np.ndarray, "points 3"]
 
 
-def point_colors(
+def _point_colors(
     recording: Recording, frame: Frame, points: Float[np.ndarray, "points 3"]
-) -> tuple[Colors, Bool[np.ndarray, " points"]]:
+) -> tuple[_Colors, Bool[np.ndarray, " points"]]:
     """Return the RGB of each point [m, world] in the pictures, and whether some picture has it."""
     colors = np.tile(np.array(rgb255(OBSERVED), np.uint8), (len(points), 1))
     found = np.zeros(len(points), bool)
@@ -55,7 +55,7 @@ def point_colors(
         height, width = picture.shape[:2]
         fresh = (z > 1e-3) & (column >= 0) & (column < width) & (row >= 0) & (row < height) & ~found
         if depth is not None:
-            fresh[fresh] &= np.abs(depth[row[fresh], column[fresh]] - z[fresh]) < DEPTH_AGREES_M
+            fresh[fresh] &= np.abs(depth[row[fresh], column[fresh]] - z[fresh]) < _DEPTH_AGREES_M
         colors[fresh] = picture[row[fresh], column[fresh]]
         found |= fresh
     return colors, found
@@ -68,7 +68,7 @@ def cloud_colors(
     if not any(frame.color for frame in frames):
         return []
     pairs = zip(frames, clouds, strict=True)
-    return [point_colors(recording, frame, points)[0] for frame, points in pairs]
+    return [_point_colors(recording, frame, points)[0] for frame, points in pairs]
 
 
 def vertex_colors(
@@ -81,11 +81,11 @@ def vertex_colors(
     frames = {frame.index: frame for frame in recording.frames}
     sums, counts = np.zeros(tracked.mesh.vertices.shape), np.zeros(tracked.mesh.vertex_count)
     count = len(tracked.frames)
-    for step in np.unique(np.linspace(0, count - 1, min(count, FILM_STEPS)).round().astype(int)):
+    for step in np.unique(np.linspace(0, count - 1, min(count, _FILM_STEPS)).round().astype(int)):
         frame = frames.get(int(tracked.frames[step]))
         if frame is None or not frame.color:
             continue
-        colors, found = point_colors(recording, frame, tracked.positions[step])
+        colors, found = _point_colors(recording, frame, tracked.positions[step])
         found &= tracked.visible[step]
         sums[found] += colors[found]
         counts[found] += 1
@@ -119,7 +119,7 @@ def _spread(
     near = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(size, size))
     known = counts > 0
     colors = np.where(known[:, None], sums / np.maximum(counts, 1)[:, None], 0.0)
-    for _ in range(SPREADING_ROUNDS):
+    for _ in range(_SPREADING_ROUNDS):
         weight = near @ known.astype(np.float64)
         reached = ~known & (weight > 0)
         if not reached.any():

@@ -21,9 +21,9 @@ from clothtrack.report.scene_data import SCENE_POINTS, SceneContents, packed, re
 from clothtrack.report.stage import scene_card, stage
 from clothtrack.report.viewpoint import view_of
 
-TITLE = "Tracking"
+_TITLE = "Tracking"
 
-LAST_WORDS_S = 3.0
+_LAST_WORDS_S = 3.0
 """Longest wait for an open page to show how the tracking ended [s]."""
 
 
@@ -50,7 +50,7 @@ class _Shown:
         )
 
 
-class LiveTracking:
+class _LiveTracking:
     """Holds the newest mesh and packs it only when a page asks, so that tracking never waits."""
 
     def __init__(self, words: Callable[[], str]) -> None:
@@ -79,9 +79,9 @@ class LiveTracking:
     def end(self, words: str) -> None:
         """Say how it ended, and wait a moment for a page that is open to hear it."""
         with self._lock:
-            self._end, open_page = words, time.monotonic() - self._asked_s < LAST_WORDS_S
+            self._end, open_page = words, time.monotonic() - self._asked_s < _LAST_WORDS_S
         if open_page:
-            self._told.wait(LAST_WORDS_S)
+            self._told.wait(_LAST_WORDS_S)
 
     def ask(self, path: str, query: Mapping[str, str]) -> Answer | None:
         """Return the page, its version, or the newest mesh."""
@@ -98,7 +98,7 @@ class LiveTracking:
     def _page(self, newest: _Shown | None, version: int) -> str:
         lead = f'<p class="lead growing">{escape(self._end or self._words())}</p>'
         if newest is None:
-            return served_document(document(TITLE, lead, script=False), version)
+            return served_document(document(_TITLE, lead, script=False), version)
         scene = stage([scene_card(newest.contents())], [newest.frame.index], [0.0], wide=True)
         return served_document(document(newest.recording.name, lead + scene), version)
 
@@ -118,7 +118,7 @@ class LiveTracking:
 @contextmanager
 def live_tracking(
     words: Callable[[], str], port: int | None = None, *, opened: Callable[[str], None]
-) -> Iterator[LiveTracking]:
+) -> Iterator[_LiveTracking]:
     """Serve the page of a tracking on 127.0.0.1 while the block runs (`serving`).
 
     Args:
@@ -126,7 +126,7 @@ def live_tracking(
         port: of the server; any free one by default.
         opened: called with the address before anything else happens.
     """
-    page = LiveTracking(words)
+    page = _LiveTracking(words)
     with serving(page.ask, lambda *_: None, port) as address:
         opened(address)
         yield page

@@ -22,8 +22,8 @@ from clothtrack.errors import ClothTrackError, InvalidConfigError
 logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
-LONGEST_MESSAGE = 1 << 16
-HIGHEST_PORT = 65_535
+_LONGEST_MESSAGE = 1 << 16
+_HIGHEST_PORT = 65_535
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ def serving(ask: Ask, tell: Tell, port: int | None = None) -> Iterator[str]:
     Raises:
         InvalidConfigError: there is no such port, or it is taken.
     """
-    if port is not None and not 0 <= port <= HIGHEST_PORT:
+    if port is not None and not 0 <= port <= _HIGHEST_PORT:
         raise InvalidConfigError(
-            f"port is {port}; choose one from 1024 to {HIGHEST_PORT}, or leave it out"
+            f"port is {port}; choose one from 1024 to {_HIGHEST_PORT}, or leave it out"
         )
     handler = type("Handler", (_Handler,), {"ask": staticmethod(ask), "tell": staticmethod(tell)})
     try:
@@ -147,7 +147,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """Answer POST."""
         length = self.headers.get("Content-Length", "")
-        if not length.isdecimal() or int(length) > LONGEST_MESSAGE:
+        if not length.isdecimal() or int(length) > _LONGEST_MESSAGE:
             self.close_connection = True
             self._send(Answer.of({"error": "the message has no length, or is too long"}, 413))
             return

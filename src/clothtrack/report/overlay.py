@@ -39,10 +39,10 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 SURFACE = 0.38
 """Opacity of the shaded surface, 0..1: the picture below stays readable."""
 
-HIDDEN_WIRES = 0.34
+_HIDDEN_WIRES = 0.34
 """Opacity of the hidden wire frame, 0..1: what lies over it and is seen must keep its own hue."""
 
-LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
+_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 """Share of red, green and blue in a grey value (ITU-R BT.601)."""
 
 
@@ -129,7 +129,7 @@ class Overlay:
             # Blue over red cloth would be the hue that says "hidden": under the mesh only light
             # and shade of the photograph are kept.
             pixels, covered = image.reshape(-1, 3), np.flatnonzero(cloth)
-            grey = (pixels[covered] @ LUMINANCE)[:, None]
+            grey = (pixels[covered] @ _LUMINANCE)[:, None]
             shaded = view.cut(still.image).reshape(-1, 3)[covered]
             pixels[covered] = grey + SURFACE * (shaded - grey)
             self._draw_wires(image, view, vertices, visible)
@@ -157,7 +157,7 @@ class Overlay:
         fineness = float(np.clip(length / 9.0, 0.35, 1.0))
         seen = visible[edges].any(axis=1)
         for chosen, color, opacity in (
-            (~seen, HIDDEN, HIDDEN_WIRES),
+            (~seen, HIDDEN, _HIDDEN_WIRES),
             (seen, INK, self.config.wires),
         ):
             layer = np.zeros(image.shape[:2], dtype=np.uint8)
@@ -319,7 +319,7 @@ def step_words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
 
 def _toned_down(picture: Picture) -> Float[np.ndarray, "height width 3"]:
     """Return a calmer copy: less colour, a little lighter, so that the drawing stands out."""
-    mixed = 0.54 * np.eye(3, dtype=np.float32) + 0.36 * LUMINANCE
+    mixed = 0.54 * np.eye(3, dtype=np.float32) + 0.36 * _LUMINANCE
     image = cv2.transform(picture.astype(np.float32), mixed)
     image += 12.0
     return image

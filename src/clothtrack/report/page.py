@@ -44,7 +44,7 @@ from clothtrack.report.sections import (
 from clothtrack.report.stage import Pictures, scene_card, stage, swatch, video_card
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-SCENE_FRAMES = 180
+_SCENE_FRAMES = 180
 """At most this many frames in the scene, evenly chosen: a page must open in a browser."""
 
 
@@ -144,7 +144,7 @@ def _contents(
     config: ReportConfig,
 ) -> SceneContents:
     tracked, recording = overlay.tracked, overlay.recording
-    most = min(SCENE_FRAMES, max(2, config.scene_vertices // tracked.mesh.vertex_count))
+    most = min(_SCENE_FRAMES, max(2, config.scene_vertices // tracked.mesh.vertex_count))
     steps = evenly(len(tracked.frames), most, always=_labelled_steps(tracked))
     cameras = {camera.name for camera in recording.cameras}
     return recorded_scene(

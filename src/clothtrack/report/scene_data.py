@@ -35,10 +35,10 @@ from clothtrack.report.palette import (
 )
 from clothtrack.report.viewpoint import layers_axis, upward
 
-POINT_SIZE_M = 0.0025
+_POINT_SIZE_M = 0.0025
 """Size of a drawn point [m]."""
 
-PICKER_RADIUS_M = 0.008
+_PICKER_RADIUS_M = 0.008
 """Radius of the ball at a picker's tip [m]."""
 
 THICKNESS_M = 0.0012
@@ -47,17 +47,17 @@ THICKNESS_M = 0.0012
 SCENE_POINTS = 1500
 """Most observed points of a frame that are shown."""
 
-CLOUD_GRAINS = 8
+_CLOUD_GRAINS = 8
 """Observed points are rounded to this many grains, half a millimetre: the rest is noise."""
 
-STRIP_M = 0.02
+_STRIP_M = 0.02
 """Width of the strips in which observed points are sorted [m]."""
 
-FINEST_GRAIN_M = 2.0**-14
-LARGEST_INTEGER = 32_000
+_FINEST_GRAIN_M = 2.0**-14
+_LARGEST_INTEGER = 32_000
 RANK_STEPS = 16
-UNKNOWN_VALUE = 255
-LARGEST_VALUE = 254
+_UNKNOWN_VALUE = 255
+_LARGEST_VALUE = 254
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,14 +149,14 @@ def recorded_scene(
 def packed(scene: SceneContents) -> tuple[str, str]:
     """Return a scene as a JSON header and Base64 data."""
     # In this order neighbours follow each other, and what follows looks alike: it packs better.
-    orders = [np.lexsort((p[:, 1], np.floor(p[:, 0] / STRIP_M))) for p in scene.clouds]
+    orders = [np.lexsort((p[:, 1], np.floor(p[:, 0] / _STRIP_M))) for p in scene.clouds]
     clouds = [points[order] for points, order in zip(scene.clouds, orders, strict=True)]
     everything = np.concatenate([scene.positions.reshape(-1, 3), *clouds])
     if not len(everything):
         everything = np.zeros((1, 3))
     low, high = (f(everything, axis=0).astype(np.float64) for f in (np.min, np.max))
     origin = (low + high) / 2
-    grain = max(FINEST_GRAIN_M, float((high - low).max()) / 2 / LARGEST_INTEGER)
+    grain = max(_FINEST_GRAIN_M, float((high - low).max()) / 2 / _LARGEST_INTEGER)
 
     def integers(points: Float[np.ndarray, "*rows 3"]) -> np.ndarray:
         return np.rint((points - origin) / grain).astype(np.int16)
@@ -165,7 +165,7 @@ def packed(scene: SceneContents) -> tuple[str, str]:
     pack.differences("positions", integers(scene.positions))
     pack.plain("faces", scene.faces.astype("<u4"))
     points = integers(np.concatenate([np.empty((0, 3)), *clouds]))
-    pack.shuffled("cloud", points // CLOUD_GRAINS * CLOUD_GRAINS + CLOUD_GRAINS // 2)
+    pack.shuffled("cloud", points // _CLOUD_GRAINS * _CLOUD_GRAINS + _CLOUD_GRAINS // 2)
     pack.plain("ranks", np.rint(np.clip(RANK_STEPS * scene.ranks, 0, 255)).astype(np.uint8))
     if scene.visible is not None:
         pack.plain("visible", np.packbits(scene.visible.ravel(), bitorder="little"))
@@ -233,7 +233,7 @@ def _bytes_of(coloring: Coloring) -> np.ndarray:
     """Return 0 to 254 for zero to the limit, 255 for unknown values."""
     known = np.isfinite(coloring.values)
     share = np.clip(np.where(known, coloring.values, 0.0) / coloring.limit, 0.0, 1.0)
-    return np.where(known, np.rint(LARGEST_VALUE * share), UNKNOWN_VALUE).astype(np.uint8)
+    return np.where(known, np.rint(_LARGEST_VALUE * share), _UNKNOWN_VALUE).astype(np.uint8)
 
 
 def _facts(scene: SceneContents) -> dict[str, Any]:
@@ -259,8 +259,8 @@ def _facts(scene: SceneContents) -> dict[str, Any]:
         "along": scene.along.tolist(),
         "table": None if table is None else [table.point.tolist(), table.normal.tolist()],
         "pickers": pickers,
-        "pointSize": POINT_SIZE_M,
-        "pickerRadius": PICKER_RADIUS_M,
+        "pointSize": _POINT_SIZE_M,
+        "pickerRadius": _PICKER_RADIUS_M,
         "colorings": [
             {"key": one.key, "title": one.title, "note": one.note, "limit": one.limit}
             for one in scene.colorings

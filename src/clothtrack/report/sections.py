@@ -180,8 +180,8 @@ def _action_card(number: int, action: TrackedAction, shader: Shader) -> str:
         f"<span>frames {action.first_frame} to {action.last_frame}"
         f"{'; ' + escape(held) if held else ''}</span></h3>"
         f"{stills_html(stills)}"
-        f'<div class="tuned"><div>{parameter_table(action.parameters)}</div>'
-        f"<div>{calibration_html(action.calibration)}</div></div></article>"
+        f'<div class="tuned"><div>{_parameter_table(action.parameters)}</div>'
+        f"<div>{_calibration_html(action.calibration)}</div></div></article>"
     )
 
 
@@ -195,7 +195,7 @@ def stills_html(stills: Iterable[tuple[UInt8[np.ndarray, "_ _ 3"], str]]) -> str
     return f'<div class="stills">{pictures}</div>'
 
 
-def calibration_html(calibration: Calibration) -> str:
+def _calibration_html(calibration: Calibration) -> str:
     """Return the score of every candidate as dots, best first, and the five best in a table."""
     scores = np.asarray(calibration.scores, dtype=np.float64)
     fine = np.flatnonzero(np.isfinite(scores))
@@ -212,7 +212,7 @@ def calibration_html(calibration: Calibration) -> str:
         f"{calibration.roll_outs:.4g} roll-outs. Each dot is one candidate's {what} [{unit}], "
         "best first; the chosen one is red."
     )
-    heads = "".join(map(parameter_head, calibration.names))
+    heads = "".join(map(_parameter_head, calibration.names))
     rows = "".join(
         "<tr>"
         + "".join(f"<td>{value:.4g}</td>" for value in calibration.candidates[k])
@@ -268,11 +268,11 @@ KEYS = (
 )
 
 
-EXPECTED_HELP = (
+_EXPECTED_HELP = (
     "The mean distance between a vertex and where it really is, hidden ones included, that is "
     "usual for labels that look like this one. Estimated from what was observed, without the truth."
 )
-QUALITY_HELP = (
+_QUALITY_HELP = (
     "The weight of this label in training, 0 to 1; one half is typical of the benchmark's labels."
 )
 
@@ -285,7 +285,7 @@ def review_card(
         return ""
     rows = []
     for label, action in zip(review.labels, tracked.actions, strict=True):
-        text = quality_cell(judged[label.action]) if judged else "not judged"
+        text = _quality_cell(judged[label.action]) if judged else "not judged"
         rows.append(
             f'<tr data-action="{label.action}" data-first="{action.first_frame}">'
             f'<th><button type="button" class="jump">Label {label.action + 1}</button></th>'
@@ -317,7 +317,7 @@ def verdict_strip(judged: Sequence[LabelQuality]) -> str:
         return ""
     chips = "".join(
         f'<button type="button" class="chip" data-mark="{label.action}" '
-        f'data-word="{verdict(label).word}" title="{_word_help(verdict(label))} {EXPECTED_HELP}">'
+        f'data-word="{verdict(label).word}" title="{_word_help(verdict(label))} {_EXPECTED_HELP}">'
         f"Label {label.action + 1} <b>{verdict(label).word}</b> <span>{_error(label)}</span>"
         '<small class="decided"></small></button>'
         for label in judged
@@ -355,15 +355,15 @@ def _evidence_row(one: Evidence) -> str:
     )
 
 
-def quality_cell(judged: LabelQuality) -> str:
+def _quality_cell(judged: LabelQuality) -> str:
     """Return what is expected of a label, with the explanation of each number."""
     if not np.isfinite(judged.expected_error_mm):
         return "nothing was seen to judge it by"
     found = verdict(judged)
     return (
         f'<b class="word" data-word="{found.word}" title="{_word_help(found)}">{found.word}</b> '
-        f'<span title="{EXPECTED_HELP}">expected error {_error(judged)}</span>, '
-        f'<span title="{QUALITY_HELP}">quality {judged.label_quality:.2f}</span>'
+        f'<span title="{_EXPECTED_HELP}">expected error {_error(judged)}</span>, '
+        f'<span title="{_QUALITY_HELP}">quality {judged.label_quality:.2f}</span>'
     )
 
 
@@ -383,7 +383,7 @@ def _word_help(found: Verdict) -> str:
     return escape(f"{meaning} Because: {found.reason}.", quote=True)
 
 
-MEANINGS: Mapping[str, tuple[str, str]] = {
+_MEANINGS: Mapping[str, tuple[str, str]] = {
     "stretch_compliance": ("m/N", "How far an edge gives to a pull; 0: it does not stretch."),
     "bend_compliance": ("m/N", "How far it gives to bending (at 8 mm spacing); larger: limper."),
     "table_friction": ("", "Coulomb coefficient of cloth on table; larger slides less."),
@@ -394,9 +394,9 @@ MEANINGS: Mapping[str, tuple[str, str]] = {
 """Unit and explanation of each of `clothtrack.tracking.theta.PARAMETERS`."""
 
 
-def parameter_head(name: str) -> str:
+def _parameter_head(name: str) -> str:
     """Return the name of a parameter with its unit, and what it means as a tooltip."""
-    unit, meaning = MEANINGS.get(name, ("", ""))
+    unit, meaning = _MEANINGS.get(name, ("", ""))
     words = name.removesuffix("_m").replace("_", " ")
     return (
         f'<th title="{escape(meaning, quote=True)}">{escape(words)}'
@@ -404,11 +404,11 @@ def parameter_head(name: str) -> str:
     )
 
 
-def parameter_table(parameters: Mapping[str, float]) -> str:
+def _parameter_table(parameters: Mapping[str, float]) -> str:
     """Return each parameter that was used, with its relation to the tracker's default."""
     defaults = {name: float(value) for name, value in asdict(RunConfig().cloth.theta()).items()}
     rows = "".join(
-        f'<tr>{parameter_head(name)}<td title="{escape(MEANINGS.get(name, ("", ""))[1])}">'
+        f'<tr>{_parameter_head(name)}<td title="{escape(_MEANINGS.get(name, ("", ""))[1])}">'
         f'{value:.4g}</td><td class="note">{_compared(value, defaults.get(name))}</td></tr>'
         for name, value in parameters.items()
     )

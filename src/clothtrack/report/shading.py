@@ -22,7 +22,7 @@ from clothtrack.report.palette import INSIDE, OUTSIDE, PAPER, TABLE
 GRID_M = 0.1
 """Spacing of the lines on the table [m]."""
 
-DEPTH_DARKENING_M = 0.025
+_DEPTH_DARKENING_M = 0.025
 """Depth below its surroundings at which cloth is dimmed in full [m]."""
 
 
@@ -46,7 +46,7 @@ class ShadingConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class ShadedStill:
+class _ShadedStill:
     """A shaded picture and where the cloth is in it.
 
     Attributes:
@@ -83,7 +83,7 @@ class Shader:
         vertices: Float[np.ndarray, "vertices 3"],
         *,
         colors: Float[np.ndarray, "vertices 3"] | None = None,
-    ) -> ShadedStill:
+    ) -> _ShadedStill:
         """Render the cloth at `vertices` [m, world], two-sided or in `colors` per vertex."""
         buffer = self._rasteriser.render(vertices)
         cloth = (buffer.faces >= 0) & (buffer.depth < self._backdrop_depth + 2e-3)
@@ -96,7 +96,7 @@ class Shader:
             picture = cv2.resize(picture, self.size, interpolation=cv2.INTER_AREA)
             share = cv2.resize(cloth.astype(np.float32), self.size, interpolation=cv2.INTER_AREA)
             cloth = share >= 0.5
-        return ShadedStill(picture, cloth)
+        return _ShadedStill(picture, cloth)
 
     def _drawn(
         self,
@@ -247,6 +247,6 @@ def _darkening(
     behind = np.where(np.isfinite(backdrop_depth), backdrop_depth, farthest)
     raised = np.where(cloth, behind - depth, 0.0).astype(np.float32)
     around = cv2.GaussianBlur(raised, (0, 0), _shade_reach(camera))
-    below = np.clip((around - raised) / DEPTH_DARKENING_M, 0.0, 1.0)
+    below = np.clip((around - raised) / _DEPTH_DARKENING_M, 0.0, 1.0)
     below[~np.isfinite(depth)] = 0.0
     return (1.0 - config.edge_darkening * step) * (1.0 - config.depth_darkening * below)

@@ -17,9 +17,9 @@ from clothtrack.report.scene_data import SceneContents, packed
 LARGEST_GAP_M = 0.04
 """Largest distance between separated layers [m]; with more a shirt is not recognizable."""
 
-SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
+_SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
 
-APART_HELP = (
+_APART_HELP = (
     "Lifts each vertex by the number of layers under it. Only the drawing changes: it shows what "
     "lies between layers. Page up and Page down move it, too."
 )
@@ -42,7 +42,7 @@ def stage(
     if len(frames) > 1:
         speeds = "".join(
             f'<option value="{speed}"{" selected" if speed == 1 else ""}>{speed:g} x</option>'
-            for speed in SPEEDS
+            for speed in _SPEEDS
         )
         bar = (
             '<div class="clock"><button id="play" type="button" title="Space">Play</button>'
@@ -155,14 +155,14 @@ def _modes(contents: SceneContents) -> list[tuple[str, str, str, str]]:
     """Return what the cloth can be coloured by: key, title, note, legend."""
     modes = []
     if len(contents.faces):
-        modes.append(("sides", "outer and inner side", "", sides_legend()))
+        modes.append(("sides", "outer and inner side", "", _sides_legend()))
     if contents.visible is not None:
         legend = swatch(OUTSIDE, "visible") + swatch(HIDDEN, "hidden, believed")
         modes.append(("visible", "visible and hidden", "", legend))
     if contents.film is not None:
         note = "The mean colour of each vertex in the frames that show it."
         modes.append(("film", "colours of the film", note, ""))
-    return modes + [(o.key, o.title, o.note, scale_legend(o)) for o in contents.colorings]
+    return modes + [(o.key, o.title, o.note, _scale_legend(o)) for o in contents.colorings]
 
 
 def _switches(contents: SceneContents, options: str) -> str:
@@ -184,7 +184,7 @@ def _switches(contents: SceneContents, options: str) -> str:
         parts.append(
             '<label title="The cloth becomes transparent: what lies under it is seen through it">'
             'Opacity <input type="range" name="opacity" min="0.15" max="1" step="0.05" value="1">'
-            f'</label><label title="{APART_HELP}">Layers apart <input type="range" name="gap" '
+            f'</label><label title="{_APART_HELP}">Layers apart <input type="range" name="gap" '
             f'min="0" max="{LARGEST_GAP_M}" step="0.001" value="0"></label>'
         )
     if contents.clouds:
@@ -217,12 +217,12 @@ def swatch(color: tuple[float, float, float], words: str) -> str:
     return f'<i class="swatch" style="background:{hexadecimal(color)}"></i>{escape(words)}'
 
 
-def sides_legend() -> str:
+def _sides_legend() -> str:
     """Return the colours of the two sides."""
     return swatch(OUTSIDE, "outer side") + swatch(INSIDE, "inner side")
 
 
-def scale_legend(coloring: Coloring) -> str:
+def _scale_legend(coloring: Coloring) -> str:
     """Return the scale of a graded colouring."""
     stops = ", ".join(hexadecimal(tuple(stop)) for stop in HEAT.tolist())
     return (

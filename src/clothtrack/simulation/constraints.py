@@ -94,7 +94,7 @@ def bend_constraints(mesh: ClothMesh) -> DistanceConstraints:
     return _coloured(mesh, pairs.reshape(-1, 2))
 
 
-def colour_pairs(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, " pairs"]:
+def _colour_pairs(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, " pairs"]:
     """Return the lowest colour that no earlier pair with a common vertex has (greedy colouring)."""
     used: dict[int, int] = {}
     colours = np.zeros(len(pairs), dtype=np.int64)
@@ -108,7 +108,7 @@ def colour_pairs(pairs: Int[np.ndarray, "pairs 2"]) -> Int[np.ndarray, " pairs"]
 
 
 def _coloured(mesh: ClothMesh, pairs: Int[np.ndarray, "pairs 2"]) -> DistanceConstraints:
-    colours = colour_pairs(pairs)
+    colours = _colour_pairs(pairs)
     order = np.argsort(colours, kind="stable")
     pairs = np.ascontiguousarray(pairs[order], dtype=np.int32)
     counts = np.bincount(colours) if len(colours) else np.zeros(0, dtype=np.int64)

@@ -27,14 +27,14 @@ LARGEST = 0.25
 """Largest piece that is taken back, as a share of the cloth, over the number of contours: among
 many it is not known what is inside what."""
 
-COHERENT = 0.8
+_COHERENT = 0.8
 """A piece is taken back when it goes out of the other sheet the same way everywhere: the length of
 the mean normal along its contour. A sleeve goes back through the hole; the hole does not open."""
 
-LOCAL_BESIDE_PIECE = 0.3
+_LOCAL_BESIDE_PIECE = 0.3
 """Weight of what a crossing wants where a piece is taken back."""
 
-SHARE = 0.1
+_SHARE = 0.1
 """What an end of an edge, or a corner of a triangle, moves at least, beside its share by the place
 of the crossing."""
 
@@ -102,16 +102,16 @@ class ContourMoves:
             sheets = self._sheets(found, positions)
             taken = self._taken_back(sheets, found)
             whole[sheets.contour[taken]] = (sheets.side[:, None] * sheets.back)[taken]
-            weight[np.isin(found.contour, sheets.contour[taken])] = LOCAL_BESIDE_PIECE
+            weight[np.isin(found.contour, sheets.contour[taken])] = _LOCAL_BESIDE_PIECE
             row, vertex = np.nonzero(sheets.piece[taken])
             gathered.add(vertex, np.ones(len(vertex)), sheets.back[taken][row])
         wanted = weight[:, None] * local + WHOLE * sides * whole[found.contour]
         wanted /= _at_least_one(wanted)
         first, second = search.edges[found.edges].T
-        gathered.add(first, 1.0 - found.along + SHARE, wanted)
-        gathered.add(second, found.along + SHARE, wanted)
+        gathered.add(first, 1.0 - found.along + _SHARE, wanted)
+        gathered.add(second, found.along + _SHARE, wanted)
         for corner, share in zip(search.mesh.faces[found.faces].T, found.within.T, strict=True):
-            gathered.add(corner, share + SHARE, -wanted)
+            gathered.add(corner, share + _SHARE, -wanted)
         return gathered.mean
 
     def _sheets(self, found: Contours, positions: Float[np.ndarray, "vertices 3"]) -> _Sheets:
@@ -172,7 +172,7 @@ class ContourMoves:
         inside = sheets.piece[:, ends].all(axis=2) | sheets.piece[:, corners].all(axis=2)
         tangled = (inside & (found.contour != sheets.contour[:, None])).any(axis=1)
         largest = LARGEST * self._areas.sum() / found.count
-        may = np.flatnonzero((sheets.coherence > COHERENT) & (sheets.area < largest) & ~tangled)
+        may = np.flatnonzero((sheets.coherence > _COHERENT) & (sheets.area < largest) & ~tangled)
         may = may[np.argsort(sheets.area[may], kind="stable")]
         return may[np.unique(sheets.contour[may], return_index=True)[1]]
 

@@ -10,7 +10,7 @@ from clothtrack.simulation.picker_action import HeldMotion, PickerAction
 from clothtrack.simulation.solver import ClothSolver
 from clothtrack.simulation.state import Attachment, ClothState, pull_rate, pull_strength
 
-PICKER_STEP_M = 0.005
+_PICKER_STEP_M = 0.005
 """No step moves a held vertex further than this [m]."""
 
 LONGEST_STEP_S = 0.05
@@ -119,7 +119,7 @@ class ClothDynamics:
         return max(
             1,
             math.ceil(duration_s / LONGEST_STEP_S - 1e-6),
-            math.ceil(way / PICKER_STEP_M - 1e-6),
+            math.ceil(way / _PICKER_STEP_M - 1e-6),
         )
 
 

@@ -13,7 +13,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-AIRBORNE_LIMIT = wp.constant(5)
+_AIRBORNE_LIMIT = wp.constant(5)
 """Substeps after its last touch during which a vertex counts as supported and may sleep."""
 
 
@@ -328,7 +328,7 @@ def end_substep(
             wp.atomic_max(highest_speed, environment, speed)
         if speed > speed_limit:
             velocity *= speed_limit / speed
-        if still_airborne <= AIRBORNE_LIMIT and pulled[vertex] == 0.0:
+        if still_airborne <= _AIRBORNE_LIMIT and pulled[vertex] == 0.0:
             if wp.length(position - origin) < sleep_speed * clock.substep_s:
                 position = origin
                 velocity = wp.vec3(0.0, 0.0, 0.0)

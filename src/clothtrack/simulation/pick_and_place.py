@@ -16,23 +16,23 @@ from clothtrack.geometry.mesh import ClothMesh
 
 Picks = Literal["outline", "middle", "folded", "pulled"]
 
-SHARE_OF_EXTREMES = 0.8
-SHARE_STRAIGHT = 0.75
+_SHARE_OF_EXTREMES = 0.8
+_SHARE_STRAIGHT = 0.75
 """Share of places within 45 degrees of the way inwards, or outwards for what is pulled."""
 
-RAMP = 0.2
+_RAMP = 0.2
 """Share of a path's time that speeding up takes, and slowing down."""
 
-MIDDLE_M = 0.04
+_MIDDLE_M = 0.04
 """How far from the middle of the cloth [m] a pick in its middle is at most."""
 
 MOST_LAYERS = 8
 """As many layers as the gripper takes at most."""
 
-LAYERS_APART_M = 0.03
+_LAYERS_APART_M = 0.03
 """Cloth of one stack that is farther apart than this [m] in the canonical pose is of two layers."""
 
-FOLD_REACH_M = 0.05
+_FOLD_REACH_M = 0.05
 """Cloth that lies together and is farther apart than this [m] in the flat cloth is folded."""
 
 
@@ -146,7 +146,7 @@ def folded_vertices(cloth: ClothMesh, radius_m: float) -> Bool[np.ndarray, " ver
     pairs = cKDTree(cloth.vertices[:, :2]).query_pairs(radius_m, output_type="ndarray")
     apart = np.linalg.norm(np.subtract(*flat[pairs.T, :2]), axis=1)
     folded = np.zeros(len(flat), dtype=bool)
-    folded[pairs[apart > FOLD_REACH_M]] = True
+    folded[pairs[apart > _FOLD_REACH_M]] = True
     return folded
 
 
@@ -160,9 +160,9 @@ def _chosen(
     """Return the vertex above which the gripper comes down."""
     if picks == "middle":
         off = np.linalg.norm(points[:, :2] - middle, axis=1)
-        near = np.flatnonzero(off < max(MIDDLE_M, float(off.min())))
+        near = np.flatnonzero(off < max(_MIDDLE_M, float(off.min())))
         return int(rng.choice(near if len(near) else [np.argmin(off)]))
-    if picks in ("outline", "pulled") and rng.random() >= SHARE_OF_EXTREMES:
+    if picks in ("outline", "pulled") and rng.random() >= _SHARE_OF_EXTREMES:
         return int(rng.integers(len(points)))
     angle = rng.uniform(0.0, 2.0 * np.pi)
     outward = (points[:, :2] - middle) @ np.array([np.cos(angle), np.sin(angle)])
@@ -181,7 +181,7 @@ def _place(
     """Return a random place within reach [m], at the height of the pick."""
     to_middle = np.arctan2(middle[1] - pick[1], middle[0] - pick[0])
     ahead = to_middle + np.pi if config.picks == "pulled" else to_middle
-    straight = 1.0 if config.picks == "folded" else SHARE_STRAIGHT
+    straight = 1.0 if config.picks == "folded" else _SHARE_STRAIGHT
     for _ in range(100):
         spread = np.pi / 4.0 if rng.random() < straight else np.pi
         heading = ahead + rng.uniform(-spread, spread)
@@ -207,7 +207,7 @@ def carrying_path(
     curve = action.pick + across[:, None] * (action.place - action.pick)
     curve[:, 2] += height
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    mean_speed = config.speed * (1.0 - RAMP)
+    mean_speed = config.speed * (1.0 - _RAMP)
     frames = max(2, int(np.ceil(along[-1] / mean_speed * config.frame_rate)))
     steps = frames * round(1.0 / (config.frame_rate * time_step_s))
     time = np.arange(1, steps + 1) / steps
@@ -229,11 +229,11 @@ def free_path(
 
 def _eased(time: Float[np.ndarray, " steps"]) -> Float[np.ndarray, " steps"]:
     """Return the share of the way at each share of the time: a trapezoid of speed."""
-    top = 1.0 / (1.0 - RAMP)
-    rising = 0.5 * top * time**2 / RAMP
-    level = top * (time - 0.5 * RAMP)
-    falling = 1.0 - 0.5 * top * (1.0 - time) ** 2 / RAMP
-    return np.where(time < RAMP, rising, np.where(time < 1.0 - RAMP, level, falling))
+    top = 1.0 / (1.0 - _RAMP)
+    rising = 0.5 * top * time**2 / _RAMP
+    level = top * (time - 0.5 * _RAMP)
+    falling = 1.0 - 0.5 * top * (1.0 - time) ** 2 / _RAMP
+    return np.where(time < _RAMP, rising, np.where(time < 1.0 - _RAMP, level, falling))
 
 
 def _layers_below(cloth: ClothMesh, top: int, radius: float) -> list[int]:
@@ -253,6 +253,6 @@ def _whole_stack(cloth: ClothMesh, top: int, radius: float) -> list[int]:
     held = [top]
     for vertex in np.flatnonzero(gap < radius)[np.argsort(gap[gap < radius])]:
         apart = np.linalg.norm(flat[held] - flat[vertex], axis=1).min()
-        if apart > LAYERS_APART_M and len(held) < MOST_LAYERS:
+        if apart > _LAYERS_APART_M and len(held) < MOST_LAYERS:
             held.append(int(vertex))
     return held

@@ -102,7 +102,7 @@ _SOLVE_COLOUR = """
 
 @no_type_check
 @wp.func_native(_SOLVE_COLOUR)
-def solve_colour(
+def _solve_colour(
     pairs: wp.array(dtype=wp.vec2i),
     lengths: wp.array(dtype=float),
     begin: int,
@@ -137,7 +137,7 @@ def sweep_constraints(
     environment = wp.tid()
     softness = compliances[environment] * clocks[0].inverse_square
     for colour in range(colours.shape[0] - 1):
-        solve_colour(
+        _solve_colour(
             pairs, lengths, colours[colour], colours[colour + 1], softness, limit, buckling,
             inverse_masses[environment], positions[environment],
         )  # fmt: skip

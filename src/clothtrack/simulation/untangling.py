@@ -29,17 +29,17 @@ A fifth of it leaves many times the crossings: what is folded within an edge is 
 REACH = 4
 """Edges from a moved vertex within which lengths are kept, and vertices may follow."""
 
-SWEEPS = 6
+_SWEEPS = 6
 """Passes over the edges after each move."""
 
-GIVE = 0.2
+_GIVE = 0.2
 """What an edge gives in a pass, against 2 for its two vertices."""
 
 PATIENCE = 10
 """Rounds without fewer crossings before the other way is tried: with small pieces taken back, or by
 shortening alone. Two changes without success are the end."""
 
-STRAIGHTENING = 8
+_STRAIGHTENING = 8
 """Most times that edges are straightened further at the end, while no crossing comes back."""
 
 _BACK_OUT = 0.1
@@ -179,7 +179,7 @@ class _Attempt:
         step_m: float,
         *,
         pieces: bool,
-        sweeps: int = SWEEPS,
+        sweeps: int = _SWEEPS,
     ) -> Float[np.ndarray, "vertices 3"]:
         move = step_m * self._cloth.moves(found, positions, pieces=pieces)
         move *= self._mobility[:, None]
@@ -205,8 +205,8 @@ class _Attempt:
 
     def _straighten(self, fewest: int) -> None:
         """Give edges more of their lengths back while that makes no crossing."""
-        for _ in range(STRAIGHTENING):
-            positions = self._kept(self._best, SWEEPS)
+        for _ in range(_STRAIGHTENING):
+            positions = self._kept(self._best, _SWEEPS)
             found = self._search.contours(positions)
             if found.crossing_edges > fewest:
                 step_m = _BACK_OUT * self._edge_m
@@ -232,7 +232,7 @@ class _Lengths:
         clock = kernels.Clock()
         clock.inverse_square = 1.0
         self._clocks = wp.array([clock], dtype=kernels.Clock, device=device)
-        self._give = wp.array([GIVE], dtype=float, device=device)
+        self._give = wp.array([_GIVE], dtype=float, device=device)
 
     def __call__(
         self,

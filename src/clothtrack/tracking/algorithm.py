@@ -85,7 +85,7 @@ def track_action(
         if method.at_rest(picker_action, tracked_at, frame):  # not in the paper
             notes.rest(frame, state)
             continue
-        corrected, correction = track_frame(
+        corrected, correction = _track_frame(
             dyn, state, picker_action, method.observe(frame), method
         )
         notes.step(frame, correction, corrected)
@@ -93,7 +93,7 @@ def track_action(
     return notes.finished(state)
 
 
-def track_frame(
+def _track_frame(
     dyn: Dynamics, state: State, picker_action: PickerAction, seen: Observation, method: Method
 ) -> tuple[Corrected, Correction | None]:
     """Track the cloth from one frame to the next.

@@ -51,7 +51,7 @@ Pick = Callable[[PickAndPlace, State, Theta], Grasps]
 """Return what the pickers take hold of, from where the cloth lies when the action starts."""
 
 
-class OneCandidate:
+class _OneCandidate:
     """A search that has been decided before anything is tracked.
 
     Attributes:
@@ -89,7 +89,7 @@ class Uncalibrated:
 
     def __call__(self, action: PickAndPlace, state: State, theta: Theta) -> Search:
         """Return a search that yields theta alone."""
-        return OneCandidate(Candidate(theta, self.pick(action, state, theta)), Calibration.none())
+        return _OneCandidate(Candidate(theta, self.pick(action, state, theta)), Calibration.none())
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class OpenLoopCalibration:
         found = scores.theta(theta, chosen)
         logger.info("frames %d-%d: %s", action.first_frame, action.last_frame, found)
         record = scores.record(self.config.method, "open_loop", chosen)
-        return OneCandidate(Candidate(found, self.pick(action, state, found)), record)
+        return _OneCandidate(Candidate(found, self.pick(action, state, found)), record)
 
 
 @dataclass(frozen=True, eq=False)

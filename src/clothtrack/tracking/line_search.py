@@ -18,20 +18,20 @@ from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.simulation.state import Attachment
 from clothtrack.tracking.protocols import Corrected, Correction, Dynamics, Prediction, State
 
-DECAY = 0.7
+_DECAY = 0.7
 """Factor between one trial and the next; gamma = 0.7 in the paper."""
 
 TRIALS = 10
 """Roll-outs before the pseudo-action is dropped; 10 in the paper."""
 
-EXPLOSION_SPEED = 3.0
+_EXPLOSION_SPEED = 3.0
 """A vertex faster than this [m/s] is an explosion. The paper does not state its threshold; 1 m/s
 rejects sound steps."""
 
-EXPLOSION_RATIO = 15.0
+_EXPLOSION_RATIO = 15.0
 """With a fast picker the threshold is this many times the picker's speed."""
 
-PREDICTION_RATIO = 1.5
+_PREDICTION_RATIO = 1.5
 """The threshold is at least this many times the highest speed of the prediction: what the dynamics
 do by themselves is no explosion."""
 
@@ -43,8 +43,8 @@ def explosion_threshold(picker_speed: float, predicted_speed: float) -> float:
         picker_speed: of the fastest picker in this frame [m/s].
         predicted_speed: highest speed of a vertex without a pseudo-action [m/s].
     """
-    own = PREDICTION_RATIO * predicted_speed if np.isfinite(predicted_speed) else 0.0
-    return max(EXPLOSION_SPEED, EXPLOSION_RATIO * picker_speed, own)
+    own = _PREDICTION_RATIO * predicted_speed if np.isfinite(predicted_speed) else 0.0
+    return max(_EXPLOSION_SPEED, _EXPLOSION_RATIO * picker_speed, own)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class PseudoActionSearch:
             rolled = dyn(state, action, self._pseudo_action(correction, scale))
             if is_stable(rolled, threshold):
                 return Corrected(rolled, scale, trial)
-            scale *= DECAY
+            scale *= _DECAY
         return Corrected(_alone(dyn, state, action, predicted), 0.0, TRIALS, gave_up=True)
 
     def _pseudo_action(self, correction: Correction, scale: float) -> Attachment:

@@ -50,20 +50,20 @@ PREDICTION_COARSENESS = 2
 """Substeps of the default's predictions are so many times as long: what is aligned need not be
 exact, since the accepted roll-out is rolled again. It saves a tenth of the time."""
 
-ANCHOR_WEIGHT = 300.0
+_ANCHOR_WEIGHT = 300.0
 """A vertex to where feature tracks want it: each of them counts as so many cloud points."""
 
-ICP_TOLERANCE = 0.02
+_ICP_TOLERANCE = 0.02
 """Gauss-Newton ends when two iterations together lower the objective by a smaller share."""
 
 FLEX_SLEEP_SPEED = 0.02
 """Supported vertices slower than this [m/s] stand still in the paper's simulator."""
 
-MIN_OBSERVED = 0.5
+_MIN_OBSERVED = 0.5
 """Share of the visible vertices of a first mesh that the cloud must be able to contradict for the
 mesh to be aligned to it."""
 
-VISIBILITY_WIDTH = 320
+_VISIBILITY_WIDTH = 320
 """Width of the z-buffer that decides visibility [pixels]: its pixels are finer than the
 mesh's edges."""
 
@@ -95,7 +95,7 @@ class Components:
     @cached_property
     def visible(self) -> VisibilityCheck:
         """Which vertices some camera sees."""
-        cameras = tuple(camera.resized(VISIBILITY_WIDTH) for camera in self.recording.cameras)
+        cameras = tuple(camera.resized(_VISIBILITY_WIDTH) for camera in self.recording.cameras)
         return VisibilityCheck(
             self.mesh.faces, cameras, tolerance_m=VISIBILITY_TOLERANCE_M, device=self.device
         )
@@ -150,7 +150,7 @@ class Components:
         """
         alignment = AlignmentConfig(
             **asdict(self.config.objective), solver=solver, icp_tolerance=icp_tolerance,
-            marks_weight=ANCHOR_WEIGHT if self.config.color else 0.0,
+            marks_weight=_ANCHOR_WEIGHT if self.config.color else 0.0,
         )  # fmt: skip
         return VisibleAlignment(
             self.mesh, alignment, self.visible, table=self.recording.table,
@@ -195,10 +195,10 @@ class Assembled:
 def default(components: Components) -> Assembled:
     """Return our method."""
     simulator = components.simulator(velocity_kept=0.0, prediction_coarseness=PREDICTION_COARSENESS)
-    aligner = components.aligner("icp", icp_tolerance=ICP_TOLERANCE)
+    aligner = components.aligner("icp", icp_tolerance=_ICP_TOLERANCE)
     method = Method(
         observe=components.observe,
-        calibrate=tracking_calibration(components, simulator),
+        calibrate=_tracking_calibration(components, simulator),
         dynamics=components.dynamics(simulator),
         align=aligner,
         line_search=PseudoActionSearch(SOFT),
@@ -254,7 +254,7 @@ METHODS: Mapping[str, Callable[[Components], Assembled]] = {
 """The method of each mode (`tracking.configuration.MODES`)."""
 
 
-def tracking_calibration(components: Components, simulator: ClothDynamics) -> Calibrate:
+def _tracking_calibration(components: Components, simulator: ClothDynamics) -> Calibrate:
     """Return the default's calibration; `search.method` may name the paper's."""
     search = components.search
     if search.method != "tracking":
@@ -274,7 +274,7 @@ def aligned_first(components: Components, method: Method, state: State) -> State
     visible = components.visible(positions)
     observed = visible & ~observation.unobservable(positions.astype(np.float64))
     # Of a cloth below a cut a cloud shows a hand's breadth: the rest would slide after it.
-    if observed.sum() < MIN_OBSERVED * visible.sum():
+    if observed.sum() < _MIN_OBSERVED * visible.sum():
         return state
     held = any(path.closed_at(start_s) for path in recording.picker_paths.values())
     # A replay with a chosen theta must start alike, whatever was searched or given.

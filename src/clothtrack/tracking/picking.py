@@ -21,15 +21,15 @@ REACH_M = 0.03
 """Vertices farther from the closing tip than this [m] are not taken hold of. The reference code's
 sum of picker radius, threshold and particle radius is 0.02125."""
 
-COLUMN_M = 0.01
+_COLUMN_M = 0.01
 """Reach of a tip sideways, in which layers are told apart [m]."""
 
-KNOTS_PER_FRAME = 5
+_KNOTS_PER_FRAME = 5
 """Waypoints at which the recorded path is read inside one frame; linear between them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Grasp:
+class _Grasp:
     """One picker's hold during one action.
 
     Attributes:
@@ -53,7 +53,7 @@ class Grasp:
         self, start_s: float, end_s: float, offset: Float[np.ndarray, "*environments 3"]
     ) -> Float[np.ndarray, "*environments knots held 3"]:
         """Where the held vertices are to be between two times [m], shifted by a grasp offset."""
-        times = np.linspace(start_s, end_s, KNOTS_PER_FRAME)
+        times = np.linspace(start_s, end_s, _KNOTS_PER_FRAME)
         tips = np.stack([self.path.position_at(time) for time in times])
         points = tips[:, None] + self.offsets
         return points + np.asarray(offset)[..., None, None, :]
@@ -64,7 +64,7 @@ def find_grasps(
     action: PickAndPlace,
     cloth: ClothMesh,
     layers: int = 0,
-) -> tuple[Grasp, ...]:
+) -> tuple[_Grasp, ...]:
     """Decide what each picker of an action holds, from where the cloth lies when it starts.
 
     Vertices named in the recording win; otherwise the one nearest to the tip when it first closes.
@@ -100,7 +100,7 @@ def find_grasps(
                 name, closing_s, 1e3 * gaps_m.min(), 1e3 * REACH_M,
             )  # fmt: skip
             continue
-        grasps.append(Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
+        grasps.append(_Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
     return tuple(grasps)
 
 
@@ -113,7 +113,7 @@ class HeldCloth:
         offset: from where a tip was commanded to where it holds the cloth [m].
     """
 
-    grasps: tuple[Grasp, ...]
+    grasps: tuple[_Grasp, ...]
     offset: Float[np.ndarray, " 3"]
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
@@ -184,7 +184,7 @@ def layers_under(
     aside = np.linalg.norm(cloth.vertices[:, :2] - tip[:2], axis=1)
     spacing_m = float(np.median(cloth.edge_lengths))
     # A column narrower than the mesh would miss layers.
-    column = np.flatnonzero(aside < max(COLUMN_M, 1.2 * spacing_m))
+    column = np.flatnonzero(aside < max(_COLUMN_M, 1.2 * spacing_m))
     if not len(column):
         return column.astype(np.int32)
     inside = np.isin(cloth.edges, column).all(axis=1)
@@ -199,7 +199,7 @@ def layers_under(
 
 
 def held_motion(
-    grasps: tuple[Grasp, ...],
+    grasps: tuple[_Grasp, ...],
     start_s: float,
     end_s: float,
     offset: Float[np.ndarray, "*environments 3"],
@@ -216,7 +216,7 @@ def held_motion(
     )
 
 
-def picker_speed(grasps: tuple[Grasp, ...], start_s: float, end_s: float) -> float:
+def picker_speed(grasps: tuple[_Grasp, ...], start_s: float, end_s: float) -> float:
     """Return speed of the fastest closed picker between two frames [m/s]."""
     speeds = [
         np.linalg.norm(grasp.path.position_at(end_s) - grasp.path.position_at(start_s))

@@ -40,7 +40,7 @@ from clothtrack.tracking.tracker import Tracker
 
 logger = logging.getLogger(__name__)
 
-CLOUDS_KEPT = 256
+_CLOUDS_KEPT = 256
 """Most clouds in memory, however long an action is: some 100 MB with pictures of 640 x 480. What a
 search needs again and is not among them is read and segmented once more."""
 
@@ -48,7 +48,7 @@ Judge = Callable[..., Mapping[str, Any]]
 """Return what to do with a trajectory, as it is stored: `judge(tracked, recording, segmenter=,
 device=)`. It is handed in because tracking knows nothing of its evaluation."""
 
-PARTS = tuple(part.name for part in fields(Method))
+_PARTS = tuple(part.name for part in fields(Method))
 """The functions of Algorithm 1 that a caller may replace (`tracking.protocols.Method`)."""
 
 
@@ -91,7 +91,7 @@ def observer(
     longest = max((a.last_frame - a.first_frame for a in recording.actions), default=0)
     follower = PointFollower(recording, segmenter) if color else None
 
-    @lru_cache(maxsize=min(longest + 2, CLOUDS_KEPT))
+    @lru_cache(maxsize=min(longest + 2, _CLOUDS_KEPT))
     def seen(frame_index: int) -> Observation:
         frame = recording.frames[frame_index]
         looks = follower is not None and not follower.knows(frame)
@@ -125,7 +125,7 @@ def track_recording(
         device: "cpu" or "cuda:0".
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame.
-        parts: replacements for functions of Algorithm 1, by their names in `PARTS`.
+        parts: replacements for functions of Algorithm 1, by their names in `_PARTS`.
         assemble: makes the method; that of `config.mode` by default.
         force: track although the first mesh lies beside its cloud.
         watch: is shown every mesh.
@@ -136,9 +136,9 @@ def track_recording(
         InvalidRecordingError: the first mesh lies beside its cloud, and `force` is not set.
     """
     for name in (parts := parts or {}):
-        if name not in PARTS:
+        if name not in _PARTS:
             raise InvalidConfigError(
-                f"Algorithm 1 has no part {name!r}; there are {', '.join(PARTS)}"
+                f"Algorithm 1 has no part {name!r}; there are {', '.join(_PARTS)}"
             )
     clock = time.process_time()
     stamp = provenance(recording, config, device)

@@ -16,17 +16,17 @@ from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.tracking.protocols import Observe
 
-WINDOW = 5
+_WINDOW = 5
 """Width of the windows in which changes of depth are averaged [pixels]: a fifth of the noise."""
 
-NOISE_FACTOR = 6.0
+_NOISE_FACTOR = 6.0
 """A pixel has changed if its averaged change is so many times the median of the whole picture,
 most of which is table that never moves: four deviations of Gaussian noise."""
 
-SMALLEST_CHANGE_M = 0.0015
+_SMALLEST_CHANGE_M = 0.0015
 """Least averaged change of depth [m] that counts."""
 
-CHANGED_SHARE = 0.005
+_CHANGED_SHARE = 0.005
 """Share of the cloth's pixels that may have changed in a cloth at rest. Before the first grasp of
 the benchmark's recordings it is below 0.001, while cloth settles above 0.01."""
 
@@ -76,8 +76,8 @@ class PicturesAtRest:
         judged = known & cloth[0] & cloth[1]
         if not judged.any():
             return True
-        limit_m = max(SMALLEST_CHANGE_M, NOISE_FACTOR * float(np.median(change_m[known])))
-        return float((change_m[judged] > limit_m).mean()) > CHANGED_SHARE
+        limit_m = max(_SMALLEST_CHANGE_M, _NOISE_FACTOR * float(np.median(change_m[known])))
+        return float((change_m[judged] > limit_m).mean()) > _CHANGED_SHARE
 
 
 def averaged_change(
@@ -86,8 +86,8 @@ def averaged_change(
     """Return the absolute change of depth [m], averaged in windows; NaN where most is unknown."""
     both = (before_m > 0) & (after_m > 0)
     change = np.where(both, after_m - before_m, 0.0).astype(np.float32)
-    share = cv2.boxFilter(both.astype(np.float32), -1, (WINDOW, WINDOW))
-    mean = cv2.boxFilter(change, -1, (WINDOW, WINDOW))
+    share = cv2.boxFilter(both.astype(np.float32), -1, (_WINDOW, _WINDOW))
+    mean = cv2.boxFilter(change, -1, (_WINDOW, _WINDOW))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(share > 0.5, np.abs(mean / share), np.nan).astype(np.float64)
 

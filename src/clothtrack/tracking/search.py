@@ -17,7 +17,7 @@ from clothtrack.files.bounds import Checked, Count, NotNegative
 from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
 from clothtrack.tracking.tracked_trajectory import Calibration
 
-SearchMethod = Literal["none", "grid", "descent", "tracking"]
+_SearchMethod = Literal["none", "grid", "descent", "tracking"]
 
 Values = tuple[float | int, ...]
 """A value for each searched parameter, in the order of the axes."""
@@ -28,7 +28,7 @@ Axes = Mapping[str, tuple[float | int, ...]]
 Proposal = Generator[list[Values], list[float], Values]
 """Yields candidates, is sent their scores, returns the chosen one."""
 
-OFFSET_STEPS = 5
+_OFFSET_STEPS = 5
 """Heights of the grasp to try, spread over the uncertainty that the recording states; without one
 the offset is not searched."""
 
@@ -60,7 +60,7 @@ class SearchConfig(Checked):
             the search: most easy actions need one candidate. 0: never.
     """
 
-    method: SearchMethod = "tracking"
+    method: _SearchMethod = "tracking"
     axes: Axes = field(default_factory=_axes)
     sweeps: Count = 2
     stop_score: NotNegative = 0.03
@@ -94,7 +94,7 @@ class SearchConfig(Checked):
         """
         if uncertainty_m <= 0.0 or self.method == "none":
             return self
-        values = tuple(np.linspace(-uncertainty_m, uncertainty_m, OFFSET_STEPS).tolist())
+        values = tuple(np.linspace(-uncertainty_m, uncertainty_m, _OFFSET_STEPS).tolist())
         # The offset matters most: descent meets it before the properties of the cloth.
         return replace(self, axes={"grasp_offset_z_m": values, **self.axes})
 

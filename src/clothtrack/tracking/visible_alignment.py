@@ -24,7 +24,7 @@ contradicted it."""
 CLOUD_REACH_M = 0.1
 """Cloud points farther from every visible vertex [m] are not this cloth."""
 
-LEAST_POINTS_PER_VERTEX = 0.1
+_LEAST_POINTS_PER_VERTEX = 0.1
 """With fewer cloud points per vertex there is no correction: too little is seen, and the frame's
 prediction stands."""
 
@@ -75,7 +75,7 @@ class VisibleAlignment:
         """Return how vertices [m] have to move to meet a cloud; None when there is too little."""
         visible = self.visible(positions)
         points = within_reach(observation.points, positions[visible], CLOUD_REACH_M)
-        if len(points) < LEAST_POINTS_PER_VERTEX * len(positions):
+        if len(points) < _LEAST_POINTS_PER_VERTEX * len(positions):
             return None
         observed = visible & ~observation.unobservable(positions)
         alignment = self._aligner.align(

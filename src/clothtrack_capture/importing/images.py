@@ -33,12 +33,12 @@ _TO_RGB = {
     "bayer_gbrg8": (1, cv2.COLOR_BayerGR2RGB),
     "bayer_grbg8": (1, cv2.COLOR_BayerGB2RGB),
 }
-DEPTH_ENCODINGS = ("16uc1", "mono16", "32fc1")
+_DEPTH_ENCODINGS = ("16uc1", "mono16", "32fc1")
 _JPEG_START, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
 _HEAD_BYTES = 12  # of compressed_depth_image_transport: format and two parameters
 
 
-def raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height bytes"]:
+def _raw_rows(image: Any, bytes_per_pixel: int) -> UInt8[np.ndarray, "height bytes"]:
     """Return the rows of a sensor_msgs Image without their padding.
 
     Raises:
@@ -61,18 +61,18 @@ def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
         TruncatedError: it is no depth picture.
     """
     encoding = str(image.encoding).lower()
-    if encoding not in DEPTH_ENCODINGS:
+    if encoding not in _DEPTH_ENCODINGS:
         raise TruncatedError(
-            f"encoding {image.encoding!r}; depth is one of {', '.join(DEPTH_ENCODINGS)}"
+            f"encoding {image.encoding!r}; depth is one of {', '.join(_DEPTH_ENCODINGS)}"
         )
     order = ">" if image.is_bigendian else "<"
     if encoding == "32fc1":
-        rows = np.ascontiguousarray(raw_rows(image, 4)).view(f"{order}f4")
-        return counts_of(rows, unit_m)
-    return np.ascontiguousarray(raw_rows(image, 2)).view(f"{order}u2").astype(np.uint16)
+        rows = np.ascontiguousarray(_raw_rows(image, 4)).view(f"{order}f4")
+        return _counts_of(rows, unit_m)
+    return np.ascontiguousarray(_raw_rows(image, 2)).view(f"{order}u2").astype(np.uint16)
 
 
-def counts_of(
+def _counts_of(
     metres: Shaped[np.ndarray, "height width"], unit_m: float
 ) -> UInt16[np.ndarray, "height width"]:
     """Return metres in whole units; 0 where not finite, not positive or beyond 65,535 units."""
@@ -91,7 +91,7 @@ def raw_color(image: Any) -> UInt8[np.ndarray, "height width 3"]:
     if encoding not in _TO_RGB:
         raise TruncatedError(f"encoding {image.encoding!r}; known are {', '.join(_TO_RGB)}")
     channels, conversion = _TO_RGB[encoding]
-    rows = np.ascontiguousarray(raw_rows(image, channels))
+    rows = np.ascontiguousarray(_raw_rows(image, channels))
     shape = (rows.shape[0], rows.shape[1] // channels, channels)
     picture = rows.reshape(shape if channels > 1 else shape[:2])
     return picture if conversion is None else _converted(picture, conversion)
@@ -154,7 +154,7 @@ def inverse_depth(
     counts, (scale, shift) = png_depth(png), curve
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         metres = np.float32(scale) / (counts.astype(np.float32) - np.float32(shift))
-    return counts_of(np.where(counts > 0, metres, 0), unit_m)
+    return _counts_of(np.where(counts > 0, metres, 0), unit_m)
 
 
 def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:

@@ -29,7 +29,7 @@ from clothtrack_capture.importing.intrinsics import Intrinsics
 _TF = "tf2_msgs/msg/TFMessage"
 _STAMP_BYTES = 12
 # Headers of these messages start with a stamp.
-STAMPED = re.compile(r"^(sensor_msgs/msg/|geometry_msgs/msg/\w+Stamped$|nav_msgs/msg/Odometry$)")
+_STAMPED = re.compile(r"^(sensor_msgs/msg/|geometry_msgs/msg/\w+Stamped$|nav_msgs/msg/Odometry$)")
 _BROWN = {"", "plumb_bob", "rational_polynomial", "none", "brown conrady", "modified brown conrady"}
 _FISHEYE = {"equidistant", "fisheye", "kannala brandt4"}
 
@@ -81,7 +81,7 @@ def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> i
     Raises:
         TruncatedError: the message is not there.
     """
-    if not STAMPED.match(topic.kind):
+    if not _STAMPED.match(topic.kind):
         return log_ns
     data = container.fetch(place, 16)
     if data.startswith(ZSTD_MAGIC):

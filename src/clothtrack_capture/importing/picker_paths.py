@@ -82,7 +82,7 @@ def placed_paths(
     span = [0.0, (max(frame.time_ns for frame in streams.depth) - start_ns) / 1e9]
     if table is not None:
         paths = read_path_table(table)
-        moved = on_recording_clock(
+        moved = _on_recording_clock(
             paths, start_ns / 1e9 if clock == "source" else 0.0, span,
             f"{table} was read on the clock of the {clock}; the first frame is at "
             f"{start_ns / 1e9:.3f} s "
@@ -107,7 +107,7 @@ def placed_paths(
             f"the picker's path in frame {streams.path_frame} was taken to be in the world"
         )
     start_s = (start_ns - streams.path_start_ns) / 1e9
-    return on_recording_clock(paths, start_s, span, "record both with the same clock"), notes
+    return _on_recording_clock(paths, start_s, span, "record both with the same clock"), notes
 
 
 def add_pickers(
@@ -202,7 +202,7 @@ def _number(word: str) -> float:
     return value
 
 
-def on_recording_clock(
+def _on_recording_clock(
     paths: Mapping[str, PickerPath], start_s: float, frame_times: Sequence[float], remedy: str
 ) -> dict[str, PickerPath]:
     """Return the paths on the clock of the frames.

@@ -15,7 +15,7 @@ _REACH = wp.constant(0.49)
 
 @no_type_check
 @wp.func
-def splat_pixel(
+def _splat_pixel(
     count: float,
     low: wp.vec3,
     high: wp.vec3,
@@ -91,7 +91,7 @@ def splat(
     for column in range(counts.shape[1]):
         count = int(counts[row, column])
         if count > 0:
-            splat_pixel(
+            _splat_pixel(
                 float(count),
                 corners[row, column],
                 corners[row + 1, column + 1],

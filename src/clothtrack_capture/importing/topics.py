@@ -38,7 +38,7 @@ def base_name(topic: str) -> str:
     return topic
 
 
-def image_topics(topics: Iterable[Topic]) -> list[Topic]:
+def _image_topics(topics: Iterable[Topic]) -> list[Topic]:
     """Return those that carry pictures."""
     return [topic for topic in topics if topic.kind in (IMAGE, COMPRESSED)]
 
@@ -50,7 +50,7 @@ def choose_depth(path: Path, topics: Sequence[Topic], asked: str | None) -> Topi
         InvalidRecordingError: none or several may be it; names all and the flag.
     """
     # A depth topic's plain `compressed` can be 8-bit pictures; compressedDepth never is.
-    able = [topic for topic in image_topics(topics) if not topic.name.endswith("/compressed")]
+    able = [topic for topic in _image_topics(topics) if not topic.name.endswith("/compressed")]
     return _choose(path, able, _DEPTH, asked, what="depth", flag="--depth-topic", every=topics)
 
 
@@ -64,7 +64,7 @@ def choose_color(
     """
     able = [
         topic
-        for topic in image_topics(topics)
+        for topic in _image_topics(topics)
         if not topic.name.endswith("/compressedDepth") and topic.name != depth.name
     ]
     usual = [

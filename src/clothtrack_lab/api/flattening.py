@@ -20,7 +20,7 @@ Policy = Literal["planned", "random", "outwards", "heuristic"]
 
 
 @dataclass(frozen=True)
-class Episode:
+class _Episode:
     """What became of an episode.
 
     Attributes:
@@ -61,7 +61,7 @@ class Plan:
     as_dict = text
 
 
-def flattening_config(
+def _flattening_config(
     *,
     perception: Perception = "network",
     weights: Path | str | None = None,
@@ -96,7 +96,7 @@ def flattening_config(
     return with_settings(config, settings)
 
 
-@configured_by(flattening_config)
+@configured_by(_flattening_config)
 def flatten_many(
     output: Path | str,
     *,
@@ -119,8 +119,8 @@ def flatten_many(
     seed: int = 0,
     progress: "Progress | None" = None,
     opened: "Callable[[str], None] | None" = None,
-    each: "Callable[[Episode | Plan], None] | None" = None,
-) -> Many[Episode | Plan]:
+    each: "Callable[[_Episode | Plan], None] | None" = None,
+) -> Many[_Episode | Plan]:
     """Flatten a crumpled garment in the simulated world: perceive, plan, act, and look again.
 
     With --recording nothing moves: one action is planned for its last picture and written down.
@@ -163,7 +163,7 @@ def flatten_many(
 
     quiet_warp()
     output = Path(output)
-    config = flattening_config(
+    config = _flattening_config(
         perception=perception, weights=weights, policy=policy, dynamics=dynamics,
         dynamics_weights=dynamics_weights, template=template, actions=actions, settings=settings,
     )  # fmt: skip
@@ -199,7 +199,7 @@ def flatten_many(
         )  # fmt: skip
         with closing(flattened) as rows:
             for row in rows:
-                found.append(Episode(row))
+                found.append(_Episode(row))
                 if each is not None:
                     each(found[-1])
     return Many(tuple(found))

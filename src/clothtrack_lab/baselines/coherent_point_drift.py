@@ -127,7 +127,7 @@ def follow(
         calibrate=Uncalibrated(partial(_pick, recording=recording, mesh=mesh, hold=hold)),
         dynamics=lambda _: _Still(),
         align=align,
-        line_search=Projection(mesh, config, recording.table),
+        line_search=_Projection(mesh, config, recording.table),
         align_last=no_final_alignment,
         anchor=no_anchors,
     )
@@ -184,7 +184,7 @@ def _carried(
     return motion
 
 
-class Projection:
+class _Projection:
     """Takes the whole correction, holds what the tool holds, and puts edges and table right."""
 
     def __init__(self, mesh: ClothMesh, config: PeerConfig, table: Table | None) -> None:

@@ -21,14 +21,14 @@ _RANDOM_TRIES = 20
 """Random actions that a robot may refuse, one after the other, before a policy gives up."""
 
 
-def random_actions(
+def _random_actions(
     seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
 ) -> list[PickPlace]:
     """Return random actions of those that the planner tries."""
     return sample_actions(seen, _RANDOM_TRIES, config.space, rng)
 
 
-def farthest_off_cloth(
+def _farthest_off_cloth(
     seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
 ) -> list[PickPlace]:
     """As many actions as the planner tries, the one that is placed farthest off the cloth first."""
@@ -36,7 +36,7 @@ def farthest_off_cloth(
     return [tried[k] for k in np.argsort(-off_cloth(seen, tried), kind="stable")]
 
 
-def corner_outwards(
+def _corner_outwards(
     seen: SeenCloth, config: PlannerConfig, rng: np.random.Generator
 ) -> list[PickPlace]:
     """Return the geometric heuristic (`farthest_corner`); nothing is drawn."""
@@ -46,9 +46,9 @@ def corner_outwards(
 
 
 POLICIES: dict[str, Propose] = {
-    "random": random_actions,
-    "outwards": farthest_off_cloth,
-    "heuristic": corner_outwards,
+    "random": _random_actions,
+    "outwards": _farthest_off_cloth,
+    "heuristic": _corner_outwards,
 }
 """The policies by their names in `FlattenConfig.policy`."""
 

@@ -100,7 +100,7 @@ def mlp(inputs: int, width: int, outputs: int, *, zero_output: bool = False) -> 
     )
 
 
-class MessageStep(nn.Module):
+class _MessageStep(nn.Module):
     """One round: edges hear their ends, vertices their edges, the whole its vertices."""
 
     def __init__(self, width: int) -> None:
@@ -148,7 +148,7 @@ class MeshNetwork(nn.Module):
         width = config.width
         self.encode_node = mlp(3 * config.history + 3, width, width)
         self.encode_edge = mlp(7, width, width)
-        self.steps = nn.ModuleList(MessageStep(width) for _ in range(config.message_steps))
+        self.steps = nn.ModuleList(_MessageStep(width) for _ in range(config.message_steps))
         # Before it has learned anything, nothing accelerates.
         self.decode = mlp(width, width, 3, zero_output=True)
 

@@ -37,7 +37,7 @@ from clothtrack_lab.graph_dynamics.mesh_network import (
 from clothtrack_lab.graph_dynamics.mesh_prior import Springs
 from clothtrack_lab.graph_dynamics.roll_outs import RollOutShard, read_roll_outs
 
-WHOLE_ERROR = "whole_error_mm"
+_WHOLE_ERROR = "whole_error_mm"
 _TINY = 1e-12
 """Of a distance that has no slope at 0."""
 
@@ -290,7 +290,7 @@ def train_mesh_dynamics(
         untrained = MeshNetwork(config.network).to(device)
         whole = {
             **whole_roll_outs(network, unseen, device=device),
-            "whole_untrained_mm": whole_roll_outs(untrained, unseen, device=device)[WHOLE_ERROR],
+            "whole_untrained_mm": whole_roll_outs(untrained, unseen, device=device)[_WHOLE_ERROR],
         }
         write_dynamics_card(weights, whole, outcome.cpu_s, made)
     return outcome
@@ -320,6 +320,6 @@ def whole_roll_outs(
         ends.append((own - last).norm(dim=-1).mean(dim=1))
         still.append((positions[:, 0] - last).norm(dim=-1).mean(dim=1))
     return {
-        WHOLE_ERROR: 1e3 * float(torch.cat(ends).mean()),
+        _WHOLE_ERROR: 1e3 * float(torch.cat(ends).mean()),
         "whole_still_mm": 1e3 * float(torch.cat(still).mean()),
     }

@@ -310,7 +310,7 @@ def _joined(
     )  # fmt: skip
 
 
-def write_roll_outs(shard: RollOutShard, path: Path) -> None:
+def _write_roll_outs(shard: RollOutShard, path: Path) -> None:
     """Write a shard, whole or not at all.
 
     Raises:
@@ -353,5 +353,5 @@ def _make_and_write(
     number: int, *, out: Path, kind: GarmentKind, seed: int, config: RollOutConfig
 ) -> int:
     shard = make_roll_outs(kind, number, seed, config)
-    write_roll_outs(shard, out / "shards" / f"{number:04d}.npz")
+    _write_roll_outs(shard, out / "shards" / f"{number:04d}.npz")
     return number

@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
 
-MARGIN_M = 0.1
+_MARGIN_M = 0.1
 """Added to the longest edge of the category's box [m], as the published models do."""
 
-INFLATION = 0.12
+_INFLATION = 0.12
 """Half depth of a T-shirt's canonical pose over its width (`garments.garment_meshes.tshirt`)."""
 
 
@@ -63,8 +63,8 @@ def canonical_frame(kind: str) -> CanonicalFrame:
     """
     _check_kind(kind)
     width, length = LARGEST_SIZE_M[kind]
-    depth = INFLATION * width if kind == "tshirt" else 0.0
-    scale = 1.0 / (max(width, length) + MARGIN_M)
+    depth = _INFLATION * width if kind == "tshirt" else 0.0
+    scale = 1.0 / (max(width, length) + _MARGIN_M)
     return CanonicalFrame(kind, scale, (width / 2.0, length / 2.0, depth))
 
 

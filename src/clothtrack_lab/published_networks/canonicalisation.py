@@ -12,11 +12,11 @@ from torch.nn import functional
 from clothtrack_lab.published_networks.hrnet import HRNet, ResidualBlock, convolution
 from clothtrack_lab.published_networks.network_config import NetworkConfig
 
-RELIEF_M = 0.03
+_RELIEF_M = 0.03
 """Height over the cloth's mean [m] that the network is shown as 1."""
 
 
-class UNet(nn.Module):
+class _UNet(nn.Module):
     """An encoder and decoder with skips; features at half the resolution of the picture.
 
     Args:
@@ -73,7 +73,7 @@ class Canonicaliser(nn.Module):
         super().__init__()
         self.config = config
         if config.encoder == "unet":
-            self.encoder = UNet(config.depth_channels, config.widths, config.decoder_width)
+            self.encoder = _UNet(config.depth_channels, config.widths, config.decoder_width)
         else:
             self.encoder = HRNet(config.depth_channels, config.widths)
         self.channels = self.encoder.channels
@@ -129,7 +129,7 @@ class Canonicaliser(nn.Module):
 
 
 def relief(depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch 3 h w"]:
-    """Silhouette, height over the cloth's mean (in `RELIEF_M`), and that mean depth [m].
+    """Silhouette, height over the cloth's mean (in `_RELIEF_M`), and that mean depth [m].
 
     Wrinkles of millimetres on a distance of a metre are lost on a young network; the mean depth,
     which says how large the cloth is, is kept.
@@ -137,7 +137,7 @@ def relief(depth: Float[Tensor, "batch 1 h w"]) -> Float[Tensor, "batch 3 h w"]:
     cloth = (depth > 0).to(depth.dtype)
     count = cloth.sum(dim=(1, 2, 3), keepdim=True).clamp(min=1.0)
     mean = depth.sum(dim=(1, 2, 3), keepdim=True) / count
-    return torch.cat([cloth, cloth * (mean - depth) / RELIEF_M, cloth * mean], dim=1)
+    return torch.cat([cloth, cloth * (mean - depth) / _RELIEF_M, cloth * mean], dim=1)
 
 
 def coordinates(

@@ -62,14 +62,14 @@ def scatter_max(
         cells: cells along x, y and z.
     """
     wide, long, high = cells
-    x, y, z = cell_of(unit, cells).unbind(dim=1)
+    x, y, z = _cell_of(unit, cells).unbind(dim=1)
     index = ((image * wide + x) * long + y) * high + z
     flat = values.new_zeros(images * wide * long * high, values.shape[1])
     flat = flat.scatter_reduce(0, index[:, None].expand_as(values), values, reduce="amax")
     return flat.reshape(images, wide, long, high, -1).permute(0, 4, 1, 2, 3)
 
 
-def cell_of(
+def _cell_of(
     unit: Float[Tensor, "points 3"], cells: tuple[int, int, int]
 ) -> Int[Tensor, "points 3"]:
     """The cell of the box in which a point lies; cell k spans k / cells to (k + 1) / cells."""
@@ -116,7 +116,7 @@ def perceptron(widths: tuple[int, ...]) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-class VolumeUNet(nn.Module):
+class _VolumeUNet(nn.Module):
     """A 3-D U-Net: group norm, 3x3x3 convolution and ReLU, twice per resolution.
 
     Args:
@@ -164,7 +164,7 @@ class Completion(nn.Module):
         # A point also says where in its cell it lies, where it was seen and how sure that is.
         hidden, channels = config.point_hidden, config.volume_channels
         self.points = perceptron((point_channels + 9, hidden, hidden, channels))
-        self.unet = VolumeUNet(channels, config.volume_widths)
+        self.unet = _VolumeUNet(channels, config.volume_widths)
         wide = config.decoder_hidden
         self.winding_decoder = perceptron((channels, wide, wide, 1))
 
@@ -172,7 +172,7 @@ class Completion(nn.Module):
         """The completed volume of each picture."""
         cells = self.config.volume_cells
         places = in_box(points.unit, self.config)
-        in_cell = places * places.new_tensor(cells) - (cell_of(places, cells) + 0.5)
+        in_cell = places * places.new_tensor(cells) - (_cell_of(places, cells) + 0.5)
         known = torch.cat([points.features, in_cell, points.aligned, points.confidence], dim=1)
         values = functional.relu(self.points(known))
         return self.unet(scatter_max(values, places, points.image, points.images, cells))

@@ -166,7 +166,7 @@ def draw_example(
     view = crop(picture.depth_m, picture.mask, picture.camera, network)
     chosen = cloth_pixels(view.depth, network)
     points = points_of(view.depth, view.camera, chosen.sources)
-    unit, labelled = canonical_of_points(points, picture, garment, cut_m=config.cut_m)
+    unit, labelled = _canonical_of_points(points, picture, garment, cut_m=config.cut_m)
     face = rng.choice(len(garment.faces), config.surface_queries, p=garment.face_shares)
     within = rng.dirichlet(np.ones(3), config.surface_queries)
     surface = interpolate(within, garment.unit[garment.faces[face]])
@@ -192,7 +192,7 @@ def draw_example(
     )
 
 
-def canonical_of_points(
+def _canonical_of_points(
     points: Float[np.ndarray, "points 3"],
     picture: LabelledPicture,
     garment: Garment,

@@ -13,11 +13,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-STEM_CHANNELS = 64
+_STEM_CHANNELS = 64
 MODULES = (1, 4, 3)
 """Modules of the stages with two, three and four branches."""
 
-BLOCKS = 4
+_BLOCKS = 4
 """Residual blocks of a branch in each module, and of the stage with a single branch."""
 
 
@@ -67,14 +67,14 @@ class HRNet(nn.Module):
 
     def __init__(self, inputs: int, widths: Sequence[int]) -> None:
         super().__init__()
-        stem = STEM_CHANNELS
+        stem = _STEM_CHANNELS
         self.stem = nn.Sequential(
             convolution(inputs, stem, stride=2),
             nn.ReLU(),
             convolution(stem, stem, stride=2),
             nn.ReLU(),
         )
-        wide = [stem, *[4 * stem] * BLOCKS]
+        wide = [stem, *[4 * stem] * _BLOCKS]
         self.first = nn.Sequential(*[ResidualBlock(a, b, stem) for a, b in pairwise(wide)])
         self.stages = nn.ModuleList()
         previous = [4 * stem]
@@ -122,7 +122,8 @@ class _Exchange(nn.Module):
     def __init__(self, widths: list[int]) -> None:
         super().__init__()
         self.branches = nn.ModuleList(
-            nn.Sequential(*[ResidualBlock(width, width) for _ in range(BLOCKS)]) for width in widths
+            nn.Sequential(*[ResidualBlock(width, width) for _ in range(_BLOCKS)])
+            for width in widths
         )
         self.paths = nn.ModuleList(
             nn.ModuleList(_path(widths, source, target) for source in range(len(widths)))

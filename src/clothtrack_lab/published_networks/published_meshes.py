@@ -32,7 +32,7 @@ from clothtrack_lab.published_networks.refinement import (
 )
 from clothtrack_lab.published_networks.template_fit import TemplateFitConfig
 
-OTHER_SIZES = (0.75, 0.55, 0.4, 1.35)
+_OTHER_SIZES = (0.75, 0.55, 0.4, 1.35)
 """By what a garment that the network does not know so large, or so small, is multiplied."""
 
 SEEN_MOBILITY = 0.1
@@ -220,7 +220,7 @@ def _best_size(
     found = seen_as(1.0)
     if found.mesh is None or distance_from_picture(found.mesh, picture) <= LOOSE_FIT_M:
         return found, 1.0
-    tried = [(found, 1.0), *((seen_as(scale), scale) for scale in OTHER_SIZES)]
+    tried = [(found, 1.0), *((seen_as(scale), scale) for scale in _OTHER_SIZES)]
     apart = [
         np.inf if one.mesh is None else distance_from_picture(one.mesh, picture) for one, _ in tried
     ]

@@ -44,7 +44,7 @@ ALIGNMENT = AlignmentConfig(iterations=50)
 ROLL_S = 0.1
 """Time over which the solver carries a correction out [s]: short, so that gravity has no say."""
 
-OFF_MESH_M = 0.02
+_OFF_MESH_M = 0.02
 """A canonical coordinate this far from the mesh counts 1 / e [m]."""
 
 VISIBILITY_TOLERANCE_M = 0.003
@@ -245,7 +245,7 @@ def consistent_displacement(
     shows = sparse.coo_array(entries, (len(face), mesh.vertex_count)).tocsr()
     away = np.linalg.norm(shows @ canonical - seen.canonical, axis=1)
     miss = seen.points - shows @ mesh.vertices
-    weight = seen.confidence * np.exp(-((away / OFF_MESH_M) ** 2))
+    weight = seen.confidence * np.exp(-((away / _OFF_MESH_M) ** 2))
     weight = weight / (1.0 + (np.linalg.norm(miss, axis=1) / config.outlier_m) ** 2) ** 2
     if not weight.sum() > 0.0:
         return np.zeros((mesh.vertex_count, 3))

@@ -8,15 +8,15 @@ from scipy.sparse.csgraph import connected_components
 ROUNDS = 12
 """Edges are collapsed in rounds of edges that do not touch; this many at most."""
 
-LEAST_AGREEMENT = 0.2
+_LEAST_AGREEMENT = 0.2
 """A triangle may not turn by more than this cosine when an edge beside it is collapsed."""
 
-SLIVER = 0.02
+_SLIVER = 0.02
 """A triangle below this share of the usual area has no direction to speak of."""
 
 Vertices = Float[np.ndarray, "vertices 3"]
 Faces = Int[np.ndarray, "faces 3"]
-FacesKept = Int[np.ndarray, "faces_kept 3"]
+_FacesKept = Int[np.ndarray, "faces_kept 3"]
 
 
 def largest_piece(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "kept 3"]:
@@ -80,7 +80,7 @@ def compact(
 
 def _collapse_once(
     vertices: Vertices, faces: Faces, shortest: float, way: int
-) -> tuple[tuple[Vertices, FacesKept], int]:
+) -> tuple[tuple[Vertices, _FacesKept], int]:
     """One round: edges from short to long (`way` 1) or back, none beside another of the round."""
     sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, counts = np.unique(sides, axis=0, return_counts=True)
@@ -144,8 +144,8 @@ def _undo_folded(
     lengths = size * np.linalg.norm(turned, axis=1)
     agreement = np.einsum("fi,fi->f", before, turned)
     # The direction of a sliver means nothing.
-    counts = size > SLIVER * np.median(np.linalg.norm(_normals(vertices[faces]), axis=1))
-    folded = counts & (agreement <= LEAST_AGREEMENT * lengths)
+    counts = size > _SLIVER * np.median(np.linalg.norm(_normals(vertices[faces]), axis=1))
+    folded = counts & (agreement <= _LEAST_AGREEMENT * lengths)
     back = collapses[np.unique(moving[stays][folded])].ravel()
     places[back], moved_to[back] = vertices[back], back
 

@@ -30,7 +30,7 @@ from clothtrack_lab.published_networks.network_config import NetworkConfig
 from clothtrack_lab.published_networks.observation import observe_pictures
 from clothtrack_lab.published_networks.warp_field import RESIDUAL_M, WarpField
 
-CLOSE = 0.05
+_CLOSE = 0.05
 """A canonical coordinate nearer to the truth than this [unit cube] counts as found."""
 
 
@@ -85,7 +85,7 @@ class CanonicalisationStage(Stage):
                     "mean_error_mm": in_mm * best.mean(),
                     "median_error_as_drawn_mm": in_mm * errors[0].median(),
                     "mean_error_as_drawn_mm": in_mm * errors[0].mean(),
-                    "share_found": (best < CLOSE).float().mean(),
+                    "share_found": (best < _CLOSE).float().mean(),
                 }
             )
         return {name: torch.stack([row[name] for row in rows]) for name in rows[0]}

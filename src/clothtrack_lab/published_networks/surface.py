@@ -25,10 +25,10 @@ from clothtrack_lab.published_networks.simplification import (
     without_short_edges,
 )
 
-LEVELS = {"towel": 0.0, "tshirt": 0.5}
+_LEVELS = {"towel": 0.0, "tshirt": 0.5}
 """The winding number on the surface of each category."""
 
-LEAST_FACES = 20
+_LEAST_FACES = 20
 """What has fewer faces is no garment."""
 
 
@@ -103,11 +103,11 @@ def extract_surface(
     Raises:
         InvalidConfigError: for a category whose level is not known.
     """
-    if frame.kind not in LEVELS:
+    if frame.kind not in _LEVELS:
         raise InvalidConfigError(
-            f"kind is {frame.kind!r}; a surface is known for {', '.join(LEVELS)}"
+            f"kind is {frame.kind!r}; a surface is known for {', '.join(_LEVELS)}"
         )
-    level = LEVELS[frame.kind]
+    level = _LEVELS[frame.kind]
     low, high = float(field.min()), float(field.max())
     if not low < level < high:
         return Surface(
@@ -124,7 +124,7 @@ def extract_surface(
     if len(faces) == 0:
         return Surface(None, f"no surface: nowhere does it change by {config.trim} per node")
     faces = largest_piece(without_pinches(largest_piece(faces)))
-    if len(faces) < LEAST_FACES:
+    if len(faces) < _LEAST_FACES:
         return Surface(None, f"no surface: its largest piece has {len(faces)} faces")
     grid = field_grid(frame, config)
     canonical = frame.to_metres(grid.to_unit(places.astype(np.float64)))

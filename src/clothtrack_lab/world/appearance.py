@@ -27,18 +27,18 @@ TIP_COLORS: dict[str, tuple[int, int, int]] = {
 }
 """Colours of a marked tip by name, far from wood, from grey and from every cloth."""
 
-WOOD_COLOR = (200, 166, 124)
-TOOL_COLOR = (118, 121, 126)
-PLANK_M = 0.12
-PRINT_PERIODS_M = 0.016, 0.05
+_WOOD_COLOR = (200, 166, 124)
+_TOOL_COLOR = (118, 121, 126)
+_PLANK_M = 0.12
+_PRINT_PERIODS_M = 0.016, 0.05
 """Shortest and longest wave of a print [m]: leaves and flowers, not threads."""
-PRINT_WAVES = 24
-PRINT_CONTRAST = 0.35
+_PRINT_WAVES = 24
+_PRINT_CONTRAST = 0.35
 """How much lighter or darker a print is at most, as a share of the brightness. It has the cloth's
 own hue, so that the same pixels are found to be cloth."""
-GRAIN = 3.0
+_GRAIN = 3.0
 """Noise of the pictures of a printed cloth [grey values, 0 to 255]: one standard deviation."""
-LIGHT = np.array([-0.45, 0.55, 0.70]) / np.linalg.norm([-0.45, 0.55, 0.70])
+_LIGHT = np.array([-0.45, 0.55, 0.70]) / np.linalg.norm([-0.45, 0.55, 0.70])
 """Direction from the table to the lamp."""
 
 
@@ -53,7 +53,7 @@ class Appearance:
         table_seed: grows the wood.
         tip: name of the colour of the tool's tip, a key of `TIP_COLORS`; grey as the rest of the
             tool when None.
-        print_seed: grows a print on the cloth, whose pictures then have noise as well (`GRAIN`);
+        print_seed: grows a print on the cloth, whose pictures then have noise as well (`_GRAIN`);
             None leaves the cloth plain and the pictures clean.
     """
 
@@ -95,14 +95,14 @@ class Painter:
         on_table, on_cloth = view.label == TABLE, view.label == CLOTH
         color = self._wood.copy()
         color[on_cloth] = _weave(view.material, self._appearance)
-        color[view.label == TOOL] = TOOL_COLOR
+        color[view.label == TOOL] = _TOOL_COLOR
         tip = self._appearance.tip
-        color[view.label == TIP] = TOOL_COLOR if tip is None else TIP_COLORS[tip]
+        color[view.label == TIP] = _TOOL_COLOR if tip is None else TIP_COLORS[tip]
 
         # A face turned away shows the other side of the cloth, lit just as well.
-        toward = view.normals @ LIGHT.astype(np.float32)
+        toward = view.normals @ _LIGHT.astype(np.float32)
         toward *= np.where(view.normals[..., 2] < 0.0, -1.0, 1.0).astype(np.float32)
-        light = 0.42 + 0.62 * np.clip(toward, 0.0, 1.0) / np.float32(LIGHT[2])
+        light = 0.42 + 0.62 * np.clip(toward, 0.0, 1.0) / np.float32(_LIGHT[2])
         covered = cv2.GaussianBlur((~on_table).astype(np.float32), (0, 0), sigmaX=7.0)
         light[on_table] *= 1.0 - 0.35 * covered[on_table]
         around = cv2.GaussianBlur(view.height, (0, 0), sigmaX=5.0)
@@ -129,30 +129,30 @@ def _weave(
 def _print(places: Float[np.ndarray, "pixels 2"], seed: int) -> Float[np.ndarray, " pixels"]:
     """Return the brightness of a print, random waves, at places of the flat cloth [m]."""
     rng = np.random.default_rng(seed)
-    shortest, longest = PRINT_PERIODS_M
-    periods = shortest * (longest / shortest) ** rng.uniform(size=PRINT_WAVES)
-    angles, phases = rng.uniform(0.0, 2.0 * np.pi, (2, PRINT_WAVES))
+    shortest, longest = _PRINT_PERIODS_M
+    periods = shortest * (longest / shortest) ** rng.uniform(size=_PRINT_WAVES)
+    angles, phases = rng.uniform(0.0, 2.0 * np.pi, (2, _PRINT_WAVES))
     turns = 2.0 * np.pi / periods * np.stack([np.cos(angles), np.sin(angles)])
-    waves = np.cos(places @ turns + phases).sum(axis=1) / np.sqrt(0.5 * PRINT_WAVES)
+    waves = np.cos(places @ turns + phases).sum(axis=1) / np.sqrt(0.5 * _PRINT_WAVES)
     # Steep, as a printed motif has rims.
-    return 1.0 + PRINT_CONTRAST * np.tanh(2.0 * waves)
+    return 1.0 + _PRINT_CONTRAST * np.tanh(2.0 * waves)
 
 
 def _grain(view: View, seed: int) -> Float[np.ndarray, "height width 3"]:
     """Return the noise of one picture, seeded by the picture, so that no state is kept."""
     rng = np.random.default_rng([seed, zlib.crc32(view.depth.tobytes())])
-    return GRAIN * rng.standard_normal((*view.depth.shape, 3), dtype=np.float32)
+    return _GRAIN * rng.standard_normal((*view.depth.shape, 3), dtype=np.float32)
 
 
 def _wood(points: Float[np.ndarray, "pixels 3"], seed: int) -> Float[np.ndarray, "pixels 3"]:
     """Return the unlit colour (0 to 255) of the table: planks along x with a wavy grain."""
     rng = np.random.default_rng(seed)
-    x, y = points[:, 0], points[:, 1] + rng.uniform(0.0, PLANK_M)
+    x, y = points[:, 0], points[:, 1] + rng.uniform(0.0, _PLANK_M)
     bend = 0.012 * np.sin(7.0 * x + rng.uniform(0.0, 6.0)) + 0.005 * np.sin(19.0 * x + 40.0 * y)
     tone = np.ones(len(points))
     for frequency, strength in ((60.0, 0.025), (170.0, 0.025), (410.0, 0.02)):
         tone += strength * np.sin(frequency * (y + bend) + rng.uniform(0.0, 6.0))
-    plank = np.floor(y / PLANK_M).astype(int)
-    joint = np.abs(y / PLANK_M - plank - 0.5) > 0.49
+    plank = np.floor(y / _PLANK_M).astype(int)
+    joint = np.abs(y / _PLANK_M - plank - 0.5) > 0.49
     tone += rng.uniform(-0.05, 0.05, 256)[plank % 256] - 0.2 * joint
-    return np.array(WOOD_COLOR) * tone[:, None]
+    return np.array(_WOOD_COLOR) * tone[:, None]

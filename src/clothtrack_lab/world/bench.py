@@ -32,14 +32,14 @@ SPLITS: tuple[Split, ...] = get_args(Split)
 COUNTS: Mapping[Split, int] = MappingProxyType({"dev": 10, "test": 15})
 """Trajectories of each kind of garment."""
 
-FIRST_SEEDS: Mapping[Split, int] = MappingProxyType({"dev": 1000, "test": 2000, "hard": 3000})
-SPARE_SEEDS = 5
+_FIRST_SEEDS: Mapping[Split, int] = MappingProxyType({"dev": 1000, "test": 2000, "hard": 3000})
+_SPARE_SEEDS = 5
 """How often a trajectory whose physics diverges is tried again, each time with the next seed."""
 
-SEEDS_APART = SPARE_SEEDS + 1
+_SEEDS_APART = _SPARE_SEEDS + 1
 """From one trajectory's first seed to the next one's, so that no two share a spare seed."""
 
-RELEASE_GAP_M = 0.002
+_RELEASE_GAP_M = 0.002
 """What is left under the carried layers [m] when the gripper opens."""
 
 _OF_BENCH = 0xBE7C
@@ -132,7 +132,7 @@ class BenchTrajectory:
     @property
     def seeds(self) -> range:
         """The seeds that are tried in turn, until the physics holds."""
-        return range(self.seed, self.seed + SEEDS_APART)
+        return range(self.seed, self.seed + _SEEDS_APART)
 
     def config(self, seed: int) -> EpisodeConfig:
         """Return what is filmed, and how, with this seed."""
@@ -157,11 +157,11 @@ def _all() -> Iterator[BenchTrajectory]:
     for split, count in COUNTS.items():
         for kind in kinds:
             for number in range(count):
-                seed = FIRST_SEEDS[split] + SEEDS_APART * number
+                seed = _FIRST_SEEDS[split] + _SEEDS_APART * number
                 yield BenchTrajectory(f"{kind}_{split}_{number:02d}", kind, split, seed)
     for number, hardness in enumerate(get_args(Hardness)[1:]):
         for kind in kinds:
-            seed = FIRST_SEEDS["hard"] + SEEDS_APART * number
+            seed = _FIRST_SEEDS["hard"] + _SEEDS_APART * number
             yield BenchTrajectory(f"{kind}_hard_{hardness}", kind, "hard", seed, hardness)
 
 
@@ -203,7 +203,7 @@ def vary(kind: GarmentKind, seed: int, ranges: Ranges | None = None) -> EpisodeC
     )
     # Carried cloth hangs doubled under the tip: it is let go where all its layers have room.
     layers = 2 if kind == "towel" else 4
-    room = RELEASE_GAP_M + 2.0 * layers * fabric.contact_radius_m
+    room = _RELEASE_GAP_M + 2.0 * layers * fabric.contact_radius_m
     thickness = draw("tool_size")
     tool = Tool(
         azimuth_rad=float(np.pi / 2.0) + draw("tool_azimuth_rad"),

@@ -16,14 +16,14 @@ from clothtrack.geometry.mesh import ClothMesh
 
 TIME_STEP_S = 0.005
 CONTACT_RADIUS_M = 0.0015
-GRASP_SLOTS = 8
-GRASP_TIME_CONSTANT_S = 2.0 * TIME_STEP_S
+_GRASP_SLOTS = 8
+_GRASP_TIME_CONSTANT_S = 2.0 * TIME_STEP_S
 """The stiffest that MuJoCo allows a constraint to be at this time step."""
 
-GRASP_IMPEDANCE = "0.99 0.999 0.001"
+_GRASP_IMPEDANCE = "0.99 0.999 0.001"
 """Hardness of a grasp (MuJoCo's solimp); its default lets a vertex of some milligrams trail the
 tip by centimetres when the whole cloth is dragged."""
-PARKED_M = (0.0, 0.0, 5.0)
+_PARKED_M = (0.0, 0.0, 5.0)
 USUAL_CONTACT_S = 0.02
 """Time constant of a contact between two layers [s]: MuJoCo's default."""
 
@@ -102,7 +102,7 @@ class FlexWorld:
         joints = self._model.body_jntadr[self._model.flex_vertbodyid]
         self._first = self._model.jnt_qposadr[joints]
         self._start = np.array(mesh.vertices, dtype=np.float64)
-        self._tip = np.array(PARKED_M)
+        self._tip = np.array(_PARKED_M)
         mujoco.mj_forward(self._model, self._data)
 
     @property
@@ -126,9 +126,9 @@ class FlexWorld:
         Raises:
             InvalidConfigError: for more vertices than a gripper holds.
         """
-        if len(vertices) > GRASP_SLOTS:
+        if len(vertices) > _GRASP_SLOTS:
             raise InvalidConfigError(
-                f"{len(vertices)} vertices to grasp; the gripper holds at most {GRASP_SLOTS}"
+                f"{len(vertices)} vertices to grasp; the gripper holds at most {_GRASP_SLOTS}"
             )
         self.release()
         self._data.mocap_pos[0] = self._tip = np.array(tip)
@@ -147,7 +147,7 @@ class FlexWorld:
         much keeps the held cloth at the tip.
         """
         velocity = (tip - self._tip) / TIME_STEP_S
-        self._data.mocap_pos[0] = tip + 2.0 * GRASP_TIME_CONSTANT_S * velocity
+        self._data.mocap_pos[0] = tip + 2.0 * _GRASP_TIME_CONSTANT_S * velocity
         self._tip = np.array(tip)
 
     def release(self) -> None:
@@ -209,10 +209,10 @@ def _scene(mesh: ClothMesh, fabric: Fabric, contact_s: float) -> str:
     mass = fabric.area_density * float(mesh.vertex_areas.sum())
     grasps = "\n".join(
         '<connect body1="gripper" body2="cloth_0" anchor="0 0 0" active="false" '
-        f'solref="{GRASP_TIME_CONSTANT_S} 1" solimp="{GRASP_IMPEDANCE}"/>'
-        for _ in range(GRASP_SLOTS)
+        f'solref="{_GRASP_TIME_CONSTANT_S} 1" solimp="{_GRASP_IMPEDANCE}"/>'
+        for _ in range(_GRASP_SLOTS)
     )
-    parked = " ".join(map(str, PARKED_M))
+    parked = " ".join(map(str, _PARKED_M))
     return f"""
 <mujoco>
   <option timestep="{TIME_STEP_S}" integrator="discrete" solver="CG" cone="pyramidal"

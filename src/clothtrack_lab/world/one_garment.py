@@ -25,10 +25,10 @@ from clothtrack_lab.world.bench import Ranges, vary
 from clothtrack_lab.world.episodes import EpisodeConfig
 from clothtrack_lab.world.template_mesh import size_of
 
-SHIRT_WIDTHS_M = (0.56, 0.59)
+_SHIRT_WIDTHS_M = (0.56, 0.59)
 """From sleeve to sleeve [m]; the published network was trained on 0.42 to 0.54."""
 
-TOWEL_LENGTHS_M = (0.36, 0.39)
+_TOWEL_LENGTHS_M = (0.36, 0.39)
 """Longer side of a towel [m]; the published network was trained on 0.22 to 0.34."""
 
 TOWEL_ASPECTS = (0.4, 0.48)
@@ -69,11 +69,11 @@ class OneGarment:
         """Outline of a shirt, None for a towel; width and length [m]."""
         rng = np.random.default_rng([_OF_GARMENTS, self.seed, _number(self.kind)])
         if self.kind == "towel":
-            length_m = float(rng.uniform(*TOWEL_LENGTHS_M))
+            length_m = float(rng.uniform(*_TOWEL_LENGTHS_M))
             return None, (length_m, length_m * float(rng.uniform(*TOWEL_ASPECTS)))
         outline = _outside_shirt(rng)
         widest = float(np.ptp(_corners(outline)[:, 0]))
-        return outline, (width_m := float(rng.uniform(*SHIRT_WIDTHS_M)), width_m / widest)
+        return outline, (width_m := float(rng.uniform(*_SHIRT_WIDTHS_M)), width_m / widest)
 
     def flat(self, *, vertex_count: int = 1000, again: bool = False) -> ClothMesh:
         """Return the garment at rest, around the origin.

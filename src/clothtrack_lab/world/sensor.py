@@ -13,7 +13,7 @@ from clothtrack.reconstruction.data.sensor_noise import SensorConfig, depth_nois
 from clothtrack_lab.world.appearance import Appearance, Painter
 from clothtrack_lab.world.scene import CLOTH, Scene
 
-PATCH_PERIOD_FRAMES = 80.0
+_PATCH_PERIOD_FRAMES = 80.0
 """Patches without depth are elsewhere after a quarter of this many pictures."""
 
 
@@ -131,7 +131,7 @@ class _Patches:
 
     def next(self) -> Bool[np.ndarray, "height width"]:
         """Return the pixels without depth of one more picture."""
-        phase = 2.0 * np.pi * self.count / PATCH_PERIOD_FRAMES
+        phase = 2.0 * np.pi * self.count / _PATCH_PERIOD_FRAMES
         self.count += 1
         field = np.cos(phase) * self._fields[0] + np.sin(phase) * self._fields[1]
         return field > np.quantile(field, 1.0 - self._share)

@@ -31,17 +31,17 @@ from clothtrack_lab.world.sensor import Sensor, top_down_camera
 from clothtrack_lab.world.template_mesh import SeededGarment, laid_down, random_pose, size_of
 from clothtrack_lab.world.tool import Tool
 
-MOST_DROPS = 5
+_MOST_DROPS = 5
 """How often the cloth is lifted at a random vertex and let go before an episode, at most; it stops
 as soon as the cloth is crumpled."""
 
-CRUMPLED = 0.65
+_CRUMPLED = 0.65
 """Share of the flat area under which the cloth counts as crumpled."""
 
-DROP_SPEED = 0.6
+_DROP_SPEED = 0.6
 """Speed of the lifted vertex [m/s]."""
 
-LIFT_SHARE = (0.4, 0.8)
+_LIFT_SHARE = (0.4, 0.8)
 """Least and largest height at which the vertex is let go, as a share of that at which the cloth
 hangs clear of the table. Dropped from 1 a towel ends as a ball that no single pick-and-place opens:
 of 25 the best gained 6 % of the flat area."""
@@ -186,17 +186,17 @@ class SimulatedRobot:
         """Lift the cloth at a random vertex, bring it over the middle of the table, let it go."""
         episode = self._episode
         self._world.settle(speed=episode.settle_speed, limit_s=episode.settle_limit_s)
-        most_area_m2 = CRUMPLED * projected_area(self._flat.vertices, self._flat.faces)
-        for _ in range(MOST_DROPS):
+        most_area_m2 = _CRUMPLED * projected_area(self._flat.vertices, self._flat.faces)
+        for _ in range(_MOST_DROPS):
             positions = self._world.positions
             vertex = int(self._of_start.integers(len(positions)))
             lying = self._flat.vertices
             hangs = float(np.linalg.norm(lying - lying[vertex], axis=1).max())
             start = positions[vertex]
             aside = self._of_start.uniform(-0.03, 0.03, 2)
-            share = self._of_start.uniform(*LIFT_SHARE)
+            share = self._of_start.uniform(*_LIFT_SHARE)
             end = np.array([*aside, share * hangs])
-            steps = int(np.linalg.norm(end - start) / (DROP_SPEED * TIME_STEP_S)) + 1
+            steps = int(np.linalg.norm(end - start) / (_DROP_SPEED * TIME_STEP_S)) + 1
             self._world.grasp(np.array([vertex]), start)
             for way in np.linspace(0.0, 1.0, steps + 1)[1:]:
                 self._world.move(start + way * (end - start))

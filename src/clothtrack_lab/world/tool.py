@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-SIDES = 12
+_SIDES = 12
 RADII_M = ((0.0, 0.0015), (0.03, 0.003), (0.12, 0.008), (0.9, 0.012))
 """Distance from the tip [m] and radius there [m]: tweezers on a rod."""
 
@@ -49,19 +49,19 @@ class Tool:
         """Triangles of the rod, outward; the far end is open."""
         faces = []
         for ring in range(len(self.radii_m) - 1):
-            for k in range(SIDES):
-                a, b = ring * SIDES + k, ring * SIDES + (k + 1) % SIDES
-                c, d = a + SIDES, b + SIDES
+            for k in range(_SIDES):
+                a, b = ring * _SIDES + k, ring * _SIDES + (k + 1) % _SIDES
+                c, d = a + _SIDES, b + _SIDES
                 faces += [(a, b, c), (b, d, c)]
-        faces += [(0, k + 1, k) for k in range(1, SIDES - 1)]
+        faces += [(0, k + 1, k) for k in range(1, _SIDES - 1)]
         return np.array(faces, dtype=np.int32)
 
     @property
     def tip_faces(self) -> Bool[np.ndarray, " faces"]:
         """Which triangles are the tip, from its end to the first change of taper."""
-        faces = np.zeros(2 * SIDES * (len(self.radii_m) - 1) + SIDES - 2, dtype=bool)
-        faces[: 2 * SIDES] = True
-        faces[2 - SIDES :] = True
+        faces = np.zeros(2 * _SIDES * (len(self.radii_m) - 1) + _SIDES - 2, dtype=bool)
+        faces[: 2 * _SIDES] = True
+        faces[2 - _SIDES :] = True
         return faces
 
     def vertices(self, tip: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "vertices 3"]:
@@ -69,7 +69,7 @@ class Tool:
         across = np.cross(self.axis, (0.0, 0.0, 1.0))
         across /= np.linalg.norm(across)
         up = np.cross(across, self.axis)
-        turn = 2.0 * np.pi * np.arange(SIDES) / SIDES
+        turn = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
         ring = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
         rings = [tip + distance * self.axis + radius * ring for distance, radius in self.radii_m]
         return np.concatenate(rings)

@@ -12,19 +12,19 @@ from torch import Generator, Tensor
 
 from clothtrack.reconstruction.data.render_config import RenderConfig
 
-HELD_HEIGHT = 0.3
+_HELD_HEIGHT = 0.3
 """Cloth that is higher than this, over its extent, is lifted: something holds it at its top."""
 
 HELD = 0.7
 """How often what holds lifted cloth hides part of it."""
 
-TIP_RADIUS = (0.02, 0.08)
+_TIP_RADIUS = (0.02, 0.08)
 """Bounds of half the width of a tool or a hand, over the cloth's extent."""
 
-MOST_CUT = 0.25
+_MOST_CUT = 0.25
 """Largest share of the cloth that the picture's border cuts off."""
 
-WAVES = (5, 6)
+_WAVES = (5, 6)
 """Rows and columns of the coarse field that the slowly varying error is interpolated in."""
 
 _FACING_DOWN = (1.0, -1.0, -1.0)
@@ -93,7 +93,7 @@ def draw_scenes(
         "position": _positions(low, high, -rotation[:, :, 2], config, even),
         "focal": even.between(*config.focal),
     }
-    in_the_air = high[:, 2] > HELD_HEIGHT * extent
+    in_the_air = high[:, 2] > _HELD_HEIGHT * extent
     shown = even() < torch.where(in_the_air, HELD, config.tool)
     # Lifted cloth is held at its top, which is where the share of 1 leads.
     tip = torch.where(in_the_air, torch.ones(count), even() * (1.0 - 1e-6))
@@ -103,16 +103,16 @@ def draw_scenes(
     return Scenes(
         **{name: value.float() for name, value in cameras.items()},
         **_sensors(config, even),
-        wave=torch.randn(count, *WAVES, generator=generator),
+        wave=torch.randn(count, *_WAVES, generator=generator),
         grown=torch.where(
             way < config.mask_jitter, grown, torch.where(way < 2.0 * config.mask_jitter, -grown, 0)
         ),
         tip=torch.where(shown, tip, -1.0).float(),
-        tip_radius_m=(extent * even.between(*TIP_RADIUS)).float(),
+        tip_radius_m=(extent * even.between(*_TIP_RADIUS)).float(),
         tip_angle=(2.0 * torch.pi * even()).float(),
         reaches=even() >= 0.5,
         cut_side=torch.where(is_cut, torch.floor(4.0 * even()).int(), -1),
-        cut_share=even.between(0.0, MOST_CUT).float(),
+        cut_share=even.between(0.0, _MOST_CUT).float(),
     )
 
 

@@ -24,7 +24,7 @@ from clothtrack.reconstruction.data.batch_sensor import (
     waves,
 )
 
-MARGIN_PIXELS = 6
+_MARGIN_PIXELS = 6
 """Free space around the cloth in a picture [pixels]."""
 
 
@@ -63,8 +63,8 @@ class Cloths:
         """
         local = (positions - scenes.position[:, None]) @ scenes.rotation
         seen = local[..., :2] / local[..., 2:] * scenes.focal[:, None, None]
-        first = seen.amin(1).floor_() - MARGIN_PIXELS
-        size = (seen.amax(1).ceil_() + MARGIN_PIXELS - first).long() + 1
+        first = seen.amin(1).floor_() - _MARGIN_PIXELS
+        size = (seen.amax(1).ceil_() + _MARGIN_PIXELS - first).long() + 1
         return cls(local, faces, scenes, first, size)
 
     def parts(self, most_pixels: int) -> Iterator[Int[Tensor, " part"]]:

@@ -16,7 +16,7 @@ from torch import Tensor
 EMPTY_PIXEL = 2**63 - 1
 """What a pixel holds that no face covers."""
 
-SEAM_PIXELS = 1e-3
+_SEAM_PIXELS = 1e-3
 """A pixel centre on an edge belongs to both faces: so much of a pixel closes the seams."""
 
 _LOWER_HALF = 2**32 - 1
@@ -126,8 +126,8 @@ def _within(
 ) -> tuple[Float[Tensor, " faces"], Float[Tensor, " faces"]]:
     """First and last pixel along one axis that each face can cover."""
     a, b, c = (values.index_select(0, corner) for corner in faces)
-    low = torch.minimum(torch.minimum(a, b), c).sub_(SEAM_PIXELS).ceil_().clamp_(min=0.0)
-    high = torch.maximum(torch.maximum(a, b), c).add_(SEAM_PIXELS).floor_().clamp_(max=size - 1.0)
+    low = torch.minimum(torch.minimum(a, b), c).sub_(_SEAM_PIXELS).ceil_().clamp_(min=0.0)
+    high = torch.maximum(torch.maximum(a, b), c).add_(_SEAM_PIXELS).floor_().clamp_(max=size - 1.0)
     return low, high
 
 
@@ -209,7 +209,7 @@ def _crossing(
         turn: 1 or -1, the way round the face.
     """
     east, south = (fy - ty) * turn, (tx - fx) * turn
-    seam = SEAM_PIXELS * (east.abs() + south.abs())
+    seam = _SEAM_PIXELS * (east.abs() + south.abs())
     # A level edge has all of a row on one side, which a crossing far away says as well.
     east = torch.where(east.abs() < _LEVEL, _LEVEL, east)
     change = -south / east

@@ -13,10 +13,10 @@ from clothtrack.reconstruction.data.batch_draws import Scenes
 from clothtrack.reconstruction.data.sensor_noise import REFERENCE_DEPTH_M
 from clothtrack.recordings.camera_view import LEAST_JUMP_M
 
-GRAZING = 0.4
+_GRAZING = 0.4
 """Surfaces whose normal and line of sight have a smaller cosine begin to drop out."""
 
-STEEP_PIXELS = 6.0
+_STEEP_PIXELS = 6.0
 """A surface tilted by 80 degrees climbs by so many times a pixel's width from pixel to pixel."""
 
 _CUBIC = -0.75
@@ -54,7 +54,7 @@ def measured_depth(
     error.mul_(each(sensors.white_m)).addcmul_(wave, each(sensors.wave_m))
     found = torch.where(edge & (drawn < 1.0), mixed, depth)
     found.addcmul_(depth.div(REFERENCE_DEPTH_M).square_(), error)
-    lost = (GRAZING - facing).div_(GRAZING).clamp_(0.0, 1.0)
+    lost = (_GRAZING - facing).div_(_GRAZING).clamp_(0.0, 1.0)
     lost.mul_(each(sensors.grazing_dropout)).add_(each(sensors.dropout)).clamp_(max=1.0)
     lost.add_((1.0 - lost).mul_(edge).mul_(each(sensors.edge_dropout)))
     in_steps = (sensors.disparity_step_m > 0.0).nonzero()[:, 0]
@@ -75,7 +75,7 @@ def flying(depth: Pictures, focal: Float[Tensor, " batch"]) -> Masks:
         focal: of each camera [pixels].
     """
     found = torch.zeros(depth.shape, dtype=torch.bool, device=depth.device)
-    limit = depth * (STEEP_PIXELS / focal)[:, None, None] + LEAST_JUMP_M
+    limit = depth * (_STEEP_PIXELS / focal)[:, None, None] + LEAST_JUMP_M
     measured = depth > 0.0
     for axis in (1, 2):
         size = depth.shape[axis]

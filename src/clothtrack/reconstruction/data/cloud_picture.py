@@ -12,13 +12,13 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.segmentation import main_components
 
-ABOVE_M = 1.5
+_ABOVE_M = 1.5
 """The virtual camera stands so far above the highest point [m]."""
 
 FINEST_M, COARSEST_M = 0.002, 0.01
 """Between which a pixel is wide, on the middle of the cloud [m]."""
 
-SPACINGS = 2.0
+_SPACINGS = 2.0
 """Pixels are so many times as wide as nine points in ten have a neighbour near, in plan: few pixels
 stay empty then."""
 
@@ -62,14 +62,14 @@ def cloud_picture(
 
 def _camera_above(points: Float[np.ndarray, "points 3"]) -> Camera:
     spacing_m = cKDTree(points[:, :2]).query(points[:, :2], k=2)[0][:, 1]
-    pixel_m = float(np.clip(SPACINGS * np.percentile(spacing_m, 90), FINEST_M, COARSEST_M))
+    pixel_m = float(np.clip(_SPACINGS * np.percentile(spacing_m, 90), FINEST_M, COARSEST_M))
     low, high = points.min(axis=0), points.max(axis=0)
     middle = 0.5 * (low + high)
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
-    pose[:3, 3] = middle[0], middle[1], high[2] + ABOVE_M
+    pose[:3, 3] = middle[0], middle[1], high[2] + _ABOVE_M
     focal = (pose[2, 3] - float(np.median(points[:, 2]))) / pixel_m
     # What is nearest to the camera looks largest.
-    half = np.ceil(0.5 * (high - low)[:2] * focal / ABOVE_M).astype(int) + _EDGE
+    half = np.ceil(0.5 * (high - low)[:2] * focal / _ABOVE_M).astype(int) + _EDGE
     width, height = (2 * half + 1).tolist()
     return Camera("above", width, height, focal, focal, float(half[0]), float(half[1]), pose)
 

@@ -37,55 +37,55 @@ from clothtrack.simulation.state import Attachment
 STEP_S = 0.025
 """Length of a step of the solver while the cloth is moved [s]."""
 
-SMOOTHED = 0.3
+_SMOOTHED = 0.3
 """Share of soft folds at which a hand smooths the cloth afterwards."""
 
-SMOOTHING_M = 0.02
+_SMOOTHING_M = 0.02
 """How far a hand that laid a garment of `REFERENCE_SIZE_M` flat may have pulled it last [m]."""
 
-HANG_M = (0.03, 0.25)
+_HANG_M = (0.03, 0.25)
 """Distance of such a hanging garment from the table before it is dropped [m], least and largest."""
 
-HANG_S = 0.1
+_HANG_S = 0.1
 """How long it hangs [s]."""
 
-LIFT_SPEED = 1.2
+_LIFT_SPEED = 1.2
 """Speed at which a vertex of such a garment is lifted [m/s]."""
 
 REST_SPEED = 0.1
-"""A cloth is at rest when no vertex covers more way than this in `WINDOW_STEPS` [m/s]."""
+"""A cloth is at rest when no vertex covers more way than this in `_WINDOW_STEPS` [m/s]."""
 
-PULL_REACH = 0.7
+_PULL_REACH = 0.7
 """No pull leads farther from where the garment lay flat than this, over its longer side."""
 
 MOST_LAYERS, MOST_HEIGHT = 4.5, 0.03
 """A pressed stack of more layers than this, or that is higher over the garment's size, is not
 folded as a whole any more: it would have twice as many."""
 
-AGAIN = 0.6
+_AGAIN = 0.6
 """Share of stacks of many layers of which a part is folded back; others are unfolded."""
 
-LOFT = 0.3
+_LOFT = 0.3
 """Largest loft of a crease over the length of an edge: edges into it keep their lengths."""
 
 SOFTEST = 0.6
 """Least share of its height to which a soft fold is pressed: its bulges would lose their length."""
 
-HELD_SHARE = (0.15, 1.15)
+_HELD_SHARE = (0.15, 1.15)
 """How high a held vertex is lifted, over its distance from the farthest vertex of the flat garment:
 above 1 all the cloth hangs in the air."""
 
-HELD_BY_CORNER = 0.7
+_HELD_BY_CORNER = 0.7
 """Share of held vertices that are extreme points of the outline."""
 
-HELD_TWICE = 0.35
+_HELD_TWICE = 0.35
 """Share of held states in which two vertices are held."""
 
-PUSH_RADIUS = 0.12
-PUSH_WAY = (0.1, 0.4)
+_PUSH_RADIUS = 0.12
+_PUSH_WAY = (0.1, 0.4)
 """A hand presses on all cloth within this of a point and pushes it so far, over the longer side."""
 
-WINDOW_STEPS = 4
+_WINDOW_STEPS = 4
 """Steps of the solver over which the way of a vertex is measured while waiting for rest."""
 
 
@@ -140,7 +140,7 @@ class Crumpler:
         self._fresh = self._solver.save()
         size = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
         self._size_m, self._scale = size, size / REFERENCE_SIZE_M
-        self._pull_reach_m = PULL_REACH * size
+        self._pull_reach_m = _PULL_REACH * size
         layers = 2 if np.ptp(mesh.vertices[:, 2]) == 0.0 else 4
         self._action = replace(
             ACTION,
@@ -172,7 +172,7 @@ class Crumpler:
         pressed = recipe in NEAT and rng.random() < self.config.pressed
         if pressed:
             loft_m = float(np.exp(rng.uniform(*np.log(self.config.loft_m))))
-            self._loft_m = min(loft_m, LOFT * self._folds.layers.edge_m)
+            self._loft_m = min(loft_m, _LOFT * self._folds.layers.edge_m)
         for _ in range(self.config.states):
             if recipe in NEAT:
                 recipe, state = self._folded(recipe, rng, pressed=pressed)
@@ -193,7 +193,7 @@ class Crumpler:
             return drawn(self.config.next_shares if recipe == "roll" else following, rng)
         layers = self._folds.layers.most(self._stack)
         if layers > min(MOST_LAYERS, MOST_HEIGHT * self._size_m / self._thickness_m):
-            if rng.random() < AGAIN:
+            if rng.random() < _AGAIN:
                 return "fold_top"
             self._lay_down(turned_over=rng.random() < self.config.turned_over)
             following = self.config.shares
@@ -237,7 +237,7 @@ class Crumpler:
     def _flat(self, rng: np.random.Generator) -> None:
         """Pull at one vertex a little, as a hand does that smooths the cloth."""
         vertex = int(rng.integers(self.mesh.vertex_count))
-        way = _aside(rng.uniform(0.0, SMOOTHING_M * self._scale), rng)
+        way = _aside(rng.uniform(0.0, _SMOOTHING_M * self._scale), rng)
         self._carry(np.array([vertex]), way * np.linspace(0.0, 1.0, 5)[1:, None])
 
     def _lift(self, rng: np.random.Generator) -> None:
@@ -248,16 +248,16 @@ class Crumpler:
     def _drop(self, rng: np.random.Generator) -> None:
         """Lift one vertex until the cloth hangs clear of the table, and let it go."""
         vertex = int(rng.integers(self.mesh.vertex_count))
-        clear_m = rng.uniform(*self._scaled(HANG_M))
+        clear_m = rng.uniform(*self._scaled(_HANG_M))
         self._raise(vertex, self._hanging_m(vertex) + clear_m, rng)
 
     def _held(self, rng: np.random.Generator) -> None:
         """Lift one vertex, or two, and keep hold: the state is taken in the air."""
         first = self._grasped(rng)
         vertices = [first]
-        if rng.random() < HELD_TWICE:
+        if rng.random() < _HELD_TWICE:
             vertices.append(self._grasped(rng))
-        height_m = rng.uniform(*HELD_SHARE) * self._hanging_m(first)
+        height_m = rng.uniform(*_HELD_SHARE) * self._hanging_m(first)
         self._attached = self._raise(np.unique(vertices), height_m, rng)
 
     def _release(self, rng: np.random.Generator) -> None:
@@ -285,7 +285,7 @@ class Crumpler:
             return recipe, CrumpledState(recipe, points.astype(np.float32), 0.0, exploded)
         self._stack = None
         self._solver.place(points)
-        if rng.random() < SMOOTHED:
+        if rng.random() < _SMOOTHED:
             self._flat(rng)
         return recipe, self._rest(recipe)
 
@@ -315,10 +315,10 @@ class Crumpler:
         """Press a hand on the cloth and push it over the table, mostly towards the middle."""
         points = self._solver.positions[0].astype(np.float64)
         start = points[self._grasped(rng)]
-        under = np.linalg.norm(points[:, :2] - start[:2], axis=1) < PUSH_RADIUS * self._size_m
+        under = np.linalg.norm(points[:, :2] - start[:2], axis=1) < _PUSH_RADIUS * self._size_m
         inwards = np.arctan2(*(points[:, :2].mean(axis=0) - start[:2])[::-1])
         heading = inwards + rng.normal(0.0, 0.5)
-        length_m = self._size_m * rng.uniform(*PUSH_WAY)
+        length_m = self._size_m * rng.uniform(*_PUSH_WAY)
         way = length_m * np.array([np.cos(heading), np.sin(heading), 0.0])
         steps = max(2, round(length_m / self._speed(self._action.speed) / STEP_S))
         self._carry(np.flatnonzero(under), way * np.linspace(0.0, 1.0, steps + 1)[1:, None])
@@ -326,7 +326,7 @@ class Crumpler:
     def _grasped(self, rng: np.random.Generator) -> int:
         """A vertex that a hand would take: mostly an extreme point of the outline."""
         points = self._solver.positions[0]
-        if rng.random() >= HELD_BY_CORNER:
+        if rng.random() >= _HELD_BY_CORNER:
             return int(rng.integers(len(points)))
         angle = rng.uniform(0.0, 2.0 * np.pi)
         return int(np.argmax(points[:, :2] @ np.array([np.cos(angle), np.sin(angle)])))
@@ -343,9 +343,9 @@ class Crumpler:
         config = self.config
         drift_m = rng.uniform(0.0, config.drift_m * self._scale)
         way = _aside(drift_m, rng) + [0.0, 0.0, height_m]
-        speed = self._speed(LIFT_SPEED)
+        speed = self._speed(_LIFT_SPEED)
         steps = max(2, round(float(np.linalg.norm(way)) / speed / STEP_S))
-        still = np.ones(round(HANG_S / STEP_S))
+        still = np.ones(round(_HANG_S / STEP_S))
         share = np.concatenate([np.linspace(0.0, 1.0, steps + 1)[1:], still])
         return self._carry(np.atleast_1d(vertices), way * share[:, None])
 
@@ -389,9 +389,9 @@ class Crumpler:
         solver, config = self._solver, self.config
         attached, self._attached = self._attached, None
         before, speed, used = solver.positions[0], np.inf, 0.0
-        window_s = WINDOW_STEPS * STEP_S
+        window_s = _WINDOW_STEPS * STEP_S
         while used < config.rest_limit_s - 1e-9:
-            for _ in range(WINDOW_STEPS):
+            for _ in range(_WINDOW_STEPS):
                 solver.step(STEP_S, attached)
             used += window_s
             after = solver.positions[0]

@@ -22,26 +22,26 @@ CAREFUL_RAD, CARELESS_RAD = np.radians(0.5), np.radians(4.0)
 CAREFUL, CARELESS = 0.004, 0.03
 """Standard deviations of a fold's direction [rad], and of its line over the garment's size."""
 
-DIAGONAL = 0.6
+_DIAGONAL = 0.6
 """How often cloth is folded in half over its diagonal, over how often along a side, where edges
 come to lie on edges alike."""
 
-FOLDED_PART = (0.12, 0.5)
+_FOLDED_PART = (0.12, 0.5)
 """Least and largest share of the vertices beyond a line that lies anywhere."""
 
 CORNER = (0.08, 0.45)
 """How far from a corner the line lies that folds it, over the garment's size."""
 
-TOP_DEPTH = (0.06, 0.5)
+_TOP_DEPTH = (0.06, 0.5)
 """How far from its rim upper layers are folded back, over the garment's size."""
 
-TRIES = 12
+_TRIES = 12
 """Lines that are tried for a part of the uppermost layers."""
 
-BODY_ROWS = 0.15
+_BODY_ROWS = 0.15
 """The lowest share of a shirt's length, by which the width of its body is told."""
 
-SLEEVES = 1.1
+_SLEEVES = 1.1
 """Something sticks out of a body that is this much narrower at its lower end."""
 
 
@@ -64,9 +64,9 @@ class NeatFolds:
         self.layers = Layers(mesh, thickness_m)
         flat = mesh.vertices[:, :2]
         self.size_m = float(np.ptp(flat, axis=0).max())
-        low = flat[:, 1] < flat[:, 1].min() + BODY_ROWS * np.ptp(flat[:, 1])
+        low = flat[:, 1] < flat[:, 1].min() + _BODY_ROWS * np.ptp(flat[:, 1])
         self._body_m = float(np.abs(flat[low, 0]).max())
-        self.has_sleeves = bool(np.abs(flat[:, 0]).max() > SLEEVES * self._body_m)
+        self.has_sleeves = bool(np.abs(flat[:, 0]).max() > _SLEEVES * self._body_m)
 
     def fold(
         self, recipe: NeatFold, points: Points, rng: np.random.Generator
@@ -90,14 +90,14 @@ class NeatFolds:
         """Fold the smaller part over the larger one, over any line."""
         angle = rng.uniform(0.0, 2.0 * np.pi)
         across = Line.at(angle, 0.0).beyond(points)
-        share = 1.0 - rng.uniform(*FOLDED_PART)
+        share = 1.0 - rng.uniform(*_FOLDED_PART)
         return self.layers.wrapped(points, Line.at(angle, float(np.quantile(across, share))))
 
     def half(self, points: Points, rng: np.random.Generator) -> Points:
         """Fold everything in half, so that edges come to lie on edges."""
         angles = axes_of(points)[0] + 0.25 * np.pi * np.arange(8)
         fits = np.array([self._overlap(points, self._middle(points, one)) for one in angles])
-        share = np.where(np.arange(8) % 2, DIAGONAL, 1.0) * np.maximum(fits, 0.05) ** 6
+        share = np.where(np.arange(8) % 2, _DIAGONAL, 1.0) * np.maximum(fits, 0.05) ** 6
         angle = float(rng.choice(angles, p=share / share.sum()))
         turn_rad, shift_m = self._care(rng)
         line = self._middle(points, angle + turn_rad)
@@ -157,12 +157,12 @@ class NeatFolds:
     def top(self, points: Points, rng: np.random.Generator) -> Points | None:
         """Fold back a part of the uppermost layers only; None when no line has such a part."""
         first, _ = axes_of(points)
-        for _ in range(TRIES):
+        for _ in range(_TRIES):
             angle = first + 0.25 * np.pi * rng.integers(8) + self._care(rng)[0]
             if rng.random() < 0.4:
                 angle = rng.uniform(0.0, 2.0 * np.pi)
             reach = Line.at(angle, 0.0).beyond(points).max()
-            depth_m = rng.uniform(*TOP_DEPTH) * self.size_m
+            depth_m = rng.uniform(*_TOP_DEPTH) * self.size_m
             line = Line.at(angle, float(reach - depth_m))
             if (part := self.layers.free_part(points, line, rng)) is not None:
                 return self.layers.wrapped(points, line, part)

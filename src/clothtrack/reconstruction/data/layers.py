@@ -19,36 +19,36 @@ from clothtrack.geometry.mesh import ClothMesh
 Points = Float[np.ndarray, "vertices 3"]
 """Vertices of a cloth on the table z = 0 [m]."""
 
-LEAST_PART = 0.015
+_LEAST_PART = 0.015
 """A part of fewer vertices than this share is not folded alone."""
 
-ONE_PART = 0.6
+_ONE_PART = 0.6
 """How often one part of several is folded back; otherwise any number of them."""
 
-CORE_EDGES = 1.2
+_CORE_EDGES = 1.2
 """Least radius of a roll's inmost turn, over the length of an edge: a tighter one is a prism."""
 
-CORE_SAG = 0.125 / CORE_EDGES
+_CORE_SAG = 0.125 / _CORE_EDGES
 """How far a straight edge lies inside that turn, over its length: turns need so much more room."""
 
-STACKED = 0.65
+_STACKED = 0.65
 """Vertices nearer than this lie one above the other, over the length of an edge: any layer has a
 vertex within 0.58 of it."""
 
-SAME_LAYER = 0.2
+_SAME_LAYER = 0.2
 """Vertices whose heights differ by less than this, over the thickness, are of one layer."""
 
-STIFFNESS = 3
+_STIFFNESS = 3
 """Passes that smooth the heights of a pressed stack."""
 
-PRESSES = 40
+_PRESSES = 40
 """Most layers that a stack can have while it is pressed."""
 
 NESTED, NESTED_MOST = 0.15, 0.5
 """How far each layer's crease is drawn into that of the layer around it, and most, over the length
 of an edge. Between the straight edges of a mesh a crease has no room for another one."""
 
-LOFT_REACH = 2
+_LOFT_REACH = 2
 """Edges from a crease over which its loft fades."""
 
 
@@ -166,7 +166,7 @@ class Layers:
         stiff: it leads from step to step over the length of an edge or two.
         """
         near = self.creases.creased.astype(np.float64)
-        for _ in range(LOFT_REACH):
+        for _ in range(_LOFT_REACH):
             near = np.maximum(near, 2.0 * (self._mean @ near)).clip(max=1.0)
         settled = points.copy()
         settled[:, 2] = self._heights(points, self.thickness_m + self.loft_m * near)
@@ -180,10 +180,10 @@ class Layers:
         floor = 0.5 * self.thickness_m
         gap = np.broadcast_to(gap_m, len(points))[upper]
         height = np.full(len(points), floor)
-        for smoothing in range(STIFFNESS + 1):
+        for smoothing in range(_STIFFNESS + 1):
             if smoothing:
                 height = np.maximum(0.5 * (height + self._mean @ height), floor)
-            for _ in range(PRESSES):
+            for _ in range(_PRESSES):
                 before = height.copy()
                 np.maximum.at(height, upper, height[lower] + gap)
                 if np.array_equal(before, height):
@@ -195,11 +195,11 @@ class Layers:
         self, points: Points
     ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
         """Return vertices one above the other: the lower and the upper of each pair."""
-        pairs = cKDTree(points[:, :2]).query_pairs(STACKED * self.edge_m, output_type="ndarray")
+        pairs = cKDTree(points[:, :2]).query_pairs(_STACKED * self.edge_m, output_type="ndarray")
         apart = points[pairs[:, 1], 2] - points[pairs[:, 0], 2]
         same = np.isin(pairs.min(axis=1) * len(points) + pairs.max(axis=1), self._joined)
         same |= self.creases.creased[pairs].any(axis=1)
-        same |= np.abs(apart) < SAME_LAYER * self.thickness_m
+        same |= np.abs(apart) < _SAME_LAYER * self.thickness_m
         pairs, rising = pairs[~same], apart[~same] > 0.0
         pairs = np.where(rising[:, None], pairs, pairs[:, ::-1])
         return pairs[:, 0], pairs[:, 1]
@@ -255,9 +255,9 @@ class Layers:
         beyond = np.maximum(line.beyond(points), 0.0)
         floor = float(points[:, 2].min())
         height_m = points[:, 2] - floor
-        straight_m = CORE_SAG * self.edge_m
+        straight_m = _CORE_SAG * self.edge_m
         pitch_m = looseness * (float(height_m.max()) + self.thickness_m) + straight_m
-        core_m = CORE_EDGES * self.edge_m + float(height_m.max())
+        core_m = _CORE_EDGES * self.edge_m + float(height_m.max())
         # The wound sheet fills the ring between the core and the outermost turn.
         outer_m = float(np.sqrt(core_m**2 + beyond.max() * pitch_m / np.pi))
         shrink = pitch_m / (2.0 * np.pi)
@@ -289,7 +289,7 @@ class Layers:
             return None
         above = self._above(points, labels, count)
         sizes = np.bincount(labels[labels >= 0], minlength=count)
-        wanted = 1 if rng.random() < ONE_PART else int(rng.integers(1, count))
+        wanted = 1 if rng.random() < _ONE_PART else int(rng.integers(1, count))
         taken = np.zeros(count, bool)
         for _ in range(wanted):
             free = np.flatnonzero(~taken & ~above[~taken].any(axis=0))
@@ -297,7 +297,7 @@ class Layers:
                 break
             taken[rng.choice(free, p=sizes[free] / sizes[free].sum())] = True
         part = (labels >= 0) & taken[labels]
-        return part if not taken.all() and part.mean() > LEAST_PART else None
+        return part if not taken.all() and part.mean() > _LEAST_PART else None
 
     def parts(
         self, beyond: Float[np.ndarray, " vertices"]
@@ -327,7 +327,7 @@ class Layers:
         pairs = own[np.concatenate([pairs, pairs[:, ::-1]])]
         upper, lower = labels[pairs].T
         apart = points[pairs[:, 0], 2] - points[pairs[:, 1], 2]
-        higher = apart > SAME_LAYER * self.thickness_m
+        higher = apart > _SAME_LAYER * self.thickness_m
         above = np.zeros((count, count), bool)
         above[upper[higher], lower[higher]] = True
         np.fill_diagonal(above, val=False)

@@ -21,7 +21,7 @@ from clothtrack.reconstruction.data.state_store import StateSet, StateShard, rea
 from clothtrack.reconstruction.training.batches import Draw
 from clothtrack.recordings.camera_view import flying_pixels
 
-GarmentPart = TypeVar("GarmentPart")
+_GarmentPart = TypeVar("_GarmentPart")
 Drawn = TypeVar("Drawn")
 
 logger = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ _MARGIN_PIXELS = 6
 _ATTEMPTS, _STATES_TRIED = 8, 4
 
 
-class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
+class RenderedStates(ABC, Generic[_GarmentPart, Drawn]):
     """States as examples of some network, each a function of index, epoch and seed.
 
     Shards are read when the set is made, and again in each process that makes examples.
@@ -49,7 +49,7 @@ class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
         self.seed = seed
         self._paths = [path for states in sets for path in states.shards]
         self._shards: dict[int, StateShard] = {}
-        self._garments: dict[int, GarmentPart] = {}
+        self._garments: dict[int, _GarmentPart] = {}
         self._places = [
             (number, state)
             for number in range(len(self._paths))
@@ -57,7 +57,7 @@ class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
         ]
 
     @abstractmethod
-    def _garment_of(self, shard: StateShard, number: int) -> GarmentPart:
+    def _garment_of(self, shard: StateShard, number: int) -> _GarmentPart:
         """What all states of a shard have in common."""
 
     @abstractmethod
@@ -65,7 +65,7 @@ class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
         self,
         picture: LabelledPicture,
         shard: StateShard,
-        garment: GarmentPart,
+        garment: _GarmentPart,
         rng: np.random.Generator,
     ) -> Drawn:
         """The example of a rendered state."""
@@ -100,7 +100,7 @@ class RenderedStates(ABC, Generic[GarmentPart, Drawn]):
             index = int(rng.integers(len(self)))
         raise InvalidRecordingError(str(failure))
 
-    def _garment(self, number: int) -> GarmentPart:
+    def _garment(self, number: int) -> _GarmentPart:
         if number not in self._garments:
             self._garments[number] = self._garment_of(self._shard(number), number)
         return self._garments[number]

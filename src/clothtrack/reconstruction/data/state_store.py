@@ -42,7 +42,7 @@ VERSION = 1
 LIST_FILE = "states.json"
 SHARD_FOLDER = "shards"
 
-RECIPES = (
+_RECIPES = (
     "flat", "fold", "fold_half", "fold_corner", "fold_top", "fold_strips", "fold_sleeves", "roll",
     "turn_over", "drop", "lift", "held", "push", "pick_and_place", "release", "imported",
 )  # fmt: skip
@@ -67,7 +67,7 @@ class StateShard:
         positions: vertices of each state [m]; world frame, z up, the table at z = 0.
         episodes: states with the same number came one after the other; a split into training and
             validation must not part them.
-        recipes: how each state came about, one of `RECIPES`.
+        recipes: how each state came about, one of `_RECIPES`.
         seed: from which the shard was drawn.
         measures: values per state by name: "speed", at which its fastest vertex still moved [m/s];
             "strain", mean absolute relative change of edge length; "coverage", projected area over
@@ -112,9 +112,9 @@ class StateShard:
                 raise InvalidResultError(
                     f"positions of state {state} are not all finite; leave that state out"
                 )
-        if unknown := set(self.recipes) - set(RECIPES):
+        if unknown := set(self.recipes) - set(_RECIPES):
             raise InvalidResultError(
-                f"recipe {min(unknown)!r} is not known; it must be one of {', '.join(RECIPES)}"
+                f"recipe {min(unknown)!r} is not known; it must be one of {', '.join(_RECIPES)}"
             )
 
 

@@ -57,7 +57,7 @@ from clothtrack.simulation.parameters import SolverConfig
 
 logger = logging.getLogger(__name__)
 
-CARD_FILE = "README.md"
+_CARD_FILE = "README.md"
 
 PACKAGES = ("numpy", "scipy", "warp-lang", "zarr")
 """What states depend on."""
@@ -67,14 +67,14 @@ _OF_STATES = 0x57A7E
 """Keeps the draws of this module apart from those of others with the same seed."""
 
 
-GARMENTS_TRIED = 4
+_GARMENTS_TRIED = 4
 """So many garments are drawn for a shard, one after the other, before its settings are blamed."""
 
 
-THICKEST_M = 0.008
+_THICKEST_M = 0.008
 """Largest distance that layers keep in the solver [m]."""
 
-THICKEST = 0.015
+_THICKEST = 0.015
 """Largest thickness of cloth over the garment's size."""
 
 
@@ -196,7 +196,7 @@ def generate_states(
                     document["shards"] = dict(sorted({**document["shards"], name: entry}.items()))
                     write_list(out, document)
         found = open_states(out)
-        with atomic_file(out / CARD_FILE) as unfinished:
+        with atomic_file(out / _CARD_FILE) as unfinished:
             unfinished.write_text(dataset_card(found), encoding="utf-8")
     return found
 
@@ -247,10 +247,10 @@ def make_shard(kind: ClothKind, number: int, seed: int, config: StatesConfig) ->
     is given up for another one.
 
     Raises:
-        SimulationDivergedError: `GARMENTS_TRIED` garments were given up.
+        SimulationDivergedError: `_GARMENTS_TRIED` garments were given up.
     """
     rng = np.random.default_rng([_OF_STATES, seed, number, KINDS.index(kind)])
-    for _ in range(GARMENTS_TRIED - 1):
+    for _ in range(_GARMENTS_TRIED - 1):
         try:
             return _shard(kind, seed, config, rng)
         except SimulationDivergedError as error:
@@ -269,11 +269,11 @@ def _shard(
     mesh = draw_garment(kind, config.garments, config.vertex_count, rng)
     size_m = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
     thickness = float(np.exp(rng.uniform(*np.log(config.cloth.thickness_m))))
-    thickness = min(thickness, THICKEST * size_m)
+    thickness = min(thickness, _THICKEST * size_m)
     contact = float(rng.uniform(*config.cloth.contact_m))
     contact = max(thickness, contact * max(1.0, math.sqrt(size_m / REFERENCE_SIZE_M)))
     density = float(rng.uniform(*config.cloth.area_density))
-    solver = replace(FAST_CONTACT, thickness_m=min(THICKEST_M, contact), area_density=density)
+    solver = replace(FAST_CONTACT, thickness_m=min(_THICKEST_M, contact), area_density=density)
     crumpler = Crumpler(mesh, config.crumpling, solver, thickness_m=thickness)
     flat_area = projected_area(mesh.vertices, mesh.faces)
     taken: list[CrumpledState] = []

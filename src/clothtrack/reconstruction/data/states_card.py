@@ -12,7 +12,7 @@ from clothtrack.reconstruction.data.state_store import StateSet, StateShard, rea
 BINS = np.linspace(0.0, 1.1, 12)
 """Bounds of the histogram of coverage."""
 
-BAR = 40
+_BAR = 40
 """Length of the longest bar of the histogram, in characters."""
 
 
@@ -103,7 +103,7 @@ def _coverage(shards: list[StateShard]) -> str:
         return ""
     counts, _ = np.histogram(np.clip(coverage, BINS[0], BINS[-1]), BINS)
     lines = [
-        f"    {low:.1f} to {high:.1f}  {count:6d}  {'#' * round(BAR * count / counts.max())}"
+        f"    {low:.1f} to {high:.1f}  {count:6d}  {'#' * round(_BAR * count / counts.max())}"
         for low, high, count in zip(BINS, BINS[1:], counts, strict=False)
     ]
     return "Coverage (projected area over that of the flat garment), states:\n\n" + "\n".join(lines)

@@ -8,7 +8,7 @@ takes up, so that edges keep their lengths.
 import numpy as np
 from jaxtyping import Float
 
-WIDTH_EDGES = (1.3, 5.0)
+_WIDTH_EDGES = (1.3, 5.0)
 """Half width of a ridge over the length of an edge; the logarithm is drawn evenly. A narrower one
 falls between the vertices."""
 
@@ -21,9 +21,9 @@ STEEPEST = 0.22
 LENGTH = (0.06, 0.4)
 """How far a ridge runs, over the extent of the cloth."""
 
-MOST = 16
+_MOST = 16
 
-STACK_HEIGHT = 4.0
+_STACK_HEIGHT = 4.0
 """Largest height over the thickness where layers lie on each other. Between vertices a ridge is
 straight, and the layers' vertices are not above each other: more would push one through another."""
 
@@ -45,11 +45,11 @@ def wrinkled(
     """
     extent_m = float(np.ptp(points[:, :2], axis=0).max())
     main = rng.uniform(0.0, np.pi)
-    for _ in range(int(rng.integers(1, MOST + 1))):
-        width_m = edge_m * float(np.exp(rng.uniform(*np.log(WIDTH_EDGES))))
+    for _ in range(int(rng.integers(1, _MOST + 1))):
+        width_m = edge_m * float(np.exp(rng.uniform(*np.log(_WIDTH_EDGES))))
         height_m = min(float(np.exp(rng.uniform(*np.log(HEIGHT_M)))), STEEPEST * width_m)
         if stacked_m is not None:
-            height_m = min(height_m, STACK_HEIGHT * stacked_m)
+            height_m = min(height_m, _STACK_HEIGHT * stacked_m)
         # Wrinkles of one cloth run alike, more or less.
         angle = main + 0.5 * rng.standard_normal()
         across = np.array([np.cos(angle), np.sin(angle)])

@@ -34,10 +34,10 @@ VERSION = "1"
 STEP_M = 1e-4
 """Positions are whole multiples of this [m]: 0.05 mm off at most, where sensors are 1 mm off."""
 
-LARGEST_M = 32_767 * STEP_M
+_LARGEST_M = 32_767 * STEP_M
 """Half of the longest axis that a state can have [m]."""
 
-MOST_VERTICES = 32_768
+_MOST_VERTICES = 32_768
 """Vertices that a face can name in 16 bits."""
 
 
@@ -106,10 +106,10 @@ class PackedStates:
         states, vertices = positions.shape[:2]
         low, high = positions.min(axis=1), positions.max(axis=1)
         largest_m = 0.5 * float((high - low).max())
-        if vertices > MOST_VERTICES or not largest_m < LARGEST_M:
+        if vertices > _MOST_VERTICES or not largest_m < _LARGEST_M:
             raise InvalidConfigError(
                 f"a garment has {vertices} vertices and is up to {2.0 * largest_m:.2f} m long (at "
-                f"most {MOST_VERTICES} and {2.0 * LARGEST_M:.1f} m can be packed); simulate a "
+                f"most {_MOST_VERTICES} and {2.0 * _LARGEST_M:.1f} m can be packed); simulate a "
                 "coarser or smaller one"
             )
         parts = np.rint((positions - 0.5 * (low + high)[:, None]) / STEP_M)

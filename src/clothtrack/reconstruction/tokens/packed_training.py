@@ -26,7 +26,7 @@ from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 
 
-class PackedDraws:
+class _PackedDraws:
     """States by their numbers: what a batch of them shows is rendered by `rendered`.
 
     Args:
@@ -101,7 +101,7 @@ def pretrain_packed(
     pictures = TokenPictures(
         states, network, rendering=cameras, device=alone.device, asked=asked, seed=config.seed
     )
-    draws = PackedDraws(states, pictures)
+    draws = _PackedDraws(states, pictures)
     training, held = split_by_digest(draws.groups, config.held_out_share)
     data: dict[str, Any] = {
         "states": len(states),

@@ -26,7 +26,7 @@ from clothtrack.reconstruction.tokens.token_stage import TokenExample
 from clothtrack.reconstruction.training.batches import Draw
 from clothtrack.simulation.parameters import RESTING_HEIGHT_M
 
-LEAST_NAMED = 0.05
+_LEAST_NAMED = 0.05
 """A label whose mesh names a smaller share of the measured pixels lies elsewhere: left out."""
 
 LOWER_PART, BEYOND_LINE = 0.4, 0.2
@@ -106,7 +106,7 @@ class LabelledTokenExamples:
             (number, picture)
             for number, one in enumerate(recordings)
             for picture in range(len(one.pictures))
-            if self._named_share(number, picture) >= LEAST_NAMED
+            if self._named_share(number, picture) >= _LEAST_NAMED
         ]
         if not self._places:
             raise InvalidConfigError(

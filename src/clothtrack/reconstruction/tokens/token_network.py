@@ -19,13 +19,13 @@ from torch.nn import functional
 from clothtrack.files.bounds import Bounds, Checked, Count
 from clothtrack.reconstruction.tokens.garment_tokens import FEATURES, TOKENS
 
-CELL = 8
+_CELL = 8
 """Pixels of the picture per cell of the coarse grid, which is a token where cloth is."""
 
-OUT_STRIDE = 2
+_OUT_STRIDE = 2
 """Pixels of the picture per pixel that gets a name, along each axis."""
 
-OCTAVES = 5
+_OCTAVES = 5
 """Frequencies by which coordinates are given: half a period per garment, and doublings."""
 
 KEY = 64
@@ -61,12 +61,12 @@ class TokenNetworkConfig(Checked):
     @property
     def output_stride(self) -> int:
         """Pixels of the picture per pixel that gets a name."""
-        return OUT_STRIDE
+        return _OUT_STRIDE
 
     @property
     def output_size(self) -> int:
         """Pixels that get a name, along each side."""
-        return self.image_size // OUT_STRIDE
+        return self.image_size // _OUT_STRIDE
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +128,9 @@ class TokenNetwork(nn.Module):
         self.down = nn.ModuleList(
             [_Residual(32, 64, 2), _Residual(64, width, 2), _Residual(width, width, 1)]
         )
-        self.cell = nn.Linear(2 * (2 * OCTAVES + 1) + 1, width)
+        self.cell = nn.Linear(2 * (2 * _OCTAVES + 1) + 1, width)
         self.garment = nn.Sequential(
-            nn.Linear(FEATURES - 4 + 4 * (2 * OCTAVES + 1), width),
+            nn.Linear(FEATURES - 4 + 4 * (2 * _OCTAVES + 1), width),
             nn.GELU(),
             nn.Linear(width, width),
         )
@@ -154,12 +154,12 @@ class TokenNetwork(nn.Module):
 
     def forward(self, asked: TokenInput) -> TokenOutput:
         """Return names of pixels, hypotheses of the tokens' places, and their likelihoods."""
-        batch, cells = len(asked.height), self.config.image_size // CELL
+        batch, cells = len(asked.height), self.config.image_size // _CELL
         cloth = (asked.height > 0.5 * EMPTY).float()
         fine = self.stem(self._channels(asked, cloth).contiguous(memory_format=torch.channels_last))
         middle = self.down[0](fine)
         coarse = self.down[2](self.down[1](middle))
-        filled = functional.max_pool2d(cloth[:, None], CELL).flatten(1) > 0
+        filled = functional.max_pool2d(cloth[:, None], _CELL).flatten(1) > 0
         seen = coarse.flatten(2).transpose(1, 2) + self.cell(self._cell_places(asked))
         # Empty cells are dropped: cells with cloth come first, cut to the fullest picture.
         order = torch.argsort(filled.float(), dim=1, descending=True, stable=True)
@@ -212,7 +212,7 @@ class TokenNetwork(nn.Module):
 
     def _cell_places(self, asked: TokenInput) -> Float[Tensor, "batch cells told"]:
         """Where the cells' middles lie on the table, and how far the camera is from it."""
-        middles = self.ticks.view(-1, CELL).mean(1)
+        middles = self.ticks.view(-1, _CELL).mean(1)
         across = torch.broadcast_tensors(middles[None, :], -middles[:, None])
         far = asked.distance[:, None, None]
         at = torch.stack(across, -1).view(1, -1, 2) * far
@@ -283,5 +283,5 @@ def _convolution(inward: int, outward: int, stride: int = 1, *, size: int = 3) -
 
 def _waves(places: Float[Tensor, "*batch axes"]) -> Float[Tensor, "*batch waves"]:
     """Coordinates with their sines and cosines."""
-    angles = torch.cat([places * (math.pi * 2.0**octave) for octave in range(OCTAVES)], -1)
+    angles = torch.cat([places * (math.pi * 2.0**octave) for octave in range(_OCTAVES)], -1)
     return torch.cat([places, angles.sin(), angles.cos()], -1)

@@ -34,10 +34,10 @@ TABLE_ERROR = 0.008
 SIZE_ERROR = 0.02
 """Standard deviation of the size that the network is told, over the size: tapes and flats lie."""
 
-SPARE = 1.25
+_SPARE = 1.25
 """Pixels that are looked at for each that is asked for: some have no name."""
 
-PART_PIXELS = {"cpu": 200_000, "cuda": 8_000_000}
+_PART_PIXELS = {"cpu": 200_000, "cuda": 8_000_000}
 """Pixels of depth pictures that are made together: what fits a processor's cache, and enough to
 keep a GPU busy. Pictures of much the same size come together: larger parts have wider margins."""
 
@@ -74,7 +74,7 @@ class TokenPictures:
         self._low, self._high = states.low, states.high
         self._states = on_device(states, device)
         self._most = {name: int(getattr(states, name).max()) for name in ("vertices", "faces")}
-        self._part_pixels = part_pixels or PART_PIXELS[device.split(":", maxsplit=1)[0]]
+        self._part_pixels = part_pixels or _PART_PIXELS[device.split(":", maxsplit=1)[0]]
 
     def batch(self, chosen: Int[Tensor, " batch"], step: Sequence[int]) -> TokenBatch:
         """Render some states, mirrored and turned at random.
@@ -109,7 +109,7 @@ class TokenPictures:
         measured = measure(cloths, noise)
         views = above(measured, world.motion, self.network)
         blocks, sources, shown = _drawn_pixels(
-            views.depth, self.network.output_stride, int(SPARE * self.asked), noise
+            views.depth, self.network.output_stride, int(_SPARE * self.asked), noise
         )
         found = on_mesh(views.points(sources), measured)
         known = shown & (found.apart <= CUT * garments.size_m[:, None])

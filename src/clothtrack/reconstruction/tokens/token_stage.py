@@ -33,13 +33,13 @@ CONVENTION_EXAMPLES, HARDENING_EXAMPLES = 6_000, 12_000
 """Examples for which one labelling is asked for by convention, and after which the minimum over
 labellings is as hard as it gets."""
 
-OTHERS = 0.08
+_OTHERS = 0.08
 """Share of the loss of places that hypotheses which are not the nearest have together."""
 
-CHOICE_WEIGHT = 0.2
+_CHOICE_WEIGHT = 0.2
 """Weight of the cross entropy of the hypotheses' likelihoods [nat]."""
 
-CONVENTION = 20.0
+_CONVENTION = 20.0
 SOFTEST, HARDEST = 0.5, 0.02
 """Temperature of the minimum at the beginning and at the end [nat]."""
 
@@ -146,19 +146,19 @@ class TokenStage(Stage):
         nearest = parts.of_places.detach().argmin(-1, keepdim=True)
         own = torch.zeros_like(parts.places).scatter(-1, nearest, 1.0)
         count = own.shape[-1]
-        taught = (1.0 - OTHERS) * own + OTHERS / count if count > 1 else own
+        taught = (1.0 - _OTHERS) * own + _OTHERS / count if count > 1 else own
         each = parts.names + parts.of_places.gather(-1, nearest)[..., 0]
         soft = max(0.0, 1.0 - done / HARDENING_EXAMPLES)
         score = -each.detach() / (HARDEST + (SOFTEST - HARDEST) * soft)
         if done < CONVENTION_EXAMPLES:
             shown = batch.conventional.masked_fill(~batch.is_labelling, -torch.inf).argmax(1)
-            score = score + CONVENTION * functional.one_hot(shown, score.shape[1]) / HARDEST
+            score = score + _CONVENTION * functional.one_hot(shown, score.shape[1]) / HARDEST
         share = score.masked_fill(~batch.is_labelling, -torch.inf).softmax(1)
         placed = ((parts.of_places + SPREAD_WEIGHT * parts.spreads) * taught).sum(-1)
         best = parts.best(batch)
         winner = nearest[..., 0].gather(1, best)[:, 0]
         chosen = functional.cross_entropy(output.choice, winner, reduction="none")
-        whole = ((parts.names + placed) * share).sum(1) + CHOICE_WEIGHT * chosen
+        whole = ((parts.names + placed) * share).sum(1) + _CHOICE_WEIGHT * chosen
         loss = (batch.weight * whole).sum() / batch.weight.sum().clamp(min=1e-12)
         return {
             "loss": loss,

@@ -7,16 +7,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-LABELLINGS = 8
+_LABELLINGS = 8
 """Most look-alike labellings that a garment has: a square's."""
 
 NEARLY_SQUARE = 0.85
 """Sides whose ratio is above this look alike in a crumpled cloth: quarter turns are labellings."""
 
-ALIKE = 0.9
+_ALIKE = 0.9
 """Outlines whose intersection over union is above this look alike in a crumpled cloth."""
 
-SILHOUETTE_PIXELS = 96
+_SILHOUETTE_PIXELS = 96
 """Pixels along each side of the pictures in which outlines are compared."""
 
 
@@ -53,12 +53,12 @@ def labellings(
         over = not single and sign[0] * sign[1] < 0
         shape = (layers[0].T if swapped else layers[0])[:: sign[1], :: sign[0]]
         other = layers[1] if over else layers[0]
-        if (shape & other).sum() < ALIKE * (shape | other).sum():
+        if (shape & other).sum() < _ALIKE * (shape | other).sum():
             continue
         moved = (places / unit)[:, ::-1] if swapped else places / unit
         rows.append(named(moved * sign, -sides if over else sides, places / unit, sides))
-    filled = rows + [rows[0]] * (LABELLINGS - len(rows))
-    return np.array(filled), np.arange(LABELLINGS) < len(rows)
+    filled = rows + [rows[0]] * (_LABELLINGS - len(rows))
+    return np.array(filled), np.arange(_LABELLINGS) < len(rows)
 
 
 def mirrored(
@@ -71,7 +71,7 @@ def mirrored(
     """
     if not layered.side.any():
         shape = _filled(layered.flat, layered.faces)
-        if (shape & shape[:, ::-1]).sum() < ALIKE * (shape | shape[:, ::-1]).sum():
+        if (shape & shape[:, ::-1]).sum() < _ALIKE * (shape | shape[:, ::-1]).sum():
             return np.arange(len(places))
     return named(places * (-1.0, 1.0), sides, places, sides)
 
@@ -81,8 +81,8 @@ def _filled(
 ) -> Bool[np.ndarray, "rows columns"]:
     """The silhouette of a flat layer, the garment's extent stretched to a square of pixels."""
     unit = (flat - flat.min(axis=0)) / np.ptp(flat, axis=0)
-    corners = np.rint(unit * (SILHOUETTE_PIXELS - 1)).astype(np.int32)
-    picture = np.zeros((SILHOUETTE_PIXELS, SILHOUETTE_PIXELS), np.uint8)
+    corners = np.rint(unit * (_SILHOUETTE_PIXELS - 1)).astype(np.int32)
+    picture = np.zeros((_SILHOUETTE_PIXELS, _SILHOUETTE_PIXELS), np.uint8)
     for triangle in corners[faces]:
         cv2.fillConvexPoly(picture, triangle, 1)
     return picture.astype(bool)

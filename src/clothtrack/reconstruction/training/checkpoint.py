@@ -28,7 +28,7 @@ from clothtrack.files.atomic_write import atomic_file, write_file
 logger = logging.getLogger(__name__)
 
 FORMAT = "clothtrack-weights"
-PROGRESS_FORMAT = "clothtrack-training-progress"
+_PROGRESS_FORMAT = "clothtrack-training-progress"
 FORMAT_VERSION = 1
 _DESCRIPTION = {"format", "version", "network", "kind", "provenance"}
 PACKAGES = ("torch", "numpy", "safetensors", "warp-lang")
@@ -237,7 +237,7 @@ def save_progress(path: Path, document: Mapping[str, Any]) -> None:
     Raises:
         StorageError: when the disk refuses.
     """
-    content = {"format": PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
+    content = {"format": _PROGRESS_FORMAT, "version": FORMAT_VERSION, **document}
     # Into memory first: torch answers a full disk with an error of its own.
     whole = io.BytesIO()
     torch.save(content, whole)
@@ -271,7 +271,7 @@ def load_progress(path: Path) -> dict[str, Any]:
         raise InvalidResultError(
             f"{path}: not the progress of a training ({reason}); remove it to train from the start"
         ) from error
-    if not isinstance(document, dict) or document.get("format") != PROGRESS_FORMAT:
+    if not isinstance(document, dict) or document.get("format") != _PROGRESS_FORMAT:
         raise InvalidResultError(
             f"{path}: not the progress of a training; remove it to train from the start"
         )

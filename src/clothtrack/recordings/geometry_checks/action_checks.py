@@ -12,20 +12,20 @@ from clothtrack.recordings.geometry_checks.picker_checks import allowance_m, hel
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
 
-FARTHEST_MOTION_M = 0.05
+_FARTHEST_MOTION_M = 0.05
 """A tip that carries cloth has something that moves within this distance in the picture [m]."""
 
-MOST_FAR = 0.2
+_MOST_FAR = 0.2
 """Share of the frames in which a moving closed tip may have none: some lack depth there."""
 
-LEAST_STEP_M = 0.015
+_LEAST_STEP_M = 0.015
 """A tip that goes so far in two frames [m] moves what it holds by more than the noise."""
 
-LEAST_FRAMES = 5
+_LEAST_FRAMES = 5
 """Fewer frames with a moving tip than this say nothing."""
 
-LEAST_LATE_S = 0.1
-LEAST_LATE_M = 0.02
+_LEAST_LATE_S = 0.1
+_LEAST_LATE_M = 0.02
 """A pick or a release outside of its action counts when the closed tip goes so far there [m], in so
 much time [s]."""
 
@@ -59,15 +59,15 @@ def _left_out(recording: Recording, number: int, name: str, path: PickerPath) ->
         (after, "action_ends_early", "after", "last_frame", "release"),
     ):
         gone_m = _way_m(path, first_s, last_s)
-        if last_s - first_s < LEAST_LATE_S or gone_m < LEAST_LATE_M:
+        if last_s - first_s < _LEAST_LATE_S or gone_m < _LEAST_LATE_M:
             continue
         edge = action.first_frame if field == "first_frame" else action.last_frame
         found.append(
             Finding(
-                kind, last_s - first_s, LEAST_LATE_S, "s", f"actions[{number}].{field}",
+                kind, last_s - first_s, _LEAST_LATE_S, "s", f"actions[{number}].{field}",
                 f"picker {name!r} is closed for {last_s - first_s:.2f} s and goes "
                 f"{100 * gone_m:.0f} cm {word} frame {edge}, where action {number + 1} "
-                f"{'begins' if field == 'first_frame' else 'ends'} (at most {LEAST_LATE_S:g} s): "
+                f"{'begins' if field == 'first_frame' else 'ends'} (at most {_LEAST_LATE_S:g} s): "
                 f"put the {remedy} inside the action, {field} "
                 f"{_frame_beside(times, first_s if field == 'first_frame' else last_s, field)}",
             )
@@ -124,17 +124,17 @@ def _moves_nothing(
         for frame, gap in _motion_gaps_m(recording, pictures, name)
         if action.first_frame <= frame <= action.last_frame
     ]
-    limit_m = FARTHEST_MOTION_M + allowance_m(recording)
+    limit_m = _FARTHEST_MOTION_M + allowance_m(recording)
     share = float(np.mean(np.array(far) > limit_m)) if far else 0.0
-    if len(far) < LEAST_FRAMES or share <= MOST_FAR:
+    if len(far) < _LEAST_FRAMES or share <= _MOST_FAR:
         return []
-    gap_m = float(np.percentile(far, 100 * (1 - MOST_FAR)))
+    gap_m = float(np.percentile(far, 100 * (1 - _MOST_FAR)))
     return [
         Finding(
             "picker_moves_nothing", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
             f"in {100 * share:.0f} % of the frames of action {number + 1} nothing moves within "
             f"{1e3 * limit_m:.0f} mm of the closed picker {name!r} (at most "
-            f"{100 * MOST_FAR:.0f} %): correct pick, place and times of its path in picker.csv",
+            f"{100 * _MOST_FAR:.0f} %): correct pick, place and times of its path in picker.csv",
         )
     ]  # fmt: skip
 
@@ -152,7 +152,7 @@ def _motion_gaps_m(
         before, after = times[place], times[place + step]
         tips = np.stack([path.position_at(before), path.position_at(after)])
         held = path.closed_at(before) and path.closed_at(after)
-        if not held or np.linalg.norm(tips[1] - tips[0]) < LEAST_STEP_M:
+        if not held or np.linalg.norm(tips[1] - tips[0]) < _LEAST_STEP_M:
             continue
         moved = changes.height_m[place] > 0
         if changes.color is not None:

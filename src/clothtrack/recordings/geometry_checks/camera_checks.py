@@ -13,15 +13,15 @@ from clothtrack.recordings.pictures import read_depth
 from clothtrack.recordings.recorded_table import fit_recorded_table
 from clothtrack.recordings.recording import Recording, Table
 
-LARGEST_TILT_DEG = 1.0
+_LARGEST_TILT_DEG = 1.0
 """Angle between the recorded table and the one in the depth from which a pose is doubted [deg]. On
 right recordings it is at most 0.1; 1 degree lifts a cloth of 0.4 m by 7 mm on one side."""
 
-LARGEST_SHIFT_M = 0.015
+_LARGEST_SHIFT_M = 0.015
 """Distance of the two tables [m] from which a pose is doubted. On right recordings it is below 1
 mm, and 5 mm where the camera was put 5 mm beside its place on purpose. A pick reaches 30 mm."""
 
-SPREAD = 0.1
+_SPREAD = 0.1
 """A wrong unit makes all depth wrong by one factor: so far (quartiles of the logarithm) may the
 ratio of measured and expected depth differ between pixels."""
 
@@ -61,7 +61,7 @@ def _wrong_unit(recording: Recording, camera: Camera, table: Table, place: int) 
     logs = np.log10(depth[seen] * away[seen] / height)
     low, middle, high = np.percentile(logs, [25, 50, 75])
     factor = power_of_ten(float(10.0**middle))
-    if factor is None or high - low > SPREAD:
+    if factor is None or high - low > _SPREAD:
         return None
     unit_m, field = recording.depth_units_m[camera.name], f"cameras[{place}].depth_unit_m"
     measured, expected = float(np.median(depth[seen])), float(np.median(height / away[seen]))
@@ -79,16 +79,16 @@ def _wrong_pose(recording: Recording, camera: Camera, table: Table, place: int) 
     except InvalidRecordingError:
         return None  # No plane in the depth: nothing to compare with.
     tilt_deg, shift_m = _apart(fit, _recorded(camera.world_from_camera, table))
-    if tilt_deg <= LARGEST_TILT_DEG and abs(shift_m) <= LARGEST_SHIFT_M:
+    if tilt_deg <= _LARGEST_TILT_DEG and abs(shift_m) <= _LARGEST_SHIFT_M:
         return None
     field = f"cameras[{place}].world_from_camera"
     remedy = f"correct {field}{_cause(camera, fit, table)}; clothtrack calibrate-camera finds it"
     shown = f"the table in the depth of camera {camera.name!r} is"
-    if tilt_deg > LARGEST_TILT_DEG:
+    if tilt_deg > _LARGEST_TILT_DEG:
         return Finding(
-            "camera_pose", tilt_deg, LARGEST_TILT_DEG, "deg", field,
+            "camera_pose", tilt_deg, _LARGEST_TILT_DEG, "deg", field,
             f"{shown} tilted by {tilt_deg:.1f} degrees against the recorded one (at most "
-            f"{LARGEST_TILT_DEG:g}): {remedy}",
+            f"{_LARGEST_TILT_DEG:g}): {remedy}",
         )  # fmt: skip
     expected = fit.distance_m - shift_m
     return Finding(
@@ -108,7 +108,7 @@ def _cause(camera: Camera, fit: TableFit, table: Table) -> str:
     }
     for words, other in others.items():
         tilt_deg, shift_m = _apart(fit, _recorded(other, table))
-        if tilt_deg <= LARGEST_TILT_DEG and abs(shift_m) <= LARGEST_SHIFT_M:
+        if tilt_deg <= _LARGEST_TILT_DEG and abs(shift_m) <= _LARGEST_SHIFT_M:
             return f" ({words})"
     return ", or fx, fy, cx and cy of the camera"
 

@@ -69,10 +69,10 @@ def filling(heights_m: Float[np.ndarray, "frames rows columns"]) -> np.ndarray:
 
 def moving(changes: Float[np.ndarray, "steps rows columns"]) -> Bool[np.ndarray, " steps"]:
     """Return in which steps so much changes that its place says something."""
-    return (changes > 0).mean(axis=(1, 2)) >= LEAST_MOVING
+    return (changes > 0).mean(axis=(1, 2)) >= _LEAST_MOVING
 
 
-LEAST_MOVING = 0.002
+_LEAST_MOVING = 0.002
 """Share of the picture that changes when something moves: a tenth of a hand."""
 
 

@@ -15,11 +15,11 @@ pictures a second, and at 30 a second milliseconds look like 33 s and microsecon
 SLOWEST_M_S, FASTEST_M_S = 0.002, 5.0
 """Middle speed of a closed tip while it moves [m/s]: hands and arms carry cloth at 0.05 to 1."""
 
-LARGEST_GAP = 3.0
+_LARGEST_GAP = 3.0
 """Times the middle step between frames from which a step is a gap, and 0.25 s at least."""
 
-LEAST_GAP_S = 0.25
-LEAST_GAP_M = 0.05
+_LEAST_GAP_S = 0.25
+_LEAST_GAP_M = 0.05
 """A gap matters where a closed tip goes so far in it [m]: the cloth between was not seen."""
 
 UNEVEN, LARGEST_JITTER = 0.3, 0.2
@@ -81,19 +81,19 @@ def _speed_m_s(recording: Recording) -> float | None:
         held = path.closed[:-1] & (away > 1e-4)
         gone_m += float(away[held].sum())
         speeds += (away[held] / np.diff(path.time_s)[held]).tolist()
-    return float(np.median(speeds)) if gone_m >= LEAST_GAP_M else None
+    return float(np.median(speeds)) if gone_m >= _LEAST_GAP_M else None
 
 
 def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
     """Times without a frame in which a closed picker moves on."""
-    limit_s = max(LARGEST_GAP * float(np.median(np.diff(times))), LEAST_GAP_S)
+    limit_s = max(_LARGEST_GAP * float(np.median(np.diff(times))), _LEAST_GAP_S)
     for frame, (before, after) in enumerate(pairwise(times.tolist())):
         if after - before <= limit_s:
             continue
         for path in recording.picker_paths.values():
             gone = path.position_at(after) - path.position_at(before)
             gone_m = float(np.linalg.norm(gone))
-            if path.closed_at(before) and path.closed_at(after - 1e-6) and gone_m > LEAST_GAP_M:
+            if path.closed_at(before) and path.closed_at(after - 1e-6) and gone_m > _LEAST_GAP_M:
                 return [
                     Finding(
                         "frame_gap", after - before, limit_s, "s", f"frames[{frame + 1}]: time_s",

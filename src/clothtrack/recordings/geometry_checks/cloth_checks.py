@@ -18,7 +18,7 @@ from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_g
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
 
-SIZE_TOLERANCE = 0.1
+_SIZE_TOLERANCE = 0.1
 """Relative difference of a side of the cloth from `size_m` that is doubted. The sides of 40 flat
 cloths were within 3 % of their size, a shirt's sleeves that hang a little included."""
 
@@ -26,15 +26,15 @@ LOW_M, HIGH_M = -0.02, 0.05
 """Heights above the table [m] between which the lowest of a cloth that lies on it may be. It is
 from -6 to 29 mm on right recordings: clouds that were cut away above the table begin higher."""
 
-THICK_M = 0.015
+_THICK_M = 0.015
 """Difference of height between the middle and the highest of a flat cloth [m]. It is below 3 mm on
 right recordings, wrinkles included; a cloth dropped in a heap has some 40 mm."""
 
-TOWEL_FILL = 0.75
+_TOWEL_FILL = 0.75
 """Share of its rectangle that a flat towel covers: at least 0.83 where a fifth of the depth is
 missing; a towel with a corner folded to its middle covers 0.75."""
 
-FILL_CELL_M = 0.008
+_FILL_CELL_M = 0.008
 """Side of the squares that are counted as covered [m]: twice the distance of the points."""
 
 
@@ -139,7 +139,7 @@ def _template_size(
         return None
     places, heights = on_table(template.vertices, recording.table)
     spread = _spread(observation, recording.table)
-    if max(float(np.ptp(heights)), spread.rise_m) > THICK_M:
+    if max(float(np.ptp(heights)), spread.rise_m) > _THICK_M:
         return None
     worst = _worst_side(spread, _sides(places))
     if worst is None:
@@ -148,7 +148,8 @@ def _template_size(
     return Finding(
         "template", *worst, "m", "cloth.template",
         f"the template is {long:.2f} x {short:.2f} m and the cloth of the first frame "
-        f"{seen_long:.2f} x {seen_short:.2f} m (a side may differ by {100 * SIZE_TOLERANCE:.0f} %):"
+        f"{seen_long:.2f} x {seen_short:.2f} m (a side may differ by "
+        f"{100 * _SIZE_TOLERANCE:.0f} %):"
         " scale cloth.template, or correct fx and fy of the camera",
     )  # fmt: skip
 
@@ -157,7 +158,7 @@ def _worst_side(spread: _Spread, sides: tuple[float, float]) -> tuple[float, flo
     """The side that is measured worst, and what it should be [m]; None where both fit."""
     pairs = zip(spread.sides_m, sides, strict=True)
     measured, expected = max(pairs, key=lambda pair: abs(np.log(pair[0] / pair[1])))
-    if abs(measured / expected - 1.0) <= SIZE_TOLERANCE:
+    if abs(measured / expected - 1.0) <= _SIZE_TOLERANCE:
         return None
     return None if measured < expected and spread.cut_off else (measured, expected)
 
@@ -167,17 +168,17 @@ def _flatness(recording: Recording, spread: _Spread) -> Finding | None:
     if recording.cloth.template is not None or spread.cut_off:
         return None
     remedy = "begin with the cloth spread out flat, or give cloth.template as it lies there"
-    if spread.rise_m > THICK_M:
+    if spread.rise_m > _THICK_M:
         return Finding(
-            "first_frame", spread.rise_m, THICK_M, "m", "frames[0]",
+            "first_frame", spread.rise_m, _THICK_M, "m", "frames[0]",
             f"the cloth does not lie flat in the first frame, its top is {1e3 * spread.rise_m:.0f} "
-            f"mm above its middle (at most {1e3 * THICK_M:.0f}): {remedy}",
+            f"mm above its middle (at most {1e3 * _THICK_M:.0f}): {remedy}",
         )  # fmt: skip
-    if recording.cloth.kind == "towel" and spread.fill < TOWEL_FILL:
+    if recording.cloth.kind == "towel" and spread.fill < _TOWEL_FILL:
         return Finding(
-            "first_frame", spread.fill, TOWEL_FILL, "", "frames[0]",
+            "first_frame", spread.fill, _TOWEL_FILL, "", "frames[0]",
             f"the towel does not lie flat in the first frame, it covers {100 * spread.fill:.0f} % "
-            f"of the rectangle around it (at least {100 * TOWEL_FILL:.0f} %): {remedy}",
+            f"of the rectangle around it (at least {100 * _TOWEL_FILL:.0f} %): {remedy}",
         )  # fmt: skip
     return None
 
@@ -185,7 +186,7 @@ def _flatness(recording: Recording, spread: _Spread) -> Finding | None:
 def _size(recording: Recording, spread: _Spread) -> Finding | None:
     """The sides of the cloth as it lies against `size_m`, which one is measured worst."""
     size = recording.cloth.size_m
-    flat = spread.rise_m <= THICK_M
+    flat = spread.rise_m <= _THICK_M
     if size is None or not flat or recording.cloth.kind not in ("towel", "tshirt"):
         return None
     worst = _worst_side(spread, (max(size), min(size)))
@@ -201,7 +202,7 @@ def _size(recording: Recording, spread: _Spread) -> Finding | None:
     return Finding(
         "size", measured, expected, "m", "cloth.size_m",
         f"the cloth of the first frame is {long:.2f} x {short:.2f} m and cloth.size_m says "
-        f"{size[0]:g} x {size[1]:g} m (a side may differ by {100 * SIZE_TOLERANCE:.0f} %): "
+        f"{size[0]:g} x {size[1]:g} m (a side may differ by {100 * _SIZE_TOLERANCE:.0f} %): "
         f"{remedy}",
     )  # fmt: skip
 
@@ -209,11 +210,11 @@ def _size(recording: Recording, spread: _Spread) -> Finding | None:
 def _spread(observation: Observation, table: Table) -> _Spread:
     places, heights = on_table(observation.points, table)
     long, short = _sides(places)
-    covered = np.unique(np.floor(places / FILL_CELL_M), axis=0)
+    covered = np.unique(np.floor(places / _FILL_CELL_M), axis=0)
     low, middle, high = np.percentile(heights, [5, 50, 99]).tolist()
     return _Spread(
         (long, short),
-        float(len(covered) * FILL_CELL_M**2 / (long * short)),
+        float(len(covered) * _FILL_CELL_M**2 / (long * short)),
         low,
         high - middle,
         reaches_rim(observation),

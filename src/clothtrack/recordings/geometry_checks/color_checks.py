@@ -28,7 +28,7 @@ from clothtrack.recordings.geometry_checks.corrections import (
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 
-LARGEST_SHIFT = 2
+_LARGEST_SHIFT = 2
 """Shift of the color [reduced pixels, 1/160 of the width] up to which it is right. It is 0 on
 right recordings, at most 1 on real ones."""
 
@@ -46,7 +46,7 @@ SCALES = (0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0)
 """Sizes that a color picture of another stream has, times that of the depth: 1280 x 720 cut or
 resized to 640 x 480, and 320 x 240 of the same."""
 
-LEAST_SHIFT_GAIN = 0.05
+_LEAST_SHIFT_GAIN = 0.05
 """The same of a shift on which motion and edges agree."""
 
 _Maps = Float[np.ndarray, "frames rows columns"]
@@ -81,16 +81,16 @@ def registration(pictures: SmallPictures) -> Registration | None:
         return Registration(flips[best], turned[best], as_recorded)
     right = Registration(None, as_recorded, as_recorded)
     shift, fit = _best_shift(pairs)
-    if _length(shift) <= LARGEST_SHIFT and fit >= 2 * LEAST_FIT:
+    if _length(shift) <= _LARGEST_SHIFT and fit >= 2 * LEAST_FIT:
         return right
     scaled = [_best_shift(_changed(pairs, lambda m, f=f: _scaled(m, f)))[1] for f in SCALES]
     best = int(np.argmax(scaled))
     if scaled[best] >= max(LEAST_FIT, fit + LEAST_GAIN):
         return Registration(ColorScale(SCALES[best]), scaled[best], as_recorded)
     edges_shift, _ = _best_shift(pairs[1:])
-    agreed = np.abs(np.subtract(shift, edges_shift)).max() <= LARGEST_SHIFT
-    gained = fit >= max(LEAST_FIT, as_recorded + LEAST_SHIFT_GAIN)
-    if min(_length(shift), _length(edges_shift)) <= LARGEST_SHIFT or not agreed or not gained:
+    agreed = np.abs(np.subtract(shift, edges_shift)).max() <= _LARGEST_SHIFT
+    gained = fit >= max(LEAST_FIT, as_recorded + _LEAST_SHIFT_GAIN)
+    if min(_length(shift), _length(edges_shift)) <= _LARGEST_SHIFT or not agreed or not gained:
         return right
     columns, rows = (pixels * pictures.factor for pixels in edges_shift)
     return Registration(ColorShift(columns, rows), fit, as_recorded)
@@ -110,7 +110,7 @@ def _finding(
     remedy = "give color pictures that are registered to the depth, or leave color and masks out"
     if isinstance(correction, ColorShift):
         measured = float(np.hypot(correction.columns, correction.rows))
-        limit = float(LARGEST_SHIFT * pictures.factor)
+        limit = float(_LARGEST_SHIFT * pictures.factor)
         return Finding(
             "color_shift", measured, limit, "px", "frames: color",
             f"the color fits the depth when it is moved by ({correction.columns}, "

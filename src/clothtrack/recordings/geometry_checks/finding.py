@@ -13,7 +13,7 @@ from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures, 
 from clothtrack.recordings.point_cloud import Observation, observe
 from clothtrack.recordings.recording import Recording, Table
 
-RIM_PIXELS = 3
+_RIM_PIXELS = 3
 """A cloth this near to the rim of the picture may go on beyond it."""
 
 
@@ -72,8 +72,8 @@ def reaches_rim(observation: Observation) -> bool:
     for camera in observation.cameras:
         pixels, depth = camera.project(observation.points)
         inside = pixels[depth > 0]
-        far = (camera.width - 1 - RIM_PIXELS, camera.height - 1 - RIM_PIXELS)
-        if len(inside) and ((inside < RIM_PIXELS) | (inside > far)).any(axis=1).mean() > 0.002:
+        far = (camera.width - 1 - _RIM_PIXELS, camera.height - 1 - _RIM_PIXELS)
+        if len(inside) and ((inside < _RIM_PIXELS) | (inside > far)).any(axis=1).mean() > 0.002:
             return True
     return False
 
@@ -96,9 +96,9 @@ def power_of_ten(ratio: float) -> float | None:
     if not ratio > 0:
         return None
     power = round(float(np.log10(ratio)))
-    return 10.0**power if power and abs(np.log10(ratio) - power) < NEARLY else None
+    return 10.0**power if power and abs(np.log10(ratio) - power) < _NEARLY else None
 
 
-NEARLY = 0.1
+_NEARLY = 0.1
 """How far the logarithm of a ratio may be from a whole number: what is wrong by a factor of ten is
 wrong by nothing else."""

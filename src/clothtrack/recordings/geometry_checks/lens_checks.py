@@ -12,25 +12,25 @@ from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import HeightSegmenter, default_segmenter
 
-FARTHEST_CENTER = 0.05
+_FARTHEST_CENTER = 0.05
 """Distance of the principal point from the middle of the picture, as a share of its side. Lenses of
 depth cameras are mounted to 2 %; so far off are the intrinsics of another picture size."""
 
-WHOLE_PICTURES = (4 / 3, 16 / 9, 16 / 10, 5 / 4)
+_WHOLE_PICTURES = (4 / 3, 16 / 9, 16 / 10, 5 / 4)
 """Ratios of the sides of pictures as sensors give them. Others may have been cut out of a larger
 picture, whose principal point may be anywhere."""
 
-LARGEST_FOCAL_RATIO = 1.04
+_LARGEST_FOCAL_RATIO = 1.04
 """Ratio of fx and fy. Pixels are square within 0.1 % on sensors; one real set states 2.9 %."""
 
-LARGEST_SAG = 0.006
+_LARGEST_SAG = 0.006
 """Bulge of the sides of a flat towel, as a share of their length, from which the lens is doubted.
 On right recordings it is below 0.3 %."""
 
-LEAST_STRAIGHTENED = 0.5
+_LEAST_STRAIGHTENED = 0.5
 """So much of the bulge one coefficient of distortion must explain, over all four sides together."""
 
-LEAST_SIDE_PX = 100
+_LEAST_SIDE_PX = 100
 """Sides shorter than this [pixels] are not measured: their bulge would be less than a pixel."""
 
 
@@ -53,30 +53,30 @@ def lens_findings(recording: Recording) -> list[Finding]:
 
 
 def _center(camera: Camera, field: str) -> Finding | None:
-    if not any(abs(camera.width / camera.height / ratio - 1) < 0.01 for ratio in WHOLE_PICTURES):
+    if not any(abs(camera.width / camera.height / ratio - 1) < 0.01 for ratio in _WHOLE_PICTURES):
         return None
     middle = (camera.width - 1) / 2, (camera.height - 1) / 2
     off = (camera.cx - middle[0]) / camera.width, (camera.cy - middle[1]) / camera.height
     worst = max(abs(off[0]), abs(off[1]))
-    if worst <= FARTHEST_CENTER:
+    if worst <= _FARTHEST_CENTER:
         return None
     return Finding(
-        "principal_point", worst, FARTHEST_CENTER, "", f"{field}.cx, cy",
+        "principal_point", worst, _FARTHEST_CENTER, "", f"{field}.cx, cy",
         f"the principal point ({camera.cx:g}, {camera.cy:g}) of camera {camera.name!r} is "
         f"{100 * worst:.0f} % of the picture from its middle ({middle[0]:g}, {middle[1]:g}) (at "
-        f"most {100 * FARTHEST_CENTER:.0f} %): give fx, fy, cx and cy for pictures of "
+        f"most {100 * _FARTHEST_CENTER:.0f} %): give fx, fy, cx and cy for pictures of "
         f"{camera.width} x {camera.height} pixels",
     )  # fmt: skip
 
 
 def _focal_ratio(camera: Camera, field: str) -> Finding | None:
     ratio = max(camera.fx / camera.fy, camera.fy / camera.fx)
-    if ratio <= LARGEST_FOCAL_RATIO:
+    if ratio <= _LARGEST_FOCAL_RATIO:
         return None
     return Finding(
-        "focal_ratio", ratio, LARGEST_FOCAL_RATIO, "", f"{field}.fx, fy",
+        "focal_ratio", ratio, _LARGEST_FOCAL_RATIO, "", f"{field}.fx, fy",
         f"fx {camera.fx:g} and fy {camera.fy:g} of camera {camera.name!r} differ by "
-        f"{100 * (ratio - 1):.0f} % (at most {100 * (LARGEST_FOCAL_RATIO - 1):.0f} %): pixels are "
+        f"{100 * (ratio - 1):.0f} % (at most {100 * (_LARGEST_FOCAL_RATIO - 1):.0f} %): pixels are "
         "square, correct the wrong one",
     )  # fmt: skip
 
@@ -94,7 +94,7 @@ def _towel_outline(recording: Recording) -> _Sides | None:
     sides = []
     for begin, end in zip(places, [*places[1:], places[0] + len(contour)], strict=True):
         side = contour[np.arange(begin, end + 1) % len(contour)]
-        if len(side) < LEAST_SIDE_PX:
+        if len(side) < _LEAST_SIDE_PX:
             return None
         # A corner is round, and off by a few pixels.
         cut = len(side) // 12
@@ -121,7 +121,7 @@ def _towel_contour(recording: Recording) -> Float[np.ndarray, "pixels 2"] | None
     contour = max(contours, key=len)[:, 0].astype(np.float64)
     far = (camera.width - 2, camera.height - 2)
     cut_off = ((contour < 1) | (contour > far)).any()
-    return None if cut_off or len(contour) < 4 * LEAST_SIDE_PX else contour
+    return None if cut_off or len(contour) < 4 * _LEAST_SIDE_PX else contour
 
 
 def _bulge(outline: _Sides, camera: Camera) -> Finding | None:
@@ -129,18 +129,18 @@ def _bulge(outline: _Sides, camera: Camera) -> Finding | None:
     sides = [(side - (camera.cx, camera.cy)) / (camera.fx, camera.fy) for side in outline]
     sags = np.array([_sag(side) for side in sides])
     worst = float(np.abs(sags).max())
-    if worst <= LARGEST_SAG:
+    if worst <= _LARGEST_SAG:
         return None
     tried = np.linspace(-0.5, 0.5, 101)
     left = [float(np.mean([_sag(_undistorted(side, k1)) ** 2 for side in sides])) for k1 in tried]
     best = int(np.argmin(left))
-    if left[best] > (1 - LEAST_STRAIGHTENED) ** 2 * float(np.mean(sags**2)):
+    if left[best] > (1 - _LEAST_STRAIGHTENED) ** 2 * float(np.mean(sags**2)):
         return None
     k1 = round(float(tried[best]), 3)
     return Finding(
-        "lens_distortion", worst, LARGEST_SAG, "", "cameras[0]",
+        "lens_distortion", worst, _LARGEST_SAG, "", "cameras[0]",
         f"the sides of the flat towel bulge by {100 * worst:.1f} % of their length (at most "
-        f"{100 * LARGEST_SAG:.1f} %), as a lens with k1 = {k1:g} makes them: undistort color, "
+        f"{100 * _LARGEST_SAG:.1f} %), as a lens with k1 = {k1:g} makes them: undistort color, "
         "depth and masks before they are written",
         correction=LensDistortion(k1),
     )  # fmt: skip

@@ -13,38 +13,38 @@ from clothtrack.recordings.segmentation import WIDEST_SHARE, main_components
 FRAMES = 8
 """Frames whose masks are held against the color, spread over all."""
 
-LEAST_TOLD_APART = 0.8
+_LEAST_TOLD_APART = 0.8
 """Share of the pixels deep in the mask that must have colors of the cloth, and share of those far
 away that must not, for colors to say anything."""
 
-MOST_RIM_CLOTH = 0.5
+_MOST_RIM_CLOTH = 0.5
 """Share of the rim outside of the masks, two reduced pixels wide (1/80 of the picture), that may
 have the cloth's colors. On right recordings it is below 0.2: shadows and mixed pixels."""
 
-MOST_RIM_OTHER = 0.5
+_MOST_RIM_OTHER = 0.5
 """The same of the rim inside the masks and colors that are not the cloth's."""
 
-NEW_COLOR = 14.0
+_NEW_COLOR = 14.0
 """Difference in a and b of CIE Lab from all colors of the first frame's cloth from which a color is
 another one: skin and a red cloth differ by 20."""
 
-HAND_HEIGHT_M = 0.015
+_HAND_HEIGHT_M = 0.015
 """Height above the table [m] from which such a part is a hand, and not the table."""
 
-MOST_FOREIGN = 0.04
+_MOST_FOREIGN = 0.04
 """Share of a mask that may have colors that the cloth did not have and that go on outside of it: a
 fingertip has 1 %, a hand 5 to 20."""
 
-LEAST_FOREIGN_FRAMES = 3
+_LEAST_FOREIGN_FRAMES = 3
 """In so many frames at least."""
 
-SECOND_PART = 0.15
+_SECOND_PART = 0.15
 """Size of a second part of the first mask, as a share of the first, that is another thing."""
 
-PART_GAP = 3
+_PART_GAP = 3
 """Distance of such a part from the first [reduced pixels]."""
 
-RIM_CONTACT = 5
+_RIM_CONTACT = 5
 """Pixels of the rim of the reduced picture that the cloth may touch: 1/30 of its width. A real
 hanging cloth whose corner is cut off by a few pixels has 4."""
 
@@ -100,18 +100,18 @@ def _rim(pictures: SmallPictures, cloth: Bool[np.ndarray, "frames rows columns"]
     if inside.sum() < 200 or outside.sum() < 200:
         return []
     votes = votes_of(color, learned_set(color, inside, outside))
-    if (votes[inside] == CORE).mean() < LEAST_TOLD_APART:
+    if (votes[inside] == CORE).mean() < _LEAST_TOLD_APART:
         return []
-    if (votes[outside] == CORE).mean() > 1 - LEAST_TOLD_APART:
+    if (votes[outside] == CORE).mean() > 1 - _LEAST_TOLD_APART:
         return []
     around, within = ring(1, 3), ring(-3, -1)
     too_small = float((votes[around] == CORE).mean()) if around.any() else 0.0
     too_large = float((votes[within] == NO).mean()) if within.any() else 0.0
-    if too_small > MOST_RIM_CLOTH:
-        kind, share, limit = "mask_small", too_small, MOST_RIM_CLOTH
+    if too_small > _MOST_RIM_CLOTH:
+        kind, share, limit = "mask_small", too_small, _MOST_RIM_CLOTH
         shown = "of the rim outside of the masks has the colors of the cloth inside"
-    elif too_large > MOST_RIM_OTHER:
-        kind, share, limit = "mask_large", too_large, MOST_RIM_OTHER
+    elif too_large > _MOST_RIM_OTHER:
+        kind, share, limit = "mask_large", too_large, _MOST_RIM_OTHER
         shown = "of the rim inside the masks has colors that the cloth does not have"
     else:
         return []
@@ -138,10 +138,10 @@ def _foreign(
     planes = np.stack([cv2.cvtColor(each, cv2.COLOR_RGB2LAB)[..., 1:] for each in pictures.color])
     counts = np.zeros((256, 256), np.int32)
     np.add.at(counts, tuple(planes[0][cloth[0]].T), 1)
-    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(NEW_COLOR) + 1,) * 2)
+    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(_NEW_COLOR) + 1,) * 2)
     known = cv2.dilate((counts >= 3).astype(np.uint8), reach)
     new = known[planes[..., 0], planes[..., 1]] == 0
-    new &= np.nan_to_num(pictures.height_m, nan=1.0) > HAND_HEIGHT_M
+    new &= np.nan_to_num(pictures.height_m, nan=1.0) > _HAND_HEIGHT_M
     for place, (mark, mask) in enumerate(zip(new, cloth, strict=True)):
         opened = cv2.morphologyEx(mark.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         count, labels = cv2.connectedComponents(opened)
@@ -160,7 +160,7 @@ def _same_color(
     outside: Bool[np.ndarray, "rows columns"],
 ) -> bool:
     middle = [np.median(planes[each], axis=0) for each in (inside, outside)]
-    return bool(np.abs(middle[0] - middle[1]).max() < NEW_COLOR)
+    return bool(np.abs(middle[0] - middle[1]).max() < _NEW_COLOR)
 
 
 def _hand(
@@ -169,15 +169,16 @@ def _hand(
     foreign: Bool[np.ndarray, "frames rows columns"],
 ) -> list[Finding]:
     shares = foreign.sum(axis=(1, 2)) / np.maximum(cloth.sum(axis=(1, 2)), 1)
-    wrong = np.flatnonzero(shares > MOST_FOREIGN)
-    if len(wrong) < LEAST_FOREIGN_FRAMES:
+    wrong = np.flatnonzero(shares > _MOST_FOREIGN)
+    if len(wrong) < _LEAST_FOREIGN_FRAMES:
         return []
     share = float(np.median(shares[wrong]))
     return [
         Finding(
-            "mask_with_hand", share, MOST_FOREIGN, "", "frames: mask",
+            "mask_with_hand", share, _MOST_FOREIGN, "", "frames: mask",
             f"{100 * share:.0f} % of the mask of {len(wrong)} frames (at most "
-            f"{100 * MOST_FOREIGN:.0f} %; frame {pictures.frames[int(wrong[0])]} first) has colors "
+            f"{100 * _MOST_FOREIGN:.0f} %; frame {pictures.frames[int(wrong[0])]} first) has "
+            f"colors "
             "that the cloth did not have in the first and that go on outside of it, as a hand or "
             "tool has: leave these out of the masks",
         )
@@ -193,13 +194,13 @@ def _second_part(mask: Bool[np.ndarray, "rows columns"]) -> list[Finding]:
     first, second = np.argsort(areas)[::-1][:2] + 1
     share = float(areas[second - 1] / areas[first - 1])
     away = cv2.distanceTransform((labels != first).astype(np.uint8), cv2.DIST_L2, 3)
-    if share < SECOND_PART or away[labels == second].min() < PART_GAP:
+    if share < _SECOND_PART or away[labels == second].min() < _PART_GAP:
         return []
     return [
         Finding(
-            "mask_two_parts", share, SECOND_PART, "", "frames[0]: mask",
+            "mask_two_parts", share, _SECOND_PART, "", "frames[0]: mask",
             f"the cloth of the first frame has a second part, {100 * share:.0f} % as large as the "
-            f"first (at most {100 * SECOND_PART:.0f} %): leave other things out of the masks, or "
+            f"first (at most {100 * _SECOND_PART:.0f} %): leave other things out of the masks, or "
             "take them off the table",
         )
     ]  # fmt: skip
@@ -211,13 +212,13 @@ def _out_of_picture(
     sides = (cloth[:, 0], cloth[:, -1], cloth[:, 1:-1, 0], cloth[:, 1:-1, -1])
     rims = np.sum([side.sum(axis=1) for side in sides], axis=0)
     worst = int(np.argmax(rims))
-    if rims[worst] <= RIM_CONTACT:
+    if rims[worst] <= _RIM_CONTACT:
         return []
-    pixels, limit = float(rims[worst] * pictures.factor), float(RIM_CONTACT * pictures.factor)
+    pixels, limit = float(rims[worst] * pictures.factor), float(_RIM_CONTACT * pictures.factor)
     return [
         Finding(
             "cloth_leaves_picture", pixels, limit, "px", "cameras",
-            f"the cloth reaches the rim of the picture in {int((rims > RIM_CONTACT).sum())} "
+            f"the cloth reaches the rim of the picture in {int((rims > _RIM_CONTACT).sum())} "
             f"frames, over {pixels:.0f} pixels in frame {pictures.frames[worst]} (at most "
             f"{limit:.0f}), and tracking needs all of it in the picture: move the camera or the "
             "cloth",

@@ -12,7 +12,7 @@ LARGEST_GAP_M = 0.02
 """Distance of a first mesh from its cloud (root mean square) [m] above which it is not that of the
 cloth seen. On right recordings it is 1 to 6 mm; a pick reaches 30 mm."""
 
-LEAST_OBSERVABLE = 0.3
+_LEAST_OBSERVABLE = 0.3
 """Share of the visible vertices that must be observable for their distances to count."""
 
 
@@ -47,7 +47,7 @@ def mesh_gap_m(
         judged = seen
     else:
         judged = seen & ~observation.unobservable(vertices)
-    unjudged = judged.sum() < LEAST_OBSERVABLE * seen.sum()
+    unjudged = judged.sum() < _LEAST_OBSERVABLE * seen.sum()
     cut_away = observation.lowest_height_m is not None or observation.tool_clearance_m > 0
     if not len(observation.points) or (unjudged and cut_away):
         return None

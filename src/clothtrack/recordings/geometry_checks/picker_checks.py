@@ -16,15 +16,15 @@ REACH_M = 0.03
 (`tracking.picking`). On right recordings it closes within 9 mm, where its place is lost in missing
 depth within 22 mm."""
 
-FARTHEST_CARRIED_M = 0.025
+_FARTHEST_CARRIED_M = 0.025
 """Middle distance of a closed tip from the cloth [m] above which the tip is not where the cloth is
 carried. It is below 11 mm on right recordings with a thin tool."""
 
-HIDDEN_M = 0.05
+_HIDDEN_M = 0.05
 """A tip that nothing can be measured at, because a tool or hand is in front, may have cloth beside
 it that is not seen. An arm and hand that reach over the cloth hide what is nearer than this [m]."""
 
-CARRIED_FRAMES = 12
+_CARRIED_FRAMES = 12
 """So many frames of each action are looked at while its picker is closed."""
 
 
@@ -109,14 +109,14 @@ def _closes_beside(recording: Recording, hold: _Hold, frames: ObservedFrames) ->
 def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> Finding | None:
     """The tip while it is closed against the cloth of the same frames."""
     path = recording.picker_paths[hold.name]
-    chosen = np.linspace(0, len(hold.closed) - 1, CARRIED_FRAMES).round().astype(int)
+    chosen = np.linspace(0, len(hold.closed) - 1, _CARRIED_FRAMES).round().astype(int)
     gaps = [
         carried_distances_m(seen, tip[None], allowance_m(recording))[0]
         for frame in {hold.closed[place] for place in chosen}
         for tip in [path.position_at(recording.frames[frame].time_s)]
         if (seen := frames.at(frame)) is not None and len(seen.points) and not _beyond(seen, tip)
     ]
-    gap_m, limit_m = float(np.median(gaps)) if gaps else 0.0, FARTHEST_CARRIED_M
+    gap_m, limit_m = float(np.median(gaps)) if gaps else 0.0, _FARTHEST_CARRIED_M
     if gap_m <= limit_m:
         return None
     return Finding(
@@ -132,7 +132,7 @@ def carried_distances_m(
 ) -> Float[np.ndarray, " tips"]:
     """Distance of tips from the cloth of a frame [m], less what may be there and is not seen."""
     gaps = cKDTree(seen.points).query(tips)[0] - allowance_m
-    return np.maximum(gaps - HIDDEN_M * _hidden(seen, tips), 0.0)
+    return np.maximum(gaps - _HIDDEN_M * _hidden(seen, tips), 0.0)
 
 
 def _hidden(seen: Observation, tips: Float[np.ndarray, "tips 3"]) -> Bool[np.ndarray, " tips"]:

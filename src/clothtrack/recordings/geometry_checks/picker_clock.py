@@ -23,20 +23,20 @@ from clothtrack.recordings.geometry_checks.picker_checks import (
 )
 from clothtrack.recordings.recording import PickerPath, Recording
 
-LARGEST_LAG_S = 0.2
+_LARGEST_LAG_S = 0.2
 """Difference of the two clocks [s] from which they are doubted, and one and a half frames at least.
-Right recordings are never doubted below `LEAST_GAIN_M`, whatever their lag."""
+Right recordings are never doubted below `_LEAST_GAIN_M`, whatever their lag."""
 
-FARTHEST_LAG_S = 1.5
+_FARTHEST_LAG_S = 1.5
 """Lags up to this [s] are tried."""
 
 STEP_S = 0.05
 """Between lags that are tried [s]."""
 
-LEAST_GAIN_M = 0.008
+_LEAST_GAIN_M = 0.008
 """By so much nearer to the cloth the shifted path must be [m] for the clock to be doubted."""
 
-LARGEST_REST_M = 0.01
+_LARGEST_REST_M = 0.01
 """Mean distance of the shifted path from the cloth [m] above which no lag explains the path."""
 
 FAR_M = 0.04
@@ -50,7 +50,7 @@ MOST_FRAMES = 40
 
 
 @dataclass(frozen=True)
-class ClockLag:
+class _ClockLag:
     """The picker's clock against that of the pictures.
 
     Attributes:
@@ -71,8 +71,8 @@ def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
     if lag is None:
         return []
     steps = [later.time_s - frame.time_s for frame, later in pairwise(recording.frames)]
-    limit_s = max(LARGEST_LAG_S, 1.5 * float(np.median(steps)))
-    clear = lag.shifted_m <= LARGEST_REST_M and lag.unshifted_m - lag.shifted_m >= LEAST_GAIN_M
+    limit_s = max(_LARGEST_LAG_S, 1.5 * float(np.median(steps)))
+    clear = lag.shifted_m <= _LARGEST_REST_M and lag.unshifted_m - lag.shifted_m >= _LEAST_GAIN_M
     if abs(lag.lag_s) <= limit_s or not clear:
         return []
     order, change = ("before", "subtract") if lag.lag_s < 0 else ("after", "add")
@@ -89,7 +89,7 @@ def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
     ]  # fmt: skip
 
 
-def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
+def picker_lag(recording: Recording, frames: ObservedFrames) -> _ClockLag | None:
     """The lag at which the closed tips are nearest to the cloth.
 
     None where nothing can be said: no action, or only pickers whose hold the recording names.
@@ -101,7 +101,7 @@ def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
         return None
     first, last = recording.actions[0].first_frame, recording.actions[-1].last_frame
     chosen = np.unique(np.linspace(first, last, MOST_FRAMES).round().astype(int)).tolist()
-    lags = np.arange(-FARTHEST_LAG_S, FARTHEST_LAG_S + 0.5 * STEP_S, STEP_S)
+    lags = np.arange(-_FARTHEST_LAG_S, _FARTHEST_LAG_S + 0.5 * STEP_S, STEP_S)
     total, count = np.zeros(len(lags)), np.zeros(len(lags))
     for frame in chosen:
         seen = frames.at(frame)
@@ -122,7 +122,7 @@ def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
         return None
     mean = np.where(enough, total / np.maximum(count, 1.0), np.inf)
     best = int(np.argmin(mean))
-    return ClockLag(float(lags[best]), float(mean[none]), float(mean[best]))
+    return _ClockLag(float(lags[best]), float(mean[none]), float(mean[best]))
 
 
 def _closed(path: PickerPath, times: Float[np.ndarray, " times"]) -> np.ndarray:

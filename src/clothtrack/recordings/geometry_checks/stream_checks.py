@@ -17,39 +17,39 @@ from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 from clothtrack.recordings.recording import Recording
 
-LARGEST_DELAY = 1
+_LARGEST_DELAY = 1
 """Frames by which one stream may be behind the other: shutters and time stamps differ by one."""
 
-FARTHEST_DELAY = 15
+_FARTHEST_DELAY = 15
 """Delays up to so many frames are tried."""
 
 LEAST_FIT, LEAST_GAIN = 0.3, 0.1
 """Correlation that another delay must reach, and by how much it must be better than none. Motion
 correlates with 0.5 to 0.9 on right recordings."""
 
-LEAST_MOVING_STEPS = 5
+_LEAST_MOVING_STEPS = 5
 """Fewer steps with motion than this say nothing about delay or order."""
 
-STUCK_FRAMES = 3
+_STUCK_FRAMES = 3
 """So many frames in a row with the same bits are a stream that is stuck, if something moves."""
 
-STUCK_SPEED = 0.3
+_STUCK_SPEED = 0.3
 """Something moves in steps that change at least this share of what the middle moving step does."""
 
-MOST_SAME = 0.02
+_MOST_SAME = 0.02
 """Share of the other frames that may repeat a picture where the camera has noise."""
 
-LEAST_CARRIED_M = 0.03
+_LEAST_CARRIED_M = 0.03
 """A closed tip that goes so far [m] moves cloth in the pictures."""
 
 MOST_OUT_OF_ORDER, LEAST_OUT_OF_ORDER = 0.05, 3
 """Share of moving frames, and number, from which the order is doubted: frames so far from those
 around them that the way is shorter with the next one first. Right recordings have 2 % at most."""
 
-MOST_AWAY_M = 0.15
+_MOST_AWAY_M = 0.15
 """Heights count up to so far from their middle over all frames [m]."""
 
-MOST_TWICE = 0.2
+_MOST_TWICE = 0.2
 """Share of the frames that come twice from which tracking is disturbed."""
 
 
@@ -65,23 +65,23 @@ def stream_findings(recording: Recording, pictures: SmallPictures) -> list[Findi
 
 def _delayed(changes: ChangeMaps) -> list[Finding]:
     """The depth moves where the color moves, some frames later or earlier."""
-    if changes.color is None or moving(changes.height_m).sum() < LEAST_MOVING_STEPS:
+    if changes.color is None or moving(changes.height_m).sum() < _LEAST_MOVING_STEPS:
         return []
     color, height = _coarse(changes.color), _coarse(changes.height_m)
     products = color @ height.T
     squares = (color**2).sum(axis=1), (height**2).sum(axis=1)
-    delays = np.arange(-FARTHEST_DELAY, FARTHEST_DELAY + 1)
+    delays = np.arange(-_FARTHEST_DELAY, _FARTHEST_DELAY + 1)
     fits = np.array([_fit(products, *squares, int(delay)) for delay in delays])
-    none, best = fits[FARTHEST_DELAY], int(np.argmax(fits))
+    none, best = fits[_FARTHEST_DELAY], int(np.argmax(fits))
     delay = int(delays[best])
-    if abs(delay) <= LARGEST_DELAY or fits[best] < max(LEAST_FIT, none + LEAST_GAIN):
+    if abs(delay) <= _LARGEST_DELAY or fits[best] < max(LEAST_FIT, none + LEAST_GAIN):
         return []
     late = "depth" if delay > 0 else "color"
     return [
         Finding(
-            "stream_delay", float(abs(delay)), float(LARGEST_DELAY), "", f"frames: {late}",
+            "stream_delay", float(abs(delay)), float(_LARGEST_DELAY), "", f"frames: {late}",
             f"the {late} shows the same motion {abs(delay)} frames later than the "
-            f"{'color' if delay > 0 else 'depth'} (at most {LARGEST_DELAY}; correlation "
+            f"{'color' if delay > 0 else 'depth'} (at most {_LARGEST_DELAY}; correlation "
             f"{fits[best]:.2f} against {none:.2f} as recorded): pair color and depth of the same "
             "time in frames",
             correction=StreamDelay(late, abs(delay)),
@@ -124,16 +124,16 @@ def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -
         if other is not None:
             speed[1:] = _relative(other)
         for begin, end in _runs(same):
-            moved = speed[begin:end].mean() >= STUCK_SPEED if other is not None else False
+            moved = speed[begin:end].mean() >= _STUCK_SPEED if other is not None else False
             # Pictures without noise repeat whenever nothing moves, closed picker or not.
-            noisy = same.sum() - (end - begin) <= MOST_SAME * len(same)
-            carried = noisy and carried_m[begin:end].sum() >= LEAST_CARRIED_M
-            if end - begin < STUCK_FRAMES - 1 or not (moved or carried):
+            noisy = same.sum() - (end - begin) <= _MOST_SAME * len(same)
+            carried = noisy and carried_m[begin:end].sum() >= _LEAST_CARRIED_M
+            if end - begin < _STUCK_FRAMES - 1 or not (moved or carried):
                 continue
             first, last = pictures.frames[begin - 1], pictures.frames[end - 1]
             found.append(
                 Finding(
-                    f"{name}_stuck", float(last - first + 1), float(STUCK_FRAMES), "",
+                    f"{name}_stuck", float(last - first + 1), float(_STUCK_FRAMES), "",
                     f"frames[{first + 1}]: {name}",
                     f"the {name} of frames {first} to {last} is one picture, bit for bit, while "
                     f"{'the rest' if moved else 'the closed picker'} moves: leave these frames "
@@ -164,11 +164,11 @@ def _runs(marks: Bool[np.ndarray, " frames"]) -> list[tuple[int, int]]:
 
 def _disordered(pictures: SmallPictures) -> list[Finding]:
     """Neighbors that would be nearer to the frames around them the other way round."""
-    if len(pictures.frames) < LEAST_MOVING_STEPS + 3:
+    if len(pictures.frames) < _LEAST_MOVING_STEPS + 3:
         return []
     filled = filling(pictures.height_m)
     away = np.nan_to_num(pictures.height_m - filled, nan=0.0)
-    one, two = _apart(np.clip(away, -MOST_AWAY_M, MOST_AWAY_M))
+    one, two = _apart(np.clip(away, -_MOST_AWAY_M, _MOST_AWAY_M))
     if pictures.color is not None:
         color_one, color_two = _apart(pictures.color.astype(np.float32))
         one, two = one + color_one, two + color_two
@@ -222,16 +222,16 @@ def _twice(pictures: SmallPictures, stuck: bool) -> list[Finding]:
         same = same & pictures.same_color
     if stuck or not same.any() or same.mean() > 0.6:
         return []  # Pictures without noise repeat whenever nothing moves.
-    single = [begin for begin, end in _runs(same) if end - begin < STUCK_FRAMES - 1]
+    single = [begin for begin, end in _runs(same) if end - begin < _STUCK_FRAMES - 1]
     share = len(single) / len(same)
     if len(single) < 2:
         return []
     named = ", ".join(str(pictures.frames[place]) for place in single[:4])
     return [
         Finding(
-            "frame_twice", share, MOST_TWICE, "", "frames",
+            "frame_twice", share, _MOST_TWICE, "", "frames",
             f"{len(single)} frames repeat the one before bit for bit (frames {named}): leave them "
             "out, the camera delivered fewer frames than were written",
-            severity="doubt" if share > MOST_TWICE else "note",
+            severity="doubt" if share > _MOST_TWICE else "note",
         )
     ]  # fmt: skip

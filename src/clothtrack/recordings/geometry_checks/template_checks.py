@@ -9,21 +9,21 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.recording import Recording
 
-WELD_M = 0.0005
+_WELD_M = 0.0005
 """Boundary vertices nearer than this [m] to one of another triangle are one vertex, written twice:
 layers of a template lie 1 mm apart or more, and edges are 5 mm long."""
 
-MOST_DOUBLE = 0.02
+_MOST_DOUBLE = 0.02
 """Share of the vertices that may be double: a seam that was left open has less."""
 
-MOST_SLIVERS = 0.02
+_MOST_SLIVERS = 0.02
 """Share of the triangles that may have no area, or a height of less than 1 % of their longest side:
 the solver's bending has no meaning there."""
 
-LEAST_PIECE = 0.02
+_LEAST_PIECE = 0.02
 """A piece with less than this share of the vertices is a speck; two larger ones are two cloths."""
 
-PLAUSIBLE_M = {
+_PLAUSIBLE_M = {
     "towel": (0.08, 2.2),
     "tshirt": (0.25, 1.2),
     "trousers": (0.25, 1.4),
@@ -31,7 +31,7 @@ PLAUSIBLE_M = {
 """Least and greatest plausible longer side of a flat garment [m]: from a coaster to a bath sheet,
 from a baby's shirt to 5XL with its sleeves spread, from a baby's trousers to the longest sold."""
 
-LEAST_ASPECT = 0.2
+_LEAST_ASPECT = 0.2
 """Shorter side of a garment as a share of the longer one: 0.25 for trousers laid leg on leg."""
 
 
@@ -49,18 +49,18 @@ def template_findings(recording: Recording) -> list[Finding]:
 def size_findings(recording: Recording) -> list[Finding]:
     """Return a size that no garment of this kind has."""
     size, kind = recording.cloth.size_m, recording.cloth.kind
-    if size is None or kind not in PLAUSIBLE_M:
+    if size is None or kind not in _PLAUSIBLE_M:
         return []
-    low, high = PLAUSIBLE_M[kind]
+    low, high = _PLAUSIBLE_M[kind]
     longer, shorter = max(size), min(size)
-    plausible = low <= longer <= high and shorter >= LEAST_ASPECT * longer
+    plausible = low <= longer <= high and shorter >= _LEAST_ASPECT * longer
     if plausible:
         return []
     return [
         Finding(
             "size_implausible", longer, high if longer > high else low, "m", "cloth.size_m",
             f"cloth.size_m is {size[0]:g} x {size[1]:g} m; a {kind}'s longer side is {low:g} to "
-            f"{high:g} m, the other at least {100 * LEAST_ASPECT:.0f} % of it: give its flat "
+            f"{high:g} m, the other at least {100 * _LEAST_ASPECT:.0f} % of it: give its flat "
             "width and length in meters, or another cloth.kind",
         )
     ]  # fmt: skip
@@ -80,13 +80,14 @@ def _double(template: ClothMesh) -> Finding | None:
     rim = np.unique(edges[counts == 1])
     if not len(rim):
         return None
-    pairs = cKDTree(template.vertices[rim]).query_pairs(WELD_M, output_type="ndarray")
+    pairs = cKDTree(template.vertices[rim]).query_pairs(_WELD_M, output_type="ndarray")
     share = len(np.unique(pairs)) / len(template.vertices)
-    if share <= MOST_DOUBLE:
+    if share <= _MOST_DOUBLE:
         return None
     return _finding(
-        share, MOST_DOUBLE, f"{100 * share:.0f} % of its vertices have a double within "
-        f"{1e3 * WELD_M:g} mm (at most {100 * MOST_DOUBLE:.0f} %), so its triangles are not joined",
+        share, _MOST_DOUBLE, f"{100 * share:.0f} % of its vertices have a double within "
+        f"{1e3 * _WELD_M:g} mm (at most {100 * _MOST_DOUBLE:.0f} %), so its triangles are not "
+        f"joined",
     )  # fmt: skip
 
 
@@ -95,7 +96,7 @@ def _pieces(template: ClothMesh) -> Finding | None:
     count = len(template.vertices)
     links = coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
     _, piece = connected_components(links, directed=False)
-    large = int((np.bincount(piece) >= LEAST_PIECE * count).sum())
+    large = int((np.bincount(piece) >= _LEAST_PIECE * count).sum())
     return _finding(float(large), 1.0, f"it has {large} separate pieces (1)") if large > 1 else None
 
 
@@ -104,11 +105,11 @@ def _slivers(template: ClothMesh) -> Finding | None:
     longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
     height = np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(longest, 1e-12)
     share = float((height < 0.01 * np.maximum(longest, 1e-9)).mean())
-    if share <= MOST_SLIVERS:
+    if share <= _MOST_SLIVERS:
         return None
     return _finding(
-        share, MOST_SLIVERS, f"{100 * share:.0f} % of its triangles have hardly any area (at most "
-        f"{100 * MOST_SLIVERS:.0f} %)",
+        share, _MOST_SLIVERS, f"{100 * share:.0f} % of its triangles have hardly any area (at most "
+        f"{100 * _MOST_SLIVERS:.0f} %)",
     )  # fmt: skip
 
 

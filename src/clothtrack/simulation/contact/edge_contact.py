@@ -10,13 +10,13 @@ from clothtrack.simulation.contact import edge_contact_kernels as kernels
 from clothtrack.simulation.contact.blocks_of_eight import Eights
 from clothtrack.simulation.parameters import SolverConfig
 
-DISTANCE_SHARE = 0.5
+_DISTANCE_SHARE = 0.5
 """Distance that edges keep over that of layers: flat layers are left to vertices and triangles."""
 
-MARGIN_SHARE = 0.2
+_MARGIN_SHARE = 0.2
 """Edges are listed this far beyond it, over the distance of layers, and by how fast they near."""
 
-FLAT_COSINE = 0.94
+_FLAT_COSINE = 0.94
 """An edge whose triangles' normals are nearer than this (20 degrees) is flat."""
 
 
@@ -42,8 +42,8 @@ class EdgeContact:
         self._edges = wp.array(mesh.edges.astype(np.int32), dtype=wp.vec2i, device=device)
         self._sides = wp.array(_faces_beside(mesh), dtype=wp.vec2i, device=device)
         longest = 1.05 * float(mesh.edge_lengths.max())
-        self._distance = DISTANCE_SHARE * config.thickness_m
-        self._margin = MARGIN_SHARE * config.thickness_m
+        self._distance = _DISTANCE_SHARE * config.thickness_m
+        self._margin = _MARGIN_SHARE * config.thickness_m
         # Two edges that pass between their ends have middles less than one length apart; one that
         # is farther off than twice this is not listed, however fast it nears.
         self._reach = longest + config.thickness_m
@@ -77,7 +77,7 @@ class EdgeContact:
             kernels.fit_edges,
             dim=(environments, eights.threads),
             inputs=[
-                eights.threads, buffers.clocks, FLAT_COSINE, self._distance + self._margin,
+                eights.threads, buffers.clocks, _FLAT_COSINE, self._distance + self._margin,
                 self._reach, eights.numbers, eights.corners, self._sides, self._normals,
                 buffers.positions, buffers.velocities,
             ],

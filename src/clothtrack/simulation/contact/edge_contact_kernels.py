@@ -53,7 +53,7 @@ class Crossing:
 
 @no_type_check
 @wp.func
-def pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
+def _pass_by(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
     """Return how the segment from a to b passes the segment from c to d."""
     crossing = Crossing()
     first = b - a
@@ -90,9 +90,9 @@ def inside(crossing: Crossing):
 
 @no_type_check
 @wp.func
-def rest_distance(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
+def _rest_distance(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
     """Return the distance between two segments in the rest shape [m]."""
-    crossing = pass_by(a, b, c, d)
+    crossing = _pass_by(a, b, c, d)
     if inside(crossing):
         return wp.abs(crossing.gap)
     return wp.min(
@@ -185,7 +185,7 @@ def fit_edges(
 
 @no_type_check
 @wp.func
-def side_of(
+def _side_of(
     ends: wp.vec2i,
     far: wp.vec2i,
     near: float,
@@ -198,7 +198,7 @@ def side_of(
     j = ends[1]
     c = far[0]
     d = far[1]
-    crossing = pass_by(positions[i], positions[j], positions[c], positions[d])
+    crossing = _pass_by(positions[i], positions[j], positions[c], positions[d])
     if not inside(crossing):
         return 0
     s = crossing.along_first
@@ -284,12 +284,12 @@ def find_edges(
                             far = wp.vec2i(
                                 nth(corners[eight, 0, place]), nth(corners[eight, 1, place])
                             )
-                            side = side_of(
+                            side = _side_of(
                                 wp.vec2i(i, j), far, distance + margin, clocks[0].rebuild_s, here,
                                 velocities[environment],
                             )  # fmt: skip
                             if side != 0:
-                                rest_gap = rest_distance(
+                                rest_gap = _rest_distance(
                                     rest[i], rest[j], rest[nth(far[0])], rest[nth(far[1])]
                                 )
                                 counts[environment, edge] = insert_pair(
@@ -306,7 +306,7 @@ def find_edges(
 
 @no_type_check
 @wp.func
-def add_share(
+def _add_share(
     environment: int,
     vertex: int,
     share: float,
@@ -357,7 +357,7 @@ def push_edges(
             far = edges[wp.abs(code) - 1]
             c = here[far[0]]
             d = here[far[1]]
-            crossing = pass_by(a, b, c, d)
+            crossing = _pass_by(a, b, c, d)
             if not inside(crossing):
                 continue
             side = wp.where(code > 0, 1.0, -1.0)
@@ -385,10 +385,10 @@ def push_edges(
             cut = wp.min(1.0, friction[environment] * push / (wp.length(slip) + 1.0e-12))
             moving = (push * outward - cut * slip) / weight
             stopping = (wp.clamp(nearing, 0.0, push) * outward - cut * slip) / weight
-            add_share(environment, ends[0], 1.0 - s, moving, stopping, inverse_masses, sums)
-            add_share(environment, ends[1], s, moving, stopping, inverse_masses, sums)
-            add_share(environment, far[0], t - 1.0, moving, stopping, inverse_masses, sums)
-            add_share(environment, far[1], -t, moving, stopping, inverse_masses, sums)
+            _add_share(environment, ends[0], 1.0 - s, moving, stopping, inverse_masses, sums)
+            _add_share(environment, ends[1], s, moving, stopping, inverse_masses, sums)
+            _add_share(environment, far[0], t - 1.0, moving, stopping, inverse_masses, sums)
+            _add_share(environment, far[1], -t, moving, stopping, inverse_masses, sums)
 
 
 @no_type_check

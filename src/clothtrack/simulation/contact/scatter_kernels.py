@@ -168,7 +168,7 @@ _PUSH_PAIRS = """
 
 @no_type_check
 @wp.func_native(_PUSH_PAIRS)
-def push_pairs(
+def _push_pairs(
     total: int,
     longest: float,
     tolerance: float,
@@ -208,7 +208,7 @@ def scatter_impulses(
     stopped = stops[environment]
     for number in range(mass.shape[0]):
         got[nth(number)] = Received()
-    push_pairs(
+    _push_pairs(
         totals[environment], push_out_speed * clocks[0].substep_s, tolerance,
         friction[environment], corners[environment], keeps[environment], mass,
         positions[environment], start[environment], got,

@@ -14,7 +14,7 @@ from clothtrack.simulation.contact.edge_contact import EdgeContact
 from clothtrack.simulation.contact.triangle_contact_kernels import TRIANGLES_PER_VERTEX
 from clothtrack.simulation.parameters import CONTACT_TOLERANCE, SolverConfig
 
-REACTIONS_PER_VERTEX = 48
+_REACTIONS_PER_VERTEX = 48
 
 
 class TriangleContact:
@@ -49,7 +49,7 @@ class TriangleContact:
         self._old_distances = wp.zeros_like(self.distances)
         self._old_counts = wp.zeros_like(self.counts)
         self.overflows = wp.zeros(environments, dtype=int, device=device)
-        self._push = (ScatteredPush if wp.get_device(device).is_cpu else GatheredPush)(self)
+        self._push = (_ScatteredPush if wp.get_device(device).is_cpu else GatheredPush)(self)
         self._edges = (
             EdgeContact(mesh, buffers, config, particle_friction, self.overflows)
             if config.edge_contact
@@ -123,7 +123,7 @@ class TriangleContact:
         self.counts.assign(counts)
 
 
-class ScatteredPush:
+class _ScatteredPush:
     """Goes through an environment's pairs and adds each impulse where it belongs.
 
     For a CPU, where threads run one after another.
@@ -179,7 +179,9 @@ class GatheredPush:
         self._impulses = wp.zeros(slots, dtype=wp.vec3, device=device)
         self._stopping = wp.zeros(slots, dtype=wp.vec3, device=device)
         self._weights = wp.zeros(slots, dtype=wp.vec3, device=device)
-        self._reactions = wp.zeros((*buffers.shape, REACTIONS_PER_VERTEX), dtype=int, device=device)
+        self._reactions = wp.zeros(
+            (*buffers.shape, _REACTIONS_PER_VERTEX), dtype=int, device=device
+        )
         self._reaction_counts = wp.zeros(buffers.shape, dtype=int, device=device)
 
     def prepare(self) -> None:

@@ -140,7 +140,7 @@ _FIND_FACING = """
 
 @no_type_check
 @wp.func_native(_FIND_FACING)
-def find_facing(
+def _find_facing(
     point: wp.vec3,
     depth: float,
     lowest: float,
@@ -174,7 +174,7 @@ def segment_distance(point: wp.vec3, a: wp.vec3, b: wp.vec3):
 
 @no_type_check
 @wp.func
-def triangle_distance(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+def _triangle_distance(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
     """Return the distance from a point to a triangle [m]."""
     normal = wp.cross(b - a, c - a)
     weights = barycentric(point, a, b, c, normal)
@@ -188,7 +188,7 @@ def triangle_distance(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 @no_type_check
 @wp.func
-def share_a_vertex(first: wp.vec3i, second: wp.vec3i):
+def _share_a_vertex(first: wp.vec3i, second: wp.vec3i):
     """Return whether two triangles touch."""
     for i in range(3):
         for j in range(3):
@@ -212,7 +212,7 @@ def vote(
     for slot in range(count):
         code = sides[nth(slot)]
         other = faces[nth(wp.abs(code) - 1)]
-        if share_a_vertex(face, other):
+        if _share_a_vertex(face, other):
             a = positions[nth(other[0])]
             facing = wp.cross(positions[nth(other[1])] - a, positions[nth(other[2])] - a)
             if wp.dot(facing, normal) > 0.0:
@@ -231,7 +231,7 @@ class Pair:
 
 @no_type_check
 @wp.func
-def examine_pair(
+def _examine_pair(
     vertex: int,
     face_number: int,
     face: wp.vec3i,
@@ -287,7 +287,7 @@ def examine_pair(
     if float(side) * height > allowed:
         return pair
     if distance < 0.0:
-        distance = wp.min(thickness, triangle_distance(rest[vertex], rest[i], rest[j], rest[k]))
+        distance = wp.min(thickness, _triangle_distance(rest[vertex], rest[i], rest[j], rest[k]))
     pair.side = side
     pair.distance = distance
     return pair
@@ -323,7 +323,7 @@ def insert_pair(
 
 @no_type_check
 @wp.func
-def in_reach(
+def _in_reach(
     point: wp.vec3,
     a: wp.vec3,
     b: wp.vec3,
@@ -426,7 +426,7 @@ def find_pairs(
                         take_lowest(near_points, place)
                         vertex = nth(groups[group, place])
                         point = here[vertex]
-                        find_facing(
+                        _find_facing(
                             point, depth * (1.0 + _SLACK), -(tolerance + _SLACK),
                             planes[environment], eight, near,
                         )  # fmt: skip
@@ -435,12 +435,12 @@ def find_pairs(
                             take_lowest(near, place)
                             face_number = nth(numbers[eight, place])
                             face = faces[face_number]
-                            if not in_reach(
+                            if not _in_reach(
                                 point, here[nth(face[0])], here[nth(face[1])], here[nth(face[2])],
                                 face_reach[face_number], depth, tolerance,
                             ):  # fmt: skip
                                 continue
-                            pair = examine_pair(
+                            pair = _examine_pair(
                                 vertex, face_number, face, thickness, margin, depth, tolerance,
                                 clocks[0].rebuild_s, faces, rest, here, velocities[environment],
                                 old_sides[environment, vertex], old_distances[environment, vertex],

@@ -60,7 +60,7 @@ def sort_reactions(
 
 @no_type_check
 @wp.struct
-class Impulse:
+class _Impulse:
     """What a pair does to its vertex: impulse, the part that ends an approach [kg m], foot.
 
     The corners get the opposite, in the shares of the foot. All is zero when nothing happens.
@@ -85,8 +85,8 @@ def pair_impulse(
     positions: wp.array(dtype=wp.vec3),
     start: wp.array(dtype=wp.vec3),
 ):
-    """Impulse of a listed pair, if it is nearer than its distance or on the wrong side."""
-    impulse = Impulse()
+    """_Impulse of a listed pair, if it is nearer than its distance or on the wrong side."""
+    impulse = _Impulse()
     point = positions[vertex]
     i = nth(face[0])
     j = nth(face[1])
@@ -144,7 +144,7 @@ def find_impulses(
     stopping: wp.array3d(dtype=wp.vec3),
     weights: wp.array3d(dtype=wp.vec3),
 ):
-    """Impulse [kg m] of each listed pair that is nearer than its distance or on the wrong side."""
+    """_Impulse [kg m] of each listed pair that is nearer than its distance or on the wrong side."""
     environment, vertex = wp.tid()
     longest = push_out_speed * clocks[0].substep_s
     for slot in range(counts[environment, vertex]):
