@@ -37,6 +37,8 @@ class Fold:
         loop_m: height of the loop at the end of the carrying [m].
         settled_m: height that the loop sinks to after it is let go [m].
         settling_s: time constant of that [s].
+        spring: radius of the arc that bends the flap back onto the cloth, in radii of the loop: the
+            larger, the less of the flap lies down.
     """
 
     normal: tuple[float, float]
@@ -47,6 +49,7 @@ class Fold:
     loop_m: float = 0.023
     settled_m: float = 0.023
     settling_s: float = 0.15
+    spring: float = 2.0
 
     @property
     def end_s(self) -> float:
@@ -60,8 +63,9 @@ class Fold:
         height = self.settled_m + (self.loop_m - self.settled_m) * np.exp(-late / self.settling_s)
         radius = 0.5 * height
         # The loop is higher than two layers: beyond half a turn the cloth dips by `dip`, then
-        # bends back on an arc twice as wide and lies on the lower layer.
-        dip = float(np.arccos(1.0 - (2.0 * radius - LAYER_M) / (3.0 * radius)))
+        # bends back on a wider arc and lies on the lower layer.
+        wider = self.spring * radius
+        dip = float(np.arccos(1.0 - (2.0 * radius - LAYER_M) / (radius + wider)))
         lifted = self.reach_m * _smooth(share / 0.7)
         if lifted <= 1e-9:
             return []
@@ -72,7 +76,7 @@ class Fold:
 
         def bent(angle: float) -> list[tuple[float, float]]:
             first = min(wide, 0.75 * lifted / max(angle, 1e-6))
-            return [(flat, 0.0), (first * angle, 1.0 / first), (2.0 * radius * back, -0.5 / radius)]
+            return [(flat, 0.0), (first * angle, 1.0 / first), (wider * back, -1.0 / wider)]
 
         def above(angle: float) -> float:
             """Height of the lowest cloth beyond the first quarter turn over the lower layer [m]."""
@@ -151,7 +155,9 @@ class Drag:
         height, turns = self.height_m * share, 2.0 * np.pi / self.wave_m
         s = material @ across
         # dx/ds = sqrt(1 - (dz/ds)^2), to the second order.
-        shorter = 0.5 * (0.5 * height * turns) ** 2 * (0.5 * s - np.sin(2.0 * turns * s) / 4 / turns)
+        shorter = (
+            0.5 * (0.5 * height * turns) ** 2 * (0.5 * s - np.sin(2.0 * turns * s) / 4 / turns)
+        )
         moved = np.zeros((len(material), 3))
         moved[:, :2] = share * way - shorter[:, None] * across
         moved[:, 2] = 0.5 * height * (1.0 - np.cos(turns * s))
@@ -332,7 +338,10 @@ def draw(scene: Scene, spacing_m: float = 0.003) -> Film:
 def sheet(size_m: tuple[float, float], spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
     """A rectangle of triangles around the origin: material points (n, 2) [m] and faces."""
     columns, rows = (max(2, round(side / spacing_m) + 1) for side in size_m)
-    u, v = (np.linspace(-0.5 * side, 0.5 * side, n) for side, n in zip(size_m, (columns, rows)))
+    u, v = (
+        np.linspace(-0.5 * side, 0.5 * side, n)
+        for side, n in zip(size_m, (columns, rows), strict=True)
+    )
     grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
     return grid, _grid_faces(columns, rows)
 
@@ -512,7 +521,11 @@ def _corner(size_m: tuple[float, float], signs: tuple[int, int]) -> tuple[float,
 
 
 def _corner_fold(
-    size_m: tuple[float, float], signs: tuple[int, int], reach_m: float, start_s: float, **more: float
+    size_m: tuple[float, float],
+    signs: tuple[int, int],
+    reach_m: float,
+    start_s: float,
+    **more: float,
 ) -> Fold:
     """A corner turned over the line that is `reach_m` from it and at equal angles to its sides."""
     normal = np.array(signs) / np.sqrt(2.0)
@@ -527,6 +540,12 @@ SCENES: dict[str, Scene] = {
         _WIDE, (_corner_fold(_WIDE, (1, -1), 0.15, 0.4),),
         (Picked("hand", _corner(_WIDE, (1, -1)), 0.4, 1.4, -0.4),),
         frames=25, actions=((0, 24),), yaw_rad=0.15, place_m=(-0.02, 0.01), width=480, seed=1,
+    ),
+    "stiff_open": Scene(
+        _WIDE, (_corner_fold(_WIDE, (1, -1), 0.125, 0.4, spring=14.0),),
+        (Picked("hand", _corner(_WIDE, (1, -1)), 0.4, 1.4, -0.4),),
+        frames=28, rate=12.0, actions=((0, 27),), yaw_rad=0.15, place_m=(-0.02, 0.01), width=480,
+        color=(200, 200, 190), seed=6,
     ),
     "soft_drape": Scene(
         _NAPKIN,
@@ -550,9 +569,11 @@ SCENES: dict[str, Scene] = {
     ),
     "half_fold": Scene(
         _LONG, (Fold((1.0, 0.0), 0.08, 0.15, 0.4, 1.0, loop_m=0.018, settled_m=0.012),),
-        (Picked("left", (0.226, 0.1), 0.4, 1.4, 0.9), Picked("right", (0.226, -0.1), 0.4, 1.4, -0.9)),
+        (Picked("left", (0.226, 0.1), 0.4, 1.4, 0.9),
+         Picked("right", (0.226, -0.1), 0.4, 1.4, -0.9)),
         yaw_rad=-0.1, tilt_deg=30.0, distance_m=0.8, color=(120, 70, 140), seed=5,
     ),
 }  # fmt: skip
-"""Motion laws that no simulator of ours has: a stiff loop that lies still, a soft one that sinks, a
-drag with wrinkles, two corners one after the other, and an edge carried by two hands."""
+"""Motion laws that no simulator of ours has: a stiff loop that lies still, one whose flap touches
+the cloth with its corner alone, a soft one that sinks, a drag with wrinkles, two corners one after
+the other, and an edge carried by two hands."""

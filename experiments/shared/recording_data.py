@@ -192,6 +192,14 @@ def _write_picker(picker: dict[str, np.ndarray], file: Path) -> None:
     file.write_text("".join(lines), "utf-8")
 
 
+def _read_picker(file: Path) -> dict[str, np.ndarray]:
+    samples: dict[str, list[list[float]]] = {}
+    for line in file.read_text("utf-8").splitlines()[1:]:
+        time_s, name, *rest = line.split(",")
+        samples.setdefault(name, []).append([float(word) for word in (time_s, *rest)])
+    return {name: np.array(rows) for name, rows in samples.items()}
+
+
 def read_folder(folder: Path) -> RecordingData:
     """A recording with one camera, or clouds, as it lies on disk; without a truth."""
     document = json.loads((folder / "recording.json").read_text("utf-8"))
@@ -213,11 +221,7 @@ def read_folder(folder: Path) -> RecordingData:
             with np.load(folder / frame["cloud"]) as stored:
                 data.clouds.append(stored["points"].astype(np.float64))
     if (folder / "picker.csv").exists():
-        for line in (folder / "picker.csv").read_text("utf-8").splitlines()[1:]:
-            time_s, name, *rest = line.split(",")
-            row = [float(word) for word in (time_s, *rest)]
-            data.picker.setdefault(name, []).append(row)  # type: ignore[attr-defined]
-        data.picker = {name: np.array(rows) for name, rows in data.picker.items()}
+        data.picker = _read_picker(folder / "picker.csv")
     if "template" in cloth:
         rows = [line.split() for line in (folder / cloth.pop("template")).read_text().splitlines()]
         data.vertices = np.array([row[1:4] for row in rows if row[0] == "v"], np.float64)
@@ -225,5 +229,6 @@ def read_folder(folder: Path) -> RecordingData:
     if "template_canonical" in cloth:
         rows = (folder / cloth.pop("template_canonical")).read_text().splitlines()[1:]
         data.canonical = np.array([row.split(",") for row in rows], np.float64)
+    # Only the times of the frames stay: files have their conventional names again.
     data.times = data.times
     return data

@@ -4,7 +4,7 @@ Lengths in pixels are those of a picture that is 640 pixels wide. Where masks ar
 made of the color picture: what is wrong with the color is wrong with the mask, too.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -56,13 +56,18 @@ class Kind:
 KINDS: list[Kind] = []
 
 
-def _kind(text: str, low: float, high: float, unit: str, *needs: str) -> Callable[[Change], Change]:
+def _kind(low: float, high: float, unit: str, *needs: str) -> Callable[[Change], Change]:
     def keep(change: Change) -> Change:
-        name = change.__name__
-        KINDS.append(Kind(name, text, low, high, unit, frozenset(needs), change))
+        KINDS.append(made(change, low, high, unit, needs))
         return change
 
     return keep
+
+
+def made(change: Change, low: float, high: float, unit: str, needs: Sequence[str]) -> Kind:
+    """Return the kind that a function is; its docstring is the kind's sentence."""
+    sentence = (change.__doc__ or "").strip().rstrip(".")
+    return Kind(change.__name__, sentence, low, high, unit, frozenset(needs), change)
 
 
 def sign(rng: np.random.Generator) -> float:
@@ -71,7 +76,7 @@ def sign(rng: np.random.Generator) -> float:
 
 
 def warped(data: RecordingData, names: tuple[str, ...], moved: np.ndarray) -> None:
-    """Send the pixels of pictures elsewhere; what comes from outside is black, unmeasured, no cloth.
+    """Send the pixels of pictures elsewhere; from outside comes black, unmeasured, no cloth.
 
     Args:
         data: to change.
@@ -105,92 +110,108 @@ SEEN = (COLOR, MASK)
 # Color
 
 
-@_kind("color mirrored left to right", 1, 1, "", COLOR)
+@_kind(1, 1, "", COLOR)
 def color_mirrored(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Mirror the color left to right."""
     _each(data, SEEN, lambda pictures: pictures[:, :, ::-1].copy())
 
 
-@_kind("color upside down", 1, 1, "", COLOR)
+@_kind(1, 1, "", COLOR)
 def color_flipped(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Turn the color upside down."""
     _each(data, SEEN, lambda pictures: pictures[:, ::-1].copy())
 
 
-@_kind("color turned against depth", 5, 20, "degrees", COLOR)
+@_kind(5, 20, "degrees", COLOR)
 def color_turned(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Turn the color against the depth."""
     middle = (0.5 * data.camera["width"], 0.5 * data.camera["height"])
     warped(data, SEEN, cv2.getRotationMatrix2D(middle, sign(rng) * strength, 1.0))
 
 
-@_kind("color shifted against depth", 15, 50, "pixels", COLOR)
+@_kind(15, 50, "pixels", COLOR)
 def color_shifted(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Shift the color against the depth."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    warped(data, SEEN, data.scale * strength * _shift(np.cos(angle), np.sin(angle)) + _shift(0, 0)
-           - data.scale * strength * _shift(0, 0))  # fmt: skip
+    pixels = data.scale * strength
+    warped(data, SEEN, _shift(pixels * np.cos(angle), pixels * np.sin(angle)))
 
 
-@_kind("color of a lens with another field of view", 8, 25, "percent", COLOR)
+@_kind(8, 25, "percent", COLOR)
 def color_scaled(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Take the color from a lens with another field of view."""
     middle = (0.5 * data.camera["width"], 0.5 * data.camera["height"])
     warped(data, SEEN, cv2.getRotationMatrix2D(middle, 0.0, 1.0 + sign(rng) * strength / 100.0))
 
 
-@_kind("color late", 3, 8, "frames", COLOR)
+@_kind(3, 8, "frames", COLOR)
 def color_late(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Delay the color."""
     _each(data, SEEN, lambda pictures: _late(pictures, round(strength)))
 
 
-@_kind("color stuck from here on", 20, 70, "percent of the carrying", COLOR)
+@_kind(20, 70, "percent of the carrying", COLOR)
 def color_stuck(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Repeat one color picture from here on."""
     _each(data, SEEN, lambda pictures: _stuck(pictures, _at(data, strength / 100.0)))
 
 
 # Depth
 
 
-@_kind("depth late", 3, 8, "frames", DEPTH)
+@_kind(3, 8, "frames", DEPTH)
 def depth_late(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Delay the depth."""
     _each(data, (DEPTH,), lambda pictures: _late(pictures, round(strength)))
 
 
-@_kind("depth stuck from here on", 20, 70, "percent of the carrying", DEPTH)
+@_kind(20, 70, "percent of the carrying", DEPTH)
 def depth_stuck(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Repeat one depth picture from here on."""
     _each(data, (DEPTH,), lambda pictures: _stuck(pictures, _at(data, strength / 100.0)))
 
 
-@_kind("depth in another unit, as a power of ten", 1, 3, "powers of ten", DEPTH)
+@_kind(1, 3, "powers of ten", DEPTH)
 def depth_unit(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State another unit of depth, a power of ten away."""
     data.camera["depth_unit_m"] *= 10.0 ** (sign(rng) * round(strength))
 
 
-@_kind("depth scaled", 4, 15, "percent", DEPTH)
+@_kind(4, 15, "percent", DEPTH)
 def depth_scaled(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Scale the depth."""
     data.camera["depth_unit_m"] *= 1.0 + sign(rng) * strength / 100.0
 
 
-@_kind("depth nearer or farther by a constant", 12, 50, "mm", DEPTH)
+@_kind(12, 50, "mm", DEPTH)
 def depth_offset(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Add a constant to the depth."""
     _measured(data, lambda depth: depth + sign(rng) * 1e-3 * strength)
 
 
-@_kind("depth in steps", 10, 30, "mm", DEPTH)
+@_kind(10, 30, "mm", DEPTH)
 def depth_steps(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Measure depth in coarse steps."""
     _measured(data, lambda depth: np.round(depth / (1e-3 * strength)) * 1e-3 * strength)
 
 
-@_kind("disparity in place of depth", 20, 60, "m pixels", DEPTH)
+@_kind(20, 60, "m pixels", DEPTH)
 def depth_disparity(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Store disparity in place of depth."""
     _measured(data, lambda depth: strength / np.maximum(depth, 0.05) / 100.0)
 
 
-@_kind("near and far exchanged", 1, 1, "", DEPTH)
+@_kind(1, 1, "", DEPTH)
 def depth_exchanged(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Exchange near and far."""
     seen = data.depth[data.depth > 0]
     ends = float(np.percentile(seen, 1)) + float(np.percentile(seen, 99))
     _measured(data, lambda depth: ends * data.camera["depth_unit_m"] - depth)
 
 
-@_kind("depth missing in large holes", 45, 85, "percent", DEPTH)
+@_kind(45, 85, "percent", DEPTH)
 def depth_holes(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Leave large holes in the depth."""
     height, width = data.depth.shape[1:]
     for picture in data.depth:
         coarse = rng.random((max(2, height // 24), max(2, width // 24))).astype(np.float32)
@@ -198,13 +219,15 @@ def depth_holes(data: RecordingData, strength: float, rng: np.random.Generator) 
         picture[blobs < np.percentile(blobs, strength)] = 0
 
 
-@_kind("depth far noisier than a sensor's", 8, 25, "mm", DEPTH)
+@_kind(8, 25, "mm", DEPTH)
 def depth_noise(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Add noise far beyond that of a sensor."""
     _measured(data, lambda depth: depth + rng.normal(0.0, 1e-3 * strength, depth.shape))
 
 
-@_kind("depth averaged over time by a filter", 60, 92, "percent kept", DEPTH)
+@_kind(60, 92, "percent kept", DEPTH)
 def depth_averaged(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Average the depth over time, as a camera's filter does."""
     kept, mean = strength / 100.0, data.depth[0].astype(np.float64)
     for number, picture in enumerate(data.depth):
         seen = picture > 0
@@ -212,18 +235,21 @@ def depth_averaged(data: RecordingData, strength: float, _: np.random.Generator)
         data.depth[number] = np.round(mean)
 
 
-@_kind("depth mirrored left to right", 1, 1, "", DEPTH)
+@_kind(1, 1, "", DEPTH)
 def depth_mirrored(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Mirror the depth left to right."""
     _each(data, (DEPTH,), lambda pictures: pictures[:, :, ::-1].copy())
 
 
-@_kind("depth not registered to color", 12, 45, "pixels", DEPTH)
+@_kind(12, 45, "pixels", DEPTH)
 def depth_unregistered(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Leave the depth unregistered to the color."""
     warped(data, (DEPTH,), _shift(sign(rng) * data.scale * strength, rng.normal(0.0, 3.0)))
 
 
-@_kind("distance along the ray in place of depth", 1, 1, "", DEPTH)
+@_kind(1, 1, "", DEPTH)
 def depth_along_ray(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Store the distance along the ray in place of depth."""
     camera = data.camera
     rows, columns = np.mgrid[: camera["height"], : camera["width"]]
     x, y = (columns - camera["cx"]) / camera["fx"], (rows - camera["cy"]) / camera["fy"]
@@ -233,34 +259,40 @@ def depth_along_ray(data: RecordingData, _: float, __: np.random.Generator) -> N
 # Intrinsics
 
 
-@_kind("focal length too large or too small", 8, 30, "percent", DEPTH)
+@_kind(8, 30, "percent", DEPTH)
 def focal(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a focal length that is too large or too small."""
     factor = (1.0 + strength / 100.0) ** sign(rng)
     data.camera["fx"], data.camera["fy"] = data.camera["fx"] * factor, data.camera["fy"] * factor
 
 
-@_kind("fx alone wrong", 6, 25, "percent", DEPTH)
+@_kind(6, 25, "percent", DEPTH)
 def focal_x(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a wrong fx alone."""
     data.camera["fx"] *= (1.0 + strength / 100.0) ** sign(rng)
 
 
-@_kind("fy alone wrong", 6, 25, "percent", DEPTH)
+@_kind(6, 25, "percent", DEPTH)
 def focal_y(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a wrong fy alone."""
     data.camera["fy"] *= (1.0 + strength / 100.0) ** sign(rng)
 
 
-@_kind("cx wrong", 15, 60, "pixels", DEPTH)
+@_kind(15, 60, "pixels", DEPTH)
 def center_x(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a wrong cx."""
     data.camera["cx"] += sign(rng) * data.scale * strength
 
 
-@_kind("cy wrong", 15, 60, "pixels", DEPTH)
+@_kind(15, 60, "pixels", DEPTH)
 def center_y(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a wrong cy."""
     data.camera["cy"] += sign(rng) * data.scale * strength
 
 
-@_kind("intrinsics of a stream of another size", 1.2, 2.2, "times", DEPTH)
+@_kind(1.2, 2.2, "times", DEPTH)
 def other_stream(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State the intrinsics of a stream of another size."""
     factor = strength ** sign(rng)
     camera = data.camera
     for name in ("fx", "fy", "cx", "cy"):
@@ -270,8 +302,9 @@ def other_stream(data: RecordingData, strength: float, rng: np.random.Generator)
         camera["cx"], camera["cy"] = 0.5 * camera["width"], 0.5 * camera["height"]
 
 
-@_kind("pictures with the lens's distortion", 0.08, 0.3, "k1", DEPTH)
+@_kind(0.08, 0.3, "k1", DEPTH)
 def distortion(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Leave the lens's distortion in the pictures."""
     camera = data.camera
     rows, columns = np.mgrid[: camera["height"], : camera["width"]].astype(np.float32)
     x, y = (columns - camera["cx"]) / camera["fx"], (rows - camera["cy"]) / camera["fy"]
@@ -289,58 +322,68 @@ def distortion(data: RecordingData, strength: float, _: np.random.Generator) -> 
 # Camera pose and table
 
 
-@_kind("camera pose tilted", 2.5, 12, "degrees", DEPTH)
+@_kind(2.5, 12, "degrees", DEPTH)
 def pose_tilted(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Tilt the camera's pose."""
     axis = rng.normal(size=2)
     data.pose = data.pose @ _turned([*axis / np.linalg.norm(axis), 0.0], strength)
 
 
-@_kind("camera pose turned about the vertical", 4, 25, "degrees", DEPTH)
+@_kind(4, 25, "degrees", DEPTH)
 def pose_turned(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Turn the camera's pose about the vertical."""
     data.pose = _turned([0.0, 0.0, 1.0], sign(rng) * strength) @ data.pose
 
 
-@_kind("camera pose beside", 15, 80, "mm", DEPTH)
+@_kind(15, 80, "mm", DEPTH)
 def pose_beside(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Move the camera's pose sideways."""
     angle, pose = rng.uniform(0.0, 2.0 * np.pi), data.pose
     pose[:2, 3] += 1e-3 * strength * np.array([np.cos(angle), np.sin(angle)])
     data.pose = pose
 
 
-@_kind("camera pose too high or too low", 12, 80, "mm", DEPTH)
+@_kind(12, 80, "mm", DEPTH)
 def pose_raised(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a camera that is too high or too low."""
     pose = data.pose
     pose[2, 3] += sign(rng) * 1e-3 * strength
     data.pose = pose
 
 
-@_kind("camera pose inverted", 1, 1, "", DEPTH)
+@_kind(1, 1, "", DEPTH)
 def pose_inverted(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Invert the camera's pose."""
     data.pose = np.linalg.inv(data.pose)
 
 
-@_kind("camera pose with y up and z backward (OpenGL)", 1, 1, "", DEPTH)
+@_kind(1, 1, "", DEPTH)
 def pose_opengl(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """State the camera's pose with y up and z backward (OpenGL)."""
     data.pose = data.pose @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-@_kind("camera pushed during the film", 10, 40, "pixels", DEPTH)
+@_kind(10, 40, "pixels", DEPTH)
 def camera_pushed(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Push the camera during the film."""
     angle, since = rng.uniform(0.0, 2.0 * np.pi), _at(data, 0.5)
     moved = _shift(*(data.scale * strength * np.array([np.cos(angle), np.sin(angle)])))
     later = RecordingData(
-        data.document, *(None if p is None else p[since:] for p in (data.color, data.depth, data.mask))
+        data.document,
+        *(None if p is None else p[since:] for p in (data.color, data.depth, data.mask)),
     )
     warped(later, (COLOR, DEPTH, MASK), moved)
 
 
-@_kind("table too high or too low", 12, 60, "mm", TABLE)
+@_kind(12, 60, "mm", TABLE)
 def table_height(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a table that is too high or too low."""
     data.document["table"]["point"][2] += sign(rng) * 1e-3 * strength
 
 
-@_kind("table tilted", 2.5, 10, "degrees", TABLE)
+@_kind(2.5, 10, "degrees", TABLE)
 def table_tilted(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Tilt the stated table."""
     axis = rng.normal(size=2)
     turn = _turned([*axis / np.linalg.norm(axis), 0.0], strength)[:3, :3]
     data.document["table"]["normal"] = (turn @ data.document["table"]["normal"]).tolist()
@@ -349,43 +392,50 @@ def table_tilted(data: RecordingData, strength: float, rng: np.random.Generator)
 # Picker
 
 
-@_kind("picker path in the camera's frame", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def picker_in_camera(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """State the picker's path in the camera's frame."""
     inverse = np.linalg.inv(data.pose)
     _paths(data, lambda tips: tips @ inverse[:3, :3].T + inverse[:3, 3])
 
 
-@_kind("picker path in inches, feet, centimeters or millimeters", 0, 4, "number of the unit", PICKER)
+@_kind(0, 4, "number of the unit", PICKER)
 def picker_unit(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """State the picker's path in inches, feet, centimeters or millimeters."""
     factor = (1.0 / 0.0254, 1.0 / 0.3048, 1e2, 1e3)[min(int(strength), 3)]
     _paths(data, lambda tips: tips * factor)
 
 
-@_kind("picker path mirrored", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def picker_mirrored(data: RecordingData, _: float, rng: np.random.Generator) -> None:
+    """Mirror the picker's path."""
     axis = int(rng.integers(2))
     _paths(data, lambda tips: tips * np.where(np.arange(3) == axis, -1.0, 1.0))
 
 
-@_kind("picker's x and y exchanged", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def picker_axes(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Exchange the picker's x and y."""
     _paths(data, lambda tips: tips[:, [1, 0, 2]])
 
 
-@_kind("picker path beside", 30, 120, "mm", PICKER)
+@_kind(30, 120, "mm", PICKER)
 def picker_beside(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Move the picker's path sideways."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     beside = 1e-3 * strength * np.array([np.cos(angle), np.sin(angle), 0.0])
     _paths(data, lambda tips: tips + beside)
 
 
-@_kind("picker path too high", 40, 150, "mm", PICKER)
+@_kind(40, 150, "mm", PICKER)
 def picker_high(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Raise the picker's path."""
     _paths(data, lambda tips: tips + (0.0, 0.0, 1e-3 * strength))
 
 
-@_kind("picker's clock late or early", 0.3, 0.8, "s", PICKER)
+@_kind(0.3, 0.8, "s", PICKER)
 def picker_clock(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Shift the picker's clock."""
     late = sign(rng) * strength
     for name, samples in data.picker.items():
         first, last = samples[:1].copy(), samples[-1:].copy()
@@ -394,14 +444,16 @@ def picker_clock(data: RecordingData, strength: float, rng: np.random.Generator)
         data.picker[name] = np.concatenate([first, samples] if late > 0 else [samples, last])
 
 
-@_kind("picker's clock in milliseconds", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def picker_milliseconds(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """State the picker's times in milliseconds."""
     for samples in data.picker.values():
         samples[:, 0] *= 1e3
 
 
-@_kind("picker path stuck from here on", 10, 60, "percent of the carrying", PICKER)
+@_kind(10, 60, "percent of the carrying", PICKER)
 def picker_stuck(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Repeat one place of the picker from here on."""
     since = data.times[_at(data, strength / 100.0)]
     for samples in data.picker.values():
         late = samples[:, 0] > since
@@ -409,75 +461,87 @@ def picker_stuck(data: RecordingData, strength: float, _: np.random.Generator) -
             samples[late, 1:4] = samples[~late][-1, 1:4]
 
 
-@_kind("picker open where it is closed", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def picker_inverted(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """State the picker open where it is closed."""
     for samples in data.picker.values():
         samples[:, CLOSED] = 1 - samples[:, CLOSED]
 
 
-@_kind("picker never closes", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def picker_open(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """State a picker that never closes."""
     for samples in data.picker.values():
         samples[:, CLOSED] = 0
 
 
-@_kind("pick and place exchanged", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def pick_for_place(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Exchange pick and place."""
     for samples in data.picker.values():
         for first, last in _grips(samples):
             samples[first : last + 1, 1:4] = samples[first : last + 1, 1:4][::-1].copy()
 
 
-@_kind("place clicked at a wrong spot", 60, 200, "mm", PICKER)
+@_kind(60, 200, "mm", PICKER)
 def place_wrong(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Click the place at a wrong spot."""
     _clicked(data, strength, rng, lambda share: share)
 
 
-@_kind("pick clicked at a wrong spot of the cloth", 60, 200, "mm", PICKER)
+@_kind(60, 200, "mm", PICKER)
 def pick_wrong(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Click the pick at a wrong spot of the cloth."""
     _clicked(data, strength, rng, lambda share: 1.0 - share)
 
 
 # Actions
 
 
-@_kind("action begins after the pick", 15, 60, "percent of the carrying", PICKER)
+@_kind(15, 60, "percent of the carrying", PICKER)
 def action_late(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Begin the action after the pick."""
     data.document["actions"][0]["first_frame"] = _at(data, strength / 100.0)
 
 
-@_kind("action ends in mid-carry", 30, 75, "percent of the carrying", PICKER)
+@_kind(30, 75, "percent of the carrying", PICKER)
 def action_short(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """End the action in mid-carry."""
     data.document["actions"][0]["last_frame"] = _at(data, strength / 100.0)
     del data.document["actions"][1:]
 
 
-@_kind("two actions given as one", 1, 1, "", TWO)
+@_kind(1, 1, "", TWO)
 def actions_joined(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """State two actions as one."""
     first, *_rest, last = data.document["actions"]
     data.document["actions"] = [{**first, "last_frame": last["last_frame"]}]
 
 
-@_kind("the second action not listed", 1, 1, "", TWO)
+@_kind(1, 1, "", TWO)
 def action_missing(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Leave the second action out."""
     del data.document["actions"][1:]
 
 
 # Masks
 
 
-@_kind("mask too small all round", 10, 30, "pixels", MASK)
+@_kind(10, 30, "pixels", MASK)
 def mask_small(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Draw the mask too small all round."""
     _morphed(data, cv2.MORPH_ERODE, strength)
 
 
-@_kind("mask too large all round", 10, 35, "pixels", MASK)
+@_kind(10, 35, "pixels", MASK)
 def mask_large(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Draw the mask too large all round."""
     _morphed(data, cv2.MORPH_DILATE, strength)
 
 
-@_kind("mask with the hand", 1, 1, "", MASK, "hand")
+@_kind(1, 1, "", MASK, "hand")
 def mask_with_hand(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Include the hand in the mask."""
     # Skin, and nothing else in these films, is this much redder than blue and green.
     red, green, blue = (data.color[..., k].astype(int) for k in range(3))
     skin = (red - green > 28) & (red - blue > 40) & (green > 60)
@@ -486,8 +550,9 @@ def mask_with_hand(data: RecordingData, _: float, __: np.random.Generator) -> No
         data.mask[number] |= opened > 0
 
 
-@_kind("mask with a neighbor of the cloth", 60, 160, "pixels", MASK)
+@_kind(60, 160, "pixels", MASK)
 def mask_with_neighbor(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Include a neighbor of the cloth in the mask."""
     row, column = _rim(data.mask[0], rng)
     size = round(data.scale * strength)
     for mask in data.mask:
@@ -495,8 +560,9 @@ def mask_with_neighbor(data: RecordingData, strength: float, rng: np.random.Gene
         mask[:] = view > 0
 
 
-@_kind("mask of another object", 60, 160, "pixels", MASK)
+@_kind(60, 160, "pixels", MASK)
 def mask_of_another(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Mask another object."""
     size = round(data.scale * strength)
     away = cv2.distanceTransform((~data.mask[0]).astype(np.uint8), cv2.DIST_L2, 3)
     away[:size], away[-size:], away[:, :size], away[:, -size:] = 0, 0, 0, 0
@@ -505,8 +571,9 @@ def mask_of_another(data: RecordingData, strength: float, _: np.random.Generator
     data.mask[:, row - size // 2 : row + size // 2, column - size // 2 : column + size // 2] = True
 
 
-@_kind("mask without one side of the cloth", 15, 50, "percent", MASK)
+@_kind(15, 50, "percent", MASK)
 def mask_cut(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Leave one side of the cloth out of the mask."""
     rows, columns = np.nonzero(data.mask[0])
     angle = rng.uniform(0.0, 2.0 * np.pi)
     grid = np.mgrid[: data.camera["height"], : data.camera["width"]]
@@ -514,21 +581,24 @@ def mask_cut(data: RecordingData, strength: float, rng: np.random.Generator) -> 
     data.mask &= along > np.percentile(along[rows, columns], strength)
 
 
-@_kind("mask of the first frame in all", 1, 1, "", MASK)
+@_kind(1, 1, "", MASK)
 def mask_stuck(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Repeat the first mask in all frames."""
     data.mask[:] = data.mask[0]
 
 
-@_kind("mask inverted", 1, 1, "", MASK)
+@_kind(1, 1, "", MASK)
 def mask_inverted(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Invert the mask."""
     data.mask[:] = ~data.mask
 
 
 # Cloth and template
 
 
-@_kind("size of the cloth wrong", 10, 35, "percent", SIZE)
+@_kind(10, 35, "percent", SIZE)
 def size_wrong(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a wrong size of the cloth."""
     sides, factor = data.document["cloth"]["size_m"], 1.0 + sign(rng) * strength / 100.0
     which = rng.integers(3)
     data.document["cloth"]["size_m"] = [
@@ -536,39 +606,45 @@ def size_wrong(data: RecordingData, strength: float, rng: np.random.Generator) -
     ]
 
 
-@_kind("another garment named", 1, 1, "", SIZE)
+@_kind(1, 1, "", SIZE)
 def kind_wrong(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Name another garment."""
     cloth = data.document["cloth"]
     cloth["kind"] = "tshirt" if cloth["kind"] == "towel" else "towel"
 
 
-@_kind("template scaled", 6, 35, "percent", TEMPLATE)
+@_kind(6, 35, "percent", TEMPLATE)
 def template_scaled(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Scale the template."""
     middle = data.vertices.mean(axis=0) * (1.0, 1.0, 0.0)
     data.vertices = middle + (data.vertices - middle) * (1.0 + sign(rng) * strength / 100.0)
 
 
-@_kind("template beside the cloth", 12, 50, "mm", TEMPLATE)
+@_kind(12, 50, "mm", TEMPLATE)
 def template_beside(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Lay the template beside the cloth."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     data.vertices = data.vertices + 1e-3 * strength * np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
-@_kind("template turned", 12, 170, "degrees", TEMPLATE)
+@_kind(12, 170, "degrees", TEMPLATE)
 def template_turned(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Turn the template."""
     middle = data.vertices.mean(axis=0)
     turn = _turned([0.0, 0.0, 1.0], sign(rng) * strength)[:3, :3]
     data.vertices = middle + (data.vertices - middle) @ turn.T
 
 
-@_kind("template turned over its diagonal", 1, 1, "", TEMPLATE)
+@_kind(1, 1, "", TEMPLATE)
 def template_mirrored(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Turn the template over its diagonal."""
     middle = data.vertices.mean(axis=0)
     data.vertices = middle + (data.vertices - middle)[:, [1, 0, 2]]
 
 
-@_kind("template: triangles that share no corner, with jitter", 0.1, 1.0, "mm", TEMPLATE)
+@_kind(0.1, 1.0, "mm", TEMPLATE)
 def template_soup(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Give each triangle of the template its own corners, with jitter."""
     corners = data.faces.ravel()
     jitter = rng.normal(0.0, 1e-3 * strength, (len(corners), 3))
     data.vertices = data.vertices[corners] + jitter
@@ -576,15 +652,17 @@ def template_soup(data: RecordingData, strength: float, rng: np.random.Generator
     data.faces = np.arange(len(corners)).reshape(-1, 3)
 
 
-@_kind("template without one side", 12, 45, "percent", TEMPLATE)
+@_kind(12, 45, "percent", TEMPLATE)
 def template_cut(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Cut one side off the template."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     along = data.vertices[:, :2] @ np.array([np.cos(angle), np.sin(angle)])
     _keep_vertices(data, along > np.percentile(along, strength))
 
 
-@_kind("template of another garment", 1, 1, "", TEMPLATE)
+@_kind(1, 1, "", TEMPLATE)
 def template_of_another(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Give the template of another garment, a cross."""
     # A cross in the cloth's bounding box is as little a towel as a shirt's outline is.
     low, high = data.vertices[:, :2].min(axis=0), data.vertices[:, :2].max(axis=0)
     share = np.abs(2.0 * (data.vertices[:, :2] - low) / (high - low) - 1.0)
@@ -594,8 +672,9 @@ def template_of_another(data: RecordingData, _: float, __: np.random.Generator) 
 # Time
 
 
-@_kind("frames shuffled in the middle", 40, 100, "percent", PICKER)
+@_kind(40, 100, "percent", PICKER)
 def frames_shuffled(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Shuffle frames in the middle."""
     first, last = data.carried()
     inside = np.arange(first, last + 1)
     chosen = np.sort(rng.choice(inside, max(3, int(len(inside) * strength / 100)), replace=False))
@@ -605,15 +684,17 @@ def frames_shuffled(data: RecordingData, strength: float, rng: np.random.Generat
     data.clouds = [data.clouds[k] for k in order] if data.clouds else []
 
 
-@_kind("the film backwards", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def frames_reversed(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """Run the film backwards."""
     _each(data, (COLOR, DEPTH, MASK), lambda pictures: pictures[::-1].copy())
     data.clouds = data.clouds[::-1]
     data.moments = data.moments[::-1].copy()
 
 
-@_kind("frames dropped, and the rest timed as if none were", 25, 60, "percent", PICKER)
+@_kind(25, 60, "percent", PICKER)
 def frames_dropped(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Drop frames, and time the rest as if none were missing."""
     times = data.times
     kept = max(6, round(data.count * (1.0 - strength / 100.0)))
     chosen = np.sort(rng.choice(np.arange(1, data.count - 1), kept - 2, replace=False))
@@ -621,8 +702,9 @@ def frames_dropped(data: RecordingData, strength: float, rng: np.random.Generato
     data.times = times[: data.count]
 
 
-@_kind("a gap in the film", 50, 100, "percent of the carrying", PICKER)
+@_kind(50, 100, "percent of the carrying", PICKER)
 def frames_gap(data: RecordingData, strength: float, _: np.random.Generator) -> None:
+    """Leave a gap in the film."""
     first, last = data.carried()
     missing = round((last - first + 1) * strength / 100.0)
     begun = first + (last - first + 1 - missing) // 2
@@ -630,22 +712,25 @@ def frames_gap(data: RecordingData, strength: float, _: np.random.Generator) -> 
     data.take(frames[(frames < begun) | (frames >= begun + missing)])
 
 
-@_kind("pictures repeated, so that they fall behind the clock", 30, 100, "percent", PICKER)
+@_kind(30, 100, "percent", PICKER)
 def frames_repeated(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Repeat pictures, so that they fall behind the clock."""
     steps = np.where(rng.random(data.count) < strength / 200.0, 0, 1)
     order = np.minimum(np.cumsum(steps), data.count - 1)
     _each(data, (COLOR, DEPTH, MASK), lambda pictures: pictures[order])
     data.clouds = [data.clouds[k] for k in order] if data.clouds else []
 
 
-@_kind("all times in milliseconds", 1, 1, "", PICKER)
+@_kind(1, 1, "", PICKER)
 def all_milliseconds(data: RecordingData, _: float, __: np.random.Generator) -> None:
+    """State all times in milliseconds."""
     data.times = 1e3 * data.times
     picker_milliseconds(data, 1.0, np.random.default_rng(0))
 
 
-@_kind("frame rate wrong, the picker's clock right", 1.3, 2.5, "times", PICKER)
+@_kind(1.3, 2.5, "times", PICKER)
 def rate_wrong(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """State a wrong frame rate beside a right clock of the picker."""
     data.times = data.times * strength ** sign(rng)
     last = data.times[-1]
     for name, samples in data.picker.items():
@@ -658,8 +743,9 @@ def rate_wrong(data: RecordingData, strength: float, rng: np.random.Generator) -
 # Scene
 
 
-@_kind("cloth leaves the picture", 15, 45, "percent", DEPTH)
+@_kind(15, 45, "percent", DEPTH)
 def cloth_outside(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Let the cloth leave the picture."""
     low, high = _box(data)
     axis, far = int(rng.integers(2)), bool(rng.integers(2))
     at = round(low[axis] + (high[axis] - low[axis]) * strength / 100.0)
@@ -670,8 +756,9 @@ def cloth_outside(data: RecordingData, strength: float, rng: np.random.Generator
     cropped(data, top_left, bottom_right)
 
 
-@_kind("a second cloth beside the first", 90, 200, "pixels", DEPTH, COLOR)
+@_kind(90, 200, "pixels", DEPTH, COLOR)
 def second_cloth(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Lay a second cloth of the same color beside the first."""
     low, high = _box(data)
     size = round(data.scale * strength)
     column = int(high[0] - 0.2 * size) if rng.integers(2) else int(low[0] - 0.8 * size)
@@ -687,8 +774,9 @@ def second_cloth(data: RecordingData, strength: float, rng: np.random.Generator)
         data.mask[area] = True
 
 
-@_kind("another arm over the cloth", 60, 140, "pixels", DEPTH, COLOR)
+@_kind(60, 140, "pixels", DEPTH, COLOR)
 def another_arm(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
+    """Hold another arm over the cloth."""
     low, high = _box(data)
     middle = rng.uniform(0.7 * low + 0.3 * high, 0.3 * low + 0.7 * high)
     angle, width = rng.uniform(0.0, 2.0 * np.pi), round(data.scale * strength)
