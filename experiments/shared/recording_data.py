@@ -208,6 +208,7 @@ def read_folder(folder: Path) -> RecordingData:
 
     def pictures(name: str) -> list[np.ndarray]:
         files = [folder / frame[name] for frame in frames if name in frame]
+        files = files or sorted((folder / name).glob("*.png"))
         return [cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files]
 
     if color := pictures("color"):
