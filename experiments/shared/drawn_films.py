@@ -517,7 +517,7 @@ def rasterize(
 
 def _corner(size_m: tuple[float, float], signs: tuple[int, int]) -> tuple[float, float]:
     """Where a corner is taken: 4 mm inside the cloth."""
-    return tuple(sign * (0.5 * side - 0.004) for sign, side in zip(signs, size_m, strict=True))
+    return signs[0] * (0.5 * size_m[0] - 0.004), signs[1] * (0.5 * size_m[1] - 0.004)
 
 
 def _corner_fold(

@@ -135,7 +135,7 @@ def _simulated(kind: str, seed: int, **changes: Any) -> Callable[[Path], Recordi
         out = stage / "simulated"
         folder = out / "recordings" / f"{kind}_{seed:04d}"
         if not folder.exists():
-            simulate_trajectory(kind, seed, out, config=config)  # type: ignore[arg-type]
+            simulate_trajectory(kind, seed, out, config=config)
         return _with_truth(read_folder(folder), out / "truth" / f"{folder.name}.npz")
 
     return make
@@ -160,8 +160,6 @@ def _shipped(stage: Path) -> RecordingData:
     if not again.exists():
         simulate_trajectory("tshirt", SEED, out, config=WORLD)
     data, filmed = read_folder(shipped_recording(NAME)), read_folder(again)
-    assert data.depth is not None
-    assert filmed.depth is not None
     known = data.depth > 0
     if data.depth.shape != filmed.depth.shape or (data.depth != filmed.depth)[known].any():
         raise MissingBaseError(

@@ -17,6 +17,10 @@ CLOSED = 4
 """Column of a picker's samples that says whether it is closed; before it: time, x, y, z."""
 
 
+Part = Any
+"""An array, or None where the recording lacks it: a kind of change names what it needs."""
+
+
 @dataclass
 class RecordingData:
     """A recording with at most one camera that takes pictures, and the truth beside it.
@@ -40,17 +44,17 @@ class RecordingData:
     """
 
     document: dict[str, Any]
-    color: np.ndarray | None = None
-    depth: np.ndarray | None = None
-    mask: np.ndarray | None = None
+    color: Part = None
+    depth: Part = None
+    mask: Part = None
     clouds: list[np.ndarray] = field(default_factory=list)
     picker: dict[str, np.ndarray] = field(default_factory=dict)
-    vertices: np.ndarray | None = None
-    faces: np.ndarray | None = None
-    canonical: np.ndarray | None = None
-    truth: np.ndarray | None = None
-    truth_faces: np.ndarray | None = None
-    truth_canonical: np.ndarray | None = None
+    vertices: Part = None
+    faces: Part = None
+    canonical: Part = None
+    truth: Part = None
+    truth_faces: Part = None
+    truth_canonical: Part = None
     moments: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     facts: dict[str, Any] = field(default_factory=dict)
 
@@ -209,7 +213,7 @@ def read_folder(folder: Path) -> RecordingData:
     def pictures(name: str) -> list[np.ndarray]:
         files = [folder / frame[name] for frame in frames if name in frame]
         files = files or sorted((folder / name).glob("*.png"))
-        return [cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files]
+        return [np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED)) for file in files]
 
     if color := pictures("color"):
         data.color = np.stack(color)[..., ::-1].copy()

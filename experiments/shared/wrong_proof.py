@@ -204,7 +204,6 @@ class _Errors:
         from clothtrack.evaluation import Truth
         from clothtrack.evaluation.naming import true_places
 
-        assert data.truth is not None
         self._truth, self._where = data.truth[data.moments], None
         if data.truth_faces is None:
             return
