@@ -237,7 +237,7 @@ class _Errors:
 
 
 class _Heard(logging.Handler):
-    """Keeps the warnings of the package."""
+    """Keeps the warnings of the package, each once."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -245,7 +245,9 @@ class _Heard(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep one line."""
-        self.lines.append(record.getMessage()[:300])
+        line = record.getMessage()[:300]
+        if line not in self.lines:
+            self.lines.append(line)
 
 
 WRONG = Proof(KINDS, [base for base in BASES if base.wrong], wrong=True)
