@@ -214,19 +214,21 @@ _SEEN = frozenset({"color", "depth", "table", "picker"})
 BASES: tuple[Base, ...] = (
     Base("stiff_loop", _SEEN | {"mask", "size", "hand"}, _drawn("stiff_loop")),
     Base("stiff_open", _SEEN | {"mask", "size", "hand"}, _drawn("stiff_open")),
-    Base("soft_drape", _SEEN | {"mask", "template", "hand"}, _drawn("soft_drape", template=True)),
+    Base("soft_drape", _SEEN | {"mask", "template", "hand", "oblong"},
+         _drawn("soft_drape", template=True)),
     Base("drag", _SEEN | {"size"}, _drawn("drag", color="green")),
     Base("two_folds", _SEEN | {"mask", "template", "two actions"},
          _drawn("two_folds", template=True)),
     Base("half_fold", _SEEN | {"mask", "size", "hand"}, _drawn("half_fold")),
-    Base("napkin", _SEEN | {"template"}, _simulated("towel", 21, size_m=(0.26, 0.2))),
+    Base("napkin", _SEEN | {"template", "oblong"}, _simulated("towel", 21, size_m=(0.26, 0.2))),
     Base("towel", _SEEN | {"size"}, _simulated("towel", 12, size_m=(0.34, 0.24), template=None)),
-    Base("tshirt", _SEEN | {"template"}, _simulated("tshirt", 13, vertex_count=700)),
-    Base("shipped", _SEEN | {"template"}, _shipped),
+    Base("tshirt", _SEEN | {"template", "oblong"}, _simulated("tshirt", 13, vertex_count=700)),
+    Base("shipped", _SEEN | {"template", "oblong"}, _shipped),
     Base("hanging", frozenset({"color", "depth", "mask", "template"}), _hanging),
     Base("napkin_folded", frozenset({"picker", "template", "clouds"}), _napkin("fold_navy"),
          wrong=False),
     Base("napkin_lifted", frozenset({"picker", "template", "clouds"}), _napkin("lift_tan"),
          wrong=False),
 )  # fmt: skip
-"""Motion laws and physics that differ as much as we have them."""
+"""Motion laws and physics that differ as much as we have them. An "oblong" template is another one when its
+sides are exchanged."""

@@ -627,7 +627,7 @@ def template_beside(data: RecordingData, strength: float, rng: np.random.Generat
     data.vertices = data.vertices + 1e-3 * strength * np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
-@_kind(12, 170, "degrees", TEMPLATE)
+@_kind(12, 40, "degrees", TEMPLATE)
 def template_turned(data: RecordingData, strength: float, rng: np.random.Generator) -> None:
     """Turn the template."""
     middle = data.vertices.mean(axis=0)
@@ -635,7 +635,7 @@ def template_turned(data: RecordingData, strength: float, rng: np.random.Generat
     data.vertices = middle + (data.vertices - middle) @ turn.T
 
 
-@_kind(1, 1, "", TEMPLATE)
+@_kind(1, 1, "", TEMPLATE, "oblong")
 def template_mirrored(data: RecordingData, _: float, __: np.random.Generator) -> None:
     """Turn the template over its diagonal."""
     middle = data.vertices.mean(axis=0)

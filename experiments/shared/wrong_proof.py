@@ -94,6 +94,9 @@ class Proof:
         unknown = sum("word" in row and row["mean_mm"] is None for row in rows)
         told = ", ".join(f"{name} {count}" for name, count in ended.most_common())
         lines += ["", f"{told}; without a truth {unknown}; {cpu_s:.0f} CPU s."]
+        if not self.wrong:
+            # Right input, and yet a mesh that is far off and trusted: nothing else counts these.
+            lines.append(f"Trusted and far off: {sum(map(false_trust, rows))}.")
         if reasons := Counter(row["error"] for row in rows if row["outcome"] == "skipped"):
             lines += [f"- skipped: {reason} ({count})" for reason, count in reasons.items()]
         return "\n".join(lines) + "\n"

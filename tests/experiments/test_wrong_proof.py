@@ -85,7 +85,9 @@ def test_the_truth_of_a_film_lies_where_its_depth_was_measured(name):
         assert np.median(np.abs(gap[visible])) < 0.0006
         measured = 1e-3 * film.depth[frame][rows, columns]
         known = visible & (measured > 0)
-        assert (measured - z)[known].std() == pytest.approx(scene.noise_m, rel=0.4)
+        # On steep cloth a pixel's center is nearer or farther than the vertex.
+        spread = 1.4826 * np.median(np.abs(measured - z)[known])
+        assert spread == pytest.approx(scene.noise_m, rel=0.25)
 
 
 def test_a_triangle_is_drawn_at_the_depth_of_its_plane():
