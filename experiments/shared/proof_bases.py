@@ -230,5 +230,5 @@ BASES: tuple[Base, ...] = (
     Base("napkin_lifted", frozenset({"picker", "template", "clouds"}), _napkin("lift_tan"),
          wrong=False),
 )  # fmt: skip
-"""Motion laws and physics that differ as much as we have them. An "oblong" template is another one when its
-sides are exchanged."""
+"""Motion laws and physics that differ as much as we have them. An "oblong" template is another one
+when its sides are exchanged."""

@@ -78,16 +78,17 @@ def test_the_truth_of_a_film_lies_where_its_depth_was_measured(name):
         columns, rows = np.round(pixels).astype(int).T
         seen = film.mask[frame][rows, columns]
         gap = film.exact[frame][rows, columns] - z
-        # What is nearer hides a vertex; nothing is seen through the cloth. A pixel is 2 mm wide.
-        assert np.quantile(gap[seen], 0.995) < 0.004
+        # What is nearer hides a vertex, and nothing is seen through the cloth; at its rim and on
+        # steep cloth the pixel that is nearest to a vertex may show what is behind it.
+        assert np.quantile(gap[seen], 0.98) < 0.004
         visible = seen & (gap > -0.004)
         assert visible.sum() > 0.4 * len(z)
         assert np.median(np.abs(gap[visible])) < 0.0006
-        measured = 1e-3 * film.depth[frame][rows, columns]
-        known = visible & (measured > 0)
-        # On steep cloth a pixel's center is nearer or farther than the vertex.
-        spread = 1.4826 * np.median(np.abs(measured - z)[known])
-        assert spread == pytest.approx(scene.noise_m, rel=0.25)
+        known = film.mask[frame] & (film.depth[frame] > 0)
+        noise = (1e-3 * film.depth[frame] - film.exact[frame])[known]
+        # Rounding to whole millimeters adds 0.3 mm.
+        assert noise.std() == pytest.approx(np.hypot(scene.noise_m, 1e-3 / np.sqrt(12)), rel=0.05)
+        assert abs(noise.mean()) < 1e-4
 
 
 def test_a_triangle_is_drawn_at_the_depth_of_its_plane():
