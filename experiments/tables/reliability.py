@@ -1,11 +1,14 @@
-"""The long proofs of reliability: kills, damaged input, a long run, physics, full disks.
+"""The long proofs of reliability: kills, damaged input, a long run, physics, full disks, trust.
 
 Claims judged: whatever the moment of a `kill -9`, nothing finished is lost and the same command
 ends with the same bits; whatever is damaged is refused in one line; a process that tracks many
 recordings does not grow; no permitted physics leaves the finite numbers or crosses the table, and
-near the default (`near`) none gains energy; a full or read-only disk costs nothing that was there.
+near the default (`near`) none gains energy; a full or read-only disk costs nothing that was there;
+no recording that is wrong (`wrong`) ends in a mesh that is trusted and far off, and none that is
+right (`harmless`) in one that is right and not trusted.
 
     python experiments reliability --out OUT [--only kills fuzz soak physics near disk]
+    python experiments reliability --out OUT --only wrong harmless --data DIR
     python experiments reliability --out OUT --case fuzz:1234     one case again, alone
 
 Cases that are done are kept in OUT/KIND.jsonl: a second call goes on where the first stopped. A
@@ -20,16 +23,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import _path  # noqa: F401
-from shared import full_disk, fuzz, kills, near_physics, random_physics, soak
+from shared import full_disk, fuzz, kills, near_physics, random_physics, soak, wrong_proof
 from shared.figures import say, write_json
+from shared.proof_bases import REAL
 from shared.proof_stage import prepared
 from shared.trial import preload
 
 PROOFS = {"kills": kills, "fuzz": fuzz, "soak": soak, "physics": random_physics,
-          "near": near_physics, "disk": full_disk}  # fmt: skip
+          "near": near_physics, "disk": full_disk, "wrong": wrong_proof.WRONG,
+          "harmless": wrong_proof.HARMLESS_PROOF}  # fmt: skip
 COUNTS = {"kills": 200, "fuzz": 10_000, "soak": 50, "physics": 1000, "near": 1000,
-          "disk": 2 * full_disk.COUNT}  # fmt: skip
-SMOKE = {"kills": 1, "fuzz": 9, "soak": 2, "physics": 8, "near": 8, "disk": 2}
+          "disk": 2 * full_disk.COUNT, "wrong": 1000, "harmless": 500}  # fmt: skip
+SMOKE = {"kills": 1, "fuzz": 9, "soak": 2, "physics": 8, "near": 8, "disk": 2, "wrong": 3,
+         "harmless": 2}  # fmt: skip
+OWN_STAGE = {"wrong", "harmless"}
+"""Proofs that do not need the small world."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,9 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # One case alone may be tried while the others run.
         box = out / ("alone" if options.case else "box")
         box.mkdir(parents=True, exist_ok=True)
-        stage = prepared(out / "stage")
+        kind, _, number = (options.case or "").partition(":")
+        stage = staged(out / "stage", {kind} if kind else set(options.only), options.data)
         if options.case:
-            kind, _, number = options.case.partition(":")
             row = PROOFS[kind].case(int(number), options.seed, stage, box)
             say(json.dumps(row, indent=1) + "\n")
             return int(PROOFS[kind].violates(row))
@@ -60,6 +68,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for kind, row in wrong:
         say(f"{kind}:{row['case']}  {json.dumps(row)[:600]}\n")
     return 1 if wrong else 0
+
+
+def staged(folder: Path, kinds: set[str], data: Path | None) -> Path:
+    """The folder of what the proofs work on, with what these kinds need."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if data is not None and not (folder / REAL).exists():
+        (folder / REAL).symlink_to(data.resolve(), target_is_directory=True)
+    return folder if kinds <= OWN_STAGE else prepared(folder)
 
 
 def cases(kind: str, count: int, seed: int, stage: Path, out: Path) -> list[dict]:
@@ -111,6 +127,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--only", nargs="+", choices=PROOFS, default=list(PROOFS))
     for kind, count in COUNTS.items():
         parser.add_argument(f"--{kind}", type=int, default=count, help=f"cases ({count})")
+    parser.add_argument("--data", type=Path, help="folder of the real sets, for wrong and harmless")
     parser.add_argument("--seed", type=int, default=0, help="of all cases")
     parser.add_argument("--case", help="one case, such as fuzz:1234; nothing is kept")
     parser.add_argument("--json", type=Path, help="write rows and tables to this file")
