@@ -32,9 +32,6 @@ WRONG_MEAN_MM, WRONG_P95_MM = 8.0, 30.0
 RIGHT_MEAN_MM, RIGHT_P95_MM = 5.0, 15.0
 """A mesh that is not trusted, with a true error below both, is a false alarm."""
 
-NEAR = 2.0
-"""A vertex is within what is expected of it where its true error is at most so many times that."""
-
 CPU_S = 120
 """A case that computes for longer is stopped [s]; one takes some ten."""
 
@@ -188,7 +185,7 @@ def _tracked(folder: Path, data: RecordingData) -> Row:
     meshes.append((int(run.frames[-1]), run.positions[-1]))
     ends = [{"frame": int(frame), **errors.of(frame, positions)} for frame, positions in meshes]
     near = [
-        int((errors.each(label.frame, label.positions) <= NEAR * label.vertex_errors_m).sum())
+        int((errors.each(label.frame, label.positions) <= label.vertex_bounds_m).sum())
         for label in labels
     ]
     return row | {

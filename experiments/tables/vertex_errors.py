@@ -1,13 +1,15 @@
 """Does the spread of the candidates tell which vertices of a label are wrong?
 
-    clothtrack bench OUT --split dev
+    clothtrack simulate OUT --benchmark dev
     clothtrack track OUT/recordings/*_dev_* --output TRACKED
     python experiments vertex_errors TRACKED/*.zarr --truth OUT/truth
 
 For every label: correlation of the candidates' spread with the true error over its vertices, and
 the true error, in parts of the label's mean, of the fifth of the vertices with the largest spread,
 of the fifth with the smallest, and of the hidden ones. Then how far an expected error is off that
-deals so much of the label's mean out by the spread.
+deals so much of the label's mean out by the spread. With `--recordings`, last: the share of the
+vertices whose error is within what is said of each (`Label.vertex_bounds_m`), and the factor that
+would have held 90 % of them.
 """
 
 import argparse
@@ -22,9 +24,15 @@ from jaxtyping import Bool, Float
 from scipy.stats import spearmanr
 from shared.figures import say
 
+from clothtrack import load
 from clothtrack.errors import ClothTrackError
 from clothtrack.evaluation import Truth, material_map, material_points
+from clothtrack.evaluation.vertex_errors import INTERVAL_FACTOR
+from clothtrack.geometry import quiet_warp
 from clothtrack.tracking import TrackedTrajectory
+
+HELD = 0.9
+"""Share of the vertices that an interval is to hold."""
 
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 1.0)
 
@@ -90,12 +98,38 @@ def labels(path: Path, truths: Path) -> list[Label]:
     return found
 
 
+def coverage(paths: Sequence[Path], recordings: Path, truths: Path) -> str:
+    """Say how many vertices lie within their interval, all and by what cameras see of them."""
+    times, hidden, by_label = [], [], []
+    for path in paths:
+        run = load(path, recordings / path.stem)
+        truth = Truth.load(truths / f"{run.name}.npz")
+        where = material_map(truth.canonical, truth.faces, np.asarray(run.mesh.canonical))
+        for label in run.labels:
+            right = material_points(truth.at(label.frame), truth.faces, where)
+            error = np.linalg.norm(label.positions - right, axis=1)
+            times.append(error / label.vertex_errors_m)
+            by_label.append(float((error <= label.vertex_bounds_m).mean()))
+            hidden.append(~run.visible[int(np.flatnonzero(run.frames == label.frame)[0])])
+    every, unseen = np.concatenate(times), np.concatenate(hidden)
+    within = every <= INTERVAL_FACTOR
+    return (
+        f"{len(times)} labels, {len(every)} vertices: {100 * within.mean():.1f} % within "
+        f"{INTERVAL_FACTOR:g} times the expected error\n({100 * within[~unseen].mean():.1f} % of "
+        f"the visible, {100 * within[unseen].mean():.1f} % of the hidden; of single labels "
+        f"{100 * min(by_label):.0f} to {100 * max(by_label):.0f} %);\n"
+        f"{np.quantile(every, HELD):.2f} times would have held {100 * HELD:.0f} %"
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print both tables; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("tracked", type=Path, nargs="+", help="NAME.zarr, tracked by the default")
+    parser.add_argument("--recordings", type=Path, help="folder of the recordings")
     parser.add_argument("--truth", type=Path, required=True, help="folder of NAME.npz")
     options = parser.parse_args(arguments)
+    quiet_warp()
     try:
         found = [one for path in options.tracked for one in labels(path, options.truth)]
     except ClothTrackError as error:
@@ -114,6 +148,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for dealt in SHARES:
         off = np.mean([one.off_by(dealt) for one in found])
         say(f"| {dealt:.1f} | {off:.3f} |\n")
+    if options.recordings is not None:
+        say("\n" + coverage(options.tracked, options.recordings, options.truth) + "\n")
     return 0
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from clothtrack.evaluation.label_evidence import LabelEvidence
 from clothtrack.evaluation.label_quality import LabelQuality
+from clothtrack.evaluation.local_misfit import LocalMisfit
 from clothtrack.evaluation.vertex_errors import expected_vertex_errors
 from clothtrack.tracking.tracked_trajectory import Calibration, TrackedAction
 
@@ -35,6 +36,14 @@ def test_the_mean_is_the_labels_and_the_spread_deals_it_out():
 @pytest.mark.parametrize("spread", [(), (0.0, 0.0, 0.0, 0.0)])
 def test_without_a_spread_all_vertices_are_alike(spread):
     np.testing.assert_array_equal(expected_vertex_errors(action(spread), label(6.0)), 6e-3)
+
+
+def test_a_patch_away_from_what_was_seen_is_expected_to_be_as_far_off():
+    misfit_m = np.array([0.0, 1e-3, 2e-2, 3e-2])
+    nothing = np.zeros(4)
+    evidence = replace(NO_EVIDENCE, misfit=LocalMisfit(nothing, nothing, nothing, misfit_m))
+    errors = expected_vertex_errors(action(()), replace(label(6.0), evidence=evidence))
+    np.testing.assert_allclose(errors, [6e-3, 6e-3, 2e-2, 3e-2])
 
 
 def test_where_nothing_was_seen_nothing_is_expected():

@@ -19,7 +19,7 @@ from clothtrack.evaluation import results
 from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
 from clothtrack.evaluation.truth import Truth
 from clothtrack.evaluation.verdict import Verdict, judged, verdict_of
-from clothtrack.evaluation.vertex_errors import expected_vertex_errors
+from clothtrack.evaluation.vertex_errors import INTERVAL_FACTOR, expected_vertex_errors
 from clothtrack.files.settings import with_settings
 from clothtrack.geometry.devices import quiet_warp, require_device
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
@@ -44,7 +44,9 @@ class Label:
         positions: vertices after the final alignment [m].
         quality: weight for training in 0..1; one half is typical of the benchmark.
         expected_error_mm: mean vertex error to expect [mm]; NaN where nothing was seen.
-        vertex_errors_m: the error to expect of each vertex [m]; their mean is the same error.
+        vertex_errors_m: the error to expect of each vertex [m], larger where the mesh contradicts
+            what was seen.
+        vertex_bounds_m: the error that 90 % of the vertices stay under [m], for each vertex.
     """
 
     def __repr__(self) -> str:
@@ -60,6 +62,11 @@ class Label:
     quality: float
     expected_error_mm: float
     vertex_errors_m: Float[np.ndarray, " vertices"]
+
+    @property
+    def vertex_bounds_m(self) -> Float[np.ndarray, " vertices"]:
+        """The error that 90 % of the vertices stay under [m], for each vertex."""
+        return INTERVAL_FACTOR * self.vertex_errors_m
 
 
 @dataclass(frozen=True, eq=False)

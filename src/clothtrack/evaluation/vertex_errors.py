@@ -15,6 +15,11 @@ _SPREAD_SHARE = 0.8
 """Share of the expected error that is dealt out by the spread; the rest falls on all alike."""
 
 
+INTERVAL_FACTOR = 1.9
+"""The error of 90 % of the vertices is at most so many times what is expected of each. Fitted on
+the labels of the benchmark's split `dev` (docs/label_quality.md); nothing is taken for Gaussian."""
+
+
 def expected_vertex_errors(
     action: TrackedAction, label: LabelQuality
 ) -> Float[np.ndarray, " vertices"]:
