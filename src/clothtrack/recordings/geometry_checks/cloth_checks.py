@@ -18,7 +18,7 @@ from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_g
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Recording, Table
 
-_SIZE_TOLERANCE = 0.1
+_SIZE_TOLERANCE = 0.06
 """Relative difference of a side of the cloth from `size_m` that is doubted. The sides of 40 flat
 cloths were within 3 % of their size, a shirt's sleeves that hang a little included."""
 

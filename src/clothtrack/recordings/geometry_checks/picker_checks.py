@@ -16,7 +16,7 @@ REACH_M = 0.03
 (`tracking.picking`). On right recordings it closes within 9 mm, where its place is lost in missing
 depth within 22 mm."""
 
-_FARTHEST_CARRIED_M = 0.025
+_FARTHEST_CARRIED_M = 0.016
 """Middle distance of a closed tip from the cloth [m] above which the tip is not where the cloth is
 carried. It is below 11 mm on right recordings with a thin tool."""
 
