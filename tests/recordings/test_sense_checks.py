@@ -19,6 +19,7 @@ from clothtrack.recordings.corrected_copy import write_corrected
 from clothtrack.recordings.geometry_checks import corrections as put_right
 from clothtrack.recordings.geometry_checks.action_checks import action_findings
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry, sense_findings
+from clothtrack.recordings.geometry_checks.camera_checks import camera_findings
 from clothtrack.recordings.geometry_checks.clock_checks import time_findings
 from clothtrack.recordings.geometry_checks.lens_checks import lens_findings
 from clothtrack.recordings.geometry_checks.small_pictures import small_pictures
@@ -251,6 +252,10 @@ def test_clocks_are_in_seconds_and_without_gaps(film):
     (gap,) = time_findings(missing)
     assert gap.kind == "frame_gap"
     assert gap.measured == pytest.approx(0.9)
+    # The pick itself lies in the gap: the picker is open in the frame before.
+    assert not film.picker_paths["hand"].closed_at(film.frames[2].time_s)
+    (gap,) = time_findings(replace(film, frames=film.frames[:3] + film.frames[17:]))
+    assert gap.kind == "frame_gap"
     jittered = replace(
         film,
         frames=tuple(
@@ -259,6 +264,16 @@ def test_clocks_are_in_seconds_and_without_gaps(film):
     )
     (spacing,) = time_findings(jittered)
     assert (spacing.kind, spacing.severity) == ("frame_spacing", "note")
+
+
+@pytest.mark.parametrize(("step_m", "found"), [(0.0005, False), (0.003, False), (0.012, True)])
+def test_depth_in_large_steps_is_doubted(film, tmp_path, step_m, found):
+    def change(kind, picture):
+        return step_m * np.round(picture / step_m) if kind == "depth" else picture
+
+    coarse = rewritten(film, tmp_path / "coarse", change)
+    kinds = [finding.kind for finding in camera_findings(coarse)]
+    assert ("depth_steps" in kinds) == found
 
 
 def test_an_action_holds_its_pick_and_its_release(film, small):

@@ -21,6 +21,11 @@ _LARGEST_SHIFT_M = 0.015
 """Distance of the two tables [m] from which a pose is doubted. On right recordings it is below 1
 mm, and 5 mm where the camera was put 5 mm beside its place on purpose. A pick reaches 30 mm."""
 
+_FEWEST_STEPS = 3
+_LARGEST_STEP_M = 0.006
+"""Distance of neighboring depth values [m] from which the depth is too coarse. Depth in millimeters
+has steps of 0.001; a structured-light sensor has 0.003 at 1 m."""
+
 _SPREAD = 0.1
 """A wrong unit makes all depth wrong by one factor: so far (quartiles of the logarithm) may the
 ratio of measured and expected depth differ between pixels."""
@@ -39,9 +44,30 @@ def camera_findings(recording: Recording) -> list[Finding]:
         if recording.table is None or not any(camera.name in f.depth for f in recording.frames):
             continue
         found = _wrong_unit(recording, camera, recording.table, place)
+        found = found or _coarse(recording, camera)
         found = found or _wrong_pose(recording, camera, recording.table, place)
         findings += [found] if found else []
     return findings
+
+
+def _coarse(recording: Recording, camera: Camera) -> Finding | None:
+    """Return a finding where the depth of the first frame comes in large steps."""
+    frame = next(frame for frame in recording.frames if camera.name in frame.depth)
+    depth = read_depth(frame.depth[camera.name], recording.depth_units_m[camera.name])
+    measured = depth[depth > 0]
+    if not len(measured):
+        return None
+    # Most of a picture lies within a few percent of its middle: what is far has larger steps.
+    middle = float(np.median(measured))
+    values = np.unique(measured[np.abs(measured - middle) < 0.1 * middle])
+    step_m = float(np.median(np.diff(values))) if len(values) > _FEWEST_STEPS else 0.0
+    if step_m <= _LARGEST_STEP_M:
+        return None
+    return Finding(
+        "depth_steps", step_m, _LARGEST_STEP_M, "m", "frames: depth",
+        f"the depth of camera {camera.name!r} comes in steps of {1e3 * step_m:.0f} mm (at most "
+        f"{1e3 * _LARGEST_STEP_M:.0f}): write it as the camera gives it, without rounding",
+    )  # fmt: skip
 
 
 def _wrong_unit(recording: Recording, camera: Camera, table: Table, place: int) -> Finding | None:

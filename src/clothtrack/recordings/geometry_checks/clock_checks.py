@@ -6,7 +6,7 @@ import numpy as np
 
 from clothtrack.recordings.geometry_checks.corrections import ClockScale
 from clothtrack.recordings.geometry_checks.finding import Finding
-from clothtrack.recordings.recording import Recording
+from clothtrack.recordings.recording import PickerPath, Recording
 
 LONGEST_STEP_S, SHORTEST_STEP_S = 5.0, 0.002
 """Middle time between frames [s] beyond which a clock is not in seconds: cameras take 1 to 300
@@ -21,6 +21,9 @@ _LARGEST_GAP = 3.0
 _LEAST_GAP_S = 0.25
 _LEAST_GAP_M = 0.05
 """A gap matters where a closed tip goes so far in it [m]: the cloth between was not seen."""
+
+_GAP_SAMPLES = 30
+"""At so many times within a gap is it asked where a picker is, and whether it is closed."""
 
 UNEVEN, LARGEST_JITTER = 0.3, 0.2
 """A step is uneven from this difference from the middle one, as a share of it; so large a share of
@@ -91,9 +94,8 @@ def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
         if after - before <= limit_s:
             continue
         for path in recording.picker_paths.values():
-            gone = path.position_at(after) - path.position_at(before)
-            gone_m = float(np.linalg.norm(gone))
-            if path.closed_at(before) and path.closed_at(after - 1e-6) and gone_m > _LEAST_GAP_M:
+            gone_m = _carried_m(path, before, after)
+            if gone_m > _LEAST_GAP_M:
                 return [
                     Finding(
                         "frame_gap", after - before, limit_s, "s", f"frames[{frame + 1}]: time_s",
@@ -103,6 +105,16 @@ def _gaps(recording: Recording, times: np.ndarray) -> list[Finding]:
                     )
                 ]  # fmt: skip
     return []
+
+
+def _carried_m(path: PickerPath, start_s: float, end_s: float) -> float:
+    """Return how far a picker goes while it is closed, between two times [m]."""
+    times = np.linspace(start_s, end_s, _GAP_SAMPLES)
+    closed = np.array([path.closed_at(time_s) for time_s in times])
+    steps_m = np.linalg.norm(
+        np.diff([path.position_at(time_s) for time_s in times], axis=0), axis=1
+    )
+    return float(steps_m[closed[:-1] & closed[1:]].sum())
 
 
 def _jitter(times: np.ndarray) -> list[Finding]:
