@@ -35,7 +35,7 @@ PROOFS := tests/experiments tests/reconstruction tests/planning tests/tracking \
   tests/files/test_ray_tasks.py tests/files/test_worker_pool.py \
   tests/cli/test_command_line.py tests/cli/test_on_a_terminal.py tests/cli/test_look.py \
   tests/examples/test_notebooks.py \
-  tests/verification/test_cuda_compiles.py
+  tests/published_networks tests/verification/test_cuda_compiles.py
 
 .DEFAULT_GOAL := help
 .PHONY: help install learn demo test test-all pages proofs wheel release check docs format bench clean
