@@ -8,7 +8,14 @@ import pytest
 
 from clothtrack.evaluation.label_evidence import LabelEvidence
 from clothtrack.evaluation.label_quality import LabelQuality, Misplaced, shipped_model
-from clothtrack.evaluation.verdict import LIMITS, WORDS, Verdict, trajectory_verdict, verdict
+from clothtrack.evaluation.verdict import (
+    LIMITS,
+    WORDS,
+    Verdict,
+    reconstruction_verdict,
+    trajectory_verdict,
+    verdict,
+)
 from clothtrack.recordings.geometry_checks.finding import Finding
 
 ERROR = LIMITS["expected error"]
@@ -86,3 +93,12 @@ def test_a_verdict_is_the_same_after_json():
         again = Verdict.from_dict(json.loads(json.dumps(found.as_dict(), allow_nan=False)))
         assert again.as_dict() == found.as_dict()
         assert str(again) == str(found)
+
+
+def test_the_mesh_of_one_picture_has_the_limits_of_a_label():
+    assert reconstruction_verdict("", 1e-3 * TRUSTED_MM).word == "trust"
+    assert reconstruction_verdict("", 0.023).word == "reject"
+    found = reconstruction_verdict("it covers what was seen to 0.50 only", None)
+    assert str(found) == "look: it covers what was seen to 0.50 only"
+    assert found.remedy
+    assert reconstruction_verdict("", None).word == "trust"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from clothtrack.geometry.mesh import ClothMesh
 
 if TYPE_CHECKING:
+    from clothtrack.evaluation.verdict import Verdict
     from clothtrack.reconstruction.depth_input import DepthInput
     from clothtrack.reconstruction.from_picture import NetworkMesh
 
@@ -49,14 +50,22 @@ class ReconstructedMesh(ClothMesh):
 
         return figures_of(self.network, self, self.picture)
 
+    @cached_property
+    def verdict(self) -> "Verdict":
+        """Trust, look or reject, by the limits of a tracked label."""
+        from clothtrack.evaluation.verdict import reconstruction_verdict
+
+        figures = self.figures
+        return reconstruction_verdict(figures["why_not"], figures["expected_error_m"])
+
     @property
     def doubts(self) -> tuple[str, ...]:
         """Why not to trust it; nothing where it can be trusted."""
-        if self.figures["trusted"]:
+        if self.verdict.word == "trust":
             return ()
         return (
-            f"{self.named}: do not trust this mesh: {self.figures['why_not']}. Is the garment, its "
-            "size, its mask or the depth's unit another?",
+            f"{self.named}: do not trust this mesh ({self.verdict}). Is the garment, its size, its "
+            "mask or the depth's unit another?",
         )
 
     def text(self) -> str:
@@ -79,4 +88,9 @@ class ReconstructedMesh(ClothMesh):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as JSON holds them."""
-        return {"mesh": None if self.path is None else str(self.path), **self.figures}
+        return {
+            "mesh": None if self.path is None else str(self.path),
+            **self.figures,
+            "trusted": self.verdict.word == "trust",
+            "verdict": self.verdict.as_dict(),
+        }

@@ -222,6 +222,26 @@ def evidence_of(label: LabelQuality) -> list[Evidence]:
     return [replace(one, action=label.action) for one in found]
 
 
+def reconstruction_verdict(contradiction: str, expected_error_m: float | None) -> Verdict:
+    """Return what to do with the mesh of one picture, by the same limits as a tracked label.
+
+    Args:
+        contradiction: why it cannot be right (`reconstruction.trust`); empty without a reason.
+        expected_error_m: mean vertex error that the network expects [m]; None from one that does
+            not say.
+    """
+    evidence = []
+    if expected_error_m is not None:
+        text = f"expected error {1e3 * expected_error_m:.1f} mm"
+        evidence.append(_measured("expected error", expected_error_m, text))
+    if contradiction:
+        remedy = "give --size, --template or --mask"
+        evidence.append(Evidence("picture", 1.0, 0.0, "", "look", contradiction, remedy))
+    if not evidence:
+        return Verdict("trust", "nothing that was seen contradicts it", math.nan)
+    return _verdict(evidence, math.nan if expected_error_m is None else expected_error_m)
+
+
 def _of_finding(finding: Finding) -> Evidence:
     """Return what a check of the recording found as evidence."""
     return Evidence(
@@ -259,7 +279,7 @@ def _verdict(evidence: Iterable[Evidence], expected_m: float, *, actions: int = 
     worst = against[0]
     reason = worst.text
     if worst.name != "expected error":
-        reason += f" ({text})"
+        reason += f" ({text})" if math.isfinite(expected_m) else ""
     elif math.isfinite(worst.measured):
         limit = LIMITS[worst.name]
         most = f"at most {1e3 * limit.reject:g}"
