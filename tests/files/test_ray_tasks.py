@@ -154,6 +154,12 @@ def test_tracking_by_ray_has_the_bits_of_the_pool(recordings, tmp_path, capfd):
     assert not list((tmp_path / "ray").rglob(".*"))
 
 
+def at_work() -> bool:
+    """Return whether a worker of Ray works on an item."""
+    found = subprocess.run(["pgrep", "-f", "ray::_done_in"], capture_output=True, check=False)
+    return found.returncode == 0
+
+
 @pytest.mark.parametrize(
     ("tell", "asked", "code"),
     [(os.kill, signal.SIGTERM, 143), (os.killpg, signal.SIGINT, -2)],
@@ -173,7 +179,10 @@ def test_a_command_that_is_stopped_takes_its_ray_along(
             while not (out / LOCK_FILE).exists():
                 assert process.poll() is None, process.communicate()
                 time.sleep(0.05)
-            time.sleep(15.0)  # Ray starts, or works.
+            # Ray starts before it works, and does not hear us meanwhile.
+            while not at_work():
+                assert process.poll() is None, process.communicate()
+                time.sleep(0.2)
             tell(process.pid, asked)
             # The pipe ends when the last process that holds it does.
             _, complained = process.communicate(timeout=LONG_S)

@@ -29,6 +29,7 @@ from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.picking import HeldCloth, StillCloth, find_grasps
 from clothtrack.tracking.protocols import Corrected, Correction, Dynamics, Method
 from clothtrack.tracking.recorder import Recorder
+from clothtrack.tracking.rest import never_at_rest
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -130,6 +131,7 @@ def follow(
         line_search=_Projection(mesh, config, recording.table),
         align_last=no_final_alignment,
         anchor=no_anchors,
+        at_rest=never_at_rest,
     )
     recorder = Recorder(recording, mesh, start, visible)
     track(recording, start, RunConfig().cloth.theta(), recorder.timed(method), recorder)
