@@ -47,6 +47,8 @@ def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, float]]:
 
     solver, cloth = SolverConfig(), ClothParameters()
     config: dict[str, Any] = {name: near(getattr(solver, name)) for name in VARIED}
+    # Whether layers touch was drawn once: cases keep their numbers.
+    rng.choice(["vertex-triangle", "none"])
     config["edge_contact"] = bool(rng.random() < 0.5)
     config["contact_depth_m"] = max(config["thickness_m"], near(solver.contact_depth_m))
     config["speed_limit"] = NO_LIMIT

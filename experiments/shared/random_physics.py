@@ -55,6 +55,8 @@ def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, float]]:
     config: dict[str, Any] = {
         name: value(limits, nothing=name in MAY_BE_NOTHING) for name, limits in DRAWN.items()
     }
+    # Whether layers touch was drawn once: cases keep their numbers.
+    rng.choice(["vertex-triangle", "none"])
     config["edge_contact"] = bool(rng.random() < 0.5)
     config["contact_depth_m"] = config["thickness_m"] * float(rng.uniform(1.0, 5.0))
     tilt = rng.normal(0.0, 2.0, 2) if rng.random() < 0.3 else (0.0, 0.0)
