@@ -69,3 +69,19 @@ def test_the_function_stops_as_the_verb_does(recordings):
     worst = max(label.expected_error_mm for label in run.labels)
     assert run.verdict.expected_error_m == pytest.approx(1e-3 * worst)
     assert np.isfinite(worst)
+
+
+def test_times_in_milliseconds_are_refused_before_a_minute_per_frame_is_simulated(recordings):
+    _, right = recordings
+    document = json.loads((right / "recording.json").read_text())
+    for frame in document["frames"]:
+        frame["time_s"] *= 1000.0
+    (right / "recording.json").write_text(json.dumps(document))
+    head, *lines = (right / "picker.csv").read_text().splitlines()
+    column = head.split(",").index("time_s")
+    rows = [line.split(",") for line in lines]
+    for row in rows:
+        row[column] = str(1000.0 * float(row[column]))
+    (right / "picker.csv").write_text("\n".join([head, *map(",".join, rows)]) + "\n")
+    with pytest.raises(InvalidRecordingError, match=r"frames are .* s apart.*--suggest OUT"):
+        ct.track(right, settings=("search.method=none",))

@@ -24,6 +24,7 @@ from clothtrack.files.provenance import made_with
 from clothtrack.files.worker_pool import require_workers
 from clothtrack.recordings.camera_view import camera_views
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.clock_checks import time_findings
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
 from clothtrack.recordings.point_cloud import Observation, observation_of
@@ -133,13 +134,16 @@ def track_recording(
 
     Raises:
         InvalidConfigError: Algorithm 1 has no function of that name.
-        InvalidRecordingError: the first mesh lies beside its cloud, and `force` is not set.
+        InvalidRecordingError: the first mesh lies beside its cloud or times are in another unit
+            than seconds, and `force` is not set.
     """
     for name in (parts := parts or {}):
         if name not in _PARTS:
             raise InvalidConfigError(
                 f"Algorithm 1 has no part {name!r}; there are {', '.join(_PARTS)}"
             )
+    if not force:
+        _refuse_wrong_clock(recording)
     clock = time.process_time()
     stamp = provenance(recording, config, device)
     cloud = observer(recording, config.cloud_spacing_m, segmenter, color=config.color)
@@ -175,6 +179,17 @@ def track_recording(
         return tracked
     verdict = judge(tracked, recording, segmenter=segmenter, device=device)
     return replace(tracked, verdict_fields=verdict)
+
+
+def _refuse_wrong_clock(recording: Recording) -> None:
+    """Refuse times in another unit than seconds: simulating a minute per frame would take hours."""
+    for finding in time_findings(recording):
+        if finding.kind == "clock_unit" and finding.correction is not None:
+            raise InvalidRecordingError(
+                f"{recording.folder}: stopped, {finding.text}; clothtrack inspect "
+                f"{recording.folder} --suggest OUT writes a corrected copy, and --force tracks it "
+                "as it is"
+            )
 
 
 def _first_gap_m(first: InitialState, observation: Observation, device: str) -> float | None:
