@@ -29,6 +29,7 @@ from clothtrack.tracking.final_alignment import no_final_alignment
 from clothtrack.tracking.line_search import PseudoActionSearch
 from clothtrack.tracking.methods import SOFT, default, paper
 from clothtrack.tracking.picking import HeldCloth, StillCloth
+from clothtrack.tracking.rest import never_at_rest
 from clothtrack.tracking.search import Axes, Proposal
 from clothtrack.tracking.visible_alignment import no_alignment, only_at
 
@@ -135,6 +136,11 @@ def tangled(components: Components) -> Assembled:
     return changed(assembled, align_last=replace(assembled.method.align_last, untangle=False))
 
 
+def every_frame(components: Components) -> Assembled:
+    """Return ours with every frame tracked, where the pictures stand still, too."""
+    return changed(default(components), at_rest=never_at_rest)
+
+
 DEFAULT: Mapping[str, Assemble] = {
     "default_no_pseudo_action": partial(without_pseudo_action, base=default),
     "default_no_dynamics_initialisation": partial(without_dynamics_initialisation, base=default),
@@ -143,6 +149,7 @@ DEFAULT: Mapping[str, Assemble] = {
     "default_unaligned_first": unaligned_first,
     "default_best_only": best_only,
     "default_tangled": tangled,
+    "default_every_frame": every_frame,
 }
 """Ours without one part each."""
 

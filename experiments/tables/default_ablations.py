@@ -5,7 +5,8 @@ does not show on the benchmark, depends on how the visible vertices are held. Th
 at the paper's method and keeps every change it has made; the last one, the slide to the outline,
 makes it the default. The second half takes away from the default the parts of the paper's Table 1,
 then its own: the alignment of the first mesh, the mean of the candidates, the search among them,
-the untangling, the points followed in colour, the cloth's stretch.
+the untangling, the rest where pictures stand still, the points followed in colour, the cloth's
+stretch.
 
     python experiments default_ablations --bench OUT --split test --workers 2
 """
@@ -57,6 +58,7 @@ WITHOUT = {
     "first alignment": "default_unaligned_first",
     "mean of candidates": "default_best_only",
     "untangling": "default_tangled",
+    "rest": "default_every_frame",
 }
 """What is taken away, and the method that does without it."""
 

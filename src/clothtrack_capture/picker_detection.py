@@ -40,7 +40,7 @@ _SAMPLES = 24
 
 
 @dataclass(frozen=True, eq=False)
-class _PickerDetection:
+class PickerDetection:
     """A picker as the recording shows it.
 
     Attributes:
@@ -66,7 +66,7 @@ def find_picker(
     members: UInt8[np.ndarray, "32 32 32"],
     *,
     name: str = "tip",
-) -> _PickerDetection:
+) -> PickerDetection:
     """Return the path of a coloured tip and its pick-and-places.
 
     Args:
@@ -106,7 +106,7 @@ def find_picker(
     actions = _actions(spans, visits, seen, heights, name=name)
     path = _path(recording.frames, positions, closed, seen)
     picks, releases = (tuple(span[end] for span in spans) for end in (0, 1))
-    return _PickerDetection(path, actions, picks, releases, seen, by)
+    return PickerDetection(path, actions, picks, releases, seen, by)
 
 
 def tip_members(
@@ -143,7 +143,7 @@ def require_unmeasured(recording: Recording, *, force: bool) -> None:
 
 
 def keep_picker(
-    recording: Recording, detection: _PickerDetection, name: str, tip: str
+    recording: Recording, detection: PickerDetection, name: str, tip: str
 ) -> int | None:
     """Write a detection into the recording, in place of the paths and actions it has.
 

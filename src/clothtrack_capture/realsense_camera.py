@@ -19,7 +19,7 @@ _NOTICEABLE_PX = 0.5
 
 
 @runtime_checkable
-class _FrameSource(Protocol):
+class FrameSource(Protocol):
     """What gives framesets: `rs.pipeline`, or `rs.syncer` behind a software device."""
 
     def wait_for_frames(self, timeout_ms: int) -> Any:
@@ -30,7 +30,7 @@ class _FrameSource(Protocol):
 class RealSenseCamera:
     """A RealSense camera, or anything that gives frames as one does."""
 
-    def __init__(self, source: _FrameSource, *, pipeline: Any = None, name: str = "top") -> None:
+    def __init__(self, source: FrameSource, *, pipeline: Any = None, name: str = "top") -> None:
         """Wait for the first frames, to learn the intrinsics.
 
         Args:

@@ -215,3 +215,14 @@ def test_many_runs_find_their_recordings_beside_them(run, world):
     (found,) = evaluations.each
     assert found.name == "towel_0003"
     assert evaluations.text().startswith("recording ")
+
+
+def test_labels_are_judged_with_the_segmenter_that_the_run_was_tracked_with(run):
+    def middle(color, depth_m, camera, table):
+        mask = np.zeros(depth_m.shape, bool)
+        row, column = (side // 2 for side in mask.shape)
+        mask[row - 10 : row + 10, column - 10 : column + 10] = True
+        return mask
+
+    elsewhere = replace(run, segmenter=middle)
+    assert elsewhere.labels[0].expected_error_mm > 2.0 * run.labels[0].expected_error_mm

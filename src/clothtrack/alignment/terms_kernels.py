@@ -291,12 +291,12 @@ _ON_EDGES = [term.edges != "uncoupled" for term in TERMS]
 _STARTS_GROUP = [k > 0 and _ON_EDGES[k] != _ON_EDGES[k - 1] for k in range(TERM_COUNT)]
 
 TermVector = wp.types.vector(length=TERM_COUNT, dtype=wp.float32)
-_TermSums = wp.types.vector(length=TERM_COUNT, dtype=wp.float64)
+TermSums = wp.types.vector(length=TERM_COUNT, dtype=wp.float64)
 
 
 @no_type_check
 @wp.struct
-class _Slope:
+class Slope:
     """The residuals of all terms at one vertex, added up; squares per term."""
 
     gradient: wp.vec3
@@ -316,7 +316,7 @@ def slope_at(
     displacements: wp.array(dtype=wp.vec3),
 ):
     """Half of the objective's gradient at one vertex, the squares and the stiffness there."""
-    slope = _Slope()
+    slope = Slope()
     group = wp.vec3()
     for k in range(wp.static(TERM_COUNT)):
         residual = wp.static(TERMS[k].residual)(weights[k], vertex, scene, positions, displacements)
@@ -338,13 +338,13 @@ def slope_at(
 class Tally:
     """Squares per term [m^2] and longest way [m] of the vertices that one thread looks after."""
 
-    squares: _TermSums
+    squares: TermSums
     stale: wp.float32
 
 
 @no_type_check
 @wp.func
-def add_squares(tally: Tally, slope: _Slope):
+def add_squares(tally: Tally, slope: Slope):
     """Add the squares of one vertex."""
     for k in range(wp.static(TERM_COUNT)):
         tally.squares[k] += wp.float64(slope.squares[k])

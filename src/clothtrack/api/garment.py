@@ -20,7 +20,7 @@ _PLACE = re.compile(r"(-?\d+(?:\.\d+)?),(-?\d+(?:\.\d+)?)")
 
 
 @dataclass(frozen=True)
-class _GarmentTemplate:
+class GarmentTemplate:
     """A garment's template, and what is known of it.
 
     Attributes:
@@ -103,7 +103,7 @@ def garment_template(
     front_neck_m: Annotated[float | None, arg(name="front-neck")] = None,
     openings: Sequence[str] = (),
     as_it_lies: bool = False,
-) -> _GarmentTemplate:
+) -> GarmentTemplate:
     """Make a garment's template mesh from a picture of it lying flat, its front up.
 
     Writes TEMPLATE.outline.png beside it: look at it before you use the template.
@@ -166,7 +166,7 @@ def garment_template(
     )
     write_template(template.mesh, output)
     write_file(_outline_path(output), encode_png(outline_picture(template, flat.shown)))
-    return _GarmentTemplate(template, kind, output, as_it_lies)
+    return GarmentTemplate(template, kind, output, as_it_lies)
 
 
 def _places(openings: Sequence[str]) -> list[tuple[float, float]]:

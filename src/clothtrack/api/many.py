@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class _Evaluations:
+class Evaluations:
     """The measures of many trajectories.
 
     Attributes:
@@ -42,7 +42,7 @@ class _Evaluations:
 
 
 @dataclass(frozen=True)
-class _LabelFile:
+class LabelFile:
     """The labels of one trajectory.
 
     Attributes:
@@ -78,7 +78,7 @@ def label_many(
     ray: Ray = "",
     device: str = "cpu",
     progress: "Progress | None" = None,
-) -> Many[_LabelFile]:
+) -> Many[LabelFile]:
     """Make pseudo-labels of tracked trajectories: the data set that `finetune` learns from.
 
     Labels that a person rejected (`clothtrack view`, NAME.review.json) are left out.
@@ -121,7 +121,7 @@ def label_many(
         labels = read_labels(file)
         weights = tuple(picture.weight for picture in labels.pictures)
         rejected = len(labels.provenance["rejected_actions"])
-        found.append(_LabelFile(file, tuple(labels.frames), weights, rejected))
+        found.append(LabelFile(file, tuple(labels.frames), weights, rejected))
     return Many(tuple(found))
 
 
@@ -137,7 +137,7 @@ def evaluate_many(
     device: str = "cpu",
     seed: int = 0,
     progress: "Progress | None" = None,
-) -> _Evaluations:
+) -> Evaluations:
     """Measure tracked trajectories, judge their labels, and compare with the truth if it is known.
 
     Args:
@@ -178,7 +178,7 @@ def evaluate_many(
         if file is not None:
             rows = [as_plain(one) for one in found]
             write_file(file, (json.dumps(rows, indent=2, allow_nan=False) + "\n").encode())
-    return _Evaluations(tuple(found), all)
+    return Evaluations(tuple(found), all)
 
 
 def _without_twins(tracked: Sequence[Path | str]) -> tuple[Path, ...]:

@@ -84,10 +84,12 @@ class Run(TrackedTrajectory):
         config: every setting of the run.
         provenance: versions, commit, seed, device, and the recording's own provenance.
         recording: what was tracked; None when it was not found.
+        segmenter: what found the cloth in the pictures, where that was handed in; it is not stored.
         path: NAME.zarr, where it was saved last or read from; None when it was neither.
     """
 
     recording: Recording | None = None
+    segmenter: Segmenter | None = None
     path: Path | None = field(default=None, init=False)
 
     __repr__ = TrackedTrajectory.__repr__
@@ -154,7 +156,7 @@ class Run(TrackedTrajectory):
 
     @cached_property
     def _judged(self) -> tuple[LabelQuality, ...]:
-        return judge_labels(self, recording_of(self))
+        return judge_labels(self, recording_of(self), segmenter=self.segmenter)
 
 
 def track(
@@ -180,13 +182,14 @@ def track(
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         progress: called after every frame with its place in the work, and how much of the work is
             done and in all.
-        force: track although the first mesh lies more than 2 cm (rms) from its cloud.
+        force: track although the first mesh lies more than 2 cm (rms) from its cloud, or times are
+            not in seconds.
         **parts: replacements for functions of Algorithm 1 (`clothtrack.tracking.Method`): observe,
-            calibrate, dynamics, align, line_search, align_last, anchor.
+            calibrate, dynamics, align, line_search, align_last, anchor, at_rest.
 
     Raises:
-        InvalidRecordingError: the recording cannot be used, or the first mesh lies beside its
-            cloud and `force` is not set.
+        InvalidRecordingError: the recording cannot be used; or the first mesh lies beside its
+            cloud, or times are not in seconds, and `force` is not set.
         InvalidConfigError: unknown mode, setting, part or device; or both a config and a mode.
     """
     quiet_warp()
@@ -201,7 +204,7 @@ def track(
         source, whole, device=device, segmenter=segmenter, progress=progress, parts=parts,
         force=force, judge=judged,
     )  # fmt: skip
-    return Run.of(tracked, source)
+    return replace(Run.of(tracked, source), segmenter=segmenter)
 
 
 def run_config(mode: str = "default", settings: Sequence[str] = (), *, seed: int = 0) -> RunConfig:

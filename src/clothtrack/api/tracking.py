@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class _TrackedRecording:
+class TrackedRecording:
     """What became of one recording.
 
     Attributes:
@@ -50,7 +50,7 @@ class _TrackedRecording:
 
 
 @dataclass(frozen=True)
-class _Demonstration:
+class Demonstration:
     """What came of the demo.
 
     Attributes:
@@ -120,7 +120,7 @@ def track_many(
     live: bool = False,
     progress: "Progress | None" = None,
     opened: "Callable[[str], None] | None" = None,
-) -> Many[_TrackedRecording]:
+) -> Many[TrackedRecording]:
     """Track recordings: the full mesh at every observation (Algorithm 1).
 
     A trajectory ends with a word: trust, look (at it first), or reject; and the expected error.
@@ -177,7 +177,7 @@ def track_many(
         )  # fmt: skip
         tracked = Many(
             tuple(
-                _TrackedRecording(one, one.result and load(one.result, one.recording).verdict)
+                TrackedRecording(one, one.result and load(one.result, one.recording).verdict)
                 for one in outcomes
             )
         )
@@ -191,7 +191,7 @@ def demo(
     output: Path | str = Path("out/demo"),
     device: str = "cpu",
     progress: "Progress | None" = None,
-) -> _Demonstration:
+) -> Demonstration:
     """Track a recording that comes with clothtrack, and write its report.
 
     Args:
@@ -214,7 +214,7 @@ def demo(
         raise InvalidRecordingError(outcome.error)
     run = load(outcome.result, folder)
     page = write_report(run, Path(output) / f"{run.name}.html")
-    return _Demonstration(outcome, run.verdict, evaluate(run, device=device), page)
+    return Demonstration(outcome, run.verdict, evaluate(run, device=device), page)
 
 
 def _line(outcome: "Outcome") -> str:

@@ -27,7 +27,7 @@ Verdict = Literal["accepted", "rejected", "open"]
 
 
 @dataclass(frozen=True)
-class _ReviewedLabel:
+class ReviewedLabel:
     """One label and what was decided about it.
 
     Attributes:
@@ -54,13 +54,13 @@ class LabelReview:
     """
 
     name: str
-    labels: tuple[_ReviewedLabel, ...]
+    labels: tuple[ReviewedLabel, ...]
 
     @classmethod
     def blank(cls, tracked: TrackedTrajectory) -> "LabelReview":
         """Nothing decided yet."""
         labels = (
-            _ReviewedLabel(number, int(label.frame), _digest(label.vertices))
+            ReviewedLabel(number, int(label.frame), _digest(label.vertices))
             for number, label in enumerate(labels_of(tracked))
         )
         return cls(tracked.name, tuple(labels))

@@ -16,8 +16,8 @@ from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-_Word = Literal["trust", "look", "reject"]
-WORDS: tuple[_Word, ...] = get_args(_Word)
+Word = Literal["trust", "look", "reject"]
+WORDS: tuple[Word, ...] = get_args(Word)
 """From the best to the worst."""
 
 
@@ -74,7 +74,7 @@ class Evidence:
     measured: float
     limit: float
     unit: str
-    word: _Word
+    word: Word
     text: str
     remedy: str
     action: int | None = None
@@ -91,7 +91,7 @@ class Verdict:
         evidence: everything that was measured, the worst first.
     """
 
-    word: _Word
+    word: Word
     reason: str
     expected_error_m: float
     evidence: tuple[Evidence, ...] = ()
@@ -109,10 +109,8 @@ class Verdict:
         """Return the verdict as JSON holds it: what is not known is None."""
         plain = asdict(self)
         plain["expected_error_m"] = _known(self.expected_error_m)
-        plain["evidence"] = [
-            {**asdict(one), "measured": _known(one.measured), "limit": _known(one.limit)}
-            for one in self.evidence
-        ]
+        for one in plain["evidence"]:
+            one["measured"], one["limit"] = _known(one["measured"]), _known(one["limit"])
         return plain
 
     @classmethod
@@ -259,7 +257,7 @@ def _remedy(finding: Finding) -> str:
 
 def _measured(name: str, measured: float, text: str) -> Evidence:
     limit = LIMITS[name]
-    word: _Word = "trust"
+    word: Word = "trust"
     if not math.isfinite(measured):
         word, text = "reject", "nothing of the cloth was seen at its end"
     elif measured > limit.reject:

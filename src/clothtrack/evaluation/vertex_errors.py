@@ -1,8 +1,9 @@
-"""Which vertices of a label to expect wrong: where the tracked candidates of its action disagree.
+"""Which vertices of a label to expect wrong: where its candidates disagree, or the cloud does.
 
-The search for the cloth's parameters follows every action several times. All candidates fit the
-cloud; they part where it does not decide, under folds above all. Their spread tells which vertices
-are wrong, the label's expected error how wrong they are on the whole (docs/label_quality.md).
+The search for the cloth's parameters tracks every action several times. All candidates fit the
+cloud; they differ where it does not decide, under folds above all. Their spread tells which
+vertices are wrong, the label's expected error how wrong they are on the whole, and a patch that
+lies away from what was seen is at least that far off (docs/label_quality.md).
 """
 
 import numpy as np
@@ -14,7 +15,6 @@ from clothtrack.tracking.tracked_trajectory import TrackedAction
 _SPREAD_SHARE = 0.8
 """Share of the expected error that is dealt out by the spread; the rest falls on all alike."""
 
-
 INTERVAL_FACTOR = 1.9
 """The error of 90 % of the vertices is at most so many times what is expected of each. Fitted on
 the labels of the benchmark's split `dev` (docs/label_quality.md); nothing is taken for Gaussian."""
@@ -23,7 +23,9 @@ the labels of the benchmark's split `dev` (docs/label_quality.md); nothing is ta
 def expected_vertex_errors(
     action: TrackedAction, label: LabelQuality
 ) -> Float[np.ndarray, " vertices"]:
-    """The error to expect of each vertex of a label [m]; their mean is the label's.
+    """Return the error to expect of each vertex of a label [m].
+
+    Their mean is the label's where nothing that was seen contradicts the mesh, larger elsewhere.
 
     Args:
         action: with the spread of its candidates; without one, all vertices are alike.

@@ -17,7 +17,7 @@ _LINE = 120
 """Most characters of what a setting means."""
 
 
-class _Setting(NamedTuple):
+class Setting(NamedTuple):
     """One value that can be changed by its name.
 
     Attributes:
@@ -33,7 +33,7 @@ class _Setting(NamedTuple):
     meaning: str
 
 
-def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[_Setting]:
+def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[Setting]:
     """Yield all settings that `with_settings` can change, a group before those below it.
 
     Args:
@@ -53,7 +53,7 @@ def settings_of(config: Any, group: str = "", meaning: str = "") -> Iterator[_Se
             below.append((value, name, meanings.get(key, "")))
         elif value is not None and not _is_group(value):  # no text can say a table or a sensor
             text = value if isinstance(value, str) else json.dumps(value)
-            yield _Setting(group, name, text, meanings.get(key, ""))
+            yield Setting(group, name, text, meanings.get(key, ""))
     for one in below:
         yield from settings_of(*one)
 

@@ -23,7 +23,7 @@ from clothtrack.garments.silhouettes import Outline, Silhouette, signed_area
 from clothtrack.garments.triangulation import Span, evenly_along
 from clothtrack.geometry.mesh import ClothMesh
 
-_TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
+TemplateKind = Literal["towel", "tshirt", "polo", "sweater", "trousers"]
 """Garments that a template can be made of."""
 
 _USUAL_FRONT_NECK_SHARE = 0.10
@@ -78,7 +78,7 @@ class FlatTemplate:
         neck_seen: whether the neck's ends were seen, or are a guess.
     """
 
-    kind: _TemplateKind
+    kind: TemplateKind
     mesh: ClothMesh
     stretches: tuple[Stretch, ...]
     asymmetry_m: float = 0.0
@@ -100,7 +100,7 @@ class FlatTemplate:
 
 def make_template(
     outline: Silhouette,
-    kind: _TemplateKind,
+    kind: TemplateKind,
     *,
     vertex_count: int = 1000,
     front_neck_m: float | None = None,
@@ -125,9 +125,9 @@ def make_template(
         InvalidConfigError: another kind, or a number that does not fit.
         InvalidRecordingError: the outline is not that of such a garment.
     """
-    if kind not in get_args(_TemplateKind):
+    if kind not in get_args(TemplateKind):
         raise InvalidConfigError(
-            f"kind is {kind!r}; a template can be made of: {', '.join(get_args(_TemplateKind))}"
+            f"kind is {kind!r}; a template can be made of: {', '.join(get_args(TemplateKind))}"
         )
     if front_neck_m is not None and kind in ("towel", "trousers"):
         raise InvalidConfigError(f"front_neck_m: a {kind} has no neck; leave it out")

@@ -34,7 +34,7 @@ GarmentKind = Literal["towel", "tshirt"]
 ClothKind = Literal["towel", "tshirt", "trousers"]
 """Garments of which states are made, and that are reconstructed from a picture."""
 
-_TowelPattern = Literal["alternating", "regular", "random"]
+TowelPattern = Literal["alternating", "regular", "random"]
 
 DEFAULT_SIZES_M: dict[str, tuple[float, float]] = {"towel": (0.3, 0.3), "tshirt": (0.5, 0.45)}
 """Width and length [m] of each kind of garment when none is asked for."""
@@ -54,7 +54,7 @@ def towel(
     length_m: float = 0.3,
     spacing_m: float = 0.01,
     *,
-    pattern: _TowelPattern = "alternating",
+    pattern: TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
     """Make a rectangle in the plane z = 0, centred at the origin.
@@ -244,7 +244,7 @@ def garment(
     *,
     vertex_count: int = 1000,
     size_m: tuple[float, float] | None = None,
-    pattern: _TowelPattern = "alternating",
+    pattern: TowelPattern = "alternating",
     seed: int = 0,
 ) -> ClothMesh:
     """Make a flat garment with about the wanted number of vertices (within some 8 %).

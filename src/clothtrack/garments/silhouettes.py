@@ -12,7 +12,7 @@ from clothtrack.errors import InvalidRecordingError
 from clothtrack.garments.triangulation import evenly_along
 
 Outline = Float[np.ndarray, "_ 2"]
-_ToPlane = Callable[[Outline], Outline]
+ToPlane = Callable[[Outline], Outline]
 
 _OUTLINE_POINTS = 1200
 """Points of an outline, equally far apart: 2 to 4 mm for most garments."""
@@ -63,7 +63,7 @@ class Silhouette:
 
 
 def silhouette(
-    mask: Bool[np.ndarray, "height width"], to_plane: _ToPlane, name: str = "the picture"
+    mask: Bool[np.ndarray, "height width"], to_plane: ToPlane, name: str = "the picture"
 ) -> Silhouette:
     """Return the outline of the cloth in a mask.
 

@@ -45,7 +45,7 @@ Propose = Callable[[SeenCloth, PlannerConfig, np.random.Generator], Sequence[Pic
 
 
 @runtime_checkable
-class _Checkpoint(Protocol):
+class Checkpoint(Protocol):
     """Keeps what an episode needs to go on beside its own files, such as a simulated world."""
 
     def save(self, step: int) -> None:
@@ -98,7 +98,7 @@ class Flattening:
         propose: Propose | None = None,
         seed: int = 0,
         score: Callable[[], float] | None = None,
-        checkpoint: _Checkpoint | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         """Flatten with these parts.
 

@@ -27,7 +27,7 @@ from clothtrack.tracking.tracker import Tracker
 
 logger = logging.getLogger(__name__)
 
-_PerceptionName = Literal["network", "tracker", "truth"]
+PerceptionName = Literal["network", "tracker", "truth"]
 
 LONGEST_PATH_M = 0.06
 """Cloth that was carried farther than this between two pictures is perceived anew [m]: a tracker
@@ -36,7 +36,7 @@ that is shown the end alone loses it."""
 ONE_CANDIDATE = RunConfig(search=SearchConfig(method="none"))
 """The default tracker without a search: a decision must not wait for one."""
 
-_TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
+TrueCloth = Callable[[], tuple[ClothMesh, Float[np.ndarray, "vertices 3"]]]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class PerceptionConfig(Checked):
             perceived anew (root mean square, cloud to mesh) [m].
     """
 
-    name: _PerceptionName = "network"
+    name: PerceptionName = "network"
     weights: str = ""
     template: str = ""
     refined: bool = True
@@ -234,7 +234,7 @@ def unseen_path_m(recording: Recording) -> float:
 class _ControlPerception:
     """The true cloth: the upper bound of all perception, and no result."""
 
-    def __init__(self, true_cloth: _TrueCloth) -> None:
+    def __init__(self, true_cloth: TrueCloth) -> None:
         """Ask a simulated robot for the true cloth."""
         self._true_cloth = true_cloth
 
@@ -249,7 +249,7 @@ def perception_of(
     kind: str,
     config: PerceptionConfig,
     *,
-    true_cloth: _TrueCloth | None = None,
+    true_cloth: TrueCloth | None = None,
     device: str = "cpu",
 ) -> Perception:
     """Return the perception that a configuration names; `true_cloth` is for the control only.

@@ -39,7 +39,7 @@ _STARTS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class _FlatFit:
+class FlatFit:
     """A flat garment where a cloud is.
 
     Attributes:
@@ -53,7 +53,7 @@ class _FlatFit:
 
 def flat_fit(
     recording: Recording, observation: Observation, *, template: str = "", vertex_count: int = 1000
-) -> _FlatFit:
+) -> FlatFit:
     """Fit a flat garment to a cloud, whether or not the recording has a template.
 
     Args:
@@ -90,7 +90,7 @@ def _fitted(
     points: Float[np.ndarray, "points 3"],
     file: str,
     vertex_count: int,
-) -> _FlatFit:
+) -> FlatFit:
     axes = _plane_axes(table)
     covered = _CoveredRegion((points - table.point) @ axes[:2].T, _RIM_M)
     cloth = recording.cloth
@@ -121,7 +121,7 @@ def _fitted(
     placed = mesh.vertices.astype(np.float64).copy()
     placed[:, :2] = _rotated(placed[:, :2], angle) + (x, y)
     placed[:, 2] += RESTING_HEIGHT_M - placed[:, 2].min()
-    return _FlatFit(mesh.with_vertices(table.point + placed @ axes), misfit)
+    return FlatFit(mesh.with_vertices(table.point + placed @ axes), misfit)
 
 
 GRID_M = 0.001

@@ -31,7 +31,7 @@ _RIM_SHARE = 0.06
 
 
 @dataclass(frozen=True, eq=False)
-class _FlatPicture:
+class FlatPicture:
     """A flat garment as a camera saw it from above.
 
     Attributes:
@@ -45,7 +45,7 @@ class _FlatPicture:
     name: str
 
 
-def flat_recording(folder: Path, frame: int = 0) -> _FlatPicture:
+def flat_recording(folder: Path, frame: int = 0) -> FlatPicture:
     """A frame of a recording in which the garment lies flat.
 
     Raises:
@@ -71,7 +71,7 @@ def flat_recording(folder: Path, frame: int = 0) -> _FlatPicture:
     return _measured(depth, mask, camera, recording.table, name=name, color=color)
 
 
-def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> _FlatPicture:
+def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> FlatPicture:
     """A 16-bit depth picture; `of_picture` as for `depth_input.from_picture`.
 
     Raises:
@@ -96,7 +96,7 @@ def flat_depth(path: Path, *, mask: Path | None = None, **of_picture: Any) -> _F
     return _measured(picture.depth_m, whole, picture.camera, table, name=str(path))
 
 
-def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None) -> _FlatPicture:
+def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None) -> FlatPicture:
     """A colour picture or a mask of a camera that looks straight down.
 
     Args:
@@ -128,7 +128,7 @@ def flat_color(path: Path, metres_per_pixel: float, *, mask: Path | None = None)
             f"{height}; give a mask of the same picture"
         )
     scale = np.array([metres_per_pixel, -metres_per_pixel])
-    return _FlatPicture(
+    return FlatPicture(
         silhouette(marked, lambda pixels: pixels * scale, str(path)), shown, str(path)
     )
 
@@ -141,7 +141,7 @@ def _measured(
     *,
     name: str,
     color: UInt8[np.ndarray, "height width 3"] | None = None,
-) -> _FlatPicture:
+) -> FlatPicture:
     heights = height_picture(depth, camera, table)[mask & (depth > 0)]
     top = float(np.percentile(heights, 95)) if len(heights) else 0.0
     if top > _FLATTEST_M:
@@ -159,7 +159,7 @@ def _measured(
         reach = ((table.point - camera.position) @ table.normal) / (rays @ table.normal)
         return (camera.position + reach[:, None] * rays - table.point) @ _plane_axes(table).T
 
-    return _FlatPicture(
+    return FlatPicture(
         silhouette(mask, to_plane, name), _shades(depth) if color is None else color, name
     )
 

@@ -31,7 +31,7 @@ _SPACING_M = 0.004
 
 
 @dataclass(frozen=True)
-class _Agreement:
+class Agreement:
     """How a mesh agrees with the picture that it was made from.
 
     Attributes:
@@ -63,7 +63,7 @@ class _Agreement:
         return ""
 
 
-def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> _Agreement:
+def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> Agreement:
     """How a mesh agrees with a picture, by rendering it into the picture's own camera."""
     camera = picture.camera
     vertices = np.asarray(mesh.vertices, np.float64)
@@ -76,11 +76,11 @@ def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> _Agreement:
     )
     cloud = camera.back_project(picture.depth_m, picture.mask & (picture.depth_m > 0))
     if not len(surface) or not len(cloud):
-        return _Agreement(iou, None)
-    return _Agreement(iou, two_way(thin(surface, _SPACING_M), thin(cloud, _SPACING_M)))
+        return Agreement(iou, None)
+    return Agreement(iou, two_way(thin(surface, _SPACING_M), thin(cloud, _SPACING_M)))
 
 
-def distrust(agreement: _Agreement, expected_error_m: float | None, mesh: ClothMesh) -> str:
+def distrust(agreement: Agreement, expected_error_m: float | None, mesh: ClothMesh) -> str:
     """Why a reconstruction is not to be trusted; empty where it is.
 
     Args:

@@ -16,11 +16,11 @@ PICTURE_KINDS: tuple[PictureKind, ...] = ("color", "depth", "mask")
 # No cloth is recorded from nearer or from farther [m]; a wrong unit is off by a factor of ten.
 NEAREST_MEDIAN_M, FARTHEST_MEDIAN_M = 0.05, 20.0
 
-_FileKind = Literal["color", "depth", "mask", "cloud"]
-_FILE_KINDS: tuple[_FileKind, ...] = (*PICTURE_KINDS, "cloud")
+FileKind = Literal["color", "depth", "mask", "cloud"]
+_FILE_KINDS: tuple[FileKind, ...] = (*PICTURE_KINDS, "cloud")
 
 
-def conventional_name(kind: _FileKind, frame: int, camera: str | None = None) -> str:
+def conventional_name(kind: FileKind, frame: int, camera: str | None = None) -> str:
     """Return the file of a frame inside the recording; `camera` is None when there is only one."""
     if kind == "cloud":
         return f"cloud/{frame:06d}.npz"
@@ -144,7 +144,7 @@ def _named_files(
 def _conventional_files(
     folder: Path,
     index: int,
-    kind: _FileKind,
+    kind: FileKind,
     camera_names: Sequence[str],
     violations: Violations,
 ) -> dict[str, Path]:

@@ -30,7 +30,7 @@ _TORN = "the file breaks off; copy or record it again"
 
 
 @dataclass(frozen=True)
-class _PngHeader:
+class PngHeader:
     """What the first bytes of a PNG file say.
 
     Attributes:
@@ -46,7 +46,7 @@ class _PngHeader:
     color_type: int
 
 
-def read_header(path: Path) -> _PngHeader:
+def read_header(path: Path) -> PngHeader:
     """Return size and kind of a PNG file, from its first and last bytes only.
 
     Raises:
@@ -173,14 +173,14 @@ def bands(height: int) -> Iterator[slice]:
         yield slice(first, min(first + _BAND_ROWS, height))
 
 
-def depth_problem(header: _PngHeader) -> str:
+def depth_problem(header: PngHeader) -> str:
     """Says in which way a PNG is not a depth picture."""
     if header.color_type != GREY:
         return f"a depth picture of PNG colour type {header.color_type} (colour, not grey)"
     return f"a depth picture of {header.bits} bits"
 
 
-def _read_png(path: Path) -> tuple[_PngHeader, bytes]:
+def _read_png(path: Path) -> tuple[PngHeader, bytes]:
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -188,7 +188,7 @@ def _read_png(path: Path) -> tuple[_PngHeader, bytes]:
     return check_chunks(path, data), data
 
 
-def check_chunks(path: Path, data: bytes) -> _PngHeader:
+def check_chunks(path: Path, data: bytes) -> PngHeader:
     """Return size and kind of a whole PNG; every chunk's checksum is held against its bytes.
 
     Raises:
@@ -221,7 +221,7 @@ def png_chunks(path: Path, data: bytes) -> Iterator[tuple[bytes, slice]]:
         position = stop + 4
 
 
-def parse_header(path: Path, start: bytes, end: bytes) -> _PngHeader:
+def parse_header(path: Path, start: bytes, end: bytes) -> PngHeader:
     """Return size and kind of a PNG, from its first 29 and last 12 bytes.
 
     Raises:
@@ -232,7 +232,7 @@ def parse_header(path: Path, start: bytes, end: bytes) -> _PngHeader:
         raise InvalidRecordingError(f"{path}: {problem}; write pictures as PNG")
     if len(start) < 29 or end != _END:
         raise InvalidRecordingError(f"{path}: {_TORN}")
-    return _PngHeader(*struct.unpack(">IIBB", start[16:26]))
+    return PngHeader(*struct.unpack(">IIBB", start[16:26]))
 
 
 def _decode(path: Path, data: bytes, flags: int) -> np.ndarray:

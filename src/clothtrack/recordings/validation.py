@@ -34,7 +34,7 @@ _TIME_TOLERANCE_S = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class _CheckedRecording:
+class CheckedRecording:
     """A recording with what is wrong with it.
 
     Attributes:
@@ -46,7 +46,7 @@ class _CheckedRecording:
     violations: tuple[Violation, ...]
 
 
-def check_recording(folder: Path, *, thorough: bool = False) -> _CheckedRecording:
+def check_recording(folder: Path, *, thorough: bool = False) -> CheckedRecording:
     """Read a recording and collect everything that is wrong with it.
 
     Args:
@@ -56,12 +56,12 @@ def check_recording(folder: Path, *, thorough: bool = False) -> _CheckedRecordin
     folder = folder.resolve()
     document, violations = load_document(folder)
     if document is None:
-        return _CheckedRecording(None, tuple(violations))
+        return CheckedRecording(None, tuple(violations))
     check = _Check(folder, document)
     recording = check.recording(thorough=thorough)
     if check.violations:
-        return _CheckedRecording(None, tuple(check.violations))
-    return _CheckedRecording(recording, ())
+        return CheckedRecording(None, tuple(check.violations))
+    return CheckedRecording(recording, ())
 
 
 class _Check:

@@ -53,7 +53,7 @@ _INDEX_COLUMNS = (
 
 
 @dataclass(frozen=True)
-class _TrajectorySummary:
+class TrajectorySummary:
     """What an index says about one trajectory.
 
     Attributes:
@@ -87,7 +87,7 @@ class IndexEntry:
     page: Path | None
     description: str
     verdicts: str = ""
-    summary: _TrajectorySummary | None = None
+    summary: TrajectorySummary | None = None
 
 
 def write_recording_page(recording: Recording, path: Path) -> Path:
@@ -248,7 +248,7 @@ def _link(entry: IndexEntry) -> str:
     return f'<a href="{quote(entry.page.name)}">{name}</a>'
 
 
-def summary_of(tracked: TrackedTrajectory, recording: Recording) -> _TrajectorySummary:
+def summary_of(tracked: TrackedTrajectory, recording: Recording) -> TrajectorySummary:
     """Look at the last label of a trajectory, and judge all of them."""
     last = tracked.actions[-1].last_frame if tracked.actions else int(tracked.frames[-1])
     step = int(np.abs(tracked.frames - last).argmin())
@@ -260,7 +260,7 @@ def summary_of(tracked: TrackedTrajectory, recording: Recording) -> _TrajectoryS
     judged = judged_or_none(tracked, recording)
     verdict = verdict_of(tracked, recording, judged)
     observation = observed(recording, overlay.frame(step))
-    return _TrajectorySummary(
+    return TrajectorySummary(
         jpeg_uri(small, quality=80),
         verdict,
         1e3 * verdict.expected_error_m,

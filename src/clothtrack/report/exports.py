@@ -23,12 +23,12 @@ from clothtrack.report.rerun_file import write_rerun
 from clothtrack.report.sections import charts
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-_ExportFormat = Literal["npz", "obj", "ply"]
-_PictureFormat = Literal["sheet", "mp4", "rrd"]
+ExportFormat = Literal["npz", "obj", "ply"]
+PictureFormat = Literal["sheet", "mp4", "rrd"]
 _SUFFIXES = {"sheet": ".png", "mp4": ".mp4", "rrd": ".rrd"}
 
 
-def export(tracked: TrackedTrajectory, out: Path, format: _ExportFormat) -> Path:  # noqa: A002
+def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:  # noqa: A002
     """Write a tracked trajectory for other programs and return where it is.
 
     `npz`: one file; docs/result_format.md lists its arrays.
@@ -41,9 +41,9 @@ def export(tracked: TrackedTrajectory, out: Path, format: _ExportFormat) -> Path
         InvalidConfigError: when the format is another one.
         StorageError: when the disk refuses or a folder of that name holds something.
     """
-    if format not in get_args(_ExportFormat):
+    if format not in get_args(ExportFormat):
         raise InvalidConfigError(
-            f"format is {format!r}; choose one of {', '.join(get_args(_ExportFormat))}"
+            f"format is {format!r}; choose one of {', '.join(get_args(ExportFormat))}"
         )
     if format == "npz":
         out = _with_suffix(out, ".npz")
@@ -121,7 +121,7 @@ def export_pictures(
     tracked: TrackedTrajectory,
     recording: Recording,
     out: Path,
-    kind: _PictureFormat,
+    kind: PictureFormat,
     *,
     rows: int = 6,
     truth: Truth | None = None,

@@ -50,7 +50,7 @@ class Decisions:
         self.review = review
 
 
-class _LivePage:
+class LivePage:
     """A served page with a version number, and the decisions that are made in it."""
 
     def __init__(self, name: str, decisions: Decisions | None = None) -> None:
@@ -99,7 +99,7 @@ def live_page(
     *,
     decisions: Decisions | None = None,
     opened: Callable[[str], None] | None = None,
-) -> Iterator[_LivePage]:
+) -> Iterator[LivePage]:
     """Serve a page on 127.0.0.1 while the block runs; the block says what it shows.
 
     Args:
@@ -111,7 +111,7 @@ def live_page(
     Raises:
         InvalidConfigError: there is no such port, or it is taken.
     """
-    page = _LivePage(name, decisions)
+    page = LivePage(name, decisions)
     with serving(page.ask, page.tell, port) as address:
         if opened is not None:
             opened(address)
@@ -149,8 +149,8 @@ class _Folder:
     """Answers for the index at / and for the report NAME at /NAME/."""
 
     def __init__(self, title: str) -> None:
-        self.index = _LivePage(title)
-        self.pages: Mapping[str, _LivePage] = {}
+        self.index = LivePage(title)
+        self.pages: Mapping[str, LivePage] = {}
         self.asked: SimpleQueue[str] = SimpleQueue()
         self._known: set[str] = set()
 
@@ -209,7 +209,7 @@ def serve_folder(
             opened(address)
             path = Path(written) / "page.html"
             write_index, reports = load()
-            folder.pages = {name: _LivePage(name, one.decisions) for name, one in reports.items()}
+            folder.pages = {name: LivePage(name, one.decisions) for name, one in reports.items()}
             folder.index.show(write_index(path))
             while True:
                 name = folder.asked.get()

@@ -50,7 +50,7 @@ class _Shown:
         )
 
 
-class _LiveTracking:
+class LiveTracking:
     """Holds the newest mesh and packs it only when a page asks, so that tracking never waits."""
 
     def __init__(self, words: Callable[[], str]) -> None:
@@ -118,7 +118,7 @@ class _LiveTracking:
 @contextmanager
 def live_tracking(
     words: Callable[[], str], port: int | None = None, *, opened: Callable[[str], None]
-) -> Iterator[_LiveTracking]:
+) -> Iterator[LiveTracking]:
     """Serve the page of a tracking on 127.0.0.1 while the block runs (`serving`).
 
     Args:
@@ -126,7 +126,7 @@ def live_tracking(
         port: of the server; any free one by default.
         opened: called with the address before anything else happens.
     """
-    page = _LiveTracking(words)
+    page = LiveTracking(words)
     with serving(page.ask, lambda *_: None, port) as address:
         opened(address)
         yield page

@@ -46,7 +46,7 @@ class ShadingConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class _ShadedStill:
+class ShadedStill:
     """A shaded picture and where the cloth is in it.
 
     Attributes:
@@ -83,7 +83,7 @@ class Shader:
         vertices: Float[np.ndarray, "vertices 3"],
         *,
         colors: Float[np.ndarray, "vertices 3"] | None = None,
-    ) -> _ShadedStill:
+    ) -> ShadedStill:
         """Render the cloth at `vertices` [m, world], two-sided or in `colors` per vertex."""
         buffer = self._rasteriser.render(vertices)
         cloth = (buffer.faces >= 0) & (buffer.depth < self._backdrop_depth + 2e-3)
@@ -96,7 +96,7 @@ class Shader:
             picture = cv2.resize(picture, self.size, interpolation=cv2.INTER_AREA)
             share = cv2.resize(cloth.astype(np.float32), self.size, interpolation=cv2.INTER_AREA)
             cloth = share >= 0.5
-        return _ShadedStill(picture, cloth)
+        return ShadedStill(picture, cloth)
 
     def _drawn(
         self,

@@ -15,7 +15,7 @@ from clothtrack.simulation.parameters import SolverConfig
 from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
 
-_ModeName = Literal["default", "paper", "open_loop"]
+ModeName = Literal["default", "paper", "open_loop"]
 
 Source = Literal["auto", "template", "network", "flat"]
 """Where a first mesh may come from."""
@@ -133,7 +133,7 @@ class RunConfig(Checked):
         objective: of both alignments.
     """
 
-    mode: _ModeName = "default"
+    mode: ModeName = "default"
     seed: int = 0
     cloud_spacing_m: NotNegative = 0.004
     color: bool = True
@@ -151,7 +151,7 @@ PAPER_AXES: Mapping[str, tuple[float, ...]] = {
 """What the paper's modes search: its stiffness and two frictions, extended downwards."""
 
 
-def _as_published(name: _ModeName) -> RunConfig:
+def _as_published(name: ModeName) -> RunConfig:
     return RunConfig(
         mode=name,
         color=False,

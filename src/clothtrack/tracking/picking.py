@@ -29,7 +29,7 @@ _KNOTS_PER_FRAME = 5
 
 
 @dataclass(frozen=True, eq=False)
-class _Grasp:
+class Grasp:
     """One picker's hold during one action.
 
     Attributes:
@@ -64,7 +64,7 @@ def find_grasps(
     action: PickAndPlace,
     cloth: ClothMesh,
     layers: int = 0,
-) -> tuple[_Grasp, ...]:
+) -> tuple[Grasp, ...]:
     """Decide what each picker of an action holds, from where the cloth lies when it starts.
 
     Vertices named in the recording win; otherwise the one nearest to the tip when it first closes.
@@ -100,7 +100,7 @@ def find_grasps(
                 name, closing_s, 1e3 * gaps_m.min(), 1e3 * REACH_M,
             )  # fmt: skip
             continue
-        grasps.append(_Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
+        grasps.append(Grasp(name, path, vertices, cloth.vertices[vertices] - tip))
     return tuple(grasps)
 
 
@@ -113,7 +113,7 @@ class HeldCloth:
         offset: from where a tip was commanded to where it holds the cloth [m].
     """
 
-    grasps: tuple[_Grasp, ...]
+    grasps: tuple[Grasp, ...]
     offset: Float[np.ndarray, " 3"]
 
     def action(self, start_s: float, end_s: float) -> PickerAction:
@@ -199,7 +199,7 @@ def layers_under(
 
 
 def held_motion(
-    grasps: tuple[_Grasp, ...],
+    grasps: tuple[Grasp, ...],
     start_s: float,
     end_s: float,
     offset: Float[np.ndarray, "*environments 3"],
@@ -216,7 +216,7 @@ def held_motion(
     )
 
 
-def picker_speed(grasps: tuple[_Grasp, ...], start_s: float, end_s: float) -> float:
+def picker_speed(grasps: tuple[Grasp, ...], start_s: float, end_s: float) -> float:
     """Return speed of the fastest closed picker between two frames [m/s]."""
     speeds = [
         np.linalg.norm(grasp.path.position_at(end_s) - grasp.path.position_at(start_s))

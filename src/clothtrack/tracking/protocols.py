@@ -198,20 +198,20 @@ class Corrected:
 Observe = Callable[[Frame], Observation]
 """Return the point cloud P_t of a frame."""
 
-_Align = Callable[[Prediction, Observation], Correction | None]
+Align = Callable[[Prediction, Observation], Correction | None]
 """TTO1: return how a predicted mesh has to move to meet the cloud; None keeps the prediction."""
 
-_LineSearch = Callable[[Dynamics, State, PickerAction, Prediction, Correction | None], Corrected]
+LineSearch = Callable[[Dynamics, State, PickerAction, Prediction, Correction | None], Corrected]
 """Roll the dynamics again with as much of the correction as they can take."""
 
-_AlignLast = Callable[[State, Theta, Observation, bool], tuple[State, tuple[float, float]]]
+AlignLast = Callable[[State, Theta, Observation, bool], tuple[State, tuple[float, float]]]
 """TTO2: return the cloth at the end of an action, at rest, and the objective [m^2] before and after
 (NaN where nothing was aligned). The last argument says whether a picker still holds it."""
 
 Calibrate = Callable[[PickAndPlace, State, Theta], Search]
 """Begin the search for the parameters of an action; theta is the previous action's."""
 
-_AtRest = Callable[[PickerAction, Frame, Frame], bool]
+AtRest = Callable[[PickerAction, Frame, Frame], bool]
 """Return whether no picker holds the cloth and it lies in the second frame as it lay in the first,
 so that the mesh stays as it is (not in the paper)."""
 
@@ -241,8 +241,8 @@ class Method:
     observe: Observe
     calibrate: Calibrate
     dynamics: Callable[[Theta], Dynamics]
-    align: _Align
-    line_search: _LineSearch
-    align_last: _AlignLast
+    align: Align
+    line_search: LineSearch
+    align_last: AlignLast
     anchor: Anchor
-    at_rest: _AtRest
+    at_rest: AtRest

@@ -68,17 +68,17 @@ class Recorder:
         )
         self._records = StepRecords.empty(len(recording.frames))
         self._actions: list[TrackedAction] = []
-        self._watch, self._clocks = watch, _Clocks()
+        self._watch, self._clocks = watch, Clocks()
         self._show(recording.frames[0], self._positions[0])
 
     def timed(self, method: Method) -> Method:
         """Return the same method with clocks around prediction, alignment and line search."""
         return self._clocks.around(method)
 
-    def begin(self, action: PickAndPlace, candidate: Candidate) -> "_CandidateNotes":
+    def begin(self, action: PickAndPlace, candidate: Candidate) -> "CandidateNotes":
         """Begin the notes of one candidate."""
         self._begun += 1
-        return _CandidateNotes(self._recording, action, candidate, self._clocks, self._tell)
+        return CandidateNotes(self._recording, action, candidate, self._clocks, self._tell)
 
     def _show(self, frame: Frame, positions: Float[np.ndarray, "vertices 3"]) -> None:
         if self._watch is not None:
@@ -156,7 +156,7 @@ class Recorder:
         )
 
 
-class _CandidateNotes:
+class CandidateNotes:
     """What happens while one candidate is tracked."""
 
     def __init__(
@@ -164,7 +164,7 @@ class _CandidateNotes:
         recording: Recording,
         action: PickAndPlace,
         candidate: Candidate,
-        clocks: "_Clocks",
+        clocks: "Clocks",
         tell: Callable[[PickAndPlace, Frame, Float[np.ndarray, "vertices 3"]], None],
     ) -> None:
         """Begin with empty records; `tell` is called with every frame and its mesh."""
@@ -208,7 +208,7 @@ class _CandidateNotes:
         )
 
 
-class _Clocks:
+class Clocks:
     """CPU time [s] since the last reset.
 
     Attributes:

@@ -23,7 +23,7 @@ from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
 
 @dataclass(frozen=True)
-class _Replay:
+class Replay:
     """What came of tracking an action again.
 
     Attributes:
@@ -37,7 +37,7 @@ class _Replay:
 
 def replay(
     tracked: TrackedTrajectory, recording: Recording, progress: Progress | None = None
-) -> _Replay:
+) -> Replay:
     """Track the first action again and compare its meshes, bit by bit.
 
     Later actions start from what the earlier ones have come to; the first needs nothing but the
@@ -51,7 +51,7 @@ def replay(
     try:
         reason = _hindrance(tracked, recording)
         if reason:
-            return _Replay("impossible", f"not replayed: {reason}")
+            return Replay("impossible", f"not replayed: {reason}")
         again = track_recording(
             _first_action(recording),
             from_plain(RunConfig(), tracked.config),
@@ -59,7 +59,7 @@ def replay(
             progress=progress,
         )
     except ClothTrackError as error:
-        return _Replay("impossible", f"not replayed: {error}")
+        return Replay("impossible", f"not replayed: {error}")
     return _compared(tracked, again)
 
 
@@ -96,10 +96,10 @@ def _first_action(recording: Recording) -> Recording:
     return replace(recording, actions=(action,), frames=recording.frames[: action.last_frame + 1])
 
 
-def _compared(tracked: TrackedTrajectory, again: TrackedTrajectory) -> _Replay:
+def _compared(tracked: TrackedTrajectory, again: TrackedTrajectory) -> Replay:
     count = len(again.frames)
     if again.positions.shape[1] != tracked.mesh.vertex_count:
-        return _Replay(
+        return Replay(
             "differs",
             f"replayed, its mesh has {again.mesh.vertex_count} vertices, not "
             f"{tracked.mesh.vertex_count}",
@@ -111,12 +111,12 @@ def _compared(tracked: TrackedTrajectory, again: TrackedTrajectory) -> _Replay:
         then, here = tracked.provenance.get("processor"), again.provenance["processor"]
         if then != here:
             # What is rounded otherwise in a last bit grows to millimetres over an action.
-            return _Replay(
+            return Replay(
                 "impossible",
                 f"replayed, frame {frame} differs ({gaps}), which says nothing: it was tracked on "
                 f"{then or 'a processor that it does not name'}, here is {here}",
             )
-        return _Replay("differs", f"replayed, frame {frame} differs ({gaps}): it was altered")
+        return Replay("differs", f"replayed, frame {frame} differs ({gaps}): it was altered")
     if not np.array_equal(again.visible, tracked.visible[:count]):
-        return _Replay("differs", "replayed, other vertices are visible: it was altered")
-    return _Replay("same", f"action 0 ({count} frames) replayed to the same bits")
+        return Replay("differs", "replayed, other vertices are visible: it was altered")
+    return Replay("same", f"action 0 ({count} frames) replayed to the same bits")

@@ -17,7 +17,7 @@ from clothtrack.files.bounds import Checked, Count, NotNegative
 from clothtrack.tracking.theta import PARAMETERS, Theta, check_parameter
 from clothtrack.tracking.tracked_trajectory import Calibration
 
-_SearchMethod = Literal["none", "grid", "descent", "tracking"]
+SearchMethod = Literal["none", "grid", "descent", "tracking"]
 
 Values = tuple[float | int, ...]
 """A value for each searched parameter, in the order of the axes."""
@@ -60,7 +60,7 @@ class SearchConfig(Checked):
             the search: most easy actions need one candidate. 0: never.
     """
 
-    method: _SearchMethod = "tracking"
+    method: SearchMethod = "tracking"
     axes: Axes = field(default_factory=_axes)
     sweeps: Count = 2
     stop_score: NotNegative = 0.03

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from clothtrack_capture.board import Board
     from clothtrack_capture.camera_pose import CameraPlacement
 
-_Charuco = Annotated[
+Charuco = Annotated[
     tuple[int, int, float, float] | None, arg(metavar="SQUARES_X SQUARES_Y SQUARE_M MARKER_M")
 ]
 
@@ -22,7 +22,7 @@ _Charuco = Annotated[
 def calibrate_camera(
     recording: Path | str,
     *,
-    charuco: _Charuco = None,
+    charuco: Charuco = None,
     robot_poses: Path | str | None = None,
     camera_on_hand: bool = False,
     keep_world: bool = False,

@@ -19,7 +19,7 @@ _CLOCKS_DIFFER_NS = 10**9
 
 
 @dataclass(frozen=True)
-class _BagPaths:
+class BagPaths:
     """Where the picker was.
 
     Attributes:
@@ -37,7 +37,7 @@ class _BagPaths:
     notes: Sequence[str] = ()
 
 
-def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str) -> _BagPaths:
+def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str) -> BagPaths:
     """Return the picker's path that was asked for, or nothing.
 
     Raises:
@@ -48,7 +48,7 @@ def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str)
             raise InvalidConfigError(
                 "--gripper-topic tells when, but not where: add --picker-topic or --picker-frame"
             )
-        return _BagPaths()
+        return BagPaths()
     target, frame = (
         (options.world_frame, "world") if options.world_frame else (camera_frame, "camera")
     )
@@ -80,7 +80,7 @@ def bag_paths(path: Path, walk: Walk, options: ImportOptions, camera_frame: str)
         closed, notes = _closed(path, walk, options, times)
     start_ns = int(times[0])
     paths = {PICKER: PickerPath((times - start_ns) / 1e9, positions, closed)}
-    return _BagPaths(paths, start_ns, frame, origins, notes)
+    return BagPaths(paths, start_ns, frame, origins, notes)
 
 
 def _from_topic(

@@ -45,7 +45,7 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True)
-class _Block:
+class Block:
     """One picture: number of its track, time [ns], and where its bytes lie."""
 
     track: int
@@ -75,7 +75,7 @@ class Matroska:
         self.tracks: list[Track] = []
         self.tags: dict[str, str] = {}
         self.attachments: dict[str, bytes] = {}
-        self.blocks: list[_Block] = []
+        self.blocks: list[Block] = []
         self._file = BagFile(path)
         with _logged_errors() as errors:
             try:
@@ -91,7 +91,7 @@ class Matroska:
                 raise
         self.damage = "; ".join(dict.fromkeys(errors))
 
-    def fetch(self, block: _Block) -> bytes:
+    def fetch(self, block: Block) -> bytes:
         """Return the bytes of a block.
 
         Raises:
@@ -139,7 +139,7 @@ class Matroska:
                     f"{names[track]!r} once more; write them anew, such as with "
                     "ffmpeg -i OLD.mkv -map 0 -codec copy NEW.mkv"
                 )
-            self.blocks.append(_Block(track, time_ns, start, packet.size))
+            self.blocks.append(Block(track, time_ns, start, packet.size))
 
 
 @contextmanager

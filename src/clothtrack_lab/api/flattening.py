@@ -20,7 +20,7 @@ Policy = Literal["planned", "random", "outwards", "heuristic"]
 
 
 @dataclass(frozen=True)
-class _Episode:
+class Episode:
     """What became of an episode.
 
     Attributes:
@@ -119,8 +119,8 @@ def flatten_many(
     seed: int = 0,
     progress: "Progress | None" = None,
     opened: "Callable[[str], None] | None" = None,
-    each: "Callable[[_Episode | Plan], None] | None" = None,
-) -> Many[_Episode | Plan]:
+    each: "Callable[[Episode | Plan], None] | None" = None,
+) -> Many[Episode | Plan]:
     """Flatten a crumpled garment in the simulated world: perceive, plan, act, and look again.
 
     With --recording nothing moves: one action is planned for its last picture and written down.
@@ -199,7 +199,7 @@ def flatten_many(
         )  # fmt: skip
         with closing(flattened) as rows:
             for row in rows:
-                found.append(_Episode(row))
+                found.append(Episode(row))
                 if each is not None:
                     each(found[-1])
     return Many(tuple(found))

@@ -117,7 +117,7 @@ class MeshReconstructor(nn.Module):
         )
 
     @torch.inference_mode()
-    def observe(self, views: Sequence[CroppedView]) -> list["_ObservedCloth"]:
+    def observe(self, views: Sequence[CroppedView]) -> list["ObservedCloth"]:
         """The networks' answer to each picture: canonical coordinates, and the completed volume.
 
         Args:
@@ -143,7 +143,7 @@ class MeshReconstructor(nn.Module):
         least = observed.points.confidence.double().cpu().numpy().min(axis=1)
         least = np.split(least, np.flatnonzero(np.diff(picture)) + 1)
         return [
-            _ObservedCloth(*each)
+            ObservedCloth(*each)
             for each in zip(
                 views, found, observed.seen, least, observed.alignments, volume.split(1),
                 strict=True,
@@ -152,7 +152,7 @@ class MeshReconstructor(nn.Module):
 
     @torch.inference_mode()
     def carried(
-        self, observed: "_ObservedCloth", canonical: Float[np.ndarray, "places 3"]
+        self, observed: "ObservedCloth", canonical: Float[np.ndarray, "places 3"]
     ) -> Float[np.ndarray, "places 3"]:
         """Where the warp field says that canonical places [m] are, in the world [m]."""
         unit = torch.from_numpy(self.frame.to_unit(canonical)).float().to(self.device)
@@ -161,7 +161,7 @@ class MeshReconstructor(nn.Module):
 
     def _from_template(
         self,
-        observed: "_ObservedCloth",
+        observed: "ObservedCloth",
         template: ClothMesh | None,
         table: Table | None,
         fit: TemplateFitConfig,
@@ -177,7 +177,7 @@ class MeshReconstructor(nn.Module):
         return template.with_vertices(fitted.vertices), "template", template
 
     @torch.inference_mode()
-    def _from_field(self, observed: Sequence["_ObservedCloth"]) -> "list[_Found]":
+    def _from_field(self, observed: Sequence["ObservedCloth"]) -> "list[_Found]":
         grid = field_grid(self.frame, self.config)
         nodes = torch.from_numpy(grid.nodes).float().to(self.device)
         meshes: list[_Found] = []
@@ -192,7 +192,7 @@ class MeshReconstructor(nn.Module):
 
 
 @dataclass(frozen=True, eq=False)
-class _ObservedCloth:
+class ObservedCloth:
     """One picture and what the networks make of it.
 
     Attributes:
@@ -234,7 +234,7 @@ _Found = tuple[ClothMesh | None, str, ClothMesh | None]
 
 
 def _reconstruction(
-    observed: _ObservedCloth,
+    observed: ObservedCloth,
     mesh: ClothMesh | None,
     status: str,
     rest: ClothMesh | None,

@@ -18,7 +18,7 @@ from clothtrack_lab.published_networks.canonicalisation import Canonicaliser, co
 from clothtrack_lab.published_networks.completion import ObservedPoints
 
 
-class _ObservedPictures(NamedTuple):
+class ObservedPictures(NamedTuple):
     """A batch of pictures as the canonicaliser sees them.
 
     Attributes:
@@ -39,7 +39,7 @@ def observe_pictures(
     depth: Float[Tensor, "batch 1 h w"],
     pixels: Int[Tensor, "pixels 3"],
     points: Float[np.ndarray, "pixels 3"],
-) -> _ObservedPictures:
+) -> ObservedPictures:
     """Canonical positions of chosen pixels, and how each picture's world is aligned with them.
 
     Args:
@@ -72,4 +72,4 @@ def observe_pictures(
         image=pixels[:, 0],
         images=len(depth),
     )
-    return _ObservedPictures(of_batch, seen, alignments)
+    return ObservedPictures(of_batch, seen, alignments)

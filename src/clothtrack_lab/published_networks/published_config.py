@@ -8,13 +8,13 @@ from clothtrack.reconstruction.training.training_config import TrainingConfig
 from clothtrack_lab.published_networks.examples import ExampleConfig
 from clothtrack_lab.published_networks.network_config import NetworkConfig, preset
 
-_StageName = Literal["canonicalisation", "completion"]
-STAGES: tuple[_StageName, ...] = ("canonicalisation", "completion")
+StageName = Literal["canonicalisation", "completion"]
+STAGES: tuple[StageName, ...] = ("canonicalisation", "completion")
 
 TRAININGS = ("pretrain", "pretrain_reference", "finetune", "finetune_short", "paper")
 
 
-def training_preset(name: str, stage: _StageName) -> TrainingConfig:
+def training_preset(name: str, stage: StageName) -> TrainingConfig:
     """The settings of a kind of training.
 
     Args:

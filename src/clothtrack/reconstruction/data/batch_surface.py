@@ -11,7 +11,7 @@ from clothtrack.reconstruction.data.batch_pictures import Measured
 _TINY = 1e-20
 
 
-class _OnMesh(NamedTuple):
+class OnMesh(NamedTuple):
     """Places on a mesh.
 
     Attributes:
@@ -26,7 +26,7 @@ class _OnMesh(NamedTuple):
     apart: Float[Tensor, "batch points"]
 
 
-def on_mesh(points: Float[Tensor, "batch points 3"], measured: Measured) -> _OnMesh:
+def on_mesh(points: Float[Tensor, "batch points 3"], measured: Measured) -> OnMesh:
     """Where on the meshes points lie (`examples.py: faces_of_points`).
 
     A point is projected to the face that its picture shows where it was measured: of the four
@@ -60,7 +60,7 @@ def on_mesh(points: Float[Tensor, "batch points 3"], measured: Measured) -> _OnM
     at = at.view(*corners.shape, 3)
     weights = closest_on_triangle(points, at)
     apart = ((weights[..., None] * at).sum(2) - points).norm(dim=2)
-    return _OnMesh(corners, weights, apart.masked_fill(face < 0, torch.inf))
+    return OnMesh(corners, weights, apart.masked_fill(face < 0, torch.inf))
 
 
 def closest_on_triangle(

@@ -29,7 +29,7 @@ _DOWNWARDS = (1.0, -1.0, -1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class _Views:
+class Views:
     """The network's pictures.
 
     Attributes:
@@ -63,7 +63,7 @@ def above(
     measured: Measured,
     world: Float[Tensor, "batch 3 3"],
     config: ViewConfig,
-) -> _Views:
+) -> Views:
     """The network's pictures of measured depth.
 
     Args:
@@ -89,7 +89,7 @@ def above(
     depth = drawn.masked_fill_(face < 0, 0.0).view(count, size, size)
     is_cloth = measured.mask.sum((1, 2)) >= LEAST_PIXELS
     is_cloth = is_cloth & (depth > 0.0).flatten(1).any(1)
-    return _Views(depth, position, rotation, shift, focal, is_cloth)
+    return Views(depth, position, rotation, shift, focal, is_cloth)
 
 
 def _camera_positions(

@@ -50,7 +50,7 @@ MOST_FRAMES = 40
 
 
 @dataclass(frozen=True)
-class _ClockLag:
+class ClockLag:
     """The picker's clock against that of the pictures.
 
     Attributes:
@@ -89,7 +89,7 @@ def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
     ]  # fmt: skip
 
 
-def picker_lag(recording: Recording, frames: ObservedFrames) -> _ClockLag | None:
+def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
     """The lag at which the closed tips are nearest to the cloth.
 
     None where nothing can be said: no action, or only pickers whose hold the recording names.
@@ -122,7 +122,7 @@ def picker_lag(recording: Recording, frames: ObservedFrames) -> _ClockLag | None
         return None
     mean = np.where(enough, total / np.maximum(count, 1.0), np.inf)
     best = int(np.argmin(mean))
-    return _ClockLag(float(lags[best]), float(mean[none]), float(mean[best]))
+    return ClockLag(float(lags[best]), float(mean[none]), float(mean[best]))
 
 
 def _closed(path: PickerPath, times: Float[np.ndarray, " times"]) -> np.ndarray:
