@@ -55,7 +55,8 @@ def test_it_goes_on_when_told_to_and_is_rejected_in_the_end(recordings, tmp_path
     wrong, _ = recordings
     words = ["track", str(wrong), "--output", str(tmp_path / "out"), *FAST, "--force"]
     assert cli.main(words) == 0
-    line, verdict = capsys.readouterr().out.splitlines()
+    line, verdict, helps = capsys.readouterr().out.splitlines()
+    assert helps.startswith("  what helps: clothtrack ")
     assert line == str(tmp_path / "out" / "wrong.zarr")
     assert verdict.startswith("  reject: expected error ")
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.visibility import Rasteriser
@@ -408,6 +409,12 @@ def test_a_shift_is_found_corrected_in_a_copy_and_gone(film, tmp_path, capsys):
     after = sorted(path.read_bytes() for path in wrong.folder.rglob("*") if path.is_file())
     assert before == after
     assert check_geometry(read_recording(tmp_path / "right")) == ()
+
+
+def test_of_a_right_recording_no_copy_is_written(film, tmp_path):
+    with pytest.raises(InvalidRecordingError, match="nothing in it is doubtful"):
+        write_corrected(film, (), tmp_path / "right")
+    assert not (tmp_path / "right").exists()
 
 
 def test_a_late_stream_and_a_clock_are_put_right_in_a_copy(film, tmp_path):

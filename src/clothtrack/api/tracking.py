@@ -42,7 +42,13 @@ class TrackedRecording:
 
     def text(self) -> str:
         """Return where the result lies and what it deserves; nothing where there is none."""
-        return f"{_line(self.outcome)}\n  {self.verdict}" if self.ok else ""
+        if self.outcome.result is None or self.verdict is None:
+            return ""
+        lines = [_line(self.outcome), f"  {self.verdict}"]
+        if self.verdict.remedy:
+            named = self.verdict.remedy.replace("NAME.zarr", str(self.outcome.result))
+            lines.append(f"  what helps: {named.replace('RECORDING', str(self.outcome.recording))}")
+        return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the outcome with its verdict as JSON holds them."""

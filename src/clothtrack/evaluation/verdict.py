@@ -29,13 +29,13 @@ class Limit:
         unit: of the measure: "m" or "" for a plain number.
         look: above it, look at the label first.
         reject: above it, do not use the label.
-        remedy: what helps: a command, or what to do.
+        remedy: the command that helps; NAME.zarr and RECORDING stand for the files.
     """
 
     unit: str
     look: float
     reject: float = math.inf
-    remedy: str = "look at it: clothtrack view NAME.zarr"
+    remedy: str = "clothtrack view NAME.zarr"
 
 
 LIMITS: Mapping[str, Limit] = {

@@ -50,6 +50,10 @@ def write_corrected(
     """
     corrections = tuple(each.correction for each in findings if each.correction is not None)
     pictured = [each for each in corrections if not isinstance(each, ClockScale | PickerDelay)]
+    if not findings:
+        raise InvalidRecordingError(
+            f"{recording.folder}: nothing in it is doubtful, so {folder} is not written; track it"
+        )
     if not corrections or (pictured and len(recording.cameras) > 1):
         why = "of several cameras are not corrected" if corrections else "need no known correction"
         raise InvalidRecordingError(

@@ -178,8 +178,8 @@ def _hand(
             "mask_with_hand", share, _MOST_FOREIGN, "", "frames: mask",
             f"{100 * share:.0f} % of the mask of {len(wrong)} frames (at most "
             f"{100 * _MOST_FOREIGN:.0f} %; frame {pictures.frames[int(wrong[0])]} first) has "
-            "colors that the cloth did not have in the first and that go on outside of it, as a hand "
-            "or tool has: leave these out of the masks",
+            "colors that the cloth did not have in the first and that go on outside of it, as a "
+            "hand or tool has: leave these out of the masks",
         )
     ]  # fmt: skip
 
