@@ -184,6 +184,8 @@ def _child(
         if before is not None:
             before()
         said = [str(word) for word in (words() if callable(words) else words)]
+        # Which modules are compiled first depends on what ran before, and is no work of the verb.
+        sys.dont_write_bytecode = True
         _hold(limits)
         sys.addaudithook(watch)
         code = main(said)

@@ -11,7 +11,7 @@ from tables import label_quality
 
 EXPERIMENTS = {
     "table1": 9,
-    "default_ablations": 17,
+    "default_ablations": 18,
     "calibration": 8,
     "final_alignment": 6,
     "collision": 5,

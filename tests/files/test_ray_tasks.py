@@ -160,14 +160,17 @@ def at_work() -> bool:
     return found.returncode == 0
 
 
+@pytest.mark.parametrize("works", [False, True], ids=["Ray starts", "Ray works"])
 @pytest.mark.parametrize(
     ("tell", "asked", "code"),
     [(os.kill, signal.SIGTERM, 143), (os.killpg, signal.SIGINT, -2)],
     ids=["a scheduler", "a terminal"],
 )
 def test_a_command_that_is_stopped_takes_its_ray_along(
-    recordings, tmp_path, tell, asked, code
+    recordings, tmp_path, tell, asked, code, works
 ):  # fmt: skip
+    while at_work():
+        time.sleep(0.2)  # for the one before
     words = ["track", *map(str, recordings), "--workers", "2", "--ray", "local", "--output"]
     environment = {name: value for name, value in os.environ.items() if "RAY" not in name}
     out = tmp_path / "out"
@@ -179,8 +182,8 @@ def test_a_command_that_is_stopped_takes_its_ray_along(
             while not (out / LOCK_FILE).exists():
                 assert process.poll() is None, process.communicate()
                 time.sleep(0.05)
-            # Ray starts before it works, and does not hear us meanwhile.
-            while not at_work():
+            time.sleep(2.0)
+            while works and not at_work():
                 assert process.poll() is None, process.communicate()
                 time.sleep(0.2)
             tell(process.pid, asked)
@@ -189,6 +192,7 @@ def test_a_command_that_is_stopped_takes_its_ray_along(
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-    assert process.returncode == code, complained
+    # Ray's own handler of SIGTERM, installed while it starts, may abort after ours.
+    assert process.returncode == code or not works and process.returncode != 0, complained
     assert "interrupted; what was finished is whole" in complained
     assert not list(out.glob(".*"))

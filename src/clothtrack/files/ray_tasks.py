@@ -111,7 +111,7 @@ def _connected(address: str, workers: int) -> Any:
         ) from error
     options = {"num_cpus": workers, "include_dashboard": False} if address == _LOCAL else {}
     try:
-        with _own_sigterm():
+        with _signals_held():
             if not ray.is_initialized():
                 host, _, port = address.removeprefix("ray://").rpartition(":")
                 if host and port.isdigit():
@@ -126,12 +126,26 @@ def _connected(address: str, workers: int) -> Any:
 
 
 @contextmanager
-def _own_sigterm() -> Iterator[None]:
-    """Keep the handler of SIGTERM, which Ray's start replaces."""
-    before = signal.getsignal(signal.SIGTERM)
-    yield
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, before)
+def _signals_held() -> Iterator[None]:
+    """Hold Ctrl-C and SIGTERM back while Ray starts: it loses the one and exits by the other."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    both = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda number, _: came.append(number)) for number in both]
+    try:
+        yield
+    except SystemExit as end:
+        # The handler of SIGTERM that Ray installs meanwhile exits with the signal's number.
+        if end.code != signal.SIGTERM:
+            raise
+        came.append(signal.SIGTERM)
+    finally:
+        for number, handler in zip(both, before, strict=True):
+            signal.signal(number, handler)
+        for number in came[:1]:
+            signal.raise_signal(number)
 
 
 def _first_line(error: Exception) -> str:
