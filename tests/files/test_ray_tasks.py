@@ -162,13 +162,14 @@ def at_work() -> bool:
 
 @pytest.mark.parametrize("works", [False, True], ids=["Ray starts", "Ray works"])
 @pytest.mark.parametrize(
-    ("tell", "asked", "code"),
+    "stop",
     [(os.kill, signal.SIGTERM, 143), (os.killpg, signal.SIGINT, -2)],
     ids=["a scheduler", "a terminal"],
 )
 def test_a_command_that_is_stopped_takes_its_ray_along(
-    recordings, tmp_path, tell, asked, code, works
+    recordings, tmp_path, stop, works
 ):  # fmt: skip
+    tell, asked, code = stop
     while at_work():
         time.sleep(0.2)  # for the one before
     words = ["track", *map(str, recordings), "--workers", "2", "--ray", "local", "--output"]
@@ -193,6 +194,6 @@ def test_a_command_that_is_stopped_takes_its_ray_along(
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
     # Ray's own handler of SIGTERM, installed while it starts, may abort after ours.
-    assert process.returncode == code or not works and process.returncode != 0, complained
+    assert process.returncode == code or (not works and process.returncode != 0), complained
     assert "interrupted; what was finished is whole" in complained
     assert not list(out.glob(".*"))
