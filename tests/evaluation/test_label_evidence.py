@@ -58,6 +58,17 @@ def test_no_part_of_it_can_see_the_truth():
         assert "truth" not in inspect.signature(function).parameters
 
 
+def test_a_mesh_is_left_behind_where_the_cloth_is_seen_elsewhere_later(recording):
+    here = module.misfit_at(SHEET, FLAT, recording, 1)
+    assert here.patch_m.max() < label_quality.FAR_M
+    turned = FLAT.copy()
+    turned[:, 0] = np.minimum(turned[:, 0], turned[:, 0].max() - 0.06)
+    elsewhere = module.misfit_at(SHEET, turned, recording, 1)
+    far = elsewhere.patch_m > label_quality.FAR_M
+    assert 0.05 < far.mean() < 0.6
+    assert FLAT[far, 0].min() > FLAT[:, 0].min() + 0.06
+
+
 def test_the_right_mesh_has_little_against_it(recording):
     found = look_at(recording, FLAT)
     assert found.silhouette_gap < 0.02

@@ -77,6 +77,15 @@ def test_what_the_recording_contradicts_itself_in_is_heard():
     assert trajectory_verdict([label(2.5)]).remedy == ""
 
 
+def test_cloth_that_moves_after_an_action_leaves_the_mesh_behind():
+    flap = Misplaced(0.12, 0.06, "at the left")
+    found = trajectory_verdict([label(2.5)], later=[(40, Misplaced()), (60, flap)])
+    assert found.word == "look"
+    assert "the cloth at the left, 12 % of it, may be 60 mm off, by frame 60" in found.reason
+    assert "actions" in found.remedy
+    assert trajectory_verdict([label(2.5)], later=[(40, Misplaced())]).word == "trust"
+
+
 def test_a_trajectory_is_worth_what_its_worst_label_is():
     labels = [label(3.0), label(20.0, action=1), label(9.0, action=2)]
     found = trajectory_verdict(labels)

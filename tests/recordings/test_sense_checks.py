@@ -137,14 +137,29 @@ def shifted(small, columns, rows):
     return replace(small, color=np.stack(moved), mask=None)
 
 
-def scaled(small, factor):
+def scaled(small, factor, degrees=0.0):
     rows, columns = small.color.shape[1:3]
-    matrix = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), 0.0, factor)
+    matrix = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), degrees, factor)
     moved = [
         cv2.warpAffine(each, matrix, (columns, rows), borderMode=cv2.BORDER_REPLICATE)
         for each in small.color
     ]
     return replace(small, color=np.stack(moved), mask=None)
+
+
+def pushed(small, columns, since):
+    """Another part of the scene is in the picture from a frame on."""
+    color, height_m = small.color.copy(), small.height_m.copy()
+    color[since:] = np.roll(color[since:], columns, axis=2)
+    height_m[since:] = np.roll(height_m[since:], columns, axis=2)
+    return replace(small, color=color, height_m=height_m, mask=None)
+
+
+def turned_camera(small, since):
+    """The table rises to the right by 5 mm to the rim from a frame on."""
+    height_m = small.height_m.copy()
+    height_m[since:] += np.linspace(-0.005, 0.005, height_m.shape[2], dtype=np.float32)
+    return replace(small, height_m=height_m)
 
 
 def with_depth_of(small, frames):
@@ -180,6 +195,9 @@ WRONG = {
         "color_mirrored", put_right.ColorFlip(False, True)),
     "shift": (lambda s: shifted(s, 6, -4), "color_shift", put_right.ColorShift(-12, 8)),
     "scale": (lambda s: scaled(s, 0.5), "color_scale", put_right.ColorScale(2.0)),
+    "turn": (lambda s: scaled(s, 1.0, 10.0), "color_turned", put_right.ColorTurn(-10.0)),
+    "push": (lambda s: pushed(s, 6, 23), "camera_moved", None),
+    "tilt": (lambda s: turned_camera(s, 12), "camera_moved", None),
     "late": (lambda s: with_depth_of(s, NUMBERS - 4), "stream_delay",
         put_right.StreamDelay("depth", 4)),
     "early": (lambda s: with_depth_of(s, NUMBERS + 3), "stream_delay",
@@ -205,6 +223,8 @@ def test_pictures_that_contradict_each_other_are_found(film, small, name):
         away = found[kind].correction
         assert abs(away.columns - correction.columns) <= 2
         assert abs(away.rows - correction.rows) <= 2
+    elif isinstance(correction, put_right.ColorTurn):
+        assert abs(found[kind].correction.degrees - correction.degrees) <= 2.0
     else:
         assert found[kind].correction == correction
 

@@ -18,7 +18,7 @@ from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.quality import crossings
 from clothtrack.geometry.visibility import visible_vertices
-from clothtrack.recordings.point_cloud import observe, thin
+from clothtrack.recordings.point_cloud import Observation, observe, thin
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -122,9 +122,7 @@ def label_evidence(
             )
         travelled += _mean_distance(label.vertices, previous)
         previous = label.vertices
-        dense = observe(recording, recording.frames[label.frame], segmenter, spacing_m=None)
-        cloud = thin(dense.points, _CLOUD_SPACING_M)
-        away = distance_to_mesh(cloud, label.vertices, mesh.faces) if len(cloud) else np.zeros(0)
+        dense, cloud, away = _seen(mesh, label.vertices, recording, label.frame, segmenter)
         seen = visible_vertices(label.vertices, mesh.faces, recording.cameras, device=device)
         judged = seen & ~dense.unobservable(label.vertices)
         evidence.append(
@@ -142,6 +140,43 @@ def label_evidence(
             )
         )
     return tuple(evidence)
+
+
+def misfit_at(
+    mesh: ClothMesh,
+    vertices: Float[np.ndarray, "vertices 3"],
+    recording: Recording,
+    frame: int,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
+) -> LocalMisfit:
+    """Return where a mesh contradicts what was seen in a frame.
+
+    Args:
+        mesh: the topology and the flat cloth.
+        vertices: where its vertices are [m].
+        recording: what the mesh was tracked from.
+        frame: number of the frame.
+        segmenter: finds the cloth in a picture; the recording's own way by default.
+        device: "cpu" or "cuda:0", for the outlines.
+    """
+    seen = _seen(mesh, vertices, recording, frame, segmenter)
+    return local_misfit(mesh, vertices, *seen, device=device)
+
+
+def _seen(
+    mesh: ClothMesh,
+    vertices: Float[np.ndarray, "vertices 3"],
+    recording: Recording,
+    frame: int,
+    segmenter: Segmenter | None,
+) -> tuple[Observation, Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
+    """Return the dense cloud of a frame, the thinned one, and its distances from a mesh [m]."""
+    dense = observe(recording, recording.frames[frame], segmenter, spacing_m=None)
+    cloud = thin(dense.points, _CLOUD_SPACING_M)
+    away = distance_to_mesh(cloud, vertices, mesh.faces) if len(cloud) else np.zeros(0)
+    return dense, cloud, away
 
 
 def _far_quantile(

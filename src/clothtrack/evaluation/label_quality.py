@@ -17,13 +17,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from clothtrack.errors import InvalidConfigError, InvalidResultError
+from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidResultError
 from clothtrack.evaluation.label_evidence import (
     EVIDENCE_NAMES,
     LabelEvidence,
     label_evidence,
     labels_of,
+    misfit_at,
 )
+from clothtrack.evaluation.local_misfit import LocalMisfit
 from clothtrack.evaluation.places import place_of
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.files.bounds import Bounds, Checked, Positive
@@ -151,6 +153,9 @@ class QualityModel(Checked):
 FAR_M = 0.015
 """Misfit of a patch of cloth (`local_misfit`) [m] from which on it is misplaced."""
 
+_FEWEST_FRAMES_AFTER = 3
+"""Cloth that was let go may settle for a frame or two."""
+
 
 @dataclass(frozen=True)
 class Misplaced:
@@ -228,23 +233,55 @@ def judge_labels(
             1e3 * model.expected_error_m(one),
             model.quality(one),
             one,
-            _misplaced(label.vertices, one, recording),
+            _misplaced(label.vertices, one.misfit, recording),
             _idle_pickers(tracked, recording, one.action - 1),
         )
         for label, one in zip(labels, evidence, strict=True)
     )
 
 
+def left_behind(
+    tracked: TrackedTrajectory,
+    recording: Recording,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
+) -> tuple[tuple[int, Misplaced], ...]:
+    """Return by which frame after each action the cloth lies elsewhere, and which part of it.
+
+    The mesh rests from the last frame of an action to the next action, or to the end of the film.
+    Cloth that moves meanwhile leaves it behind. An action without frames after it is left out.
+
+    Args:
+        tracked: what the tracker left.
+        recording: what it was tracked from.
+        segmenter: finds the cloth in a picture; the recording's own way by default.
+        device: "cpu" or "cuda:0", for the outlines.
+    """
+    begun = [action.first_frame for action in tracked.actions[1:]]
+    found = []
+    for label, end in zip(labels_of(tracked), [*begun, len(recording.frames) - 1], strict=True):
+        if end - label.frame < _FEWEST_FRAMES_AFTER:
+            continue
+        try:
+            misfit = misfit_at(
+                tracked.mesh, label.vertices, recording, end, segmenter=segmenter, device=device
+            )
+        except ClothTrackError:
+            continue  # The cloth is not found there: nothing can be said.
+        found.append((end, _misplaced(label.vertices, misfit, recording)))
+    return tuple(found)
+
+
 def _misplaced(
-    vertices: Float[np.ndarray, "vertices 3"], evidence: LabelEvidence, recording: Recording
+    vertices: Float[np.ndarray, "vertices 3"], misfit: LocalMisfit | None, recording: Recording
 ) -> Misplaced:
-    if evidence.misfit is None:
+    if misfit is None:
         return Misplaced()
-    misfit_m = evidence.misfit.patch_m
-    far = misfit_m > FAR_M
+    far = misfit.patch_m > FAR_M
     if not far.any():
         return Misplaced()
-    off_m = float(np.percentile(misfit_m[far], 90))
+    off_m = float(np.percentile(misfit.patch_m[far], 90))
     return Misplaced(float(far.mean()), off_m, place_of(vertices, far, recording.cameras))
 
 

@@ -9,7 +9,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
-from clothtrack.evaluation.label_quality import LabelQuality, judge_labels
+from clothtrack.evaluation.label_quality import (
+    LabelQuality,
+    Misplaced,
+    judge_labels,
+    left_behind,
+)
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.recording import Recording
@@ -49,6 +54,8 @@ LIMITS: Mapping[str, Limit] = {
     "stretched edges": Limit("", 0.1),
     # Share of the cloth (`label_quality.Misplaced`).
     "misplaced part": Limit("", 0.02, 0.5),
+    # The same share, of what moves after an action while the mesh rests.
+    "left behind": Limit("", 0.04, 0.5, "add the missing action to recording.json: actions"),
     "pickers that hold nothing": Limit("", 0.0, remedy="clothtrack inspect RECORDING"),
 }
 """The evidence that tracking leaves. What a recording contradicts itself in is evidence, too
@@ -128,14 +135,22 @@ class Verdict:
         return cls(plain["word"], plain["reason"], expected, evidence)
 
 
-def trajectory_verdict(labels: Sequence[LabelQuality], findings: Iterable[Finding] = ()) -> Verdict:
+def trajectory_verdict(
+    labels: Sequence[LabelQuality],
+    findings: Iterable[Finding] = (),
+    later: Iterable[tuple[int, Misplaced]] = (),
+) -> Verdict:
     """Return what the worst evidence about a trajectory deserves.
 
     Args:
         labels: of all its actions, judged.
         findings: in what its recording contradicts itself.
+        later: frames after the actions, and the part of the cloth that left the mesh by then.
     """
     evidence = [_of_finding(finding) for finding in findings]
+    for frame, part in later:
+        text = f"{part.text}, by frame {frame}, after an action"
+        evidence.append(_measured("left behind", part.share, text))
     for label in labels:
         evidence += evidence_of(label)
     if not labels:
@@ -167,7 +182,8 @@ def judge(
     """
     if labels is None:
         labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
-    return trajectory_verdict(labels, check_geometry(recording))
+    later = left_behind(tracked, recording, segmenter=segmenter, device=device)
+    return trajectory_verdict(labels, check_geometry(recording), later)
 
 
 def verdict_of(

@@ -14,6 +14,7 @@ from clothtrack.recordings.geometry_checks.corrections import (
     ColorFlip,
     ColorScale,
     ColorShift,
+    ColorTurn,
     Correction,
     LensDistortion,
     PickerDelay,
@@ -145,9 +146,11 @@ def _placed(picture: np.ndarray, correction: Correction) -> np.ndarray:
     if isinstance(correction, ColorShift):
         matrix = np.array([[1.0, 0.0, correction.columns], [0.0, 1.0, correction.rows]])
         return cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_NEAREST)
-    if isinstance(correction, ColorScale):
+    if isinstance(correction, ColorScale | ColorTurn):
         middle = ((width - 1) / 2, (height - 1) / 2)
-        matrix = cv2.getRotationMatrix2D(middle, 0.0, correction.factor)
+        scaled = isinstance(correction, ColorScale)
+        degrees, factor = (0.0, correction.factor) if scaled else (correction.degrees, 1.0)
+        matrix = cv2.getRotationMatrix2D(middle, degrees, factor)
         return cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_NEAREST)
     return picture
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from clothtrack.recordings.geometry_checks.action_checks import action_findings
 from clothtrack.recordings.geometry_checks.camera_checks import camera_findings
+from clothtrack.recordings.geometry_checks.camera_motion import camera_motion_findings
 from clothtrack.recordings.geometry_checks.clock_checks import time_findings
 from clothtrack.recordings.geometry_checks.cloth_checks import cloth_findings
 from clothtrack.recordings.geometry_checks.color_checks import color_findings, registration
@@ -59,7 +60,8 @@ def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list
         else:
             stream = [finding for finding in stream if finding.kind != "stream_delay"]
     placed = [] if color is None else color_findings(pictures, color)
-    return [*alone, *stream, *placed, *mask_findings(recording, pictures)]
+    pushed = camera_motion_findings(recording, pictures)
+    return [*alone, *pushed, *stream, *placed, *mask_findings(recording, pictures)]
 
 
 def _in_step(pictures: SmallPictures, findings: list[Finding]) -> SmallPictures:

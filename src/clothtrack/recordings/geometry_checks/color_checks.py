@@ -1,11 +1,11 @@
-"""Color against depth in the picture: turned over, shifted, or of another size.
+"""Color against depth in the picture: turned over, turned, shifted, or of another size.
 
 What moves, and the rims of what stands out of the table, are at the same pixels in color and in
 depth. Both are correlated over all shifts, for the color as it is and as it would be if it were
-turned over or scaled. Nothing is doubted unless another placement fits clearly better.
+turned over, turned or scaled. Nothing is doubted unless another placement fits clearly better.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -23,6 +23,7 @@ from clothtrack.recordings.geometry_checks.corrections import (
     ColorFlip,
     ColorScale,
     ColorShift,
+    ColorTurn,
     Correction,
 )
 from clothtrack.recordings.geometry_checks.finding import Finding
@@ -46,6 +47,15 @@ SCALES = (0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0)
 """Sizes that a color picture of another stream has, times that of the depth: 1280 x 720 cut or
 resized to 640 x 480, and 320 x 240 of the same."""
 
+TURNS_DEG = (-20.0, -15.0, -10.0, -5.0, 5.0, 10.0, 15.0, 20.0)
+"""Angles of the color against the depth that are tried; the best is refined to a degree."""
+
+_LARGEST_TURN_DEG = 2.0
+"""A smaller angle is not told from none."""
+
+_LEAST_TURN_GAIN = 0.12
+"""The same of a turn. Right recordings gain 0.07 at most."""
+
 _LEAST_SHIFT_GAIN = 0.05
 """The same of a shift on which motion and edges agree."""
 
@@ -63,7 +73,7 @@ class Registration:
         as_recorded: the same as recorded.
     """
 
-    correction: ColorFlip | ColorShift | ColorScale | None
+    correction: ColorFlip | ColorShift | ColorScale | ColorTurn | None
     fit: float
     as_recorded: float
 
@@ -83,10 +93,8 @@ def registration(pictures: SmallPictures) -> Registration | None:
     shift, fit = _best_shift(pairs)
     if _length(shift) <= _LARGEST_SHIFT and fit >= 2 * LEAST_FIT:
         return right
-    scaled = [_best_shift(_changed(pairs, lambda m, f=f: _scaled(m, f)))[1] for f in SCALES]
-    best = int(np.argmax(scaled))
-    if scaled[best] >= max(LEAST_FIT, fit + LEAST_GAIN):
-        return Registration(ColorScale(SCALES[best]), scaled[best], as_recorded)
+    if similar := _similarity(pairs, fit, as_recorded):
+        return similar
     edges_shift, _ = _best_shift(pairs[1:])
     agreed = np.abs(np.subtract(shift, edges_shift)).max() <= _LARGEST_SHIFT
     gained = fit >= max(LEAST_FIT, as_recorded + _LEAST_SHIFT_GAIN)
@@ -94,6 +102,19 @@ def registration(pictures: SmallPictures) -> Registration | None:
         return right
     columns, rows = (pixels * pictures.factor for pixels in edges_shift)
     return Registration(ColorShift(columns, rows), fit, as_recorded)
+
+
+def _similarity(pairs: _Pairs, fit: float, as_recorded: float) -> Registration | None:
+    """Return the scale or the turn that fits better than every shift, if one does."""
+    scale, scaled = _best(pairs, SCALES, lambda factor: (0.0, factor))
+    turn, turned_fit = _best(pairs, TURNS_DEG, lambda degrees: (degrees, 1.0))
+    if scaled >= max(LEAST_FIT, fit + LEAST_GAIN, turned_fit):
+        return Registration(ColorScale(scale), scaled, as_recorded)
+    if turned_fit >= max(LEAST_FIT, fit + _LEAST_TURN_GAIN):
+        near = [turn + by for by in (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)]
+        turn, turned_fit = _best(pairs, near, lambda degrees: (degrees, 1.0))
+        return Registration(ColorTurn(turn), turned_fit, as_recorded)
+    return None
 
 
 def color_findings(pictures: SmallPictures, found: Registration) -> list[Finding]:
@@ -123,6 +144,13 @@ def _finding(
         return Finding(
             "color_mirrored", fit, as_recorded + LEAST_GAIN, "", "frames: color",
             f"the color fits the depth when it is turned {sides} {told}: {remedy}",
+            correction=correction,
+        )  # fmt: skip
+    if isinstance(correction, ColorTurn):
+        return Finding(
+            "color_turned", abs(correction.degrees), _LARGEST_TURN_DEG, "deg", "frames: color",
+            f"the color fits the depth when it is turned by {correction.degrees:.0f} degrees "
+            f"{told} (at most {_LARGEST_TURN_DEG:g}): {remedy}",
             correction=correction,
         )  # fmt: skip
     factor = correction.factor if isinstance(correction, ColorScale) else 1.0
@@ -201,8 +229,17 @@ def _turned(maps: _Maps, flip: ColorFlip) -> _Maps:
     return maps[:, :: -1 if flip.rows else 1, :: -1 if flip.columns else 1]
 
 
-def _scaled(maps: _Maps, factor: float) -> _Maps:
+def _best(
+    pairs: _Pairs, values: Sequence[float], how: Callable[[float], tuple[float, float]]
+) -> tuple[float, float]:
+    """Return the value whose angle [deg] and factor of the color fit best, and the fit."""
+    fits = [_best_shift(_changed(pairs, lambda m, v=v: _similar(m, *how(v))))[1] for v in values]
+    best = int(np.argmax(fits))
+    return values[best], fits[best]
+
+
+def _similar(maps: _Maps, degrees: float, factor: float) -> _Maps:
     rows, columns = maps.shape[1:]
     middle = ((columns - 1) / 2, (rows - 1) / 2)
-    matrix = cv2.getRotationMatrix2D(middle, 0.0, factor)
+    matrix = cv2.getRotationMatrix2D(middle, degrees, factor)
     return np.stack([cv2.warpAffine(each, matrix, (columns, rows)) for each in maps])

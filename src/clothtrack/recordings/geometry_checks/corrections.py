@@ -28,6 +28,13 @@ class ColorScale:
 
 
 @dataclass(frozen=True)
+class ColorTurn:
+    """Turn every color picture about its middle, counterclockwise."""
+
+    degrees: float
+
+
+@dataclass(frozen=True)
 class StreamDelay:
     """Take one stream of every moment from so many frames later (earlier where negative)."""
 
@@ -57,5 +64,12 @@ class LensDistortion:
 
 
 Correction = (
-    ColorFlip | ColorShift | ColorScale | StreamDelay | ClockScale | PickerDelay | LensDistortion
+    ColorFlip
+    | ColorShift
+    | ColorScale
+    | ColorTurn
+    | StreamDelay
+    | ClockScale
+    | PickerDelay
+    | LensDistortion
 )

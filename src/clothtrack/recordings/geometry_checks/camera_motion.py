@@ -1,0 +1,148 @@
+"""A camera that is pushed during the film: the table in its depth moves, or the whole picture."""
+
+import numpy as np
+import scipy.fft
+from jaxtyping import Bool, Float
+
+from clothtrack.recordings.geometry_checks.change_maps import color_edges, filling, height_edges
+from clothtrack.recordings.geometry_checks.finding import Finding
+from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
+from clothtrack.recordings.recording import Recording
+
+_LARGEST_MOTION_M = 0.0025
+"""Change of the table's height somewhere in the picture [m] up to which the camera stands still.
+It is below 0.4 mm on right recordings; a camera turned by 1 degree makes 7."""
+
+_NEAR_TABLE_M = 0.03
+"""What the first frames show this near to the recorded table [m] may be the table."""
+
+_MOST_CHANGE_M = 0.08
+"""A pixel that changes by more [m] shows a hand."""
+
+_INLIER_M = 0.005
+_FEWEST_INLIERS = 0.6
+"""Share of the table's pixels that must agree within so much [m] on how the table moved."""
+
+_ROUNDS = 8
+"""Of the reweighted fit; it is steady after five."""
+
+_LEAST_JUMP, _MOST_JUMP = 2.5, 15.0
+"""Shift of the whole picture between two frames [reduced pixels, 1/160 of the width] that is a
+push. A hand that moves fast looks like a larger one."""
+
+_LEAST_FIT, _LEAST_GAIN = 0.58, 0.15
+"""Correlation of the edges that the shift must reach, and by how much it must be better than none.
+"""
+
+_FEWEST_FRAMES = 4
+"""Fewer say nothing."""
+
+_Motion = tuple[float, float, str]
+"""What was measured, its limit, and the unit of both."""
+
+
+def camera_motion_findings(recording: Recording, pictures: SmallPictures) -> list[Finding]:
+    """Return from which frame on the camera is elsewhere; nothing where it stands still."""
+    if len(pictures.frames) < _FEWEST_FRAMES:
+        return []
+    return _table_moved(recording, pictures) or _picture_jumped(recording, pictures)
+
+
+def _table_moved(recording: Recording, pictures: SmallPictures) -> list[Finding]:
+    """The table is turned or lies lower although nothing but cloth and hands may move."""
+    if recording.table is None:
+        return []
+    heights = pictures.height_m
+    known = np.isfinite(heights[:3])
+    first = np.where(known, heights[:3], 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    table = known.any(axis=0) & (np.abs(first) < _NEAR_TABLE_M)
+    if pictures.mask is not None:
+        table &= (pictures.mask == 0).all(axis=0)
+    moved = np.array([_table_motion_m(height - first, table) for height in heights])
+    lasting = np.minimum(moved[:-1], moved[1:])  # What a single frame shows is noise, or an arm.
+    most_m = float(lasting.max())
+    if most_m <= _LARGEST_MOTION_M:
+        return []
+    since = pictures.frames[int(np.argmax(lasting > _LARGEST_MOTION_M))]
+    shown = f"the table in its depth lies up to {1e3 * most_m:.0f} mm from where it was at first"
+    return [_finding(pictures, since, (most_m, _LARGEST_MOTION_M, "m"), shown)]
+
+
+def _table_motion_m(
+    change: Float[np.ndarray, "rows columns"], table: Bool[np.ndarray, "rows columns"]
+) -> float:
+    """Return the largest change of the table's height in the picture [m]; 0 where not known."""
+    usable = table & (np.abs(np.nan_to_num(change, nan=np.inf)) < _MOST_CHANGE_M)
+    rows, columns = np.nonzero(usable)
+    if len(rows) < 0.1 * change.size:
+        return 0.0
+    across = 2.0 * columns / (change.shape[1] - 1) - 1.0
+    down = 2.0 * rows / (change.shape[0] - 1) - 1.0
+    basis, wanted = np.stack([np.ones(len(rows)), across, down], axis=1), change[usable]
+    plane, away = np.zeros(3), wanted - np.median(wanted)
+    for _ in range(_ROUNDS):
+        weight = 1.0 / (1.0 + (away / _INLIER_M) ** 2)
+        plane = np.linalg.lstsq(basis * weight[:, None], wanted * weight, rcond=None)[0]
+        away = wanted - basis @ plane
+    if (np.abs(away) < _INLIER_M).mean() < _FEWEST_INLIERS:
+        return 0.0
+    return float(np.abs(plane).sum())
+
+
+def _picture_jumped(recording: Recording, pictures: SmallPictures) -> list[Finding]:
+    """All edges are elsewhere from one frame to the next, and not on the way there."""
+    fits = _step_correlations(pictures)
+    away = np.hypot(*_best_shifts(fits).T)
+    # What moves at a constant speed is farther off after a missing frame.
+    took = np.diff([recording.frames[frame].time_s for frame in pictures.frames])
+    speed = away / np.maximum(took, 1e-9)
+    beside = took * np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))
+    fit, as_recorded = fits.max(axis=(1, 2)), fits[:, 0, 0]
+    jump = (away >= _LEAST_JUMP) & (away <= _MOST_JUMP) & (beside <= 0.5 * away)
+    jump &= (fit >= _LEAST_FIT) & (fit >= as_recorded + _LEAST_GAIN)
+    if not jump.any():
+        return []
+    step = int(np.argmax(np.where(jump, fit - as_recorded, -1.0)))
+    pixels, limit = float(away[step] * pictures.factor), _LEAST_JUMP * pictures.factor
+    shown = f"the whole picture jumps by {pixels:.0f} pixels there"
+    return [_finding(pictures, pictures.frames[step + 1], (pixels, limit, "px"), shown)]
+
+
+def _step_correlations(
+    pictures: SmallPictures,
+) -> Float[np.ndarray, "steps rows columns"]:
+    """Return how the edges of each frame lie on those of the next, for all shifts; none at [0, 0].
+
+    A picture with few edges counts little beside one of the same frame with many.
+    """
+    filled = filling(pictures.height_m)
+    maps = [np.stack([height_edges(height, filled) for height in pictures.height_m])]
+    if pictures.color is not None:
+        maps.append(np.stack([color_edges(color) for color in pictures.color]))
+    total, scales = 0.0, 0.0
+    for each in maps:
+        centered = np.float32(each - each.mean(axis=(1, 2), keepdims=True))
+        waves, size = scipy.fft.rfft2(centered), centered.shape[1:]
+        products = scipy.fft.irfft2(waves[1:] * waves[:-1].conj(), s=size)
+        strength = np.sqrt((centered**2).sum(axis=(1, 2)))
+        usual = max(float(np.mean(strength**2)), 1e-12)
+        total = total + products / usual
+        scales = scales + strength[1:] * strength[:-1] / usual
+    return total / np.maximum(scales, 1e-12)[:, None, None]
+
+
+def _best_shifts(fits: Float[np.ndarray, "steps rows columns"]) -> Float[np.ndarray, "steps 2"]:
+    """Return the shift of the largest correlation of each step, down and right [pixels]."""
+    size = np.array(fits.shape[1:])
+    best = np.stack(np.divmod(fits.reshape(len(fits), -1).argmax(axis=1), size[1]), axis=1)
+    return ((best + size // 2) % size - size // 2).astype(np.float64)
+
+
+def _finding(pictures: SmallPictures, since: int, by: _Motion, shown: str) -> Finding:
+    measured, limit, unit = by
+    most = f"{1e3 * limit:.1f} mm" if unit == "m" else f"{limit:.0f} pixels"
+    return Finding(
+        "camera_moved", measured, limit, unit, "frames",
+        f"camera {pictures.camera.name!r} was pushed before frame {since}: {shown} (at most "
+        f"{most}); keep the frames up to {since - 1} alone, or record again",
+    )  # fmt: skip
