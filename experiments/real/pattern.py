@@ -45,11 +45,13 @@ class PatternDrift:
     """Where the patches of one frame were found.
 
     Attributes:
+        center_m: middle of each patch on the flat cloth, from its lowest corner [m].
         slide_m: distance of each patch from its place in the first frame [m].
         correlation: normalised correlation of each patch at its best place.
         matched_above: the correlation above which a patch counts as matched.
     """
 
+    center_m: Float[np.ndarray, "patches 2"]
     slide_m: Float[np.ndarray, " patches"]
     correlation: Float[np.ndarray, " patches"]
     matched_above: float
@@ -115,7 +117,7 @@ def pattern_drift(
         round(length / config.texel_m)
         for length in (config.patch_m, config.stride_m, config.margin_m, config.search_m)
     )
-    slides, correlations = [], []
+    centers, slides, correlations = [], [], []
     for row in range(margin, first.shape[0] - patch - margin + 1, stride):
         for column in range(margin, first.shape[1] - patch - margin + 1, stride):
             window = first[row : row + patch, column : column + patch]
@@ -125,9 +127,15 @@ def pattern_drift(
             scores = np.nan_to_num(scores, nan=0.0, posinf=0.0, neginf=0.0)
             best = np.unravel_index(int(scores.argmax()), scores.shape)
             found = _peak(scores, best) + np.array([top - row, left - column])
+            centers.append(np.array([column + 0.5 * patch, row + 0.5 * patch]) * config.texel_m)
             slides.append(float(np.hypot(*found)) * config.texel_m)
             correlations.append(float(scores[best]))
-    return PatternDrift(np.array(slides), np.array(correlations), config.correlation)
+    return PatternDrift(
+        np.array(centers).reshape(-1, 2),
+        np.array(slides),
+        np.array(correlations),
+        config.correlation,
+    )
 
 
 def _peak(
