@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, TypeVar
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, StorageError
@@ -127,25 +128,30 @@ def _connected(address: str, workers: int) -> Any:
 
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back while Ray starts: it loses the one and exits by the other."""
+    """Hold Ctrl-C and SIGTERM back while Ray starts.
+
+    It loses the one, aborts by the other, and leaves a handler of its own.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
+    _let_children_be_stopped()
     both = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda number, _: came.append(number)) for number in both]
+    handlers = [signal.getsignal(number) for number in both]
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, both)
     try:
         yield
-    except SystemExit as end:
-        # The handler of SIGTERM that Ray installs meanwhile exits with the signal's number.
-        if end.code != signal.SIGTERM:
-            raise
-        came.append(signal.SIGTERM)
     finally:
-        for number, handler in zip(both, before, strict=True):
+        for number, handler in zip(both, handlers, strict=True):
             signal.signal(number, handler)
-        for number in came[:1]:
-            signal.raise_signal(number)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+@cache
+def _let_children_be_stopped() -> None:
+    """Let the processes of Ray be stopped although they are started while signals are held."""
+    held = (signal.SIGTERM,)
+    os.register_at_fork(after_in_child=lambda: signal.pthread_sigmask(signal.SIG_UNBLOCK, held))
 
 
 def _first_line(error: Exception) -> str:
