@@ -1,7 +1,9 @@
 """DDS as ROS 2 uses it: who publishes what, and readers and writers with ROS's qualities."""
 
 import os
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +33,14 @@ SAMPLES_KEPT = 512
 _PREFIX = "rt"  # of the names of ROS topics in DDS
 _MOST_ENDPOINTS = 10_000
 _BLOCKED_AT_MOST = duration(milliseconds=5)
+# Fast DDS describes ROS's types in a form that Cyclone DDS takes for damaged, and then nobody hears
+# anybody. A type of ROS is known by its name: the descriptions of these vendors (RTI, eProsima,
+# Eclipse) are not looked at.
+_CONFIGURATION = (
+    "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.1,1.15,1.16"
+    "</IgnoreTypeInformation></Compatibility></Domain></CycloneDDS>"
+)
+_CONFIGURING = threading.Lock()
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 
 
@@ -96,7 +106,8 @@ class Participant:
         """
         number = _domain_of_environment() if domain_id is None else domain_id
         try:
-            self._participant = DomainParticipant(number)
+            with _configured():
+                self._participant = DomainParticipant(number)
         except DDSException as error:
             raise InvalidConfigError(
                 f"DDS refuses domain {number}; a domain is 0 to 232, and CYCLONEDDS_URI, where it "
@@ -177,6 +188,21 @@ def _publication(endpoints: Sequence[Any]) -> Publication:
         all(one.qos[Policy.Durability] not in (None, Policy.Durability.Volatile)
             for one in endpoints),
     )  # fmt: skip
+
+
+@contextmanager
+def _configured() -> Iterator[None]:
+    """Have a domain that begins now read our configuration, then that of the environment."""
+    with _CONFIGURING:
+        given = os.environ.get("CYCLONEDDS_URI")
+        os.environ["CYCLONEDDS_URI"] = f"{_CONFIGURATION},{given}" if given else _CONFIGURATION
+        try:
+            yield
+        finally:
+            if given is None:
+                del os.environ["CYCLONEDDS_URI"]
+            else:
+                os.environ["CYCLONEDDS_URI"] = given
 
 
 def _domain_of_environment() -> int:

@@ -117,6 +117,7 @@ class Ros2Source:
             pose = self._find_pose(frame) if world_from_camera is None else world_from_camera
             self.camera = self._intrinsics.rectified().camera("camera", pose)
             self.start_ns = self._first["depth"].stamp_ns
+            self._queue.counts.late = 0  # nobody could have taken those that came meanwhile
         except BaseException:
             self.close()
             raise
