@@ -95,6 +95,7 @@ def check_picture(source, recording, index):
     """Compare the next picture with a frame of the recording; its stamp."""
     picture, frame = source.take(WAIT_S), recording.frames[index]
     stamp_ns = START_NS + round(frame.time_s * 1e9)
+    assert set(vars(picture)) == {"time_s", "depth", "color", "mask", "picker"}
     assert source.stamp_ns(picture.time_s) == stamp_ns
     assert picture.time_s == (stamp_ns - START_NS) / 1e9
     depth, color = read_depth(frame.depth["top"], 0.001), read_color(frame.color["top"])

@@ -9,7 +9,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from import_makers import START_NS, Film, Messages
+from import_makers import OPTICAL, START_NS, Film, Messages
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 
@@ -32,6 +32,7 @@ STEP_NS = 20_000_000
 CAMERA = Ros2Topics("/camera/depth", "/camera/color", "/camera/camera_info")
 PATIENT = Ros2SourceConfig(patience_s=10.0)
 HASTY = Ros2SourceConfig(patience_s=0.6)
+LATCHED = ("/tf_static", "/arm/closed")
 ABOVE = (0.0, 0.0, 0.7)
 
 
@@ -60,7 +61,7 @@ class Driver:
                     qos = Qos(
                         Policy.Reliability.Reliable(duration(milliseconds=10)),
                         Policy.Durability.TransientLocal
-                        if name == "/tf_static"
+                        if name in LATCHED
                         else Policy.Durability.Volatile,
                     )
                     topic = Topic(participant, f"rt{name}", kind)
@@ -137,16 +138,22 @@ def test_distortion_is_taken_out_of_both_pictures(loopback):
 def arm_at(step):
     """A base that stands in the world, a tool that moves in it, a camera above."""
     time_ns = time_of(step)
-    quarter = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
     return [
-        ("/tf_static", MESSAGES.tf(0, "world", "base", (1.0, 0.0, 0.0), quarter)),
-        ("/tf_static", MESSAGES.tf(0, "world", "camera_color_optical_frame", ABOVE)),
+        *([("/tf_static", standing())] if step == 0 else []),
         ("/tf", MESSAGES.tf(time_ns, "base", "tool", (0.01 * step, 0.0, 0.2))),
         ("/arm/tip", MESSAGES.pose(time_ns, "base", (0.01 * step, 0.0, 0.2))),
         ("/arm/opening", MESSAGES.value("Float32", 0.08 if step % 4 < 2 else 0.01)),
         ("/arm/joints", joints(time_ns, 0.02 if step % 4 < 2 else 0.005)),
         *camera_at(step),
     ]
+
+
+def standing(*, base="base"):
+    """What does not move, told once."""
+    quarter = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+    both = MESSAGES.tf(0, "world", base, (1.0, 0.0, 0.0), quarter)
+    both.transforms += MESSAGES.tf(0, "world", OPTICAL, ABOVE).transforms
+    return both
 
 
 def joints(time_ns, each):
@@ -214,11 +221,10 @@ def test_a_pose_in_an_unknown_frame_gives_no_picker(loopback, caplog):
     )
 
     def messages_at(step):
-        return [
-            (name, message)
-            for name, message in arm_at(step)
-            if name != "/tf_static" or message.transforms[0].child_frame_id != "base"
-        ]
+        arm = dict(arm_at(step))
+        if "/tf_static" in arm:
+            arm["/tf_static"] = standing(base="another base")
+        return arm.items()
 
     with (
         caplog.at_level(logging.WARNING),
@@ -310,9 +316,10 @@ def test_a_topic_of_another_type_is_refused_with_those_that_can_be_read(loopback
         Ros2Source(topics, config=PATIENT)
 
 
-def test_depth_that_is_not_registered_to_color_is_refused(loopback):
+@pytest.mark.parametrize("k1", [0.0, 0.2])
+def test_depth_that_is_not_registered_to_color_is_refused(loopback, k1):
     def messages_at(step):
-        camera = dict(camera_at(step))
+        camera = dict(camera_at(step, distortion=(k1, 0.0, 0.0, 0.0, 0.0)))
         camera[CAMERA.depth] = MESSAGES.image(time_of(step), FILM.depth[0][:-2], "16UC1")
         return camera.items()
 
@@ -321,6 +328,39 @@ def test_depth_that_is_not_registered_to_color_is_refused(loopback):
         pytest.raises(InvalidRecordingError, match=r"32 x 22 pixels, but .* says 32 x 24"),
     ):
         Ros2Source(CAMERA, config=PATIENT)
+
+
+def test_a_picture_of_another_size_is_left_out_and_counted(loopback, caplog):
+    def messages_at(step):
+        camera = dict(camera_at(step))
+        if step % 2:
+            camera[CAMERA.color] = MESSAGES.image(time_of(step), FILM.color[0][:-2], "bgr8")
+        return camera.items() if step > 10 else camera_at(step)
+
+    with Driver(messages_at), Ros2Source(CAMERA, config=PATIENT) as source:
+        late = [step for step, _ in steps_of(source, 15) if step > 10]
+        assert late
+        assert not any(step % 2 for step in late)
+        assert source.counts.damaged > 0
+    assert "a picture is left out (32 x 22 pixels" in caplog.text
+
+
+def test_a_gripper_that_told_once_is_heard_by_who_comes_late(loopback):
+    topics = Ros2Topics(
+        CAMERA.depth, CAMERA.color, CAMERA.camera_info, pose="/arm/tip", gripper="/arm/closed"
+    )
+
+    def messages_at(step):
+        once = [("/arm/closed", MESSAGES.value("Bool", True))] if step == 0 else []
+        return [*once, *arm_at(step)]
+
+    with (
+        Driver(messages_at),
+        Ros2Source(topics, world_from_camera=np.eye(4), config=PATIENT) as source,
+    ):
+        picture = wait_until(source, lambda picture: picture.picker is not None)
+        ((_, closed),) = picture.picker.values()
+        assert closed
 
 
 def test_a_picture_of_another_encoding_is_refused(loopback):

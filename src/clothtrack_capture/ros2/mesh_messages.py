@@ -54,10 +54,9 @@ class TriangleMarker:
             colors: red, green, blue and alpha of each, 0 to 1.
         """
         place, count = self._counts_at, struct.pack("<I", len(corners))
-        # Doubles lie at multiples of eight, counted behind the head of four bytes.
-        gap = bytes(-place % 8)
+        # No gap: doubles lie at multiples of eight, and so does what comes after the count.
         return b"".join([
-            _stamped(self._bare[:place], stamp_ns), count, gap, corners.astype("<f8").tobytes(),
+            _stamped(self._bare[:place], stamp_ns), count, corners.astype("<f8").tobytes(),
             count, colors.astype("<f4").tobytes(), self._bare[place + 8 :],
         ])  # fmt: skip
 

@@ -139,15 +139,17 @@ class Ros2Source:
         Raises:
             InvalidRecordingError: depth is still published, but no picture came for `patience_s`,
                 or its clock was set back.
+            InvalidConfigError: the gripper tells numbers, and `closed_below` is not given.
         """
         while not self._closed:
             alone = self.counts.alone
             picture = self.take(self._config.patience_s)
             if picture is not None:
                 yield picture
-            elif self._closed or self._names["depth"] not in self._participant.publications():
-                return
-            else:
+                continue
+            with self._lock:
+                if self._closed or self._names["depth"] not in self._participant.publications():
+                    return
                 raise InvalidRecordingError(self._why_silent(self.counts.alone - alone))
 
     def take(self, wait_s: float) -> LivePicture | None:
@@ -162,6 +164,7 @@ class Ros2Source:
 
         Raises:
             InvalidRecordingError: the clock of depth was set back.
+            InvalidConfigError: the gripper tells numbers, and `closed_below` is not given.
         """
         deadline_s = time.monotonic() + wait_s
         while True:
@@ -236,19 +239,13 @@ class Ros2Source:
         """
         frame = ""
         for part in (part for part in ("depth", "color") if part in self._names):
-            name = self._names[part]
             try:
-                picture, frame = self._decoded(part, self._first[part])
+                _, frame = self._decoded(part, self._first[part])
             except TruncatedError as error:
-                raise InvalidRecordingError(f"{name}: {error}; name another topic") from error
-            height, width = picture.shape[:2]
-            if (width, height) != self._intrinsics.size:
-                expected = "{} x {}".format(*self._intrinsics.size)
                 raise InvalidRecordingError(
-                    f"{name}: {width} x {height} pixels, but {self._names['camera_info']} says "
-                    f"{expected}; name the depth that the driver registers to color, and the "
-                    "camera_info of color"
-                )
+                    f"{self._names[part]}: {error}; name the depth that the driver registers to "
+                    "color, raw and not compressed, and the camera_info of color"
+                ) from error
         return frame
 
     def _find_pose(self, frame: str) -> Float[np.ndarray, "4 4"]:
@@ -344,10 +341,19 @@ class Ros2Source:
                 logger.warning("%s: a picture is left out (%s)", self._names["depth"], error)
 
     def _decoded(self, part: str, received: Received) -> tuple[np.ndarray, str]:
-        """A picture without distortion, and its frame."""
+        """Return a picture without distortion, and its frame.
+
+        Raises:
+            TruncatedError: it is damaged, or of another size or encoding.
+        """
         message = decode(Topic(self._names[part], IMAGE, cdr=True), received.data)
         depth = part == "depth"
         picture = raw_depth_m(message, self._config.depth_unit_m) if depth else raw_color(message)
-        if picture.shape[1::-1] == self._intrinsics.size:
-            picture = self._intrinsics.straighten(picture, nearest=depth)
-        return picture, str(message.header.frame_id).lstrip("/")
+        height, width = picture.shape[:2]
+        if (width, height) != self._intrinsics.size:
+            expected = "{} x {}".format(*self._intrinsics.size)
+            raise TruncatedError(
+                f"{width} x {height} pixels, but {self._names['camera_info']} says {expected}"
+            )
+        straight = self._intrinsics.straighten(picture, nearest=depth)
+        return straight, str(message.header.frame_id).lstrip("/")
