@@ -1,4 +1,4 @@
-"""What reading other programs' files needs beyond tracking: the extra [capture]."""
+"""What this package needs beyond tracking: the extras [capture] and [ros2]."""
 
 from clothtrack.files.extras import require_extra
 
@@ -10,3 +10,12 @@ def require_capture() -> None:
         InvalidConfigError: with the command that installs it.
     """
     require_extra("capture", ("lz4", "mcap", "rosbags", "zstandard"), "importing")
+
+
+def require_ros2() -> None:
+    """Check that the extra [ros2] is installed.
+
+    Raises:
+        InvalidConfigError: with the command that installs it.
+    """
+    require_extra("ros2", ("cyclonedds", "rosbags"), "speaking ROS 2")

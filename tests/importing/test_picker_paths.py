@@ -252,6 +252,21 @@ def test_transforms_against_products(rng):
     assert not tree.connects("c", "elsewhere")
 
 
+def test_what_is_forgotten_is_long_past_and_memory_stays_flat():
+    tree = TransformTree()
+    still = (0.0, 0.0, 0.0, 1.0)
+    tree.add("root", "base", 0, (1.0, 0.0, 0.0), still, static=True)
+    step_ns, sizes = 10_000_000, []
+    for step in range(1000):
+        tree.add("base", "tip", step * step_ns, (0.0, step / 1000, 0.0), still, static=False)
+        tree.forget((step - 100) * step_ns)
+        sizes.append(len(tree.moments("root", "tip")))
+    assert max(sizes) <= 101
+    times = np.array([899.0, 950.5, 999.0]) * step_ns
+    positions = tree.lookup("root", "tip", times.astype(np.int64))[:, :3, 3]
+    np.testing.assert_allclose(positions, [[1, 0.899, 0], [1, 0.9505, 0], [1, 0.999, 0]])
+
+
 def test_a_circle_of_frames_ends():
     tree = TransformTree()
     tree.add("a", "b", 1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), static=True)

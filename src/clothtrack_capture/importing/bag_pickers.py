@@ -12,6 +12,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.recordings.recording import PickerPath
 from clothtrack_capture.importing.bag_walk import Walk
 from clothtrack_capture.importing.import_options import ImportOptions
+from clothtrack_capture.importing.messages import grip_of
 from clothtrack_capture.importing.topics import listed
 
 PICKER = "picker"
@@ -128,21 +129,17 @@ def _closed(
 
 
 def _is_closed(path: Path, message: Any, options: ImportOptions) -> bool:
-    value = message
-    for name in ("position", "data"):
-        value = getattr(value, name, value)
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
+    told = grip_of(message)
+    if isinstance(told, bool):
+        return told
     if options.gripper_closed_below is None:
         raise InvalidConfigError(
             f"{path}: --gripper-topic {options.gripper_topic!r} tells numbers, not closed or open; "
             "say below which value the gripper is closed: --gripper-closed-below"
         )
-    try:
-        opening = float(np.sum(np.asarray(value, dtype=np.float64)))
-    except (TypeError, ValueError) as error:
+    if told is None:
         raise InvalidConfigError(
             f"{path}: --gripper-topic {options.gripper_topic!r} tells no number; name a topic of "
             "Bool, Float or JointState"
-        ) from error
-    return opening < options.gripper_closed_below
+        )
+    return told < options.gripper_closed_below

@@ -1,6 +1,5 @@
 """One walk through a bag: the place of every picture, and what little else is worth keeping."""
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack_capture.importing import bag_container, mcap_container, sqlite_container
 from clothtrack_capture.importing import realsense_bag as realsense
 from clothtrack_capture.importing.containers import Container, Message, Place, Topic
-from clothtrack_capture.importing.messages import decode, payload, stamp_ns
+from clothtrack_capture.importing.messages import decode, payload, position_of, stamp_ns
 from clothtrack_capture.importing.source import StreamFrame
 from clothtrack_capture.importing.topics import CAMERA_INFO, COMPRESSED, IMAGE
 from clothtrack_capture.importing.transforms import TransformTree
@@ -144,7 +143,7 @@ def _note(result: Walk, container: Container, message: Message, part: int) -> No
         result.infos[topic.name] = decode(topic, payload(container, place))
     elif topic.kind in _TF_KINDS:
         for stamped in decode(topic, payload(container, place)).transforms:
-            _grow(result.tree, stamped, log_ns, static="static" in topic.name)
+            result.tree.add_message(stamped, log_ns, static="static" in topic.name)
     elif realsense.WANTED.match(topic.name) and topic.name not in result.heard:
         result.heard[topic.name] = decode(topic, payload(container, place))
     if topic.name == result.pose_topic:
@@ -154,29 +153,11 @@ def _note(result: Walk, container: Container, message: Message, part: int) -> No
         result.grips.append((time_ns, decode(topic, payload(container, place))))
 
 
-def _grow(tree: TransformTree, stamped: Any, log_ns: int, *, static: bool) -> None:
-    stamp = stamped.header.stamp
-    time_ns = stamp.sec * 10**9 + stamp.nanosec or log_ns
-    t, q = stamped.transform.translation, stamped.transform.rotation
-    tree.add(
-        stamped.header.frame_id, stamped.child_frame_id, time_ns, (t.x, t.y, t.z),
-        (q.x, q.y, q.z, q.w), static=static,
-    )  # fmt: skip
-
-
 def _pose(result: Walk, container: Container, message: Message, place: Place) -> None:
     topic = message.topic
     content = decode(topic, payload(container, place))
     time_ns = stamp_ns(container, topic, place, message.log_ns)
-    inner = content
-    for name in ("pose", "pose", "transform", "point", "position", "translation"):
-        inner = getattr(inner, name, inner)
-    position = tuple(float(getattr(inner, axis, float("nan"))) for axis in "xyz")
-    if not all(math.isfinite(value) for value in position):
-        raise TruncatedError(f"{topic.name}: {topic.kind} holds no position")
-    header = getattr(content, "header", None)
-    frame = "" if header is None else str(header.frame_id).lstrip("/")
-    result.poses.append((time_ns, frame, (position[0], position[1], position[2])))
+    result.poses.append((time_ns, *position_of(topic, content)))
 
 
 def frame_of(container: Container, topic: Topic, place: Place) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Shaped, UInt8, UInt16
+from jaxtyping import Float, Shaped, UInt8, UInt16
 
 from clothtrack.errors import InvalidRecordingError, TruncatedError
 from clothtrack.recordings.pictures import SIGNATURE, check_chunks
@@ -70,6 +70,23 @@ def raw_depth(image: Any, unit_m: float) -> UInt16[np.ndarray, "height width"]:
         rows = np.ascontiguousarray(_raw_rows(image, 4)).view(f"{order}f4")
         return _counts_of(rows, unit_m)
     return np.ascontiguousarray(_raw_rows(image, 2)).view(f"{order}u2").astype(np.uint16)
+
+
+def raw_depth_m(image: Any, unit_m: float) -> Float[np.ndarray, "height width"]:
+    """Return the depth of a sensor_msgs Image [m], float32; 0 where there is none.
+
+    Args:
+        image: of counts, or of floats in metres (REP 118).
+        unit_m: metres per count.
+
+    Raises:
+        TruncatedError: it is no depth picture.
+    """
+    if str(image.encoding).lower() != "32fc1":
+        return np.multiply(raw_depth(image, unit_m), np.float32(unit_m), dtype=np.float32)
+    order = ">" if image.is_bigendian else "<"
+    metres = np.ascontiguousarray(_raw_rows(image, 4)).view(f"{order}f4").astype(np.float32)
+    return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
 
 
 def _counts_of(

@@ -35,7 +35,8 @@ _FISHEYE = {"equidistant", "fisheye", "kannala brandt4"}
 
 
 @cache
-def _store(*, cdr: bool) -> Typestore:
+def message_store(*, cdr: bool) -> Typestore:
+    """Return the standard message types of ROS 2 (CDR), or of ROS 1."""
     if cdr:
         return get_typestore(Stores.ROS2_HUMBLE)
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -60,7 +61,7 @@ def decode(topic: Topic, data: bytes) -> Any:
         TruncatedError: the bytes are not such a message.
     """
     kind = _TF if topic.kind == "tf/msg/tfMessage" else topic.kind
-    store = _store(cdr=topic.cdr)
+    store = message_store(cdr=topic.cdr)
     if kind not in store.types:
         raise TruncatedError(f"{topic.name}: {topic.kind} is no message type that is read here")
     try:
@@ -86,13 +87,52 @@ def stamp_ns(container: Container, topic: Topic, place: Place, log_ns: int) -> i
     data = container.fetch(place, 16)
     if data.startswith(ZSTD_MAGIC):
         data = payload(container, place)[:16]
+    return header_stamp_ns(topic, data) or log_ns
+
+
+def header_stamp_ns(topic: Topic, data: bytes) -> int:
+    """Return the time in the header that a message begins with [ns]; 0 where it tells none.
+
+    Raises:
+        TruncatedError: the message ends before it.
+    """
     if len(data) < _STAMP_BYTES:
         raise TruncatedError(f"{topic.name}: a message without a header")
     order = "<" if not topic.cdr or data[1] & 1 else ">"
     seconds, nanoseconds = struct.unpack(order + "II", data[4:12])
-    if nanoseconds >= 10**9 or not (seconds or nanoseconds):
-        return log_ns
-    return seconds * 10**9 + nanoseconds
+    return 0 if nanoseconds >= 10**9 else seconds * 10**9 + nanoseconds
+
+
+def position_of(topic: Topic, message: Any) -> tuple[str, tuple[float, float, float]]:
+    """Return the frame ("" when it has none) and the position [m] that a pose message tells.
+
+    Raises:
+        TruncatedError: it tells no position.
+    """
+    inner = message
+    for name in ("pose", "pose", "transform", "point", "position", "translation"):
+        inner = getattr(inner, name, inner)
+    x, y, z = (float(getattr(inner, axis, float("nan"))) for axis in "xyz")
+    if not np.isfinite([x, y, z]).all():
+        raise TruncatedError(f"{topic.name}: {topic.kind} holds no position")
+    header = getattr(message, "header", None)
+    return "" if header is None else str(header.frame_id).lstrip("/"), (x, y, z)
+
+
+def grip_of(message: Any) -> bool | float | None:
+    """Return whether a gripper is closed (Bool), how far it is open, or None where neither is told.
+
+    The opening of a JointState is the sum of its joints.
+    """
+    value = message
+    for name in ("position", "data"):
+        value = getattr(value, name, value)
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    try:
+        return float(np.sum(np.asarray(value, dtype=np.float64)))
+    except (TypeError, ValueError):
+        return None
 
 
 def intrinsics_of(topic: str, info: Any, *, rectified: bool) -> Intrinsics:

@@ -1,8 +1,10 @@
 """The tree of frames that ROS calls TF: where one frame is in another, at any time."""
 
 from array import array
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int64
@@ -78,6 +80,23 @@ class TransformTree:
             return
         edge.times.append(time_ns)
         edge.numbers.extend(numbers.tolist())
+
+    def add_message(self, stamped: Any, fallback_ns: int, *, static: bool) -> None:
+        """Note what a TransformStamped says; at `fallback_ns` where it has no time."""
+        stamp = stamped.header.stamp
+        t, q = stamped.transform.translation, stamped.transform.rotation
+        self.add(
+            stamped.header.frame_id, stamped.child_frame_id,
+            stamp.sec * 10**9 + stamp.nanosec or fallback_ns, (t.x, t.y, t.z),
+            (q.x, q.y, q.z, q.w), static=static,
+        )  # fmt: skip
+
+    def forget(self, before_ns: int) -> None:
+        """Forget what was noted before a time, but for the last sample of each frame up to it."""
+        for edge in self._edges.values():
+            kept = max(bisect_right(edge.times, before_ns) - 1, 0)
+            del edge.times[:kept]
+            del edge.numbers[: 7 * kept]
 
     def connects(self, first: str, other: str) -> bool:
         """Return whether both frames hang in the same tree."""

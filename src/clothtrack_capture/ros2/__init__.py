@@ -1,0 +1,28 @@
+"""ROS 2 without a ROS installation: pictures and poses in, meshes out, over DDS (extra [ros2])."""
+
+from typing import TYPE_CHECKING
+
+from clothtrack._lazy import lazy_names
+from clothtrack_capture.extra import require_ros2
+
+if TYPE_CHECKING:
+    from clothtrack_capture.ros2.live_picture import LivePicture
+    from clothtrack_capture.ros2.sink import Ros2Sink
+    from clothtrack_capture.ros2.source import Ros2Source
+    from clothtrack_capture.ros2.source_config import Ros2SourceConfig, Ros2Topics
+else:
+    _get, __dir__ = lazy_names(__name__)
+
+    def __getattr__(name: str) -> object:
+        if name in __all__:
+            require_ros2()
+        return _get(name)
+
+
+__all__ = [
+    "LivePicture",
+    "Ros2Sink",
+    "Ros2Source",
+    "Ros2SourceConfig",
+    "Ros2Topics",
+]

@@ -1,0 +1,110 @@
+"""Tracked meshes to ROS 2 topics."""
+
+from types import TracebackType
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from clothtrack.report.palette import UNKNOWN, heat
+from clothtrack_capture.importing.containers import Topic
+from clothtrack_capture.ros2.mesh_messages import (
+    MARKER,
+    POINT_CLOUD,
+    TriangleMarker,
+    corner_values,
+    vertex_cloud,
+)
+from clothtrack_capture.ros2.participant import Participant
+
+_HIDDEN_ALPHA = 0.5
+
+
+class Ros2Sink:
+    """Publishes a mesh for RViz, and its vertices for programs.
+
+    The mesh is a Marker of triangles, colored by the expected error (blue to red, grey where it is
+    not known), half transparent where no camera sees it. The vertices are a PointCloud2 in their
+    order with the fields x, y, z, expected_error_m and visible.
+
+    Attributes:
+        skipped: messages that were not sent, because a reader was too slow to take them.
+    """
+
+    def __init__(
+        self,
+        *,
+        mesh_topic: str = "/clothtrack/mesh",
+        cloud_topic: str | None = "/clothtrack/vertices",
+        frame_id: str = "world",
+        error_limit_m: float = 0.05,
+        domain_id: int | None = None,
+    ) -> None:
+        """Join the domain.
+
+        Args:
+            mesh_topic: where the Marker goes.
+            cloud_topic: where the PointCloud2 goes; None for no cloud.
+            frame_id: TF frame that the world of the meshes is.
+            error_limit_m: expected error that is shown in red [m].
+            domain_id: as ROS counts them; that of ROS_DOMAIN_ID, or 0, by default.
+
+        Raises:
+            InvalidConfigError: there can be no such domain.
+        """
+        self._frame_id, self._error_limit_m = frame_id, error_limit_m
+        self._marker = TriangleMarker(frame_id)
+        self._participant = Participant(domain_id)
+        self._mesh = self._participant.writer(_topic(mesh_topic, MARKER))
+        self._cloud = None
+        if cloud_topic is not None:
+            self._cloud = self._participant.writer(_topic(cloud_topic, POINT_CLOUD))
+        self.skipped = 0
+
+    def __enter__(self) -> "Ros2Sink":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def publish(
+        self,
+        stamp_ns: int,
+        positions: Float[np.ndarray, "vertices 3"],
+        faces: Int[np.ndarray, "faces 3"],
+        expected_error_m: Float[np.ndarray, " vertices"] | None = None,
+        visible: Bool[np.ndarray, " vertices"] | None = None,
+    ) -> None:
+        """Publish a mesh.
+
+        Args:
+            stamp_ns: stamp of the picture that it belongs to [ns] (`Ros2Source.stamp_ns`).
+            positions: of the vertices in the world [m].
+            faces: vertices of each triangle.
+            expected_error_m: of each vertex [m]; NaN or None where it is not known.
+            visible: which vertices a camera sees; None for all.
+        """
+        count = len(positions)
+        error = np.full(count, np.nan) if expected_error_m is None else expected_error_m
+        seen = np.ones(count, dtype=bool) if visible is None else visible
+        rgb = np.where(np.isnan(error)[:, None], UNKNOWN, heat(error, self._error_limit_m))
+        colors = np.column_stack([rgb, np.where(seen, 1.0, _HIDDEN_ALPHA)])
+        mesh = self._marker.encode(
+            stamp_ns, corner_values(positions, faces), corner_values(colors, faces)
+        )
+        self.skipped += not self._mesh.write(mesh)
+        if self._cloud is not None:
+            cloud = vertex_cloud(stamp_ns, self._frame_id, positions, error, seen)
+            self.skipped += not self._cloud.write(cloud)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._participant.close()
+
+
+def _topic(name: str, kind: str) -> Topic:
+    return Topic(f"/{name.lstrip('/')}", kind, cdr=True)
