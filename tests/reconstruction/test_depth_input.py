@@ -142,7 +142,7 @@ def test_what_a_recording_says_itself_is_not_told_again(tmp_path, capsys, option
     [
         (["--frame", "0"], "--frame: "),
         (["--depth-unit", "inf"], "depth_unit is inf"),
-        (["--output", "mesh.glb"], "choose .obj, .ply or .stl"),
+        (["--output", "mesh.dae"], "choose .obj, .ply, .stl or .glb"),
     ],
 )
 def test_options_that_mean_nothing_are_refused(picture, weights, capsys, words, told):

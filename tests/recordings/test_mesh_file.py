@@ -6,7 +6,7 @@ import pytest
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidMeshError
 from clothtrack.garments.garment_meshes import garment
 from clothtrack.recordings.mesh_file import (
-    MESH_SUFFIXES,
+    READ_SUFFIXES,
     read_mesh,
     read_vertex_errors,
     write_mesh,
@@ -15,7 +15,7 @@ from clothtrack.recordings.mesh_file import (
 TOWEL = garment("towel", vertex_count=60, size_m=(0.2, 0.2))
 
 
-@pytest.mark.parametrize("suffix", [*MESH_SUFFIXES, ".OBJ", ".STL"])
+@pytest.mark.parametrize("suffix", [*READ_SUFFIXES, ".OBJ", ".STL"])
 def test_what_is_written_is_read(tmp_path, suffix):
     path = tmp_path / f"towel{suffix}"
     write_mesh(TOWEL, path)
@@ -27,7 +27,7 @@ def test_what_is_written_is_read(tmp_path, suffix):
     np.testing.assert_allclose(*corners, atol=2e-5)
 
 
-@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
+@pytest.mark.parametrize("suffix", READ_SUFFIXES)
 def test_damaged_files_are_refused_by_name(tmp_path, suffix, rng):
     path = tmp_path / f"towel{suffix}"
     write_mesh(TOWEL, path)
@@ -53,7 +53,7 @@ def test_a_missing_file_and_a_wrong_suffix_are_said(tmp_path):
         read_mesh(tmp_path / "mesh.glb")
 
 
-@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
+@pytest.mark.parametrize("suffix", READ_SUFFIXES)
 def test_a_ply_keeps_the_expected_error_of_each_vertex(tmp_path, suffix, rng):
     path, errors = tmp_path / f"towel{suffix}", rng.uniform(0, 0.05, TOWEL.vertex_count)
     write_mesh(TOWEL, path, expected_error_m=errors)

@@ -56,6 +56,16 @@ def test_another_program_reads_the_same_mesh(tracked, tmp_path, kind):
     np.testing.assert_allclose(after.vertices, tracked.positions[5], atol=1e-6)
 
 
+def test_a_glb_stands_upright_in_other_programs(tracked, tmp_path):
+    folder = export(tracked, tmp_path / "glb", "glb")
+    scene = trimesh.load(folder / "frame_000003.glb", process=False)
+    np.testing.assert_array_equal(scene.geometry["cloth"].faces, tracked.mesh.faces)
+    np.testing.assert_allclose(scene.geometry["cloth"].vertices, tracked.positions[3], atol=1e-6)
+    x, y, z = tracked.positions[3].T
+    turned = scene.to_geometry().vertices
+    np.testing.assert_allclose(turned, np.stack([x, z, -y], axis=1), atol=1e-6)
+
+
 def test_an_unknown_format_is_named(tracked, tmp_path):
     unchecked = inspect.unwrap(export)  # the type check of the tests would be first
     with pytest.raises(InvalidConfigError, match="stl"):

@@ -5,10 +5,10 @@ from typing import Literal, get_args
 
 from clothtrack.errors import InvalidConfigError
 
-Format = Literal["obj", "ply", "npz", "sheet", "mp4", "rrd"]
+Format = Literal["obj", "ply", "glb", "npz", "sheet", "mp4", "rrd"]
 FORMATS: dict[str, Format] = {".npz": "npz", ".png": "sheet", ".mp4": "mp4", ".rrd": "rrd"}
 """The formats that are one file, by how its name ends."""
-FOLDERS: tuple[Format, ...] = ("obj", "ply")
+FOLDERS: tuple[Format, ...] = ("obj", "ply", "glb")
 """The formats that are a folder with one file per frame."""
 
 

@@ -182,10 +182,10 @@ def export(
 
     Args:
         run: NAME.zarr that `track` wrote; in Python also a run itself.
-        output: file, whose name says the format (.npz, .png, .mp4, .rrd), or folder (obj, ply: one
-            file per frame).
-        format: obj, ply or npz: the meshes; sheet: a contact sheet as PNG; mp4: the mesh over the
-            observation; rrd: everything for Rerun's viewer, needs the extra [rerun]; what the
+        output: file, whose name says the format (.npz, .png, .mp4, .rrd), or folder (obj, ply,
+            glb: one file per frame).
+        format: obj, ply, glb or npz: the meshes; sheet: a contact sheet as PNG; mp4: the mesh over
+            the observation; rrd: everything for Rerun's viewer, needs the extra [rerun]; what the
             output's name says by default, and obj where it says nothing.
         recordings: for sheet, mp4 and rrd: the recording, or the folder in which it lies by name;
             by default it is looked for as by `load`.
@@ -237,13 +237,13 @@ def _opened(
     recording: "Recording | Path | str | None",
 ) -> "TrackedTrajectory | Recording | ClothMesh":
     from clothtrack.api.run import load
-    from clothtrack.recordings.mesh_file import MESH_SUFFIXES, read_mesh
+    from clothtrack.recordings.mesh_file import READ_SUFFIXES, read_mesh
     from clothtrack.recordings.store import read_recording
 
     if not isinstance(thing, Path | str):
         return thing
     path = Path(thing)
-    if path.suffix.lower() in MESH_SUFFIXES:
+    if path.suffix.lower() in READ_SUFFIXES:
         return read_mesh(path)
     if (path / "recording.json").exists():
         return read_recording(path)
@@ -254,7 +254,7 @@ def _opened(
 
 def _nothing_to_view(path: Path) -> str:
     """What `view` takes, what lies there instead, and what may have been meant."""
-    from clothtrack.recordings.mesh_file import MESH_SUFFIXES
+    from clothtrack.recordings.mesh_file import READ_SUFFIXES
 
     if not path.exists():
         return f"{path}: there is no such file or folder; {_VIEWED}"
@@ -268,7 +268,7 @@ def _nothing_to_view(path: Path) -> str:
         return f"{path} has no zarr.json: it was not finished; track the recording again"
     inside = sorted(path.iterdir())
     for entry in inside:
-        if (entry / "recording.json").exists() or entry.suffix.lower() in MESH_SUFFIXES:
+        if (entry / "recording.json").exists() or entry.suffix.lower() in READ_SUFFIXES:
             return f"{path} holds several things; view one of them, such as {entry}"
     names = ", ".join(entry.name for entry in inside[:3]) or "nothing"
     more = f" and {len(inside) - 3} more" if len(inside) > 3 else ""

@@ -1,4 +1,4 @@
-"""One mesh in one file that other programs read and write too: OBJ, PLY or STL, in metres."""
+"""One mesh in one file that other programs read and write too: OBJ, PLY, STL or GLB, in metres."""
 
 from pathlib import Path
 
@@ -11,26 +11,33 @@ from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.template_file import read_obj
 
-MESH_SUFFIXES = (".obj", ".ply", ".stl")
+READ_SUFFIXES = (".obj", ".ply", ".stl")
+WRITTEN_SUFFIXES = (*READ_SUFFIXES, ".glb")
+
+_Y_UP = trimesh.transformations.rotation_matrix(-0.5 * np.pi, [1.0, 0.0, 0.0])
+"""From our world with z up to that of glTF with y up."""
 
 _VERTEX_ERROR = "expected_error_m"
 """Property of a PLY's vertices: the expected distance from where they really are [m]."""
 
 
-def require_mesh_format(path: Path) -> None:
-    """Refuse a mesh file whose suffix names no format that is written.
+def require_mesh_format(path: Path, suffixes: tuple[str, ...] = WRITTEN_SUFFIXES) -> None:
+    """Refuse a mesh file whose suffix names no format that is written, or read.
 
     Raises:
         InvalidConfigError: naming those that are.
     """
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; choose .obj, .ply or .stl")
+    if path.suffix.lower() not in suffixes:
+        choice = f"{', '.join(suffixes[:-1])} or {suffixes[-1]}"
+        raise InvalidConfigError(f"{path}: suffix is {path.suffix!r}; choose {choice}")
 
 
 def write_mesh(
     mesh: ClothMesh, path: Path, *, expected_error_m: Float[np.ndarray, " vertices"] | None = None
 ) -> None:
     """Write a mesh [m] in the format of its suffix, whole or not at all.
+
+    The order of the vertices stays. A GLB has a node that turns z up to y up, as glTF asks.
 
     Args:
         mesh: the mesh.
@@ -45,10 +52,14 @@ def write_mesh(
     errors = (
         {} if expected_error_m is None else {_VERTEX_ERROR: expected_error_m.astype(np.float32)}
     )
+    written = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, vertex_attributes=errors)
     with atomic_file(path) as temporary:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, vertex_attributes=errors).export(
-            temporary
-        )
+        if path.suffix.lower() == ".glb":
+            scene = trimesh.Scene()
+            scene.add_geometry(written, node_name="cloth", geom_name="cloth", transform=_Y_UP)
+            scene.export(temporary)
+        else:
+            written.export(temporary)
 
 
 def read_vertex_errors(path: Path) -> Float[np.ndarray, " vertices"] | None:
@@ -79,7 +90,7 @@ def read_mesh(path: Path) -> ClothMesh:
         InvalidConfigError: another suffix.
         InvalidMeshError: the file is missing, damaged, or no cloth.
     """
-    require_mesh_format(path)
+    require_mesh_format(path, READ_SUFFIXES)
     if path.suffix.lower() == ".obj":
         return read_obj(path)
     kind = path.suffix.lower().removeprefix(".")

@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation.truth import Truth
 from clothtrack.files.atomic_write import atomic_file, atomic_folder
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.recordings.mesh_file import write_mesh
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.coloring import colorings
 from clothtrack.report.evidence import evidence_of
@@ -23,7 +25,7 @@ from clothtrack.report.rerun_file import write_rerun
 from clothtrack.report.sections import charts
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
-ExportFormat = Literal["npz", "obj", "ply"]
+ExportFormat = Literal["npz", "obj", "ply", "glb"]
 PictureFormat = Literal["sheet", "mp4", "rrd"]
 _SUFFIXES = {"sheet": ".png", "mp4": ".mp4", "rrd": ".rrd"}
 
@@ -33,8 +35,8 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
 
     `npz`: one file; docs/result_format.md lists its arrays.
 
-    `obj`, `ply`: a folder with `frame_000000.obj` and so on, numbered as in the recording, and
-    for each action `action_00_before.obj` and `action_00_after.obj`, the mesh around the final
+    `obj`, `ply`, `glb`: a folder with `frame_000000.obj` and so on, numbered as in the recording,
+    and for each action `action_00_before.obj` and `action_00_after.obj`, the mesh around the final
     alignment. The vertex order is the same in all of them.
 
     Raises:
@@ -50,10 +52,10 @@ def export(tracked: TrackedTrajectory, out: Path, format: ExportFormat) -> Path:
         with atomic_file(out) as temporary:
             np.savez_compressed(temporary, allow_pickle=False, **_arrays(tracked))
         return out
-    write = _write_obj if format == "obj" else _write_ply
     with atomic_folder(out) as folder:
         for name, positions in _named_meshes(tracked):
-            write(folder / f"{name}.{format}", positions, tracked.mesh.faces)
+            mesh = ClothMesh(positions, tracked.mesh.faces)
+            write_mesh(mesh, folder / f"{name}.{format}")
     return out
 
 
@@ -87,34 +89,6 @@ def _named_meshes(
     for number, action in enumerate(tracked.actions):
         yield f"action_{number:02d}_before", action.positions_before_final_alignment
         yield f"action_{number:02d}_after", action.positions_after_final_alignment
-
-
-def _write_obj(
-    path: Path, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
-) -> None:
-    """Write Wavefront OBJ: metres, vertex indices from 1."""
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in positions]
-    lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
-
-
-def _write_ply(
-    path: Path, positions: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
-) -> None:
-    """Write Stanford PLY, binary little endian: metres."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(positions)}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        f"element face {len(faces)}\n"
-        "property list uchar int vertex_indices\nend_header\n"
-    )
-    rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", (3,))])
-    rows["count"] = 3
-    rows["corners"] = faces
-    path.write_bytes(
-        header.encode("ascii") + np.ascontiguousarray(positions, "<f4").tobytes() + rows.tobytes()
-    )
 
 
 def export_pictures(
