@@ -9,7 +9,7 @@
 #   make wheel     build a wheel, run the demo from it away from this folder
 #   make release   build what is released twice, compare, try it on every Python; bill of materials
 #   make check     lint, format, types, direction of imports
-#   make docs      the documentation as a site, to out/site
+#   make docs      the documentation as a site with the demo's page, to out/site
 #   make bench     quick forms of all benchmarks, to out/bench_*.json (docs/speed.md)
 #
 # PYTHON=python3.12 make demo    chooses the interpreter (3.11 or newer)
@@ -95,7 +95,9 @@ check: $(VENV)/.installed-dev
 
 docs: $(VENV)/.installed-dev
 	$(BIN)/python docs/make_api.py
+	$(BIN)/clothtrack demo --output out/demo >/dev/null
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	cp out/demo/fold_the_tshirt.html out/site/demo.html
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix
