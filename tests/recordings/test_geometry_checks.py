@@ -159,6 +159,8 @@ WRONG = {
     "longer": (lambda r: with_cloth(r, size_m=(WIDTH_M, 0.6)), "size", "cloth.size_m"),
     "smaller": (lambda r: with_cloth(r, size_m=(0.2, 0.25)), "size", "fx and fy"),
     "beside": (lambda r: moved_template(r, lambda v: v + (0.5, 0, 0)), "template", "(-0.50 "),
+    "a little beside": (lambda r: moved_template(r, lambda v: v + (0.02, 0, 0)), "template",
+        "20 mm beside"),
     "larger": (lambda r: moved_template(r, lambda v: 1.4 * v), "template", "cloth.template"),
     "picker": (lambda r: moved_path(r, 0.2, 0.0, 0.0), "picker_path", "x_m, y_m, z_m"),
     "high": (lambda r: moved_path(r, 0.0, 0.0, 0.08), "picker_path", "world of the cameras"),

@@ -26,6 +26,10 @@ LOW_M, HIGH_M = -0.02, 0.05
 """Heights above the table [m] between which the lowest of a cloth that lies on it may be. It is
 from -6 to 29 mm on right recordings: clouds that were cut away above the table begin higher."""
 
+_BESIDE_M = 0.012
+"""Distance of the middles of a flat template and of the cloth [m]. It is below 4 mm on right
+recordings."""
+
 _THICK_M = 0.015
 """Difference of height between the middle and the highest of a flat cloth [m]. It is below 3 mm on
 right recordings, wrinkles included; a cloth dropped in a heap has some 40 mm."""
@@ -44,6 +48,7 @@ class _Spread:
 
     Attributes:
         sides_m: longer and shorter side of the smallest rectangle around it [m].
+        middle_m: middle of that rectangle on the table [m].
         fill: share of that rectangle that it covers.
         lowest_m: height above the table that 5 % of the points are under [m].
         rise_m: from its middle height to that which 1 % of the points are above [m].
@@ -51,6 +56,7 @@ class _Spread:
     """
 
     sides_m: tuple[float, float]
+    middle_m: tuple[float, float]
     fill: float
     lowest_m: float
     rise_m: float
@@ -120,7 +126,7 @@ def _template(recording: Recording, observation: Observation) -> Finding | None:
     if gap_m is None:
         return None
     if gap_m <= LARGEST_GAP_M:
-        return _template_size(recording, template, observation)
+        return _flat_template(recording, template, observation)
     beside = observation.points.mean(axis=0) - template.vertices.mean(axis=0)
     x, y, z = beside.tolist()
     return Finding(
@@ -131,10 +137,10 @@ def _template(recording: Recording, observation: Observation) -> Finding | None:
     )  # fmt: skip
 
 
-def _template_size(
+def _flat_template(
     recording: Recording, template: ClothMesh, observation: Observation
 ) -> Finding | None:
-    """A flat template in another size than the flat cloth that it lies on."""
+    """A flat template in another size than the flat cloth that it lies on, or beside it."""
     if recording.table is None:
         return None
     places, heights = on_table(template.vertices, recording.table)
@@ -143,7 +149,7 @@ def _template_size(
         return None
     worst = _worst_side(spread, _sides(places))
     if worst is None:
-        return None
+        return _beside(recording, spread, places)
     (long, short), (seen_long, seen_short) = _sides(places), spread.sides_m
     return Finding(
         "template", *worst, "m", "cloth.template",
@@ -151,6 +157,23 @@ def _template_size(
         f"{seen_long:.2f} x {seen_short:.2f} m (a side may differ by "
         f"{100 * _SIZE_TOLERANCE:.0f} %):"
         " scale cloth.template, or correct fx and fy of the camera",
+    )  # fmt: skip
+
+
+def _beside(
+    recording: Recording, spread: _Spread, places: Float[np.ndarray, "vertices 2"]
+) -> Finding | None:
+    """A template of the right size whose middle is not that of the cloth, all of which is seen."""
+    if spread.cut_off or recording.observed.lowest_height_m is not None:
+        return None
+    away_m = float(np.hypot(*np.subtract(_middle(places), spread.middle_m)))
+    if away_m <= _BESIDE_M:
+        return None
+    return Finding(
+        "template", away_m, _BESIDE_M, "m", "cloth.template, cameras: world_from_camera",
+        f"the middle of the template is {1e3 * away_m:.0f} mm beside that of the cloth in the "
+        f"first frame (at most {1e3 * _BESIDE_M:.0f}): put cloth.template where the cloth is; if "
+        "it is right, the camera's pose is not (clothtrack calibrate-camera)",
     )  # fmt: skip
 
 
@@ -214,6 +237,7 @@ def _spread(observation: Observation, table: Table) -> _Spread:
     low, middle, high = np.percentile(heights, [5, 50, 99]).tolist()
     return _Spread(
         (long, short),
+        _middle(places),
         float(len(covered) * _FILL_CELL_M**2 / (long * short)),
         low,
         high - middle,
@@ -225,6 +249,12 @@ def _sides(places: Float[np.ndarray, "points 2"]) -> tuple[float, float]:
     """Longer and shorter side of the smallest rectangle around places on the table [m]."""
     _, sides, _ = cv2.minAreaRect(places.astype(np.float32))
     return float(max(sides)), float(max(min(sides), 1e-6))
+
+
+def _middle(places: Float[np.ndarray, "points 2"]) -> tuple[float, float]:
+    """Middle of the same rectangle [m]."""
+    middle, _, _ = cv2.minAreaRect(places.astype(np.float32))
+    return float(middle[0]), float(middle[1])
 
 
 def _longest(points: Float[np.ndarray, "points 3"]) -> float:
