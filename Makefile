@@ -76,7 +76,8 @@ test-all: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "not gpu and not data"
 
 pages: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(PYTEST_ARGS) -rs -m "slow and not gpu and not data" tests/report tests/capture
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -rs -m "slow and not gpu and not data" \
+	  tests/report tests/capture tests/house_rules
 
 proofs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "slow and not gpu and not data" $(PROOFS)
