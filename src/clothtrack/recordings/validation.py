@@ -25,6 +25,7 @@ from clothtrack.recordings.recording import (
     PickerPath,
     Recording,
     Table,
+    not_up,
 )
 from clothtrack.recordings.recording_file import load_document
 from clothtrack.recordings.template_file import held_problem, read_obj
@@ -160,11 +161,9 @@ class _Check:
             return None
         normal = np.array(entry["normal"], dtype=np.float64)
         length = float(np.linalg.norm(normal))
-        words = ""
+        words = not_up(normal)
         if not abs(length - 1.0) < 1e-3:
             words = f"its length is {length:.4g}, not 1; divide it by its length"
-        elif normal[2] <= 0:
-            words = "it points down; the world's z axis points up; turn it around"
         if words:
             self.violations.add("table.normal", shown(entry["normal"]), words)
             return None
