@@ -169,8 +169,8 @@ DOCUMENT = {
         ["recording.json", "cameras[0].depth_unit_m", "missing", "0.001"],
     ),
     "cx outside": (
-        camera_field("cx", 70.0),
-        ["recording.json", "cameras[0]", "cx is 70.0", "outside the image"],
+        camera_field("cx", 130.0),
+        ["recording.json", "cameras[0]", "cx is 130.0", "beside the image", "(-64 to 128)"],
     ),
     "cx and cy swapped": (
         several(camera_field("cx", 23.5), camera_field("cy", 31.5)),
