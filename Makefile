@@ -31,7 +31,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PROOFS := tests/experiments tests/reconstruction tests/planning tests/tracking \
   tests/world/test_bench.py tests/world/test_one_garment.py \
   tests/end_to_end/test_interruption.py tests/end_to_end/test_many_processes.py \
-  tests/end_to_end/test_corrected_recordings.py \
+  tests/end_to_end/test_corrected_recordings.py tests/end_to_end/test_cropped_recording.py \
   tests/files/test_ray_tasks.py tests/files/test_worker_pool.py \
   tests/cli/test_command_line.py tests/cli/test_on_a_terminal.py tests/cli/test_look.py \
   tests/examples/test_notebooks.py \
@@ -76,7 +76,8 @@ test-all: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "not gpu and not data"
 
 pages: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(PYTEST_ARGS) -rs -m "slow and not gpu and not data" tests/report tests/capture
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -rs -m "slow and not gpu and not data" \
+	  tests/report tests/capture tests/house_rules
 
 proofs: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "slow and not gpu and not data" $(PROOFS)

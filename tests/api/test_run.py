@@ -1,5 +1,7 @@
 """A run: tracked, saved, read back, judged, exported; and what is refused in one line."""
 
+import json
+import shutil
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +42,22 @@ def test_a_label_is_the_mesh_at_the_end_of_an_action_with_its_quality(run):
     assert 0 <= label.quality <= 1
     assert label.expected_error_mm > 0
     assert run.labels is run.labels  # judged once
+
+
+def test_frames_after_the_last_action_keep_its_mesh_and_are_told(world, run, tmp_path):
+    folder = tmp_path / "towel_0003"
+    shutil.copytree(world / "recordings" / "towel_0003", folder)
+    document = json.loads((folder / "recording.json").read_text())
+    last = document["actions"][0]["last_frame"] = run.actions[0].last_frame - 3
+    (folder / "recording.json").write_text(json.dumps(document))
+    (told,) = ct.track_many([folder], output=tmp_path / "tracked", mode="open_loop", force=True)
+    after = ct.load(tmp_path / "tracked" / "towel_0003.zarr", folder)
+    frames = after.frames_after_last_action
+    assert frames.tolist() == list(range(last + 1, len(after.frames)))
+    assert (after.positions[frames] == after.positions[last]).all()
+    assert f"  after the last action, in frames {frames[0]} to {frames[-1]}, " in told.text()
+    assert told.as_dict()["frames_after_last_action"] == (frames[0], frames[-1])
+    assert run.frames_after_last_action.size == 0
 
 
 def test_a_run_finds_the_recording_that_lies_where_simulate_puts_it(run, world):

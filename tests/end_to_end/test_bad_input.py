@@ -119,9 +119,9 @@ CASES = {
         swapped(("fx", "cx"), ("fy", "cy")),
         [
             "recording.json",
-            "cameras[0]",
-            "cy is 150",
-            "outside the image",
+            "cameras[0].cx, cy",
+            "(150, 150)",
+            "far from the middle",
             "fx, fy and cx, cy swapped?",
         ],
     ),

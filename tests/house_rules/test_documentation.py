@@ -105,6 +105,16 @@ def test_links_lead_somewhere():
     assert not wrong
 
 
+def test_a_link_of_the_site_is_not_called_by_its_file():
+    called = re.compile(r"\[`?([\w./]+\.md)`?\]\(")
+    wrong = [
+        f"{ids(path)}: {name}"
+        for path in (ROOT / "docs").rglob("*.md")
+        for name in called.findall(path.read_text("utf-8"))
+    ]
+    assert not wrong, "call a page by its title"
+
+
 def test_commands_and_options_exist():
     wrong = []
     for document in PRESENT:

@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from import_makers import color_of, depth_of, lens_file, write_folder
@@ -66,6 +67,15 @@ def test_a_picture_that_is_missing_leaves_its_moment_empty(film, tmp_path):
     times = [frame.time_s for frame in read_recording(tmp_path / "out").frames]
     assert np.allclose(times, [0, 2 / 30, 3 / 30])
     assert "1 colour pictures" in report.dropped[0]
+
+
+def test_depth_as_jpeg_is_called_so(film, tmp_path):
+    source = write_folder(tmp_path / "film", film, "open3d")
+    for file in (source / "depth").iterdir():
+        cv2.imwrite(str(file.with_suffix(".jpg")), (cv2.imread(str(file), -1) // 256).astype("u1"))
+        file.unlink()
+    with pytest.raises(InvalidRecordingError, match=r"depth as a JPEG.*16-bit grey PNG"):
+        import_recording(source, tmp_path / "out")
 
 
 def test_a_scene_whose_camera_changes_is_refused(film, tmp_path):

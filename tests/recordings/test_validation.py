@@ -1,6 +1,7 @@
 """Every way in which a recording can be wrong gives one clear message."""
 
 import json
+import re
 import shutil
 
 import cv2
@@ -168,8 +169,8 @@ DOCUMENT = {
         ["recording.json", "cameras[0].depth_unit_m", "missing", "0.001"],
     ),
     "cx outside": (
-        camera_field("cx", 70.0),
-        ["recording.json", "cameras[0]", "cx is 70.0", "outside the image"],
+        camera_field("cx", 130.0),
+        ["recording.json", "cameras[0]", "cx is 130.0", "beside the image", "(-64 to 128)"],
     ),
     "cx and cy swapped": (
         several(camera_field("cx", 23.5), camera_field("cy", 31.5)),
@@ -296,6 +297,23 @@ def test_a_wrong_field_is_named_with_its_value_and_remedy(case, write, edit, tmp
     write(tmp_path / "recording")
     edit(tmp_path / "recording", change)
     assert_refused(tmp_path / "recording", words)
+
+
+@pytest.mark.parametrize("up", ["x", "-x", "y", "-y"])
+def test_a_world_with_another_axis_up_is_told_how_to_turn(up, write, edit, tmp_path):
+    folder = tmp_path / "recording"
+    write(folder)
+    normal = np.array([0.01, 0.01, 0.02])
+    normal["xy".index(up[-1])] = -1.0 if up.startswith("-") else 1.0
+    normal /= np.linalg.norm(normal)
+    edit(folder, lambda document: document["table"].update(normal=normal.tolist()))
+    (violation,) = check_recording(folder).violations
+    assert f"the world has {up} up" in violation.problem
+    written = re.search(r"write \((.*)\) for \(x, y, z\)", violation.remedy)[1].split(", ")
+    signs = [-1.0 if word.startswith("-") else 1.0 for word in written]
+    turn = np.eye(3)[["xyz".index(word[-1]) for word in written]] * np.array(signs)[:, None]
+    assert np.linalg.det(turn) == pytest.approx(1)
+    assert (turn @ normal)[2] > 0.99
 
 
 def test_every_violation_is_found_and_counted(write, edit, tmp_path):

@@ -14,6 +14,7 @@ import pytest
 from clothtrack.cli import command_line as cli
 from clothtrack.recordings.mesh_file import write_mesh
 from clothtrack.recordings.store import write_recording
+from clothtrack.report.palette import TABLE, rgb255
 
 _spec = importlib.util.spec_from_file_location("chromium", Path(__file__).with_name("chromium.py"))
 chromium = importlib.util.module_from_spec(_spec)
@@ -79,6 +80,7 @@ def test_a_recording_plays_and_follows_bar_and_keys(stored, tmp_path):
         assert (
             first[..., 0] - first[..., 1] > 60
         ).sum() > 500  # red as the cloth: what was observed
+        assert np.abs(np.median(first, axis=(0, 1)) - rgb255(TABLE)).max() < 20  # nothing shades it
         filmed = scene_picture(page, "video")
         assert filmed.std() > 10
         page.ask(MOVE_BAR % (5, 5))

@@ -44,13 +44,14 @@ def test_without_the_extra_rerun_is_named(tracked, clouds_only, tmp_path, monkey
     assert list(tmp_path.iterdir()) == []
 
 
-def test_rerun_reads_what_was_written(tracked, two_cameras, tmp_path):
+def test_rerun_reads_what_was_written_without_a_warning(tracked, two_cameras, tmp_path, capfd):
     pytest.importorskip(
         "rerun",
         reason="writing .rrd needs rerun-sdk and its pyarrow: make EXTRAS=rerun install",
         exc_type=ImportError,
     )
     path = export_pictures(tracked, two_cameras, tmp_path / "fold", "rrd")
+    assert capfd.readouterr().err == ""
     assert path == tmp_path / "fold.rrd"
     assert path.stat().st_size > 10_000
     program = shutil.which("rerun", path=str(sys.executable).rpartition("/")[0])

@@ -9,6 +9,7 @@ from clothtrack.report.overlay import (
     Overlay,
     OverlayConfig,
     scene_view,
+    step_words,
     write_contact_sheet,
     write_overlay_video,
 )
@@ -95,3 +96,10 @@ def test_a_hanging_cloth_is_seen_from_the_camera_s_side(tracked, two_cameras):
     middle = tracked.positions.reshape(-1, 3).mean(axis=0)
     towards = two_cameras.cameras[1].position - middle
     assert (view.position - middle) @ towards > 0
+
+
+def test_frames_after_the_last_action_say_whose_mesh_they_have(tracked):
+    early = replace(tracked, actions=tracked.actions[:1])
+    said = ["the mesh of frame 2" in step_words(early, step)[1] for step in range(6)]
+    assert said == [False, False, False, True, True, True]
+    assert not any("the mesh of" in step_words(tracked, step)[1] for step in range(6))

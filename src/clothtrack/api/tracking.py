@@ -25,10 +25,24 @@ class TrackedRecording:
     Attributes:
         outcome: where the result lies, or why there is none.
         verdict: what the result deserves; None where there is none.
+        frames_after_last_action: the first and the last of the frames that nothing tracks: their
+            mesh is that of the end of the last action; None where there are none.
     """
 
     outcome: "Outcome"
     verdict: "Verdict | None"
+    frames_after_last_action: tuple[int, int] | None = None
+
+    @classmethod
+    def of(cls, outcome: "Outcome") -> "TrackedRecording":
+        """Return what an outcome says, with what its result on disk deserves."""
+        from clothtrack.api.run import load
+
+        if outcome.result is None:
+            return cls(outcome, None)
+        run = load(outcome.result, outcome.recording)
+        after = run.frames_after_last_action.tolist()
+        return cls(outcome, run.verdict, (after[0], after[-1]) if after else None)
 
     @property
     def ok(self) -> bool:
@@ -45,6 +59,13 @@ class TrackedRecording:
         if self.outcome.result is None or self.verdict is None:
             return ""
         lines = [_line(self.outcome), f"  {self.verdict}"]
+        if self.frames_after_last_action:
+            first, last = self.frames_after_last_action
+            frames = f"frames {first} to {last}" if last > first else f"frame {first}"
+            lines.append(
+                f"  after the last action, in {frames}, the mesh stays as it ended; a later "
+                "last_frame in recording.json tracks on"
+            )
         if self.verdict.remedy:
             named = self.verdict.remedy.replace("NAME.zarr", str(self.outcome.result))
             lines.append(f"  what helps: {named.replace('RECORDING', str(self.outcome.recording))}")
@@ -52,7 +73,11 @@ class TrackedRecording:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the outcome with its verdict as JSON holds them."""
-        return {**asdict(self.outcome), "verdict": self.verdict and self.verdict.as_dict()}
+        return {
+            **asdict(self.outcome),
+            "verdict": self.verdict and self.verdict.as_dict(),
+            "frames_after_last_action": self.frames_after_last_action,
+        }
 
 
 @dataclass(frozen=True)
@@ -157,7 +182,6 @@ def track_many(
     Raises:
         InvalidConfigError: an argument is wrong, or another run writes to `output`.
     """
-    from clothtrack.api.run import load
     from clothtrack.evaluation.verdict import judged
     from clothtrack.geometry.devices import quiet_warp, require_device
     from clothtrack.report.live_tracking import live_tracking
@@ -181,12 +205,7 @@ def track_many(
             device=device, progress=told, force=force, watch=shown and shown.watch,
             judge=judged, ray=ray,
         )  # fmt: skip
-        tracked = Many(
-            tuple(
-                TrackedRecording(one, one.result and load(one.result, one.recording).verdict)
-                for one in outcomes
-            )
-        )
+        tracked = Many(tuple(TrackedRecording.of(one) for one in outcomes))
         if shown:
             shown.end("\n".join(filter(None, [tracked.text(), *tracked.doubts])))
     return tracked

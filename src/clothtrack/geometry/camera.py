@@ -18,8 +18,9 @@ class Camera:
         height: image height [pixels].
         fx: focal length along x [pixels].
         fy: focal length along y [pixels].
-        cx: column of the principal point [pixels].
-        cy: row of the principal point [pixels].
+        cx: column of the principal point [pixels]; outside the image where that was cut out of a
+            larger one.
+        cy: row of the principal point [pixels], as `cx`.
         world_from_camera: rigid transform, camera frame to world frame.
     """
 
@@ -44,20 +45,20 @@ class Camera:
                     f"camera {self.name!r}: {name} is {getattr(self, name)}; it must be positive"
                 )
         for name, size in (("cx", self.width), ("cy", self.height)):
-            if not 0 <= getattr(self, name) < size:
+            # A picture that was cut out of a larger one may have it beside itself.
+            if not abs(getattr(self, name) - (size - 1) / 2) <= 1.5 * size:
                 raise InvalidRecordingError(
-                    f"camera {self.name!r}: {name} is {getattr(self, name)}, outside the image "
-                    f"(0 to {size}); {self._likely_swap()}"
+                    f"camera {self.name!r}: {name} is {getattr(self, name)}, more than a picture "
+                    f"beside the image of {size} pixels ({-size} to {2 * size}); "
+                    f"{self._likely_swap()}"
                 )
         if problem := rigid_problem(self.world_from_camera):
             raise InvalidRecordingError(f"camera {self.name!r}: world_from_camera {problem}")
 
     def _likely_swap(self) -> str:
-        """Return what to do about a principal point outside the image."""
+        """Return what to do about a principal point far outside the image."""
         if 0 <= self.fx < self.width and 0 <= self.fy < self.height:
             return "were fx, fy and cx, cy swapped? The focal lengths are fx and fy"
-        if 0 <= self.cy < self.width and 0 <= self.cx < self.height:
-            return "were cx and cy swapped? cx is the column, cy the row"
         return "give the intrinsics of pictures of this size"
 
     @property

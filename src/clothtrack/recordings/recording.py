@@ -23,6 +23,25 @@ class Table:
         return (points - self.point) @ self.normal
 
 
+def not_up(normal: Float[np.ndarray, " 3"]) -> str:
+    """Return why a table's unit normal does not point up, and what to do; empty where it does.
+
+    A table that stands within 30 degrees of upright is that of a world with another axis up.
+    """
+    axis = int(np.argmax(np.abs(normal)))
+    if axis != 2 and abs(normal[axis]) > np.cos(np.radians(30)):
+        up, turned = {
+            (0, True): ("x", "(y, z, x)"), (0, False): ("-x", "(z, y, -x)"),
+            (1, True): ("y", "(x, -z, y)"), (1, False): ("-y", "(x, z, -y)"),
+        }[axis, bool(normal[axis] > 0)]  # fmt: skip
+        problem = f"the world has {up} up, and gravity acts along z here"
+        where = "table, rows of world_from_camera, picker.csv, template and clouds"
+        return f"{problem}; turn the world: write {turned} for (x, y, z) in {where}"
+    if normal[2] <= 0:
+        return "it points down; the world's z axis points up; turn it around"
+    return ""
+
+
 @dataclass(frozen=True)
 class Frame:
     """One moment: when it was and which files show it. Paths are absolute.

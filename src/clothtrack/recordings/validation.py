@@ -25,6 +25,7 @@ from clothtrack.recordings.recording import (
     PickerPath,
     Recording,
     Table,
+    not_up,
 )
 from clothtrack.recordings.recording_file import load_document
 from clothtrack.recordings.template_file import held_problem, read_obj
@@ -142,17 +143,12 @@ class _Check:
                 words = f"{problem}; write the focal length in pixels of this picture size"
                 self.violations.add(f"{field}.{name}", f"{focal:g}", words)
                 return
-        if not 0.75 <= (ratio := camera.fx / camera.fy) <= 4 / 3:
+        if words := _swapped(camera):
+            self.violations.add(f"{field}.cx, cy", f"({camera.cx:g}, {camera.cy:g})", words)
+        elif not 0.75 <= (ratio := camera.fx / camera.fy) <= 4 / 3:
             remedy = "were intrinsics of another picture size, or cx and cy, written there?"
             words = f"pixels of a camera are nearly square; {remedy}"
             self.violations.add(f"{field}.fx / fy", f"{ratio:.3g}", words)
-        middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
-        center = np.array([camera.cx, camera.cy])
-        off, swapped_off = (float(np.abs(c - middle).max()) for c in (center, center[::-1]))
-        if off > 0.1 * camera.width and swapped_off < 0.25 * off:
-            problem = "far from the middle of the picture, and swapped they are not"
-            words = f"{problem}; cx is the column and cy the row: swap them"
-            self.violations.add(f"{field}.cx, cy", f"({camera.cx:g}, {camera.cy:g})", words)
 
     def _table(self) -> Table | None:
         entry = self._document.get("table")
@@ -160,11 +156,9 @@ class _Check:
             return None
         normal = np.array(entry["normal"], dtype=np.float64)
         length = float(np.linalg.norm(normal))
-        words = ""
+        words = not_up(normal)
         if not abs(length - 1.0) < 1e-3:
             words = f"its length is {length:.4g}, not 1; divide it by its length"
-        elif normal[2] <= 0:
-            words = "it points down; the world's z axis points up; turn it around"
         if words:
             self.violations.add("table.normal", shown(entry["normal"]), words)
             return None
@@ -297,3 +291,21 @@ class _Check:
             file = entry["template"]
             self.violations.add("largest side", f"{size:g} m", words, file=file)
         return mesh
+
+
+def _swapped(camera: Camera) -> str:
+    """Return which intrinsics are in each other's place, and the remedy; empty where none are."""
+    middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
+    center, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
+    off, swapped_off, focal_off = (
+        float(np.abs(pair - middle).max()) for pair in (center, center[::-1], focal)
+    )
+    if off <= 0.1 * camera.width:
+        return ""
+    if swapped_off < 0.25 * off:
+        problem = "far from the middle of the picture, and swapped they are not"
+        return f"{problem}; cx is the column and cy the row: swap them"
+    if focal_off < 0.25 * off and 0.75 * camera.cy <= camera.cx <= 4 / 3 * camera.cy:
+        problem = "far from the middle of the picture, and fx, fy are not"
+        return f"{problem}; were fx, fy and cx, cy swapped? The focal lengths are fx and fy"
+    return ""

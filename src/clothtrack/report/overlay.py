@@ -307,6 +307,8 @@ def step_words(tracked: TrackedTrajectory, step: int) -> tuple[str, str]:
             left += f"   action {number + 1} of {len(tracked.actions)}"
             break
     right = []
+    if frame in tracked.frames_after_last_action:
+        right.append(f"after the last action: the mesh of frame {tracked.actions[-1].last_frame}")
     losses = float(steps.loss_before[step]), float(steps.loss_after[step])
     if np.isfinite(losses).all():
         before, after = (root_mean_square_mm(loss) for loss in losses)

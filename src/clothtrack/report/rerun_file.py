@@ -69,7 +69,7 @@ def write_rerun(
             for name, tool in recording.picker_paths.items():
                 color = PICKER_CLOSED if tool.closed_at(time_s) else PICKER_OPEN
                 tip = rr.Points3D([tool.position_at(time_s)], colors=rgb255(color), radii=0.008)
-                stream.log(f"world/picker/{name}", tip)
+                stream.log(["world", "picker", name], tip)
             if index in frames:
                 _log_pictures(rr, stream, frames[index])
             for chart in charts:
@@ -112,9 +112,10 @@ def _log_pictures(rr: Any, stream: Any, frame: Frame) -> None:
             picture = read_color(file)
         except ClothTrackError:
             continue  # a picture that cannot be read costs the picture, not the export
-        stream.log(f"camera/{name}", rr.Image(picture).compress(jpeg_quality=85))
+        stream.log(["camera", name], rr.Image(picture).compress(jpeg_quality=85))
 
 
-def _curve(chart: Chart, label: str) -> str:
+def _curve(chart: Chart, label: str) -> list[str]:
+    """Return the parts of a curve's path, as text: Rerun escapes them itself."""
     words = f"{chart.title} [{chart.unit}]" if chart.unit else chart.title
-    return "curves/" + "/".join(part.replace("/", " per ") for part in (words, label) if part)
+    return ["curves", *(part for part in (words, label) if part)]

@@ -77,7 +77,7 @@ function skyMap(gl, header) {
   };
   const upper = into(gl.DEPTH_ATTACHMENT, heights), lower = into(gl.COLOR_ATTACHMENT0, shade);
   const [point, normal] = header.table ?? [header.origin, header.up], [first, second] = V.across(normal);
-  const window = { middle: point, half_side: 1, low: -1, high: 1 };
+  const window = { middle: point, half_side: 1, low: -1, high: 1, shade_known: 0 };
   const bind = (unit, made) => { gl.activeTexture(gl.TEXTURE0 + unit); gl.bindTexture(gl.TEXTURE_2D, made); };
   const pass = (buffer, program, render) => {
     gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
@@ -98,7 +98,7 @@ function skyMap(gl, header) {
         [low, high] = [Math.min(low, rise), Math.max(high, rise)];
       }
       window.middle = V.add(centre, normal, -V.dot(V.add(centre, point, -1), normal));
-      Object.assign(window, { half_side: reach + 0.06, low: low - 0.02, high: high + 0.02 });
+      Object.assign(window, { half_side: reach + 0.06, low: low - 0.02, high: high + 0.02, shade_known: 1 });
     },
     above: (program, render) => pass(upper, program, () => {
       bind(0, null);
@@ -118,7 +118,7 @@ function skyMap(gl, header) {
     uniforms: () => {
       bind(0, shade);
       bind(1, heights);
-      return { shade: 0, heights: 1, ...window, first, second, rise: normal, table_known: header.table ? 1 : 0 };
+      return { shade: 0, heights: 1, ...window, first, second, rise: normal };
     },
   };
 }

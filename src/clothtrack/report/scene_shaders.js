@@ -9,13 +9,13 @@ vec3 apart(vec3 p) { return p + along * (gap * rank); }`;
 // looks straight down (SHADE below).
 const SKY = `
 uniform sampler2D shade, heights;
-uniform vec3 middle, first, second, rise; uniform float half_side, low, high; uniform int table_known;
+uniform vec3 middle, first, second, rise; uniform float half_side, low, high; uniform int shade_known;
 vec3 place(vec3 p) {
   vec3 d = p - middle;
   return vec3(0.5 + 0.5 * vec2(dot(d, first), dot(d, second)) / half_side, dot(d, rise));
 }
 float sky(vec3 p) {
-  if (table_known == 0) return 1.0;
+  if (shade_known == 0) return 1.0;
   vec3 s = place(p);
   if (any(lessThan(s.xy, vec2(0.0))) || any(greaterThan(s.xy, vec2(1.0)))) return 1.0;
   float top = high - texture(heights, s.xy).r * (high - low);
@@ -128,7 +128,7 @@ out vec4 color;
 ${SKY}
 float open_above(vec3 p) {
   vec3 s = place(p);
-  if (table_known == 0 || any(lessThan(s.xy, vec2(0.0))) || any(greaterThan(s.xy, vec2(1.0)))) return 1.0;
+  if (shade_known == 0 || any(lessThan(s.xy, vec2(0.0))) || any(greaterThan(s.xy, vec2(1.0)))) return 1.0;
   return texture(shade, s.xy).g;
 }
 void main() {
@@ -195,7 +195,7 @@ function program(gl, [vertex, fragment]) {
     if (!places.has(name)) places.set(name, gl.getUniformLocation(made, name));
     return places.get(name);
   };
-  const whole = new Set(["mode", "table_known", "shade", "heights"]);
+  const whole = new Set(["mode", "shade_known", "shade", "heights"]);
   return {
     use: () => gl.useProgram(made),
     set: (values) => {

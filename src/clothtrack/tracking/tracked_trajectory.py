@@ -162,6 +162,11 @@ class TrackedTrajectory:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     verdict_fields: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def frames_after_last_action(self) -> Int[np.ndarray, " _"]:
+        """Frames that nothing tracks: their mesh is that of the last frame of the last action."""
+        return self.frames[self.frames > self.actions[-1].last_frame if self.actions else slice(0)]
+
     def save(self, path: Path | str) -> None:
         """Write the Zarr group, whole or not at all.
 

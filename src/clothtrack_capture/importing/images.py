@@ -181,6 +181,10 @@ def png_depth(data: bytes) -> UInt16[np.ndarray, "height width"]:
         TruncatedError: it breaks off, is too large or has other bits.
     """
     encoded_size(data)
+    if not data.startswith(SIGNATURE):
+        raise TruncatedError(
+            "depth as a JPEG, which has 8 bits and changes them; write 16-bit grey PNG"
+        )
     if data[24:26] != b"\x10\x00":
         raise TruncatedError(
             f"a depth PNG of {data[24]} bits and colour type {data[25]}; 16-bit grey is depth"

@@ -201,7 +201,7 @@ def _camera_above(
     focal = rng.uniform(*config.focal)
     wide = Camera("top", 1, 1, focal, focal, 0.0, 0.0, pose)
     pixels, _ = wide.project(positions)
-    # The principal point stays in the picture, as the camera asks.
+    # The principal point stays in the picture, as where nothing was cut off.
     first = np.floor(np.minimum(pixels.min(axis=0), 0.0)).astype(int) - _MARGIN_PIXELS
     last = np.ceil(np.maximum(pixels.max(axis=0), 0.0)).astype(int) + _MARGIN_PIXELS
     width, height = (last - first + 1).tolist()

@@ -65,7 +65,7 @@ def _center(camera: Camera, field: str) -> Finding | None:
         f"the principal point ({camera.cx:g}, {camera.cy:g}) of camera {camera.name!r} is "
         f"{100 * worst:.0f} % of the picture from its middle ({middle[0]:g}, {middle[1]:g}) (at "
         f"most {100 * _FARTHEST_CENTER:.0f} %): give fx, fy, cx and cy for pictures of "
-        f"{camera.width} x {camera.height} pixels",
+        f"{camera.width} x {camera.height} pixels; right only if these were cut out of larger ones",
     )  # fmt: skip
 
 
