@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
+from clothtrack.evaluation import trajectory_verdict
 from clothtrack.tracking import pipeline
 
 
@@ -40,6 +41,11 @@ def test_a_label_is_the_mesh_at_the_end_of_an_action_with_its_quality(run):
     assert 0 <= label.quality <= 1
     assert label.expected_error_mm > 0
     assert run.labels is run.labels  # judged once
+
+
+def test_what_tracking_has_looked_at_gives_the_verdict_of_looking_anew(run, recording):
+    inspection = ct.inspect_recording(recording.folder)
+    assert run.verdict == trajectory_verdict(ct.judge_labels(run, recording), inspection.geometry)
 
 
 def test_a_run_finds_the_recording_that_lies_where_simulate_puts_it(run, world):
