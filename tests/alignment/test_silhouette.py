@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clothtrack.alignment.silhouette import silhouette_gap, slide_to_outline
+from clothtrack.alignment.silhouette import cloud_picture, silhouette_gap, slide_to_outline
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
@@ -65,6 +65,17 @@ def test_meshes_that_do_not_touch_the_cloth_have_no_overlap(mesh, observation):
 def test_a_thinned_cloud_has_the_outline_of_a_dense_one(mesh, observation, camera):
     thinned = seen(thin(observation.points, 0.006), camera)
     assert silhouette_gap(mesh, mesh.vertices, thinned) < 0.06
+
+
+@pytest.mark.parametrize("spacing", [1, 2, 5])
+def test_a_cloud_covers_the_gaps_between_its_points_and_nothing_else(camera, spacing):
+    depth = np.zeros((camera.height, camera.width))
+    depth[60:161:spacing, 100:201:spacing] = 0.6
+    covered = np.zeros(depth.shape, bool)
+    covered[60:161, 100:201] = True
+    points = camera.back_project(depth)
+    np.testing.assert_array_equal(cloud_picture(points, camera), covered)
+    assert not cloud_picture(points[:1], camera).any()
 
 
 def test_what_no_camera_could_see_does_not_count(mesh, observation, camera):

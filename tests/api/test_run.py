@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
+from clothtrack.evaluation import trajectory_verdict
 from clothtrack.tracking import pipeline
 
 
@@ -58,6 +59,11 @@ def test_frames_after_the_last_action_keep_its_mesh_and_are_told(world, run, tmp
     assert f"  after the last action, in frames {frames[0]} to {frames[-1]}, " in told.text()
     assert told.as_dict()["frames_after_last_action"] == (frames[0], frames[-1])
     assert run.frames_after_last_action.size == 0
+
+
+def test_what_tracking_has_looked_at_gives_the_verdict_of_looking_anew(run, recording):
+    inspection = ct.inspect_recording(recording.folder)
+    assert run.verdict == trajectory_verdict(ct.judge_labels(run, recording), inspection.geometry)
 
 
 def test_a_run_finds_the_recording_that_lies_where_simulate_puts_it(run, world):

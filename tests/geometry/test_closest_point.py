@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from clothtrack.geometry import closest_point
-from clothtrack.geometry.closest_point import closest_on_mesh, closest_on_triangle
+from clothtrack.geometry.closest_point import (
+    closest_on_mesh,
+    closest_on_triangle,
+    distance_to_mesh,
+)
 
 
 def soup(rng, count):
@@ -58,3 +62,14 @@ def test_the_mesh_search_agrees_with_trying_every_face(rng, monkeypatch, pairs_a
         every = closest_on_triangle(np.repeat(point[None], len(faces), 0), vertices[faces])
         gaps = np.linalg.norm(np.einsum("ij,ijk->ik", every, vertices[faces]) - point, axis=1)
         assert distance == pytest.approx(gaps.min(), abs=1e-12)
+
+
+def test_the_distance_is_that_of_the_closest_point(rng):
+    vertices, faces = soup(rng, 200)
+    # Far from the origin, where single precision has steps of 6e-5.
+    away = np.array([800.0, -300.0, 50.0])
+    points, vertices = 1.5 * rng.normal(size=(300, 3)) + away, vertices + away
+    face, weights = closest_on_mesh(points, vertices, faces)
+    gaps = np.linalg.norm(np.einsum("ij,ijk->ik", weights, vertices[faces[face]]) - points, axis=1)
+    np.testing.assert_allclose(distance_to_mesh(points, vertices, faces), gaps, rtol=0, atol=1e-6)
+    assert distance_to_mesh(points[:0], vertices, faces).shape == (0,)

@@ -16,7 +16,7 @@ from clothtrack.evaluation.label_quality import (
     left_behind,
 )
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
-from clothtrack.recordings.geometry_checks.finding import Finding
+from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames
 from clothtrack.recordings.recording import Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
@@ -167,6 +167,7 @@ def judge(
     *,
     segmenter: Segmenter | None = None,
     device: str = "cpu",
+    frames: ObservedFrames | None = None,
 ) -> Verdict:
     """Return what to do with a trajectory, from all evidence.
 
@@ -176,6 +177,7 @@ def judge(
         labels: its labels, judged; judged here by default.
         segmenter: finds the cloth in a picture; the recording's own way by default.
         device: "cpu" or "cuda:0", for visibility.
+        frames: of the recording, where some have been looked at already.
 
     Raises:
         InvalidResultError: trajectory and recording do not belong together.
@@ -183,7 +185,7 @@ def judge(
     if labels is None:
         labels = judge_labels(tracked, recording, segmenter=segmenter, device=device)
     later = left_behind(tracked, recording, segmenter=segmenter, device=device)
-    return trajectory_verdict(labels, check_geometry(recording), later)
+    return trajectory_verdict(labels, check_geometry(recording, frames), later)
 
 
 def verdict_of(
@@ -209,9 +211,10 @@ def judged(
     *,
     segmenter: Segmenter | None = None,
     device: str = "cpu",
+    frames: ObservedFrames | None = None,
 ) -> dict[str, Any]:
     """Return the verdict as it is stored with a trajectory (`tracking.pipeline.Judge`)."""
-    return judge(tracked, recording, segmenter=segmenter, device=device).as_dict()
+    return judge(tracked, recording, segmenter=segmenter, device=device, frames=frames).as_dict()
 
 
 def verdict(label: LabelQuality) -> Verdict:

@@ -197,8 +197,9 @@ def _refined(
         off = np.abs(inverse - sight @ plane)
         spread = 1.4826 * float(np.median(off[off < _TOLERANCE]))
         band = min(_TOLERANCE, max(3.0 * spread, narrowest))
-        used = off < band
-        if used.sum() < 3:
+        before, used = used, off < band
+        # The same measurements give the same plane.
+        if used.sum() < 3 or (used == before).all():
             break
     return plane, used
 

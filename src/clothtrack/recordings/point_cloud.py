@@ -17,6 +17,9 @@ from clothtrack.recordings.pictures import read_cloud
 from clothtrack.recordings.recording import Frame, Recording, Table
 from clothtrack.recordings.segmentation import Segmenter, bounds_of, height_picture
 
+SPACING_M = 0.004
+"""Side of the cubes [m] in which points are averaged, where nobody asks for another."""
+
 _CUT_MARGIN_M = 0.012
 _TOOL_HEIGHT_M = 0.015
 _STRAY_SHARE = 0.04
@@ -93,7 +96,7 @@ def observe(
     frame: Frame,
     segmenter: Segmenter | None = None,
     *,
-    spacing_m: float | None = 0.004,
+    spacing_m: float | None = SPACING_M,
 ) -> Observation:
     """Return points of the cloth in the world, from all cameras or from the frame's cloud.
 
@@ -116,7 +119,7 @@ def observation_of(
     frame: Frame,
     views: Sequence[CameraView],
     *,
-    spacing_m: float | None = 0.004,
+    spacing_m: float | None = SPACING_M,
 ) -> Observation:
     """Return points of the cloth in the world, from what the cameras saw or from the frame's cloud.
 

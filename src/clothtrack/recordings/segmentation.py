@@ -349,13 +349,27 @@ def height_picture(
     window: tuple[slice, slice] = (slice(None), slice(None)),
 ) -> Float[np.ndarray, "window_height window_width"]:
     """Return the height above the table [m] of each pixel of a window; undefined without depth."""
+    heights, offset_m = height_per_depth(camera, table, window=window)
+    heights *= depth_m[window]
+    heights += offset_m
+    return heights
+
+
+def height_per_depth(
+    camera: Camera,
+    table: Table,
+    *,
+    window: tuple[slice, slice] = (slice(None), slice(None)),
+) -> tuple[Float[np.ndarray, "window_height window_width"], np.float32]:
+    """Return how the height above the table follows from depth in each pixel of a window.
+
+    It is the first, times the depth, plus the second [m], which is the camera's own height.
+    """
     normal = camera.world_from_camera[:3, :3].T @ table.normal
     rows = (np.arange(camera.height)[window[0]] - camera.cy) / camera.fy * normal[1] + normal[2]
     columns = (np.arange(camera.width)[window[1]] - camera.cx) / camera.fx * normal[0]
-    heights = np.add.outer(rows.astype(np.float32), columns.astype(np.float32))
-    heights *= depth_m[window]
-    heights += np.float32((camera.position - table.point) @ table.normal)
-    return heights
+    slopes = np.add.outer(rows.astype(np.float32), columns.astype(np.float32))
+    return slopes, np.float32((camera.position - table.point) @ table.normal)
 
 
 def main_components(

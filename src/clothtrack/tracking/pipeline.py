@@ -22,12 +22,14 @@ from clothtrack.files.output_lock import locked_output
 from clothtrack.files.progress import Progress, one_of
 from clothtrack.files.provenance import made_with
 from clothtrack.files.worker_pool import require_workers
-from clothtrack.recordings.camera_view import camera_views
+from clothtrack.recordings.camera_view import CameraView, camera_views
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
 from clothtrack.recordings.geometry_checks.clock_checks import time_findings
+from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
+from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer
 from clothtrack.recordings.identity import DIGEST_FIELD, recording_digest
-from clothtrack.recordings.point_cloud import Observation, observation_of
+from clothtrack.recordings.point_cloud import SPACING_M, Observation, observation_of
 from clothtrack.recordings.point_following import PointFollower
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
@@ -42,12 +44,15 @@ from clothtrack.tracking.tracker import Tracker
 logger = logging.getLogger(__name__)
 
 _CLOUDS_KEPT = 256
-"""Most clouds in memory, however long an action is: some 100 MB with pictures of 640 x 480. What a
-search needs again and is not among them is read and segmented once more."""
+"""Most clouds in memory, however long a recording is: some 100 MB with pictures of 640 x 480. What
+is needed again and is not among them is read and segmented once more."""
 
 Judge = Callable[..., Mapping[str, Any]]
 """Return what to do with a trajectory, as it is stored: `judge(tracked, recording, segmenter=,
-device=)`. It is handed in because tracking knows nothing of its evaluation."""
+device=, frames=)`. It is handed in because tracking knows nothing of its evaluation."""
+
+Look = Callable[[Frame, Sequence[CameraView]], None]
+"""Is shown what the cameras saw in a frame, when it has been decoded and segmented."""
 
 _PARTS = tuple(part.name for part in fields(Method))
 """The functions of Algorithm 1 that a caller may replace (`tracking.protocols.Method`)."""
@@ -78,25 +83,29 @@ def observer(
     segmenter: Segmenter | None = None,
     *,
     color: bool = False,
+    look: Look | None = None,
 ) -> Callable[[Frame], Observation]:
     """Return the clouds of a recording, those of the latest frames kept.
 
-    A search follows one action several times and would segment every picture of it each time.
+    A search follows one action several times and would segment every picture of it each time, and
+    what is tracked is judged by the same clouds.
 
     Args:
         recording: read and validated.
         spacing_m: clouds are thinned to one point per cube of this size [m]; 0 keeps all.
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         color: follow points of the cloth in the pictures, too.
+        look: is shown the pictures of every frame that is looked at.
     """
-    longest = max((a.last_frame - a.first_frame for a in recording.actions), default=0)
     follower = PointFollower(recording, segmenter) if color else None
 
-    @lru_cache(maxsize=min(longest + 2, _CLOUDS_KEPT))
+    @lru_cache(maxsize=_CLOUDS_KEPT)
     def seen(frame_index: int) -> Observation:
         frame = recording.frames[frame_index]
         looks = follower is not None and not follower.knows(frame)
         views = camera_views(recording, frame, segmenter, color=looks)
+        if look is not None:
+            look(frame, views)
         observation = observation_of(recording, frame, views, spacing_m=spacing_m or None)
         if follower is None:
             return observation
@@ -146,7 +155,11 @@ def track_recording(
         _refuse_wrong_clock(recording)
     clock = time.process_time()
     stamp = provenance(recording, config, device)
-    cloud = observer(recording, config.cloud_spacing_m, segmenter, color=config.color)
+    reducer = PictureReducer(recording)
+    cloud = observer(
+        recording, config.cloud_spacing_m, segmenter, color=config.color,
+        look=None if judge is None else reducer.look,
+    )  # fmt: skip
     if progress is not None:
         progress(f"{recording.name}: first mesh", 0, 0)
     first = find_initial_state(
@@ -177,7 +190,10 @@ def track_recording(
     tracked = replace(tracked, config=asdict(config), provenance=stamp)
     if judge is None:
         return tracked
-    verdict = judge(tracked, recording, segmenter=segmenter, device=device)
+    # A recording is held against itself as anybody would look at it.
+    as_usual = segmenter is None and config.cloud_spacing_m == SPACING_M
+    frames = ObservedFrames(recording, cloud if as_usual else None, reducer)
+    verdict = judge(tracked, recording, segmenter=segmenter, device=device, frames=frames)
     return replace(tracked, verdict_fields=verdict)
 
 

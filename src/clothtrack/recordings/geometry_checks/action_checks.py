@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import distance_transform_edt
+from scipy.spatial.distance import cdist
 
 from clothtrack.recordings.geometry_checks.change_maps import change_maps
 from clothtrack.recordings.geometry_checks.finding import Finding
@@ -169,6 +169,5 @@ def _nearest(moved: Bool[np.ndarray, "rows columns"], spots: Float[np.ndarray, "
     """Distance of the nearer of two spots from the nearest pixel that moved [reduced pixels]."""
     if not moved.any():
         return float(np.hypot(*moved.shape))
-    away = distance_transform_edt(~moved)
-    columns, rows = np.minimum(spots.astype(int), np.array(moved.shape[::-1]) - 1).T
-    return float(away[rows, columns].min())
+    pixels = np.minimum(spots.astype(int), np.array(moved.shape[::-1]) - 1)
+    return float(cdist(pixels, np.argwhere(moved)[:, ::-1]).min())

@@ -22,13 +22,19 @@ from clothtrack.recordings.geometry_checks.template_checks import size_findings,
 from clothtrack.recordings.recording import Recording
 
 
-def check_geometry(recording: Recording) -> tuple[Finding, ...]:
+def check_geometry(
+    recording: Recording, frames: ObservedFrames | None = None
+) -> tuple[Finding, ...]:
     """Return where what a recording says contradicts what its pictures show; empty for a right one.
 
     What stands in a wrong world is wrong for that reason alone: where a camera is doubted, cloth
     and picker are not looked at, nor the path of a picker whose clock is.
+
+    Args:
+        recording: read and validated.
+        frames: its frames, where some have been looked at already; all are read here by default.
     """
-    frames = ObservedFrames(recording)
+    frames = frames or ObservedFrames(recording)
     alone = sense_findings(recording, frames.small)
     cameras = camera_findings(recording)
     if cameras:
@@ -53,11 +59,11 @@ def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list
         return alone
     stream = stream_findings(recording, pictures)
     color = registration(pictures)
-    in_step = registration(_in_step(pictures, stream))
-    if color is not None and color.correction is not None and in_step is not None:
-        if in_step.correction is None and in_step.fit >= color.fit:
+    if color is not None and color.correction is not None:
+        in_step = registration(_in_step(pictures, stream))
+        if in_step is not None and in_step.correction is None and in_step.fit >= color.fit:
             color = in_step  # What is late is at another place.
-        else:
+        elif in_step is not None:
             stream = [finding for finding in stream if finding.kind != "stream_delay"]
     placed = [] if color is None else color_findings(pictures, color)
     pushed = camera_motion_findings(recording, pictures)

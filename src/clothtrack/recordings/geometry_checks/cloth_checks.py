@@ -233,7 +233,10 @@ def _size(recording: Recording, spread: _Spread) -> Finding | None:
 def _spread(observation: Observation, table: Table) -> _Spread:
     places, heights = on_table(observation.points, table)
     long, short = _sides(places)
-    covered = np.unique(np.floor(places / _FILL_CELL_M), axis=0)
+    column, row = np.floor(places / _FILL_CELL_M).T
+    row -= row.min()
+    # One number per square: an order of magnitude faster than unique rows.
+    covered = np.unique(column * (row.max() + 1) + row)
     low, middle, high = np.percentile(heights, [5, 50, 99]).tolist()
     return _Spread(
         (long, short),

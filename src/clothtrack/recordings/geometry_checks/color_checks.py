@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Float
+from scipy import fft
 
 from clothtrack.recordings.geometry_checks.change_maps import (
     change_maps,
@@ -221,8 +222,8 @@ def _correlation(color: _Maps, height: _Maps) -> Float[np.ndarray, "shifts_down 
     """Normalized cross-correlation over all frames; no shift is in the middle."""
     color, height = _centered(color), _centered(height)
     size = [2 * side for side in color.shape[1:]]
-    total = np.einsum("fyx,fyx->yx", np.fft.rfft2(color, size), np.fft.rfft2(height, size).conj())
-    return np.fft.fftshift(np.fft.irfft2(total, size)) / max(_scale(color, height), 1e-12)
+    total = np.einsum("fyx,fyx->yx", fft.rfft2(color, size), fft.rfft2(height, size).conj())
+    return fft.fftshift(fft.irfft2(total, size)) / max(_scale(color, height), 1e-12)
 
 
 def _turned(maps: _Maps, flip: ColorFlip) -> _Maps:

@@ -1,7 +1,8 @@
 """What a check of the geometry finds, and what the checks look at."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -9,9 +10,9 @@ from jaxtyping import Float
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.recordings.geometry_checks.corrections import Correction
-from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures, small_pictures
+from clothtrack.recordings.geometry_checks.small_pictures import PictureReducer, SmallPictures
 from clothtrack.recordings.point_cloud import Observation, observe
-from clothtrack.recordings.recording import Recording, Table
+from clothtrack.recordings.recording import Frame, Recording, Table
 
 _RIM_PIXELS = 3
 """A cloth this near to the rim of the picture may go on beyond it."""
@@ -47,16 +48,29 @@ class Finding:
 class ObservedFrames:
     """The clouds and reduced pictures of a recording, each made once."""
 
-    def __init__(self, recording: Recording) -> None:
-        """Read nothing yet."""
-        self.recording = recording
+    def __init__(
+        self,
+        recording: Recording,
+        cloud: Callable[[Frame], Observation] | None = None,
+        reducer: PictureReducer | None = None,
+    ) -> None:
+        """Read nothing yet.
+
+        Args:
+            recording: whose frames they are.
+            cloud: returns what `observe` does, of frames that have been observed already.
+            reducer: was shown pictures that have been decoded already.
+        """
+        self._recording = recording
+        self._cloud = cloud or partial(observe, recording)
+        self._reducer = reducer or PictureReducer(recording)
         self._seen: dict[int, Observation | None] = {}
 
     def at(self, frame: int) -> Observation | None:
         """Return what was seen of the cloth in a frame; None where it is not found."""
         if frame not in self._seen:
             try:
-                self._seen[frame] = observe(self.recording, self.recording.frames[frame])
+                self._seen[frame] = self._cloud(self._recording.frames[frame])
             except ClothTrackError:
                 self._seen[frame] = None
         return self._seen[frame]
@@ -64,7 +78,7 @@ class ObservedFrames:
     @cached_property
     def small(self) -> SmallPictures | None:
         """Reduced pictures of one camera; None where there is no readable depth."""
-        return small_pictures(self.recording)
+        return self._reducer.pictures()
 
 
 def reaches_rim(observation: Observation) -> bool:

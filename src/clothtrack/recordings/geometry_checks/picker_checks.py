@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from clothtrack.recordings.geometry_checks.finding import Finding, ObservedFrames, reaches_rim
 from clothtrack.recordings.point_cloud import Observation
@@ -131,7 +131,7 @@ def carried_distances_m(
     seen: Observation, tips: Float[np.ndarray, "tips 3"], allowance_m: float
 ) -> Float[np.ndarray, " tips"]:
     """Distance of tips from the cloth of a frame [m], less what may be there and is not seen."""
-    gaps = cKDTree(seen.points).query(tips)[0] - allowance_m
+    gaps = _distances_m(seen, tips) - allowance_m
     return np.maximum(gaps - _HIDDEN_M * _hidden(seen, tips), 0.0)
 
 
@@ -155,17 +155,25 @@ def _hidden(seen: Observation, tips: Float[np.ndarray, "tips 3"]) -> Bool[np.nda
 
 def _beyond(seen: Observation, tip: Float[np.ndarray, " 3"]) -> bool:
     """The cloth goes on beyond the picture, and the tip may be there: nothing is known of it."""
-    if not len(seen.points) or not reaches_rim(seen):
-        return False
     for camera in seen.cameras:
         (pixel,), (depth,) = camera.project(tip[None])
         if depth > 0 and (pixel >= 0).all() and (pixel < (camera.width, camera.height)).all():
             return False
-    return True
+    return len(seen.points) > 0 and reaches_rim(seen)
 
 
 def _gap_m(seen: Observation, tip: Float[np.ndarray, " 3"]) -> float:
     """Distance of a tip from the nearest point of the cloth [m]; NaN where none is seen."""
     if not len(seen.points):
         return float("nan")
-    return float(cKDTree(seen.points).query(tip)[0])
+    return float(_distances_m(seen, tip[None])[0])
+
+
+def _distances_m(
+    seen: Observation, tips: Float[np.ndarray, "tips 3"]
+) -> Float[np.ndarray, " tips"]:
+    """Distance of tips from the nearest point of the cloth [m].
+
+    Of few tips: making a tree of the points takes longer than trying all.
+    """
+    return cdist(tips, seen.points).min(axis=1)

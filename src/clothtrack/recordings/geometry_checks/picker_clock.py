@@ -67,6 +67,9 @@ class ClockLag:
 
 def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]:
     """The picker's clock, when it clearly runs before or behind that of the pictures."""
+    total_m, count = _beside(recording, frames, np.zeros(1))
+    if total_m[0] < _LEAST_GAIN_M * max(count[0], 1.0):
+        return []  # No lag can bring the path so much nearer: there is no need to try them.
     lag = picker_lag(recording, frames)
     if lag is None:
         return []
@@ -94,28 +97,8 @@ def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
 
     None where nothing can be said: no action, or only pickers whose hold the recording names.
     """
-    paths = [
-        path for name, path in recording.picker_paths.items() if not held_by_name(recording, name)
-    ]
-    if not recording.actions or not paths:
-        return None
-    first, last = recording.actions[0].first_frame, recording.actions[-1].last_frame
-    chosen = np.unique(np.linspace(first, last, MOST_FRAMES).round().astype(int)).tolist()
     lags = np.arange(-_FARTHEST_LAG_S, _FARTHEST_LAG_S + 0.5 * STEP_S, STEP_S)
-    total, count = np.zeros(len(lags)), np.zeros(len(lags))
-    for frame in chosen:
-        seen = frames.at(frame)
-        if seen is None or not len(seen.points):
-            continue
-        times = recording.frames[frame].time_s - lags
-        for path in paths:
-            closed = _closed(path, times)
-            if not closed.any():
-                continue
-            tips = np.stack([np.interp(times[closed], path.time_s, a) for a in path.positions.T], 1)
-            beside = carried_distances_m(seen, tips, allowance_m(recording))
-            total[closed] += np.minimum(beside, FAR_M)
-            count[closed] += 1.0
+    total, count = _beside(recording, frames, lags)
     none = int(np.argmin(np.abs(lags)))
     enough = count >= max(LEAST_SHARE * count.max(), 3.0)
     if not enough[none]:
@@ -123,6 +106,31 @@ def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
     mean = np.where(enough, total / np.maximum(count, 1.0), np.inf)
     best = int(np.argmin(mean))
     return ClockLag(float(lags[best]), float(mean[none]), float(mean[best]))
+
+
+def _beside(
+    recording: Recording, frames: ObservedFrames, lags: Float[np.ndarray, " lags"]
+) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, " lags"]]:
+    """Distances of the closed tips from the cloth [m], summed over the frames, and their number."""
+    total, count = np.zeros(len(lags)), np.zeros(len(lags))
+    paths = [
+        path for name, path in recording.picker_paths.items() if not held_by_name(recording, name)
+    ]
+    if not recording.actions:
+        return total, count
+    first, last = recording.actions[0].first_frame, recording.actions[-1].last_frame
+    for frame in np.unique(np.linspace(first, last, MOST_FRAMES).round().astype(int)).tolist():
+        times = recording.frames[frame].time_s - lags
+        for path in paths:
+            closed = _closed(path, times)
+            seen = frames.at(frame) if closed.any() else None
+            if seen is None or not len(seen.points):
+                continue
+            tips = np.stack([np.interp(times[closed], path.time_s, a) for a in path.positions.T], 1)
+            beside = carried_distances_m(seen, tips, allowance_m(recording))
+            total[closed] += np.minimum(beside, FAR_M)
+            count[closed] += 1.0
+    return total, count
 
 
 def _closed(path: PickerPath, times: Float[np.ndarray, " times"]) -> np.ndarray:

@@ -1,6 +1,7 @@
 """All frames of one camera, reduced: what moves in color and in depth, looked at cheaply."""
 
 import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,16 +11,17 @@ from jaxtyping import Bool, Float, UInt8
 
 from clothtrack.errors import ClothTrackError
 from clothtrack.geometry.camera import Camera
+from clothtrack.recordings.camera_view import CameraView
 from clothtrack.recordings.pictures import read_color, read_depth, read_mask
-from clothtrack.recordings.recording import Recording
-from clothtrack.recordings.segmentation import height_picture
+from clothtrack.recordings.recording import Frame, Recording
+from clothtrack.recordings.segmentation import height_per_depth
 
 COLUMNS = 160
 """Pictures are reduced by a whole factor to about so many columns."""
 
 MOST_FRAMES = 120
 """So many consecutive frames are looked at, from a little before the first action on: a longer
-recording shows nothing else, and each frame costs some 15 ms to decode."""
+recording shows nothing else, and each frame costs some 10 ms to decode."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,64 +50,121 @@ class SmallPictures:
     same_depth: Bool[np.ndarray, " frames"]
 
 
+class PictureReducer:
+    """Reduces the pictures of the first camera with depth, those of each frame once.
+
+    Decoding costs ten times as much: who decodes them anyway shows them to `look`. What nobody has
+    shown is read in the end.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        """Reduce nothing yet."""
+        self._recording = recording
+        cameras = [c for c in recording.cameras if c.name in recording.depth_units_m]
+        self._camera = cameras[0] if cameras else None
+        self._frames = _looked_at(recording, cameras[0].name) if cameras else {}
+        self._with_color = all(
+            camera.name in frame.color for camera in cameras[:1] for frame in self._frames.values()
+        )
+        self._reduced: dict[int, _Reduced] = {}
+
+    def look(self, frame: Frame, views: Sequence[CameraView]) -> None:
+        """Reduce what was decoded of a frame, if it is one of those that are looked at."""
+        if frame.index not in self._frames or frame.index in self._reduced:
+            return
+        for view in views:
+            if self._camera is None or view.camera.name != self._camera.name:
+                continue
+            if view.color is not None or not self._with_color:
+                color = view.color if self._with_color else None
+                self._reduce(frame, view.camera, view.depth_m, color)
+
+    def pictures(self) -> SmallPictures | None:
+        """Return the reduced pictures; None where there are none, or one cannot be read."""
+        camera, frames = self._camera, tuple(self._frames.values())
+        if camera is None or not frames:
+            return None
+        name, masks = camera.name, []
+        try:
+            for frame in frames:
+                if frame.index not in self._reduced:
+                    depth_m = read_depth(frame.depth[name], self._recording.depth_units_m[name])
+                    color = read_color(frame.color[name]) if self._with_color else None
+                    self._reduce(frame, camera, depth_m, color)
+            if all(name in frame.mask for frame in frames):
+                masks = [_mean(read_mask(frame.mask[name]), _factor(camera)) for frame in frames]
+        except ClothTrackError:
+            return None
+        reduced = [self._reduced[frame.index] for frame in frames]
+        colors = [each.color for each in reduced if each.color is not None]
+        return SmallPictures(
+            camera,
+            _factor(camera),
+            tuple(frame.index for frame in frames),
+            np.stack(colors) if colors else None,
+            np.stack([each.height_m for each in reduced]),
+            np.stack(masks) if masks else None,
+            _repeated([each.color_sum for each in reduced]),
+            _repeated([each.depth_sum for each in reduced]),
+        )
+
+    def _reduce(
+        self,
+        frame: Frame,
+        camera: Camera,
+        depth_m: Float[np.ndarray, "height width"],
+        color: UInt8[np.ndarray, "height width 3"] | None,
+    ) -> None:
+        factor, table = _factor(camera), self._recording.table
+        slope, offset_m = (-1.0, 0.0) if table is None else height_per_depth(camera, table)
+        share = _mean(depth_m > 0, factor)
+        # Where nothing was measured the depth is 0, and adds nothing.
+        total_m = _mean(depth_m * slope, factor)
+        height_m = np.where(share >= 0.5, total_m / np.maximum(share, 0.5) + offset_m, np.nan)
+        self._reduced[frame.index] = _Reduced(
+            height_m.astype(np.float32),
+            zlib.crc32(depth_m),
+            None if color is None else _mean(color, factor),
+            None if color is None else zlib.crc32(color),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """The reduced pictures of one frame, and checksums of the whole ones."""
+
+    height_m: Float[np.ndarray, "rows columns"]
+    depth_sum: int
+    color: UInt8[np.ndarray, "rows columns 3"] | None
+    color_sum: int | None
+
+
 def small_pictures(recording: Recording) -> SmallPictures | None:
     """Return the reduced pictures of the first camera with depth; None where there are none."""
-    camera = next((c for c in recording.cameras if c.name in recording.depth_units_m), None)
-    if camera is None:
-        return None
+    return PictureReducer(recording).pictures()
+
+
+def _looked_at(recording: Recording, camera: str) -> Mapping[int, Frame]:
+    """Return the frames, by their number."""
     begin = max(recording.actions[0].first_frame - 10, 0) if recording.actions else 0
     begin = max(min(begin, len(recording.frames) - MOST_FRAMES), 0)
-    shown = [
-        frame
-        for frame in recording.frames[begin : begin + MOST_FRAMES]
-        if camera.name in frame.depth
-    ]
-    name, factor = camera.name, max(1, round(camera.width / COLUMNS))
-    with_color = all(name in frame.color for frame in shown)
-    with_mask = all(name in frame.mask for frame in shown)
-    colors, heights, masks, sums = [], [], [], []
-    try:
-        for frame in shown:
-            depth = read_depth(frame.depth[name], recording.depth_units_m[name])
-            color = read_color(frame.color[name]) if with_color else None
-            sums.append((zlib.crc32(depth), None if color is None else zlib.crc32(color)))
-            height = -depth
-            if recording.table is not None:
-                height = height_picture(depth, camera, recording.table)
-            heights.append(_reduced_height(height, depth > 0, factor))
-            if color is not None:
-                colors.append(_reduced(color, factor))
-            if with_mask:
-                masks.append(_reduced(read_mask(frame.mask[name]).astype(np.float32), factor))
-    except ClothTrackError:
-        return None
-    if not shown:
-        return None
-    same = [(False, False), *((a[0] == b[0], a[1] == b[1]) for a, b in pairwise(sums))]
-    return SmallPictures(
-        camera,
-        factor,
-        tuple(frame.index for frame in shown),
-        np.stack(colors) if colors else None,
-        np.stack(heights),
-        np.stack(masks) if masks else None,
-        np.array([color for _, color in same]) & bool(colors),
-        np.array([depth for depth, _ in same]),
-    )
+    frames = recording.frames[begin : begin + MOST_FRAMES]
+    return {frame.index: frame for frame in frames if camera in frame.depth}
 
 
-def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
+def _repeated(sums: Sequence[int | None]) -> Bool[np.ndarray, " frames"]:
+    """Return which checksums are those of the frame before; none is where there are none."""
+    return np.array([False, *(a is not None and a == b for a, b in pairwise(sums))])
+
+
+def _factor(camera: Camera) -> int:
+    return max(1, round(camera.width / COLUMNS))
+
+
+def _mean(picture: np.ndarray, factor: int) -> np.ndarray:
     """Mean of every block of pixels; what remains at the rim is left out."""
     rows, columns = (size // factor for size in picture.shape[:2])
     picture = picture[: rows * factor, : columns * factor]
+    if picture.dtype == bool:
+        picture = picture.astype(np.float32)
     return cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA)
-
-
-def _reduced_height(
-    height_m: Float[np.ndarray, "height width"],
-    measured: Bool[np.ndarray, "height width"],
-    factor: int,
-) -> Float[np.ndarray, "rows columns"]:
-    share = _reduced(measured.astype(np.float32), factor)
-    total = _reduced(np.where(measured, height_m, 0.0).astype(np.float32), factor)
-    return np.where(share >= 0.5, total / np.maximum(share, 1e-6), np.nan).astype(np.float32)
