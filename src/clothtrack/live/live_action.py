@@ -83,6 +83,10 @@ class LiveAction:
         """The vertices that each picker holds or has held, by its name."""
         return self._held.held_vertices
 
+    def spent_s(self, frame: Frame) -> dict[str, float]:
+        """Return the CPU time of each part of a frame [s], by its name."""
+        return self._notes.spent_s(frame)
+
     def grasp(self, frame: Frame, closed: set[str]) -> None:
         """Find what pickers hold that have closed, from where the cloth lay at the beginning."""
         if closed <= self._closed:

@@ -16,7 +16,7 @@ from clothtrack.evaluation.label_quality import FAR_M, shipped_model
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.point_cloud import Observation, thin
 
-EVERY_S = 0.2
+EVERY_S = 0.5
 """Pictures are judged that are at least so far apart [s]."""
 
 _WIDTH = 160

@@ -1,6 +1,7 @@
 """What is known of the cloth after a picture."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -20,9 +21,13 @@ class LiveState:
         judged_s: time of the picture that was judged last [s]; NaN before. A judgement is made
             beside the stream, a few times a second.
         acting: whether an action is under way.
+        settling: whether the final alignment of the last action is still being made beside the
+            stream; a later state has it.
         held: the vertices that each closed picker holds, by its name.
         latency_s: from the call of `update` to this state [s]; in a `LiveStream` from the arrival
             of the picture.
+        spent_s: CPU time of the parts of this picture [s]: "observe" (segmentation, cloud and
+            followed points, in a thread of its own), "predict", "align", "correct".
         dropped: pictures that were not served so far.
         stalled: what has sent nothing for 0.2 s: "camera", or a picker's name.
         notes: what was wrong with this picture, in words.
@@ -36,8 +41,10 @@ class LiveState:
     lost: Bool[np.ndarray, " vertices"]
     judged_s: float
     acting: bool
-    held: dict[str, tuple[int, ...]]
+    settling: bool
+    held: Mapping[str, tuple[int, ...]]
     latency_s: float
+    spent_s: Mapping[str, float] = field(default_factory=dict)
     dropped: int = 0
     stalled: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

@@ -1,8 +1,9 @@
 """Track a cloth picture by picture, as they come from the camera.
 
 A recording is a live source that waits: the steps are those of `tracking.algorithm`, in the same
-order, and what comes of the same pictures is the same to the bit. Two things differ. Nothing is
-searched: parameters stay as they are configured. And pictures may be missing.
+order, and what comes of the same pictures is the same to the bit. Three things differ. Nothing is
+searched: parameters stay as they are configured. The final alignment of an action (TTO2) is made
+beside the stream, while the mesh rests. And pictures may be missing.
 """
 
 import time
@@ -111,15 +112,20 @@ class LiveTracker:
         self._segmenter, self._device, self._watch = segmenter, device, watch
         self._keep_pictures, self._force = keep_pictures, force
         self._eyes = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-eyes")
+        self._finisher = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-final")
         self._looks: dict[int, Future[Observation]] = {}
         self._cloud: Callable[[Frame], Observation] | None = None
         self._parts: _Parts | None = None
         self._action: LiveAction | None = None
+        self._over: tuple[LiveAction, Frame] | None = None
+        self._final: Future[tuple[Theta, State] | None] | None = None
+        self._seen_from: tuple[np.ndarray, np.ndarray] | None = None
         self._closed_before = set[str]()
         self._begins = self._ends = False
         self._zero_s: float | None = None
         self._dropped = 0
         self._notes: list[str] = []
+        self._spent_s: dict[str, float] = {}
         self._closed = False
         if warm:
             warm_up(LiveTracker, self._config.mode, self._config.color, device)
@@ -222,6 +228,7 @@ class LiveTracker:
         began = time.perf_counter()
         if self._closed:
             raise InvalidConfigError("the tracker is closed; make another one")
+        self._finish(wait=False)
         self.move_picker(time_s, picker or {})
         index = len(self.recording.frames)
         frame = Frame.of_arrays(
@@ -240,7 +247,11 @@ class LiveTracker:
         seen = self._track(frame, self._parts, closed, begins=begins, ends=ends)
         if index and not self._keep_pictures:
             self._growing.forget_pictures(index - 1)
-        return self._state(frame, self._parts, seen, began)
+        state = self._state(frame, self._parts, seen, began)
+        if self._over is not None and self._final is None:
+            # Nothing else needs the simulator until an action begins.
+            self._final = self._finisher.submit(self._over[0].end, self._over[1])
+        return state
 
     def tracked(
         self, recording: Recording | None = None, judge: Judge | None = None
@@ -259,8 +270,10 @@ class LiveTracker:
         parts = self._parts
         if self._action is not None:
             self._end(self._action, self._action.tracked_frame)
+        self._finish(wait=True)
         self._closed = True
         self._eyes.shutdown()
+        self._finisher.shutdown()
         parts.judge.close()
         source = recording or self._growing.finished()
         stamp = provenance(source, self._config, self._device) | {
@@ -342,6 +355,14 @@ class LiveTracker:
             table = Table(camera.position - fit.distance_m * normal, normal)
         self._growing.stand_on(camera, table)
 
+    def _look(self, frame: Frame) -> Observation:
+        """Return the cloud of the newest frame, and note what it costs; in a thread of its own."""
+        assert self._cloud is not None
+        start_s = time.thread_time()
+        seen = self._cloud(frame)
+        self._spent_s["observe"] = time.thread_time() - start_s
+        return seen
+
     def _observe(self, frame: Frame) -> Observation:
         """Return the cloud of a frame; that of the newest was begun when it came."""
         look = self._looks.pop(frame.index, None)
@@ -361,6 +382,7 @@ class LiveTracker:
         if action is not None and action.let_go() and closing:
             # A picker closes again before the cloth has settled.
             self._end(action, action.tracked_frame)
+            self._finish(wait=True)
             action = None
         begins = self._begins or (closing and action is None)
         ends = action is not None and (action.is_over(frame, closed) or self._ends or self._begins)
@@ -377,11 +399,13 @@ class LiveTracker:
         assert self._cloud is not None
         action = self._action
         self._growing.show_paths(frame.index if action is None else action.first_frame)
-        self._looks = {frame.index: self._eyes.submit(self._cloud, frame)}
+        self._spent_s = {}
+        self._looks = {frame.index: self._eyes.submit(self._look, frame)}
         try:
             if action is not None:
                 action.grasp(frame, closed)
                 action.step(frame)
+                self._spent_s |= action.spent_s(frame)
             seen = self._observe(frame)
         except InvalidRecordingError as error:
             self._unseen(frame, begins=begins, words=str(error))
@@ -394,7 +418,8 @@ class LiveTracker:
         return seen
 
     def _begin(self, parts: _Parts, first: Frame, closed: set[str]) -> None:
-        """Begin an action with a frame."""
+        """Begin an action with a frame, from where the one before ended."""
+        self._finish(wait=True)
         by_gripper, self._begins, self._ends = not self._begins, False, False
         self._growing.show_paths(first.index)
         self._action = LiveAction(
@@ -404,13 +429,26 @@ class LiveTracker:
         self._action.grasp(first, closed)
 
     def _end(self, action: LiveAction, last: Frame) -> None:
-        """End an action with a frame; the next one starts from there."""
-        parts, before = self._parts, action.state.positions[0]
-        ended = action.end(last)
+        """End an action with a frame; its final alignment is made beside the stream."""
+        assert self._parts is not None
+        self._parts.state = action.state
+        self._over, self._action, self._ends = (action, last), None, False
+
+    def _finish(self, *, wait: bool) -> None:
+        """Take over the final alignment of the action that has ended, when it is ready.
+
+        Args:
+            wait: until it is; or make it now, if it was not begun.
+        """
+        if self._over is None or not (wait or (self._final and self._final.done())):
+            return
+        (action, last), final, parts = self._over, self._final, self._parts
+        self._over = self._final = None
+        ended = action.end(last) if final is None else final.result()
         if parts is not None and ended is not None:
+            before = parts.state.positions[0]
             parts.theta, parts.state = ended
             parts.judge.end_action(before, parts.state.positions[0])
-        self._action, self._ends = None, False
 
     def _unseen(self, frame: Frame, *, begins: bool, words: str) -> None:
         """Leave the mesh as it is in a picture without cloth; what was to begin or end waits."""
@@ -434,18 +472,21 @@ class LiveTracker:
             parts.judge.look(frame.time_s, positions, seen)
         judged, notes = parts.judge.latest, tuple(self._notes)
         self._notes.clear()
-        visible = components.visible(positions)
+        if self._seen_from is None or not np.array_equal(self._seen_from[0], positions):
+            self._seen_from = positions, components.visible(positions)
         return LiveState(
             time_s=frame.time_s + (self._zero_s or 0.0),
             frame=frame.index,
             positions=positions,
-            visible=visible,
+            visible=self._seen_from[1],
             expected_error_m=judged.expected_error_m,
             lost=judged.lost,
             judged_s=judged.time_s + (self._zero_s or 0.0),
             acting=action is not None,
+            settling=self._over is not None,
             held={} if action is None else action.held,
             latency_s=time.perf_counter() - began_s,
+            spent_s=dict(self._spent_s),
             dropped=self._dropped,
             notes=notes,
         )

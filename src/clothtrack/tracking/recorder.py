@@ -210,6 +210,14 @@ class CandidateNotes:
         self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
         self._tell(self._action, frame, self._positions[-1])
 
+    def spent_s(self, frame: Frame) -> dict[str, float]:
+        """Return the CPU time of each part of a frame [s], by its name; empty where it rests."""
+        if not self._steps or self._steps[-1][0] != frame.index:
+            return {}
+        step = self._steps[-1][1]
+        names = {"predict_s": "predict", "align_s": "align", "correct_s": "correct"}
+        return {short: float(step[name]) for name, short in names.items() if name in step}
+
     def rest(self, frame: Frame, state: State) -> None:
         """Note that the mesh stays as it is at one frame."""
         self._clocks.reset()
