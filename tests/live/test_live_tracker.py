@@ -114,8 +114,9 @@ def test_actions_begin_and_end_with_the_gripper(film):
 
 
 def test_over_missing_pictures_the_held_vertex_follows_the_path_of_the_picker(film, offline):
-    action = offline.actions[0]
-    tracker, gap = film.tracker(), range(action.first_frame + 4, action.first_frame + 9)
+    action, shown = offline.actions[0], []
+    tracker = film.tracker(watch=lambda _, __, frame, ___: shown.append(frame))
+    gap = range(action.first_frame + 4, action.first_frame + 9)
     film.follow(tracker, range(gap.start))
     for index in gap:
         picture = film.picture(index)
@@ -126,6 +127,8 @@ def test_over_missing_pictures_the_held_vertex_follows_the_path_of_the_picker(fi
     (name,) = action.held_vertices
     held = list(action.held_vertices[name])
     assert np.abs(state.positions[held] - offline.positions[gap.stop][held]).max() < 1e-4
+    # There is no picture to lay a dropped one's mesh over.
+    assert {frame.index for frame in shown} == {*range(gap.start), gap.stop}
     run = tracker.close(film.recording)
     assert len(run.frames) == gap.stop + 1
     for index in gap:

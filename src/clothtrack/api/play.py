@@ -71,7 +71,9 @@ def play_live(
     def served(state: "LiveState") -> None:
         latencies.add(state)
         stalled = f"; nothing from {' and '.join(state.stalled)}" if state.stalled else ""
-        words[0] = f"{state.time_s:.1f} s, {latencies.text()}{_lost(state, source)}{stalled}"
+        words[0] = (
+            f"at {state.time_s:.1f} s: latency {latencies.text()}{_lost(state, source)}{stalled}"
+        )
 
     page = live_tracking(lambda: words[0], None, opened=opened) if opened else nullcontext()
     with page as shown:

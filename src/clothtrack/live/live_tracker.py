@@ -331,12 +331,24 @@ class LiveTracker:
         )
         made = METHODS[config.mode](components)
         recorder = Recorder(
-            recording, first.mesh, made.state, components.visible, watch=self._watch
-        )
+            recording, first.mesh, made.state, components.visible,
+            watch=None if self._watch is None else self._show,
+        )  # fmt: skip
         return _Parts(
             components, recorder.timed(made.method), made.state, made.theta, recorder,
             LiveJudge(first.mesh, device), gap_m, first.origin,
         )  # fmt: skip
+
+    def _show(
+        self,
+        recording: Recording,
+        mesh: ClothMesh,
+        frame: Frame,
+        positions: Float[np.ndarray, "vertices 3"],
+    ) -> None:
+        """Show a mesh to who watches; a dropped picture has none to lay it over."""
+        if self._watch is not None and frame.depth:
+            self._watch(recording, mesh, frame, positions)
 
     def _stand_on_table(self) -> None:
         """Find the table in the first picture, and the world where the camera has no pose.
@@ -466,8 +478,8 @@ class LiveTracker:
         components, action = parts.components, self._action
         state = parts.state if action is None else action.state
         positions = np.array(state.positions[0], np.float32)
-        if self._watch is not None and action is None:
-            self._watch(components.recording, components.mesh, frame, positions)
+        if action is None:
+            self._show(components.recording, components.mesh, frame, positions)
         if seen is not None:
             parts.judge.look(frame.time_s, positions, seen)
         judged, notes = parts.judge.latest, tuple(self._notes)
