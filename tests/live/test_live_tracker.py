@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import clothtrack as ct
-from clothtrack.live.live_action import SETTLE_S
+from clothtrack.live.live_action import LONGEST_GAP_S, SETTLE_S, HurriedCloth
 from clothtrack.recordings import recording_digest
+from clothtrack.tracking.picking import Grasp, HeldCloth
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +134,22 @@ def test_over_missing_pictures_the_held_vertex_follows_the_path_of_the_picker(fi
     assert len(run.frames) == gap.stop + 1
     for index in gap:
         assert np.array_equal(run.positions[index], run.positions[gap.start - 1])
+
+
+def test_over_a_long_gap_the_dynamics_are_rolled_for_a_short_time_along_all_of_the_path(film):
+    (path,) = film.recording.picker_paths.values()
+    start, end = path.closures()[0]
+    grasp = Grasp("gripper", path, np.array([3]), np.zeros((1, 3)))
+    cloth = HeldCloth((grasp,), np.zeros(3))
+    usual, hurried = (
+        one.action(start, end - 1e-3) for one in (cloth, HurriedCloth(cloth.grasps, cloth.offset))
+    )
+    assert usual.duration_s > LONGEST_GAP_S
+    assert hurried.duration_s == pytest.approx(LONGEST_GAP_S)
+    assert np.array_equal(hurried.motion.waypoints, usual.motion.waypoints)
+    assert hurried.speed * hurried.duration_s == pytest.approx(usual.speed * usual.duration_s)
+    short = HurriedCloth(cloth.grasps, cloth.offset).action(start, start + 0.5 * LONGEST_GAP_S)
+    assert short.duration_s == pytest.approx(0.5 * LONGEST_GAP_S)
 
 
 def test_a_picture_without_cloth_leaves_the_mesh_and_the_next_one_goes_on(film):

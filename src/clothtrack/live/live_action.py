@@ -1,11 +1,12 @@
 """One action while it happens."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clothtrack.live.growing_recording import GrowingRecording
 from clothtrack.recordings.recording import Frame, PickAndPlace
+from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.tracking.algorithm import Tracked, begin_action, end_action, track_frame
 from clothtrack.tracking.methods import Components
 from clothtrack.tracking.picking import HeldCloth
@@ -17,6 +18,22 @@ from clothtrack.tracking.tracked_trajectory import Calibration
 SETTLE_S = 0.2
 """An action ends with the first picture that is so much later than the first one in which no picker
 is closed any more [s]."""
+
+
+LONGEST_GAP_S = 0.2
+"""The dynamics are rolled for so long over dropped pictures, at most [s]. Where they cannot keep up
+with the camera, a longer gap would take longer still, and the next one longer than that."""
+
+
+@dataclass(frozen=True, eq=False)
+class HurriedCloth(HeldCloth):
+    """The same grasps over a gap of dropped pictures: all of the path, in less time."""
+
+    def action(self, start_s: float, end_s: float) -> PickerAction:
+        """Return what the closed pickers do between two times [s], sooner."""
+        action = super().action(start_s, end_s)
+        share = min(1.0, LONGEST_GAP_S / action.duration_s)
+        return replace(action, duration_s=share * action.duration_s, speed=action.speed / share)
 
 
 class LiveAction:
@@ -102,8 +119,11 @@ class LiveAction:
         Raises:
             InvalidRecordingError: no cloth is found in it.
         """
+        grasps = self._grasps()
+        if frame.index > self._tracked.frame.index + 1:
+            grasps = HurriedCloth(grasps.grasps, grasps.offset)
         self._tracked = track_frame(
-            self._dyn, self._tracked, self._grasps(), frame, method=self._method, notes=self._notes
+            self._dyn, self._tracked, grasps, frame, method=self._method, notes=self._notes
         )
 
     def stay(self, frame: Frame) -> None:
