@@ -106,7 +106,7 @@ format: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed-bench
 	@mkdir -p out
-	for name in solver alignment tracking calibration import scaling; do \
+	for name in solver alignment tracking calibration import scaling live; do \
 	  $(BIN)/python benchmarks/bench_$$name.py --quick --json out/bench_$$name.json || exit 1; \
 	done
 

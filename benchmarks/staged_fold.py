@@ -53,19 +53,23 @@ def shirt(vertex_count: int, *, seed: int = 0) -> ClothMesh:
     return flat.with_vertices(flat.vertices + (0.0, 0.0, 0.002 - flat.vertices[:, 2].min()))
 
 
-def staged(folder: Path) -> Recording:
-    """Film the fold into a folder that does not exist yet, and read it."""
+def staged(folder: Path, frame_rate: float = FRAME_RATE) -> Recording:
+    """Film the fold into a folder that does not exist yet, and read it.
+
+    The fold takes as long whatever the rate [1/s].
+    """
+    steps, carried = (round(n * frame_rate / FRAME_RATE) for n in (STEPS, CARRIED_STEPS))
     mesh = shirt(FILMED_VERTICES, seed=3)
     held = int(np.argmax(mesh.vertices @ (1.0, -0.3, 0.5)))
-    tips = _tips(mesh.vertices[held])
-    shapes = _motion(mesh, held, tips)
+    tips = _tips(mesh.vertices[held], steps, carried)
+    shapes = _motion(mesh, held, tips, carried)
     rng = np.random.default_rng(0)
     config = SensorConfig()
     camera = top_down_camera(config, rng)
     scene = Scene(mesh, Tool(azimuth_rad=-np.pi / 3.0), camera)
     look = replace(Appearance.sample(rng), cloth="blue")
     sensor = Sensor(scene, config, look, seed=1)
-    times = np.arange(STEPS + 1) / FRAME_RATE
+    times = np.arange(steps + 1) / frame_rate
     with RecordingWriter(
         folder, [camera], {camera.name: config.step_m}, table=TABLE,
         cloth=ClothDescription(kind="tshirt", color=look.cloth, size_m=SIZE_M),
@@ -77,32 +81,32 @@ def staged(folder: Path) -> Recording:
                 color={camera.name: picture.color},
                 depth={camera.name: picture.depth},
             )
-        writer.add_action(0, STEPS, [PICKER])
-        writer.set_picker_path(
-            PICKER, PickerPath(times, tips, np.arange(len(tips)) < CARRIED_STEPS)
-        )
+        writer.add_action(0, steps, [PICKER])
+        writer.set_picker_path(PICKER, PickerPath(times, tips, np.arange(len(tips)) < carried))
     return read_recording(folder)
 
 
-def _tips(start: np.ndarray) -> np.ndarray:
+def _tips(start: np.ndarray, steps: int, carried: int) -> np.ndarray:
     """Where the tool is at each frame [m]: an arc, then straight up and away."""
-    share = np.linspace(0.0, 1.0, CARRIED_STEPS + 1)
+    share = np.linspace(0.0, 1.0, carried + 1)
     eased = share**2 * (3.0 - 2.0 * share)
     arc = start + eased[:, None] * WAY_M
     arc[:, 2] += LIFT_M * (1.0 - (2.0 * eased - 1.0) ** 4)
-    away = np.arange(1, STEPS - CARRIED_STEPS + 1)[:, None] * (0.03, -0.04, 0.02)
+    left = np.arange(1, steps - carried + 1)[:, None] * (STEPS / steps)
+    away = left * (0.03, -0.04, 0.02)
     return np.concatenate([arc, arc[-1] + away])
 
 
-def _motion(mesh: ClothMesh, held: int, tips: np.ndarray) -> list[np.ndarray]:
+def _motion(mesh: ClothMesh, held: int, tips: np.ndarray, carried: int) -> list[np.ndarray]:
     """The cloth's vertices at each frame [m]."""
     solver = ClothSolver(mesh, SolverConfig(table=TABLE), parameters=FILMED)
     dynamics = ClothDynamics(solver)
     shapes = [solver.positions[0].astype(np.float64)]
-    for frame in range(STEPS):
+    duration_s = STEPS / FRAME_RATE / (len(tips) - 1)
+    for frame in range(len(tips) - 1):
         motion = None
-        if frame < CARRIED_STEPS:
+        if frame < carried:
             motion = HeldMotion(np.array([held], np.int32), tips[frame : frame + 2, None])
-        rolled = dynamics.roll_out(None, motion, 1.0 / FRAME_RATE)
+        rolled = dynamics.roll_out(None, motion, duration_s)
         shapes.append(rolled.positions[0].astype(np.float64))
     return shapes

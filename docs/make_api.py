@@ -23,6 +23,7 @@ CHAPTERS = {
         "track", "load", "Run", "Label", "evaluate", "judge_labels", "Truth", "view",
         "write_report", "export", "verify", "Verification", "demo",
     ],
+    "While it moves": ["LiveTracker", "LiveState", "LiveStream", "play_live"],
     "Many at once": ["track_many", "evaluate_many", "label_many", "inspect_many"],
     "Configure": ["mode", "MODES", "RunConfig", "with_settings"],
     "Recordings": [

@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from clothtrack.api.garment import garment_template
     from clothtrack.api.inspection import inspect_many
     from clothtrack.api.learning import finetune, label, pretrain, reconstruct
+    from clothtrack.api.live import LiveTracker
     from clothtrack.api.look import export, view, write_report
     from clothtrack.api.many import evaluate_many, label_many
+    from clothtrack.api.play import play_live
     from clothtrack.api.run import Label, Run, evaluate, load, track
     from clothtrack.api.tracking import demo, track_many
     from clothtrack.api.verification import Verification, verify
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from clothtrack.files.settings import with_settings
     from clothtrack.geometry.camera import Camera
     from clothtrack.geometry.mesh import ClothMesh
+    from clothtrack.live.live_state import LiveState
+    from clothtrack.live.live_stream import LiveStream
     from clothtrack.recordings.inspection import inspect as inspect_recording
     from clothtrack.recordings.pictures import read_color, read_depth
     from clothtrack.recordings.point_cloud import observe
@@ -60,6 +64,9 @@ __all__ = [
     "InvalidRecordingError",
     "InvalidResultError",
     "Label",
+    "LiveState",
+    "LiveStream",
+    "LiveTracker",
     "PickerPath",
     "Recording",
     "RecordingWriter",
@@ -85,6 +92,7 @@ __all__ = [
     "load",
     "mode",
     "observe",
+    "play_live",
     "pretrain",
     "read_color",
     "read_depth",

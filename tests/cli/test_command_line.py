@@ -44,7 +44,7 @@ def test_help_is_quick_and_lists_the_verbs_in_groups():
     assert shown.returncode == 0
     listed = re.findall(r"^  ([a-z-]+)  ", shown.stdout, re.MULTILINE)
     # The main path first, then every other verb once, in its group.
-    assert listed[:5] == ["demo", "import", "track", "evaluate", "view"]
+    assert listed[:6] == ["demo", "import", "track", "live", "evaluate", "view"]
     assert sorted(listed) == sorted(cli.VERBS)
     # 3 times here, 0.27 s on a quiet machine; one stage that is loaded (Warp, MuJoCo) makes it 10.
     assert min(ours) < 5.0 * min(bare)

@@ -104,6 +104,7 @@ def setting_names(verb):
     known = {
         "flatten": [FlattenConfig()],
         "track": [RunConfig()],
+        "live": [RunConfig()],
         "simulate": [EpisodeConfig()],
         "pretrain": [LearningConfig.preset("pretrain")],
         "finetune": [LearningConfig.preset("finetune")],

@@ -10,11 +10,11 @@ from import_makers import OPTICAL, START_NS, Film, Messages, stream, write_ros1,
 from scipy.spatial.transform import Rotation
 
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
-from clothtrack.recordings.recording import PickerPath
+from clothtrack.recordings.recording import PickerPath, actions_of
 from clothtrack.recordings.store import read_recording
 from clothtrack_capture.importing.import_options import ImportOptions
 from clothtrack_capture.importing.import_recording import import_recording
-from clothtrack_capture.importing.picker_paths import actions_in_words, actions_of, read_path_table
+from clothtrack_capture.importing.picker_paths import actions_in_words, read_path_table
 from clothtrack_capture.importing.transforms import TransformTree
 
 ROS2 = Messages(cdr=True)

@@ -111,7 +111,7 @@ class Demonstration:
         return {**asdict(self.outcome), "report": self.report, "evaluation": evaluation}
 
 
-def _tracking_config(
+def tracking_config(
     mode: str = "default",
     template: Path | str | None = None,
     weights: Path | str | None = None,
@@ -134,7 +134,7 @@ def _tracking_config(
     return run_config(mode, [*named, *settings], seed=seed)
 
 
-@configured_by(_tracking_config)
+@configured_by(tracking_config)
 def track_many(
     recordings: Sequence[Path | str],
     *,
@@ -190,7 +190,7 @@ def track_many(
     quiet_warp()
     if not ray:
         require_device(device)
-    config = _tracking_config(mode, template, weights, settings, seed)
+    config = tracking_config(mode, template, weights, settings, seed)
     words = [""]
 
     def told(place: str, done: int, total: int) -> None:

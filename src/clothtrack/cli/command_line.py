@@ -41,6 +41,7 @@ OWN: Mapping[str, str] = {
     "inspect": "inspect_many",
     "garment": "garment_template",
     "track": "track_many",
+    "live": "play_live",
     "label": "label_many",
     "pretrain": "pretrain",
     "finetune": "finetune",
@@ -58,7 +59,7 @@ VERBS: Mapping[str, Callable[[], Function]] = {
 """What loads the functions of all verbs; other packages name theirs as entry points."""
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
-    "the main path": ("demo", "import", "track", "evaluate", "view"),
+    "the main path": ("demo", "import", "track", "live", "evaluate", "view"),
     "recordings": (
         "inspect", "record", "calibrate-camera", "segment", "find-picker", "garment",
     ),
@@ -136,7 +137,7 @@ def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:
 
 def _opened(verb: str, address: str, *, json: bool) -> None:
     """Say where a page is; --json leaves standard output to the result, which a view has not."""
-    watched = verb in ("track", "flatten")
+    watched = verb in ("track", "live", "flatten")
     text = f"{address}   open this{' to watch' if watched else '; Ctrl-C ends'}"
     if verb == "view":
         say_result(text, {"address": address}, json=json)

@@ -120,23 +120,12 @@ def label_evidence(
                 f"a label belongs to frame {label.frame}, but {recording.folder} has "
                 f"{len(recording.frames)} frames; give the recording that it was tracked from"
             )
-        travelled += _mean_distance(label.vertices, previous)
+        travelled += mean_distance(label.vertices, previous)
         previous = label.vertices
-        dense, cloud, away = _seen(mesh, label.vertices, recording, label.frame, segmenter)
-        seen = visible_vertices(label.vertices, mesh.faces, recording.cameras, device=device)
-        judged = seen & ~dense.unobservable(label.vertices)
+        dense, cloud = _seen(recording, label.frame, segmenter)
         evidence.append(
-            LabelEvidence(
-                silhouette_gap=silhouette_gap(mesh, label.vertices, dense, device=device),
-                cloud_gap_m=float(away.mean()) if len(away) else float("nan"),
-                mesh_gap_m=_far_quantile(cloud, label.vertices[judged]),
-                edge_strain_p95=_edge_strain_p95(mesh, label.vertices),
-                crossing_rate=1e3 * crossings(label.vertices, mesh.faces) / len(mesh.edges),
-                final_shift_m=_mean_distance(label.vertices, label.before),
-                travelled_m=travelled,
-                share_hidden=float(1.0 - seen.mean()),
-                action=number,
-                misfit=local_misfit(mesh, label.vertices, dense, cloud, away, device=device),
+            mesh_evidence(
+                mesh, label, dense, cloud, travelled_m=travelled, action=number, device=device
             )
         )
     return tuple(evidence)
@@ -161,22 +150,55 @@ def misfit_at(
         segmenter: finds the cloth in a picture; the recording's own way by default.
         device: "cpu" or "cuda:0", for the outlines.
     """
-    seen = _seen(mesh, vertices, recording, frame, segmenter)
-    return local_misfit(mesh, vertices, *seen, device=device)
+    dense, cloud = _seen(recording, frame, segmenter)
+    away = distance_to_mesh(cloud, vertices, mesh.faces) if len(cloud) else np.zeros(0)
+    return local_misfit(mesh, vertices, dense, cloud, away, device=device)
 
 
 def _seen(
-    mesh: ClothMesh,
-    vertices: Float[np.ndarray, "vertices 3"],
-    recording: Recording,
-    frame: int,
-    segmenter: Segmenter | None,
-) -> tuple[Observation, Float[np.ndarray, "points 3"], Float[np.ndarray, " points"]]:
-    """Return the dense cloud of a frame, the thinned one, and its distances from a mesh [m]."""
+    recording: Recording, frame: int, segmenter: Segmenter | None
+) -> tuple[Observation, Float[np.ndarray, "points 3"]]:
+    """Return the dense cloud of a frame, and the thinned one [m]."""
     dense = observe(recording, recording.frames[frame], segmenter, spacing_m=None)
-    cloud = thin(dense.points, _CLOUD_SPACING_M)
-    away = distance_to_mesh(cloud, vertices, mesh.faces) if len(cloud) else np.zeros(0)
-    return dense, cloud, away
+    return dense, thin(dense.points, _CLOUD_SPACING_M)
+
+
+def mesh_evidence(
+    mesh: ClothMesh,
+    label: Label,
+    dense: Observation,
+    cloud: Float[np.ndarray, "points 3"],
+    *,
+    travelled_m: float,
+    action: int,
+    device: str = "cpu",
+) -> LabelEvidence:
+    """Hold one mesh against what was seen.
+
+    Args:
+        mesh: the first mesh; its edges are the rest lengths.
+        label: the mesh.
+        dense: the cloud of its frame, and where the cameras were blind.
+        cloud: the same cloud thinned [m].
+        travelled_m: mean way of the vertices until here [m].
+        action: number of the action, from 1.
+        device: "cpu" or "cuda:0", for visibility.
+    """
+    away = distance_to_mesh(cloud, label.vertices, mesh.faces) if len(cloud) else np.zeros(0)
+    seen = visible_vertices(label.vertices, mesh.faces, dense.cameras, device=device)
+    judged = seen & ~dense.unobservable(label.vertices)
+    return LabelEvidence(
+        silhouette_gap=silhouette_gap(mesh, label.vertices, dense, device=device),
+        cloud_gap_m=float(away.mean()) if len(away) else float("nan"),
+        mesh_gap_m=_far_quantile(cloud, label.vertices[judged]),
+        edge_strain_p95=_edge_strain_p95(mesh, label.vertices),
+        crossing_rate=1e3 * crossings(label.vertices, mesh.faces) / len(mesh.edges),
+        final_shift_m=mean_distance(label.vertices, label.before),
+        travelled_m=travelled_m,
+        share_hidden=float(1.0 - seen.mean()),
+        action=action,
+        misfit=local_misfit(mesh, label.vertices, dense, cloud, away, device=device),
+    )
 
 
 def _far_quantile(
@@ -193,5 +215,6 @@ def _edge_strain_p95(mesh: ClothMesh, vertices: Float[np.ndarray, "vertices 3"])
     return float(np.percentile(np.abs(lengths / mesh.edge_lengths - 1.0), 95))
 
 
-def _mean_distance(a: Float[np.ndarray, "points 3"], b: Float[np.ndarray, "points 3"]) -> float:
+def mean_distance(a: Float[np.ndarray, "points 3"], b: Float[np.ndarray, "points 3"]) -> float:
+    """Return the mean distance between the points of a pair [m]."""
     return float(np.linalg.norm(a - b, axis=1).mean())

@@ -8,13 +8,11 @@ import numpy as np
 
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings import pictures
-from clothtrack.recordings.recording import Frame
+from clothtrack.recordings.recording import FARTHEST_MEDIAN_M, NEAREST_MEDIAN_M, Frame
 from clothtrack.recordings.violation import Violations, shown
 
 PictureKind = Literal["color", "depth", "mask"]
 PICTURE_KINDS: tuple[PictureKind, ...] = ("color", "depth", "mask")
-# No cloth is recorded from nearer or from farther [m]; a wrong unit is off by a factor of ten.
-NEAREST_MEDIAN_M, FARTHEST_MEDIAN_M = 0.05, 20.0
 
 FileKind = Literal["color", "depth", "mask", "cloud"]
 _FILE_KINDS: tuple[FileKind, ...] = (*PICTURE_KINDS, "cloud")

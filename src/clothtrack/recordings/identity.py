@@ -3,6 +3,9 @@
 import hashlib
 import json
 
+import numpy as np
+
+from clothtrack.files.array_digest import array_digest
 from clothtrack.files.atomic_write import content_hash, storage
 from clothtrack.recordings.frame_files import PICTURE_KINDS
 from clothtrack.recordings.picker_table import PICKER_FILE
@@ -12,16 +15,22 @@ from clothtrack.recordings.violation import DOCUMENT
 DIGEST_FIELD = "recording_sha256"
 """Where the provenance of a result has the digest of its recording."""
 
+_PLAIN = ("kind", "color", "size_m", "grasp_uncertainty_m")
+"""What is known of a cloth in words and numbers."""
+
 
 def recording_digest(recording: Recording) -> str:
     """Return the SHA-256 over the content of every file that a recording is read from.
 
     The document, the pickers' paths, the template and all pictures and clouds. Where the folder
-    lies does not count, and neither do its other files.
+    lies does not count, and neither do its other files. Of a recording in memory the same is
+    counted, array by array.
 
     Raises:
         StorageError: a file cannot be read.
     """
+    if recording.in_memory:
+        return _digest_in_memory(recording)
     folder = recording.folder
     with storage(folder / DOCUMENT):
         cloth = json.loads((folder / DOCUMENT).read_bytes()).get("cloth", {})
@@ -36,3 +45,25 @@ def recording_digest(recording: Recording) -> str:
         f"{content_hash(path)}  {path.relative_to(folder).as_posix()}\n" for path in files
     )
     return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def _digest_in_memory(recording: Recording) -> str:
+    """Return the SHA-256 over all that a recording in memory holds."""
+    cloth, table, template = recording.cloth, recording.table, recording.cloth.template
+    lines = [f"{name} {value}" for name, value in vars(cloth).items() if name in _PLAIN]
+    lines += [f"{action}" for action in recording.actions]
+    arrays = [] if table is None else [table.point, table.normal]
+    if template is not None:
+        arrays += [template.vertices, template.faces]
+        arrays += [] if template.canonical is None else [template.canonical]
+    arrays += [np.asarray(held) for held in cloth.held_vertices.values()]
+    for camera in recording.cameras:
+        lines.append(f"{camera.name} {camera.width} {camera.height}")
+        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        arrays += [lens, camera.world_from_camera]
+    for path in recording.picker_paths.values():
+        arrays += [path.time_s, path.positions, path.closed]
+    arrays.append(np.array([frame.time_s for frame in recording.frames]))
+    for frame in recording.frames:
+        arrays += [shown for kind in PICTURE_KINDS for shown in getattr(frame, kind).values()]
+    return hashlib.sha256("\n".join([*lines, *map(array_digest, arrays)]).encode()).hexdigest()

@@ -102,22 +102,25 @@ def _as_dict(finding: Finding) -> dict[str, object]:
     return content
 
 
-def inspect(folder: Path | str, *, suggest: Path | None = None) -> Inspection:
+def inspect(folder: Recording | Path | str, *, suggest: Path | None = None) -> Inspection:
     """Look through a recording: every picture is decoded, and its geometry held against them.
 
     Args:
-        folder: with a recording.json.
+        folder: with a recording.json; or a recording that was read, or made of arrays.
         suggest: folder of a copy with what is doubtful corrected, where that can be computed.
 
     Raises:
         InvalidRecordingError: nothing that was found can be corrected.
         StorageError: the copy cannot be written.
     """
-    folder = Path(folder)
-    checked = check_recording(folder, thorough=True)
-    recording = checked.recording
-    if recording is None:
-        return Inspection(folder, {}, (), checked.violations)
+    if isinstance(folder, Recording):
+        recording, folder = folder, folder.folder
+    else:
+        folder = Path(folder)
+        checked = check_recording(folder, thorough=True)
+        recording = checked.recording
+        if recording is None:
+            return Inspection(folder, {}, (), checked.violations)
     geometry = check_geometry(recording)
     notes = _notes(recording, cut_off=any(f.kind == "cloth_leaves_picture" for f in geometry))
     made = () if suggest is None else write_corrected(recording, geometry, suggest)

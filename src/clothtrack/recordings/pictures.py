@@ -1,5 +1,7 @@
 """Colour, depth, mask and cloud files: read whole or refused, never half a picture.
 
+What is in memory already is returned as it is: whoever reads a frame need not know where it lies.
+
 OpenCV 4 decodes a PNG that breaks off in the middle and leaves the rest black, which would be a
 silent hole in the cloth. So every file is walked chunk by chunk first.
 """
@@ -63,33 +65,44 @@ def read_header(path: Path) -> PngHeader:
     return parse_header(path, start, end)
 
 
-def read_color(path: Path | str) -> UInt8[np.ndarray, "height width 3"]:
+def read_color(
+    picture: Path | str | UInt8[np.ndarray, "height width 3"],
+) -> UInt8[np.ndarray, "height width 3"]:
     """Return the colour picture, red first.
+
+    Args:
+        picture: an 8-bit PNG, or the picture itself, which is returned as it is.
 
     Raises:
         InvalidRecordingError: the file is missing, damaged or not an 8-bit PNG.
     """
-    path = Path(path)
+    if isinstance(picture, np.ndarray):
+        return picture
+    path = Path(picture)
     header, data = _read_png(path)
     if header.bits > 8:
         raise InvalidRecordingError(
             f"{path}: a colour picture of {header.bits} bits per channel; write 8 bits"
         )
-    picture = _decode(path, data, cv2.IMREAD_COLOR)
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, dst=picture)
+    decoded = _decode(path, data, cv2.IMREAD_COLOR)
+    return cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded)
 
 
-def read_depth(path: Path | str, unit_m: float) -> Float[np.ndarray, "height width"]:
+def read_depth(
+    picture: Path | str | Float[np.ndarray, "height width"], unit_m: float
+) -> Float[np.ndarray, "height width"]:
     """Return the depth along the optical axis [m], float32; 0 where nothing was measured.
 
     Args:
-        path: a 16-bit grey PNG.
+        picture: a 16-bit grey PNG, or the depth itself [m], which is returned as it is.
         unit_m: metres per unit of the file (0.001 for millimetres).
 
     Raises:
         InvalidRecordingError: the file is missing, damaged or not a 16-bit grey PNG.
     """
-    path = Path(path)
+    if isinstance(picture, np.ndarray):
+        return picture
+    path = Path(picture)
     header, data = _read_png(path)
     if (header.bits, header.color_type) != (16, GREY):
         raise InvalidRecordingError(
@@ -99,13 +112,20 @@ def read_depth(path: Path | str, unit_m: float) -> Float[np.ndarray, "height wid
     return np.multiply(counts, np.float32(unit_m), dtype=np.float32)
 
 
-def read_mask(path: Path) -> Bool[np.ndarray, "height width"]:
+def read_mask(
+    picture: Path | Bool[np.ndarray, "height width"],
+) -> Bool[np.ndarray, "height width"]:
     """Return the mask of the cloth: true where the picture is not black.
+
+    Args:
+        picture: a grey PNG, or the mask itself, which is returned as it is.
 
     Raises:
         InvalidRecordingError: the file is missing, damaged or not a grey PNG of at most 8 bits.
     """
-    path = Path(path)
+    if isinstance(picture, np.ndarray):
+        return picture
+    path = Path(picture)
     header, data = _read_png(path)
     if header.bits > 8 or header.color_type != GREY:
         raise InvalidRecordingError(
@@ -115,12 +135,20 @@ def read_mask(path: Path) -> Bool[np.ndarray, "height width"]:
     return _decode(path, data, cv2.IMREAD_UNCHANGED) > 0
 
 
-def read_cloud(path: Path) -> Float[np.ndarray, "points 3"]:
+def read_cloud(
+    cloud: Path | Float[np.ndarray, "points 3"],
+) -> Float[np.ndarray, "points 3"]:
     """Point cloud of one moment, world frame [m], from the array `points` of an npz file.
+
+    Args:
+        cloud: the file, or the points themselves, which are returned as they are.
 
     Raises:
         InvalidRecordingError: the file is missing, damaged, or `points` is not (N, 3) and finite.
     """
+    if isinstance(cloud, np.ndarray):
+        return cloud
+    path = cloud
     try:
         with path.open("rb") as data, np.load(data, allow_pickle=False) as arrays:
             points = np.asarray(arrays["points"])

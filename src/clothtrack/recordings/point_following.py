@@ -75,8 +75,6 @@ class PointFollower:
             segmenter: finds the cloth; the recording's masks, colour or height by default.
         """
         self._recording, self._segmenter = recording, segmenter
-        self._starts = {action.first_frame for action in recording.actions}
-        self._ends = {action.last_frame for action in recording.actions}
         numbers = itertools.count()
         self._followers = {camera.name: _Follower(camera, numbers) for camera in recording.cameras}
         self._found: list[FollowedPoints] = []
@@ -105,8 +103,11 @@ class PointFollower:
 
     def _follow(self, frame: Frame, views: Sequence[CameraView]) -> None:
         """Follow the points to the next frame."""
-        choose = frame.index in self._starts
-        look = choose or frame.index in self._ends or frame.index % _LOOK_AGAIN == 0
+        # Asked anew for every frame: the actions of a live recording grow.
+        actions = self._recording.actions
+        choose = any(frame.index == action.first_frame for action in actions)
+        ends = any(frame.index == action.last_frame for action in actions)
+        look = choose or ends or frame.index % _LOOK_AGAIN == 0
         parts = [
             self._followers[view.camera.name].follow(
                 _Picture.of(view, view.color), choose=choose, look=look

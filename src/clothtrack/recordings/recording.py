@@ -1,14 +1,36 @@
-"""A recording in memory: cameras, frames, actions and the picker's path; pictures stay on disk."""
+"""A recording: cameras, frames, actions and the picker's path; pictures stay where they are.
 
-from collections.abc import Mapping
+That is on disk, or in memory where a program hands them over as arrays.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
+
+NEAREST_MEDIAN_M, FARTHEST_MEDIAN_M = 0.05, 20.0
+"""No cloth is recorded from nearer or from farther [m]; a wrong unit is off by a factor of ten."""
+
+WRITTEN_UNIT_M = 1e-4
+"""Unit in which depth that is in memory is written to 16-bit files [m]: up to 6.5 m."""
+
+_TYPES = {
+    "depth": (np.floating, "give float meters, millimeters times 0.001"),
+    "color": (np.uint8, "give uint8, red first"),
+    "mask": (np.bool_, "give bool, True on the cloth"),
+}
+"""Of what type a picture in memory must be, and what to do about another one."""
+
+_CLOSE_S = 1e-3
+# Seconds since 1970 have seven decimals in double precision.
+_SAME_S = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,23 +66,66 @@ def not_up(normal: Float[np.ndarray, " 3"]) -> str:
 
 @dataclass(frozen=True)
 class Frame:
-    """One moment: when it was and which files show it. Paths are absolute.
+    """One moment: when it was and what shows it: files, or pictures in memory. Paths are absolute.
+
+    `recordings.pictures` reads both.
 
     Attributes:
         index: number of the frame in the recording, from 0.
         time_s: time since the start [s].
         color: colour picture per camera name.
-        depth: depth picture per camera name.
+        depth: depth picture per camera name; in memory in meters.
         mask: mask of the cloth per camera name, when the recording has one.
         cloud: point cloud of the whole moment, when the recording has one.
     """
 
     index: int
     time_s: float
-    color: Mapping[str, Path] = field(default_factory=dict)
-    depth: Mapping[str, Path] = field(default_factory=dict)
-    mask: Mapping[str, Path] = field(default_factory=dict)
-    cloud: Path | None = None
+    color: Mapping[str, Path | UInt8[np.ndarray, "_ _ 3"]] = field(default_factory=dict)
+    depth: Mapping[str, Path | Float32[np.ndarray, "_ _"]] = field(default_factory=dict)
+    mask: Mapping[str, Path | Bool[np.ndarray, "_ _"]] = field(default_factory=dict)
+    cloud: Path | Float[np.ndarray, "_ 3"] | None = None
+
+    @classmethod
+    def of_arrays(
+        cls,
+        index: int,
+        time_s: float,
+        camera: Camera,
+        *,
+        depth: np.ndarray,
+        color: np.ndarray | None = None,
+        mask: np.ndarray | None = None,
+    ) -> "Frame":
+        """Return a frame that one camera shows, its pictures in memory.
+
+        Args:
+            index: number of the frame.
+            time_s: time since the start [s].
+            camera: the camera of all pictures.
+            depth: (height, width) float, along the optical axis [m]; what is not positive and
+                finite was not measured. It is copied.
+            color: (height, width, 3) uint8, red first.
+            mask: (height, width) bool, where the cloth is.
+
+        Raises:
+            InvalidRecordingError: a picture has another size or type, or depth is in no meters.
+        """
+        name, given = camera.name, {"depth": depth, "color": color, "mask": mask}
+        shown = {kind: np.asarray(one) for kind, one in given.items() if one is not None}
+        for kind, picture in shown.items():
+            shape = (camera.height, camera.width, *((3,) if kind == "color" else ()))
+            if picture.shape != shape:
+                raise InvalidRecordingError(
+                    f"frame {index}: {kind} has shape {picture.shape}, and camera {name!r} has "
+                    f"{camera.width} x {camera.height} pixels: give {shape}, or correct the camera"
+                )
+            types, right = _TYPES[kind]
+            if not np.issubdtype(picture.dtype, types):
+                raise InvalidRecordingError(f"frame {index}: {kind} is {picture.dtype}; {right}")
+        known = np.nan_to_num(shown["depth"], nan=0.0, posinf=0.0, neginf=0.0)
+        shown["depth"] = np.maximum(known, 0.0, dtype=np.float32)
+        return cls(index, float(time_s), **{kind: {name: one} for kind, one in shown.items()})
 
 
 @dataclass(frozen=True)
@@ -70,6 +135,45 @@ class PickAndPlace:
     first_frame: int
     last_frame: int
     pickers: tuple[str, ...]
+
+
+def actions_of(
+    paths: "Mapping[str, PickerPath]", frame_times: Sequence[float]
+) -> tuple[list[PickAndPlace], int]:
+    """Return the actions in which a picker is closed, and how many closures give none.
+
+    An action begins with the last frame before a picker closes and ends with the first frame after
+    it has opened. Pickers that are closed together share an action; an action needs two frames and
+    a path that covers them.
+    """
+    times = np.asarray(frame_times)
+    spans: list[tuple[int, int, set[str]]] = []
+    left_out = 0
+    for name, path in paths.items():
+        first_known = int(np.searchsorted(times, path.time_s[0] - _CLOSE_S))
+        last_known = int(np.searchsorted(times, path.time_s[-1] + _CLOSE_S, side="right")) - 1
+        for start, stop in path.closures():
+            first = max(int(np.searchsorted(times, start + _SAME_S, side="right")) - 1, first_known)
+            last = min(int(np.searchsorted(times, stop - _SAME_S)), last_known)
+            if last <= first:
+                left_out += 1
+                continue
+            spans.append((first, last, {name}))
+    merged: list[tuple[int, int, set[str]]] = []
+    for first, last, names in sorted(spans, key=lambda span: span[:2]):
+        if merged and first < merged[-1][1]:
+            before, end, others = merged[-1]
+            merged[-1] = (before, max(end, last), others | names)
+        else:
+            merged.append((first, last, names))
+    actions = []
+    for first, last, names in merged:
+        covering = [name for name in sorted(names) if paths[name].covers(times[first], times[last])]
+        if covering:
+            actions.append(PickAndPlace(first, last, tuple(covering)))
+        else:
+            left_out += 1
+    return actions, left_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +198,19 @@ class PickerPath:
         """Return whether the picker is closed at this time."""
         sample = int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1
         return bool(self.closed[max(sample, 0)])
+
+    def closures(self) -> list[tuple[float, float]]:
+        """Return when the picker closed and when it had opened again [s]."""
+        change = np.diff(np.concatenate([[0], self.closed.astype(np.int8), [0]]))
+        opened = np.append(self.time_s, self.time_s[-1])
+        starts, stops = np.flatnonzero(change > 0), np.flatnonzero(change < 0)
+        return [
+            (float(self.time_s[a]), float(opened[b])) for a, b in zip(starts, stops, strict=True)
+        ]
+
+    def covers(self, start_s: float, stop_s: float) -> bool:
+        """Return whether the path is known between two times [s]."""
+        return bool(self.time_s[0] <= start_s + _CLOSE_S and self.time_s[-1] >= stop_s - _CLOSE_S)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,10 +253,10 @@ class Recording:
     """A recording in the format of docs/data_format.md, read and validated.
 
     Attributes:
-        folder: where it lies.
+        folder: where it lies; its name alone, if it is in memory.
         cameras: every camera, in the file's order.
         depth_units_m: metres per unit of the 16-bit depth pictures, per camera name.
-        frames: in order of time.
+        frames: in order of time; those of a live recording grow, and so do its actions.
         actions: pick-and-places, in order, not overlapping.
         picker_paths: path per picker name.
         table: the table, or None when the cloth hangs.
@@ -151,8 +268,8 @@ class Recording:
     folder: Path
     cameras: tuple[Camera, ...]
     depth_units_m: Mapping[str, float]
-    frames: tuple[Frame, ...]
-    actions: tuple[PickAndPlace, ...]
+    frames: Sequence[Frame]
+    actions: Sequence[PickAndPlace]
     picker_paths: Mapping[str, PickerPath]
     table: Table | None = None
     cloth: ClothDescription = field(default_factory=ClothDescription)
@@ -163,3 +280,129 @@ class Recording:
     def name(self) -> str:
         """The folder's name."""
         return self.folder.name
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether its pictures are arrays, and no folder has them."""
+        return any(isinstance(each, np.ndarray) for each in self.frames[0].depth.values())
+
+    @classmethod
+    def from_arrays(
+        cls,
+        depth: Sequence[np.ndarray] | np.ndarray,
+        color: Sequence[np.ndarray] | np.ndarray | None,
+        times_s: Sequence[float] | np.ndarray,
+        camera: Camera,
+        *,
+        picker: PickerPath | Mapping[str, PickerPath] | None = None,
+        cloth: ClothDescription | None = None,
+        actions: Sequence[PickAndPlace | tuple[int, int]] | None = None,
+        mask: Sequence[np.ndarray] | np.ndarray | None = None,
+        table: Table | None = None,
+        name: str = "recording",
+    ) -> "Recording":
+        """Return a recording of one camera from arrays, as a sensor's driver hands them over.
+
+        Whatever takes a recording takes it; `recordings.write_recording` writes it to a folder.
+
+        Args:
+            depth: one picture per frame, (frames, height, width) float, along the optical axis [m];
+                0 where nothing was measured.
+            color: one picture per frame, (frames, height, width, 3) uint8, red first; None without
+                color.
+            times_s: when each frame was taken [s], strictly increasing.
+            camera: intrinsics, and the pose in the world.
+            picker: the path of the tip in the world, by name where there are several.
+            cloth: what is known of the cloth; a color, a mask or the table tells where it is.
+            actions: first and last frame of each pick-and-place; by default from the last frame
+                before a picker closes to the first one after it has opened.
+            mask: where the cloth is, one picture per frame, (frames, height, width) bool.
+            table: the plane that the cloth lies on; None when it hangs.
+            name: of the recording, and of what is tracked from it.
+
+        Raises:
+            InvalidRecordingError: arrays that do not belong together, depth in another unit, or an
+                action that no picker makes.
+        """
+        times = np.asarray(times_s, np.float64)
+        streams = {"depth": depth, "color": color, "mask": mask}
+        for kind, pictures in streams.items():
+            if pictures is not None and len(pictures) != len(times):
+                raise InvalidRecordingError(
+                    f"{name}: {len(pictures)} pictures of {kind} for {len(times)} times; give one "
+                    "of each frame"
+                )
+        wrong = np.flatnonzero(~(np.diff(times, prepend=-np.inf) > 0) | ~np.isfinite(times))
+        if not len(times) or len(wrong):
+            raise InvalidRecordingError(
+                f"{name}: times_s[{wrong[0]}] is {times[wrong[0]]}, not after the frame before; "
+                "give seconds in order" if len(wrong) else f"{name}: there is no frame"
+            )  # fmt: skip
+        frames = tuple(
+            Frame.of_arrays(
+                index, time, camera, depth=depth[index],
+                color=None if color is None else color[index],
+                mask=None if mask is None else mask[index],
+            )
+            for index, time in enumerate(times.tolist())
+        )  # fmt: skip
+        _require_meters(name, frames[0].depth[camera.name])
+        paths = {"picker": picker} if isinstance(picker, PickerPath) else dict(picker or {})
+        return cls(
+            folder=Path(name),
+            cameras=(camera,),
+            depth_units_m={camera.name: WRITTEN_UNIT_M},
+            frames=frames,
+            actions=_checked_actions(name, actions, paths, times),
+            picker_paths=paths,
+            table=table,
+            cloth=cloth or ClothDescription(),
+        )
+
+
+def _require_meters(name: str, depth_m: Float32[np.ndarray, "_ _"]) -> None:
+    """Refuse depth that can be in no meters.
+
+    Raises:
+        InvalidRecordingError: with the median.
+    """
+    measured = depth_m[depth_m > 0]
+    if not measured.size:
+        raise InvalidRecordingError(f"{name}: the first depth picture is 0 everywhere")
+    median = float(np.median(measured))
+    if not NEAREST_MEDIAN_M <= median <= FARTHEST_MEDIAN_M:
+        raise InvalidRecordingError(
+            f"{name}: the median of the first depth picture is {median:.3g} m (plausible: "
+            f"{NEAREST_MEDIAN_M} to {FARTHEST_MEDIAN_M} m); give meters, millimeters times 0.001"
+        )
+
+
+def _checked_actions(
+    name: str, actions: Any, paths: Mapping[str, PickerPath], times: Float[np.ndarray, " frames"]
+) -> tuple[PickAndPlace, ...]:
+    """Return the actions that were given, or those of the closures.
+
+    Raises:
+        InvalidRecordingError: frames that do not exist or follow each other, or no picker's path.
+    """
+    if actions is None:
+        return tuple(actions_of(paths, times.tolist())[0])
+    checked: list[PickAndPlace] = []
+    for each in actions:
+        one = each if isinstance(each, PickAndPlace) else PickAndPlace(*each, tuple(paths))
+        start = checked[-1].last_frame if checked else 0
+        if not start <= one.first_frame < one.last_frame < len(times):
+            raise InvalidRecordingError(
+                f"{name}: an action lasts from frame {one.first_frame} to {one.last_frame}; frames "
+                f"run from {start} to {len(times) - 1}, and an action takes at least two"
+            )
+        for picker in one.pickers or ("picker",):
+            path = paths.get(picker)
+            if path is None or not path.covers(times[one.first_frame], times[one.last_frame]):
+                raise InvalidRecordingError(
+                    f"{name}: the path of picker {picker!r} does not cover the action from frame "
+                    f"{one.first_frame} to {one.last_frame}; give all of its path, on the clock "
+                    "of the frames"
+                )
+        checked.append(one)
+    return tuple(checked)

@@ -289,9 +289,9 @@ class HeightSegmenter:
 
 @dataclass(frozen=True)
 class MaskFolder:
-    """The cloth is what somebody marked: one mask file per camera name."""
+    """The cloth is what somebody marked: one mask, or its file, per camera name."""
 
-    files: Mapping[str, Path]
+    files: Mapping[str, Path | Bool[np.ndarray, "height width"]]
 
     def __call__(
         self,
@@ -307,8 +307,8 @@ class MaskFolder:
         """
         if camera.name not in self.files:
             raise InvalidRecordingError(f"camera {camera.name!r} has no mask; add its file")
-        path = self.files[camera.name]
-        mask = read_mask(path)
+        file = self.files[camera.name]
+        mask, path = read_mask(file), file if isinstance(file, Path) else camera.name
         if mask.shape != depth_m.shape:
             raise InvalidRecordingError(
                 f"{path}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels and the depth "

@@ -10,14 +10,10 @@ import numpy as np
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.colors import NAMED_COLORS
-from clothtrack.recordings.frame_files import (
-    FARTHEST_MEDIAN_M,
-    check_pictures,
-    find_frames,
-    named_file,
-)
+from clothtrack.recordings.frame_files import check_pictures, find_frames, named_file
 from clothtrack.recordings.picker_table import PICKER_FILE, read_picker_paths
 from clothtrack.recordings.recording import (
+    FARTHEST_MEDIAN_M,
     ClothDescription,
     Frame,
     ObservedRegion,

@@ -13,24 +13,41 @@ Read it beside the paper (arXiv 2302.09502, Sec. III-B). Every function is hande
     TTO2                           align_last
 
 Nothing here can see the truth: the inputs are a recording and the cloth at its first frame.
+`clothtrack.live` calls the same steps while the recording grows.
 """
 
-from itertools import pairwise
+from dataclasses import dataclass
 
-from clothtrack.recordings.point_cloud import Observation
-from clothtrack.recordings.recording import PickAndPlace, Recording
+from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
 from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.tracking.protocols import (
     Candidate,
     Corrected,
     Correction,
     Dynamics,
+    Grasps,
     Method,
     State,
     TrackedCandidate,
 )
-from clothtrack.tracking.recorder import Recorder
+from clothtrack.tracking.recorder import CandidateNotes, Recorder
 from clothtrack.tracking.theta import Theta
+from clothtrack.tracking.tracked_trajectory import Calibration
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """How far an action has been tracked.
+
+    Attributes:
+        state: the cloth now, x_t.
+        moved_at: the frame into which the mesh was last moved.
+        frame: the frame that was tracked last.
+    """
+
+    state: State
+    moved_at: Frame
+    frame: Frame
 
 
 def track(
@@ -46,17 +63,47 @@ def track(
         recorder: keeps the chosen candidate of each action.
     """
     for action in recording.actions:  # Algorithm 1, line 2
-        first, last = recording.frames[action.first_frame], recording.frames[action.last_frame]
-        method.anchor(state, method.observe(first))  # not in the paper
+        begin_action(recording.frames[action.first_frame], state, method)
         search = method.calibrate(action, state, theta)
         for candidate in search:  # Sec. III-B.1; the paper's yields one
             search.tell(
                 track_action(recording, action, state, candidate, method=method, recorder=recorder)
             )
-        best, state, calibration = search.result()
-        theta, held = best.candidate.theta, best.candidate.grasps.closed_at(last.time_s)
-        state, losses = method.align_last(state, theta, method.observe(last), held)  # TTO2
-        recorder.keep(best, state, losses, calibration)
+        theta, state = end_action(recording, *search.result(), method=method, recorder=recorder)
+
+
+def begin_action(first: Frame, state: State, method: Method) -> None:
+    """Bind what is seen of the cloth where an action begins."""
+    method.anchor(state, method.observe(first))  # not in the paper
+
+
+def end_action(
+    recording: Recording,
+    best: TrackedCandidate,
+    state: State,
+    calibration: Calibration,
+    *,
+    method: Method,
+    recorder: Recorder,
+) -> tuple[Theta, State]:
+    """Align the cloth once more where an action ends: line 9.
+
+    Args:
+        recording: frames with their times.
+        best: the candidate that is kept.
+        state: the cloth at the last frame.
+        calibration: how the candidate was found.
+        method: TTO2.
+        recorder: keeps it.
+
+    Returns:
+        Parameters and state that the next action starts from.
+    """
+    last = recording.frames[best.action.last_frame]
+    theta, held = best.candidate.theta, best.candidate.grasps.closed_at(last.time_s)
+    state, losses = method.align_last(state, theta, method.observe(last), held)  # TTO2
+    recorder.keep(best, state, losses, calibration)
+    return theta, state
 
 
 def track_action(
@@ -79,33 +126,54 @@ def track_action(
         recorder: notes what happens at every frame.
     """
     notes, dyn = recorder.begin(action, candidate), method.dynamics(candidate.theta)
-    tracked_at = recording.frames[action.first_frame]  # where the state was last moved
-    for before, frame in pairwise(recording.frames[action.first_frame : action.last_frame + 1]):
-        picker_action = candidate.grasps.action(before.time_s, frame.time_s)
-        if method.at_rest(picker_action, tracked_at, frame):  # not in the paper
-            notes.rest(frame, state)
-            continue
-        corrected, correction = _track_frame(
-            dyn, state, picker_action, method.observe(frame), method
-        )
-        notes.step(frame, correction, corrected)
-        state, tracked_at = corrected.state, frame
-    return notes.finished(state)
+    first, *frames = recording.frames[action.first_frame : action.last_frame + 1]
+    tracked = Tracked(state, first, first)
+    for frame in frames:
+        tracked = track_frame(dyn, tracked, candidate.grasps, frame, method=method, notes=notes)
+    return notes.finished(tracked.state)
 
 
-def _track_frame(
-    dyn: Dynamics, state: State, picker_action: PickerAction, seen: Observation, method: Method
+def track_frame(
+    dyn: Dynamics,
+    tracked: Tracked,
+    grasps: Grasps,
+    frame: Frame,
+    *,
+    method: Method,
+    notes: CandidateNotes,
+) -> Tracked:
+    """Track the cloth into the next frame of an action, or leave it where it lies still.
+
+    Args:
+        dyn: the dynamics with the candidate's parameters.
+        tracked: the cloth at the frame before.
+        grasps: what the pickers hold, and where they take it.
+        frame: the next frame.
+        method: the functions that the algorithm is made of.
+        notes: what happens is noted there.
+    """
+    picker_action = grasps.action(tracked.frame.time_s, frame.time_s)
+    if method.at_rest(picker_action, tracked.moved_at, frame):  # not in the paper
+        notes.rest(frame, tracked.state)
+        return Tracked(tracked.state, tracked.moved_at, frame)
+    corrected, correction = _corrected(dyn, tracked.state, picker_action, frame, method)
+    notes.step(frame, correction, corrected)
+    return Tracked(corrected.state, frame, frame)
+
+
+def _corrected(
+    dyn: Dynamics, state: State, picker_action: PickerAction, frame: Frame, method: Method
 ) -> tuple[Corrected, Correction | None]:
-    """Track the cloth from one frame to the next.
+    """Predict, align, and roll out with the correction.
 
     Args:
         dyn: the dynamics with the candidate's parameters.
         state: the cloth before, x_t.
         picker_action: what the pickers do in between, a_t.
-        seen: the cloud after, P_{t+1}.
+        frame: the frame after, which shows P_{t+1}.
         method: TTO1 and the line search.
     """
     predicted = dyn.predict(state, picker_action)  # x'_{t+1} = dyn(x_t, a_t)
-    correction = method.align(predicted, seen)  # TTO1, Sec. III-B.2
+    correction = method.align(predicted, method.observe(frame))  # TTO1, Sec. III-B.2
     # x_{t+1} = dyn(x_t, a_t, a~_t), Sec. III-B.3
     return method.line_search(dyn, state, picker_action, predicted, correction), correction

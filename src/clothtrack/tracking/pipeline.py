@@ -34,7 +34,7 @@ from clothtrack.recordings.point_following import PointFollower
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.recordings.store import read_recording
-from clothtrack.tracking.configuration import RunConfig
+from clothtrack.tracking.configuration import InitialStateConfig, RunConfig
 from clothtrack.tracking.initial_state import InitialState, find_initial_state
 from clothtrack.tracking.methods import Assembled, Components
 from clothtrack.tracking.protocols import Method, Watch
@@ -84,6 +84,7 @@ def observer(
     *,
     color: bool = False,
     look: Look | None = None,
+    kept: int = _CLOUDS_KEPT,
 ) -> Callable[[Frame], Observation]:
     """Return the clouds of a recording, those of the latest frames kept.
 
@@ -96,10 +97,11 @@ def observer(
         segmenter: finds the cloth in a picture; the recording's masks or colours by default.
         color: follow points of the cloth in the pictures, too.
         look: is shown the pictures of every frame that is looked at.
+        kept: clouds of so many frames stay in memory.
     """
     follower = PointFollower(recording, segmenter) if color else None
 
-    @lru_cache(maxsize=_CLOUDS_KEPT)
+    @lru_cache(maxsize=kept)
     def seen(frame_index: int) -> Observation:
         frame = recording.frames[frame_index]
         looks = follower is not None and not follower.knows(frame)
@@ -162,16 +164,10 @@ def track_recording(
     )  # fmt: skip
     if progress is not None:
         progress(f"{recording.name}: first mesh", 0, 0)
-    first = find_initial_state(
-        recording,
-        cloud(recording.frames[0]),
-        config.initial_state,
-        segmenter=segmenter,
-        device=device,
-    )
-    gap_m = _first_gap_m(first, cloud(recording.frames[0]), device)
-    if not force and gap_m is not None and gap_m > LARGEST_GAP_M:
-        raise _far_first_mesh(recording, first, gap_m)
+    first, gap_m = checked_initial_state(
+        recording, cloud(recording.frames[0]), config.initial_state, segmenter=segmenter,
+        device=device, force=force,
+    )  # fmt: skip
     tracker = Tracker(
         recording, first.mesh, config, cloud, start=first.positions, assemble=assemble,
         device=device,
@@ -195,6 +191,36 @@ def track_recording(
     frames = ObservedFrames(recording, cloud if as_usual else None, reducer)
     verdict = judge(tracked, recording, segmenter=segmenter, device=device, frames=frames)
     return replace(tracked, verdict_fields=verdict)
+
+
+def checked_initial_state(
+    recording: Recording,
+    observation: Observation,
+    config: InitialStateConfig,
+    *,
+    segmenter: Segmenter | None = None,
+    device: str = "cpu",
+    force: bool = False,
+) -> tuple[InitialState, float | None]:
+    """Return the cloth that tracking starts from, and how far from its cloud it lies (rms) [m].
+
+    Args:
+        recording: as for `find_initial_state`.
+        observation: likewise.
+        config: likewise.
+        segmenter: likewise.
+        device: likewise.
+        force: take a mesh that lies beside its cloud, too.
+
+    Raises:
+        InvalidRecordingError: the mesh lies beside its cloud, and `force` is not set; and as for
+            `find_initial_state`.
+    """
+    first = find_initial_state(recording, observation, config, segmenter=segmenter, device=device)
+    gap_m = _first_gap_m(first, observation, device)
+    if not force and gap_m is not None and gap_m > LARGEST_GAP_M:
+        raise _far_first_mesh(recording, first, gap_m)
+    return first, gap_m
 
 
 def _refuse_wrong_clock(recording: Recording) -> None:

@@ -63,10 +63,9 @@ class Recorder:
         """
         self._recording, self._mesh, self._visible = recording, mesh, visible
         self._progress, self._expected, self._begun = progress, candidates, 0
-        self._positions = np.repeat(
-            np.asarray(state.positions, np.float32), len(recording.frames), axis=0
-        )
-        self._records = StepRecords.empty(len(recording.frames))
+        self._positions = np.asarray(state.positions, np.float32)
+        self._records = StepRecords.empty(0)
+        self._reach(len(recording.frames))
         self._actions: list[TrackedAction] = []
         self._watch, self._clocks = watch, Clocks()
         self._show(recording.frames[0], self._positions[0])
@@ -105,6 +104,14 @@ class Recorder:
             most * sum(spans),
         )
 
+    def _reach(self, count: int) -> None:
+        """Make room for so many frames: a live recording grows. The mesh stays where it is."""
+        missing = count - len(self._positions)
+        rest = np.repeat(self._positions[-1:], missing, axis=0)
+        self._positions = np.concatenate([self._positions, rest])
+        known, self._records = self._records, StepRecords.empty(count)
+        self._records.adopt(known, slice(0, len(known.trials)))
+
     def keep(
         self,
         best: TrackedCandidate,
@@ -123,6 +130,7 @@ class Recorder:
         action = best.action
         within = slice(action.first_frame + 1, action.last_frame + 1)
         end = np.asarray(state.positions[0], np.float32)
+        self._reach(len(self._recording.frames))
         self._positions[within] = best.positions
         self._positions[action.last_frame :] = end
         self._show(self._recording.frames[action.last_frame], end)
@@ -144,6 +152,7 @@ class Recorder:
     def trajectory(self) -> TrackedTrajectory:
         """Return everything that was kept."""
         frames = self._recording.frames
+        self._reach(len(frames))
         return TrackedTrajectory(
             name=self._recording.name,
             mesh=self._mesh,
@@ -168,9 +177,9 @@ class CandidateNotes:
         tell: Callable[[PickAndPlace, Frame, Float[np.ndarray, "vertices 3"]], None],
     ) -> None:
         """Begin with empty records; `tell` is called with every frame and its mesh."""
-        self._action, self._candidate = action, candidate
+        self._recording, self._action, self._candidate = recording, action, candidate
         self._clocks, self._tell = clocks, tell
-        self._records = StepRecords.empty(len(recording.frames))
+        self._steps: list[tuple[int, dict[str, float | bool]]] = []
         self._positions: list[np.ndarray] = []
         clocks.reset()
 
@@ -181,19 +190,33 @@ class CandidateNotes:
         corrected: Corrected,
     ) -> None:
         """Note what happened at one frame."""
-        records, at, clocks = self._records, frame.index, self._clocks
-        records.predict_s[at] = clocks.predict_s
-        records.highest_speed[at] = corrected.prediction.highest_speed.max()
+        clocks = self._clocks
+        step: dict[str, float | bool] = {
+            "predict_s": clocks.predict_s,
+            "highest_speed": float(corrected.prediction.highest_speed.max()),
+        }
         if correction is not None:
-            records.align_s[at] = clocks.align_s
-            records.correct_s[at] = clocks.correct_s
-            records.loss_before[at], records.loss_after[at] = correction.losses
-            records.trials[at] = corrected.trials
-            records.correction_scale[at] = corrected.scale
-            records.gave_up[at] = corrected.gave_up
+            step |= {
+                "align_s": clocks.align_s,
+                "correct_s": clocks.correct_s,
+                "loss_before": correction.losses[0],
+                "loss_after": correction.losses[1],
+                "trials": corrected.trials,
+                "correction_scale": corrected.scale,
+                "gave_up": corrected.gave_up,
+            }
+        self._steps.append((frame.index, step))
         clocks.reset()
         self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
         self._tell(self._action, frame, self._positions[-1])
+
+    def spent_s(self, frame: Frame) -> dict[str, float]:
+        """Return the CPU time of each part of a frame [s], by its name; empty where it rests."""
+        if not self._steps or self._steps[-1][0] != frame.index:
+            return {}
+        step = self._steps[-1][1]
+        names = {"predict_s": "predict", "align_s": "align", "correct_s": "correct"}
+        return {short: float(step[name]) for name, short in names.items() if name in step}
 
     def rest(self, frame: Frame, state: State) -> None:
         """Note that the mesh stays as it is at one frame."""
@@ -203,8 +226,12 @@ class CandidateNotes:
 
     def finished(self, state: State) -> TrackedCandidate:
         """Return the tracked candidate with the state that it ends with."""
+        records = StepRecords.empty(len(self._recording.frames))
+        for at, step in self._steps:
+            for name, value in step.items():
+                getattr(records, name)[at] = value
         return TrackedCandidate(
-            self._action, self._candidate, np.stack(self._positions), state, self._records
+            self._action, self._candidate, np.stack(self._positions), state, records
         )
 
 
@@ -242,11 +269,12 @@ class Clocks:
     def _timed(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(call)
         def timed(*arguments: Any) -> Any:
-            start = time.process_time()
+            # Of this thread: another one may look at the next picture meanwhile.
+            start = time.thread_time()
             try:
                 return call(*arguments)
             finally:
-                setattr(self, name, getattr(self, name) + time.process_time() - start)
+                setattr(self, name, getattr(self, name) + time.thread_time() - start)
 
         return timed
 

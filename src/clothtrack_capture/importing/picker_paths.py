@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.recordings.picker_table import COLUMNS, read_picker_paths
-from clothtrack.recordings.recording import PickAndPlace, PickerPath
+from clothtrack.recordings.recording import PickAndPlace, PickerPath, actions_of
 from clothtrack.recordings.store import RecordingWriter
 from clothtrack_capture.importing.source import Streams
 
@@ -25,9 +25,6 @@ _NAMES = {
     "closed": ("closed", "gripper_closed", "grasped"),
 }
 _LARGEST_FILE = 256 * 2**20
-_CLOSE_S = 1e-3
-# Seconds since 1970 have seven decimals in double precision.
-_SAME_S = 1e-6
 
 
 @runtime_checkable
@@ -230,47 +227,6 @@ def _on_recording_clock(
     return moved
 
 
-def actions_of(
-    paths: Mapping[str, PickerPath], frame_times: Sequence[float]
-) -> tuple[list[PickAndPlace], int]:
-    """Return the actions in which a picker is closed, and how many closures give none.
-
-    An action begins with the last frame before a picker closes and ends with the first frame after
-    it has opened. Pickers that are closed together share an action; an action needs two frames and
-    a path that covers them.
-    """
-    times = np.asarray(frame_times)
-    spans: list[tuple[int, int, set[str]]] = []
-    left_out = 0
-    for name, path in paths.items():
-        first_known = int(np.searchsorted(times, path.time_s[0] - _CLOSE_S))
-        last_known = int(np.searchsorted(times, path.time_s[-1] + _CLOSE_S, side="right")) - 1
-        for start, stop in _closures(path):
-            first = max(int(np.searchsorted(times, start + _SAME_S, side="right")) - 1, first_known)
-            last = min(int(np.searchsorted(times, stop - _SAME_S)), last_known)
-            if last <= first:
-                left_out += 1
-                continue
-            spans.append((first, last, {name}))
-    merged: list[tuple[int, int, set[str]]] = []
-    for first, last, names in sorted(spans, key=lambda span: span[:2]):
-        if merged and first < merged[-1][1]:
-            before, end, others = merged[-1]
-            merged[-1] = (before, max(end, last), others | names)
-        else:
-            merged.append((first, last, names))
-    actions = []
-    for first, last, names in merged:
-        covering = [
-            name for name in sorted(names) if _covers(paths[name], times[first], times[last])
-        ]
-        if covering:
-            actions.append(PickAndPlace(first, last, tuple(covering)))
-        else:
-            left_out += 1
-    return actions, left_out
-
-
 def actions_in_words(
     words: Sequence[str], frames: int, pickers: Sequence[str]
 ) -> list[PickAndPlace]:
@@ -299,18 +255,6 @@ def actions_in_words(
             "--actions without a picker's path: give --picker-csv, --picker-topic or --picker-frame"
         )
     return actions
-
-
-def _closures(path: PickerPath) -> list[tuple[float, float]]:
-    """Return when the picker closed and when it had opened again [s]."""
-    change = np.diff(np.concatenate([[0], path.closed.astype(np.int8), [0]]))
-    opened = np.append(path.time_s, path.time_s[-1])
-    starts, stops = np.flatnonzero(change > 0), np.flatnonzero(change < 0)
-    return [(float(path.time_s[a]), float(opened[b])) for a, b in zip(starts, stops, strict=True)]
-
-
-def _covers(path: PickerPath, start_s: float, stop_s: float) -> bool:
-    return bool(path.time_s[0] <= start_s + _CLOSE_S and path.time_s[-1] >= stop_s - _CLOSE_S)
 
 
 def _moved(path: PickerPath, pose: Float[np.ndarray, "4 4"]) -> PickerPath:

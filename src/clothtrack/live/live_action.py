@@ -1,0 +1,174 @@
+"""One action while it happens."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clothtrack.live.growing_recording import GrowingRecording
+from clothtrack.recordings.recording import Frame, PickAndPlace
+from clothtrack.simulation.picker_action import PickerAction
+from clothtrack.tracking.algorithm import Tracked, begin_action, end_action, track_frame
+from clothtrack.tracking.methods import Components
+from clothtrack.tracking.picking import HeldCloth
+from clothtrack.tracking.protocols import Candidate, Method, State
+from clothtrack.tracking.recorder import Recorder
+from clothtrack.tracking.theta import Theta
+from clothtrack.tracking.tracked_trajectory import Calibration
+
+SETTLE_S = 0.2
+"""An action ends with the first picture that is so much later than the first one in which no picker
+is closed any more [s]."""
+
+
+LONGEST_GAP_S = 0.2
+"""The dynamics are rolled for so long over dropped pictures, at most [s]. Where they cannot keep up
+with the camera, a longer gap would take longer still, and the next one longer than that."""
+
+
+@dataclass(frozen=True, eq=False)
+class HurriedCloth(HeldCloth):
+    """The same grasps over a gap of dropped pictures: all of the path, in less time."""
+
+    def action(self, start_s: float, end_s: float) -> PickerAction:
+        """Return what the closed pickers do between two times [s], sooner."""
+        action = super().action(start_s, end_s)
+        share = min(1.0, LONGEST_GAP_S / action.duration_s)
+        return replace(action, duration_s=share * action.duration_s, speed=action.speed / share)
+
+
+class LiveAction:
+    """Tracks an action that is under way; the latest of its recording.
+
+    Attributes:
+        state: the cloth now.
+        tracked_frame: the last frame that was tracked.
+    """
+
+    def __init__(
+        self,
+        growing: GrowingRecording,
+        components: Components,
+        method: Method,
+        recorder: Recorder,
+        *,
+        state: State,
+        theta: Theta,
+        first: Frame,
+        by_gripper: bool,
+    ) -> None:
+        """Begin with a frame in which the cloth lies still.
+
+        Args:
+            growing: what is recorded; the action has been added to it.
+            components: what finds the grasp.
+            method: the functions of Algorithm 1.
+            recorder: keeps what was tracked.
+            state: the cloth at the first frame.
+            theta: its parameters.
+            first: the first frame.
+            by_gripper: it ends when the pickers have opened.
+        """
+        begin_action(first, state, method)
+        self._growing, self._components = growing, components
+        self._method, self._recorder = method, recorder
+        self._first, self._start, self._theta = first, state, theta
+        self._by_gripper, self._opened_s = by_gripper, np.inf
+        self._held, self._closed = HeldCloth((), np.zeros(3)), set[str]()
+        self._place = len(growing.recording.actions) - 1
+        action = growing.recording.actions[self._place]
+        self._notes = recorder.begin(action, Candidate(theta, self._held))
+        self._dyn = method.dynamics(theta)
+        self._tracked = Tracked(state, first, first)
+
+    @property
+    def state(self) -> State:
+        """The cloth now."""
+        return self._tracked.state
+
+    @property
+    def first_frame(self) -> int:
+        """Number of the first frame."""
+        return self._first.index
+
+    @property
+    def tracked_frame(self) -> Frame:
+        """The last frame that was tracked."""
+        return self._tracked.frame
+
+    @property
+    def held(self) -> dict[str, tuple[int, ...]]:
+        """The vertices that each picker holds or has held, by its name."""
+        return self._held.held_vertices
+
+    def spent_s(self, frame: Frame) -> dict[str, float]:
+        """Return the CPU time of each part of a frame [s], by its name."""
+        return self._notes.spent_s(frame)
+
+    def grasp(self, frame: Frame, closed: set[str]) -> None:
+        """Find what pickers hold that have closed, from where the cloth lay at the beginning."""
+        if closed <= self._closed:
+            return
+        self._closed |= closed
+        action = self._growing.change_action(self._place, pickers=self._closed)
+        span = PickAndPlace(self._first.index, frame.index, action.pickers)
+        self._held = self._components.pick(span, self._start, self._theta)
+
+    def step(self, frame: Frame) -> None:
+        """Track the cloth into the next frame.
+
+        Raises:
+            InvalidRecordingError: no cloth is found in it.
+        """
+        grasps = self._grasps()
+        if frame.index > self._tracked.frame.index + 1:
+            grasps = HurriedCloth(grasps.grasps, grasps.offset)
+        self._tracked = track_frame(
+            self._dyn, self._tracked, grasps, frame, method=self._method, notes=self._notes
+        )
+
+    def stay(self, frame: Frame) -> None:
+        """Leave the mesh as it is in a frame that shows nothing."""
+        self._notes.rest(frame, self.state)
+
+    def is_over(self, frame: Frame, closed: set[str]) -> bool:
+        """Return whether the cloth has had time to settle since the pickers have opened."""
+        if self._by_gripper and not closed:
+            self._opened_s = min(self._opened_s, frame.time_s)
+        return frame.time_s - self._opened_s >= SETTLE_S - 1e-6
+
+    def let_go(self) -> bool:
+        """Return whether the pickers have opened."""
+        return bool(np.isfinite(self._opened_s))
+
+    def announce_last(self, frame: int | None) -> None:
+        """Say that a frame is to be the last one, before it is looked at; None: none is yet."""
+        last = self.first_frame if frame is None else frame
+        self._growing.change_action(self._place, last_frame=last)
+
+    def end(self, last: Frame) -> tuple[Theta, State] | None:
+        """End with a frame that was tracked: TTO2.
+
+        Returns:
+            What the next action starts from; None where nothing has happened, and the action is
+            taken back.
+        """
+        count = last.index - self._first.index
+        if count == 0:
+            self._growing.drop_action(self._place)
+            return None
+        action = self._growing.change_action(self._place, last_frame=last.index)
+        tracked = self._notes.finished(self.state)
+        tracked = replace(
+            tracked, action=action, candidate=Candidate(self._theta, self._grasps()),
+            positions=tracked.positions[:count],
+        )  # fmt: skip
+        return end_action(
+            self._growing.recording, tracked, self.state, Calibration.none(),
+            method=self._method, recorder=self._recorder,
+        )  # fmt: skip
+
+    def _grasps(self) -> HeldCloth:
+        """Return what is held, with the paths as they are known now."""
+        paths = self._growing.recording.picker_paths
+        grasps = [replace(one, path=paths[one.picker]) for one in self._held.grasps]
+        return replace(self._held, grasps=tuple(grasps))

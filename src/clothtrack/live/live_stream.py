@@ -1,0 +1,198 @@
+"""Serve pictures as they come: the newest wins, what cannot be served is dropped."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import TracebackType
+
+import numpy as np
+
+from clothtrack.errors import InvalidConfigError
+from clothtrack.live.live_state import LiveState
+from clothtrack.live.live_tracker import LiveTracker, Picker
+
+STALL_S = 0.2
+"""Camera or picker that sends nothing for so long has stalled [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Arrival:
+    """A picture that waits, and when it came."""
+
+    time_s: float
+    depth: np.ndarray
+    color: np.ndarray | None
+    mask: np.ndarray | None
+    picker: Picker | None
+    came_s: float
+
+
+class LiveStream:
+    """Feeds a tracker from a thread of its own, through a queue of one picture.
+
+    `put` returns at once. A picture that waits while a newer one comes is dropped, and the picker's
+    path over the gap is followed in the next step. Use it in a `with` block, or call `stop`.
+    """
+
+    def __init__(
+        self, tracker: LiveTracker, on_state: Callable[[LiveState], None] | None = None
+    ) -> None:
+        """Start the thread.
+
+        Args:
+            tracker: tracks; do not call it otherwise while the stream runs.
+            on_state: called in that thread after every picture, and when something stalls or comes
+                back.
+        """
+        self._tracker, self._on_state = tracker, on_state
+        self._change = threading.Condition()
+        self._waiting: _Arrival | None = None
+        self._missed: list[tuple[float, Picker | None]] = []
+        self._turns: list[Callable[[], None]] = []
+        self._state: LiveState | None = None
+        self._error: BaseException | None = None
+        self._stopped = self._busy = False
+        self._camera_s = time.monotonic()
+        self._picker_s: dict[str, float] = {}
+        self._stalled: tuple[str, ...] = ()
+        self._thread = threading.Thread(target=self._serve, name="clothtrack-live", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> "LiveStream":
+        """Return the stream."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop; serve what waits, unless the block raised."""
+        if kind is None:
+            self.stop()
+        else:
+            self._halt(serve=False)
+
+    @property
+    def state(self) -> LiveState | None:
+        """The newest state; None before the first picture was served."""
+        return self._state
+
+    def put(
+        self,
+        time_s: float,
+        depth: np.ndarray,
+        color: np.ndarray | None = None,
+        mask: np.ndarray | None = None,
+        picker: Picker | None = None,
+    ) -> None:
+        """Hand a picture over, as to `LiveTracker.update`; arrays may be used again afterwards.
+
+        Raises:
+            Exception: what went wrong with an earlier picture.
+        """
+        now_s = time.monotonic()
+        copies = [None if one is None else np.array(one) for one in (color, mask)]
+        arrival = _Arrival(time_s, np.array(depth), *copies, picker, now_s)
+        with self._change:
+            self._raise_if_over()
+            if self._waiting is not None:
+                self._missed.append((self._waiting.time_s, self._waiting.picker))
+            self._waiting, self._camera_s = arrival, now_s
+            self._picker_s |= dict.fromkeys(picker or {}, now_s)
+            self._change.notify_all()
+
+    def begin_action(self) -> None:
+        """Let an action begin with the next picture that is served."""
+        with self._change:
+            self._turns.append(self._tracker.begin_action)
+
+    def end_action(self) -> None:
+        """Let the action that is under way end with the next picture that is served."""
+        with self._change:
+            self._turns.append(self._tracker.end_action)
+
+    def wait(self) -> None:
+        """Wait until no picture waits or is being served.
+
+        Raises:
+            Exception: what went wrong with a picture.
+        """
+        with self._change:
+            while (self._waiting is not None or self._busy) and self._error is None:
+                self._change.wait(timeout=0.05)
+            if self._error is not None:
+                raise self._error
+
+    def stop(self) -> LiveState | None:
+        """Serve the picture that waits, end the thread, and return the last state.
+
+        Raises:
+            Exception: what went wrong with a picture.
+        """
+        self._halt(serve=True)
+        if self._error is not None:
+            raise self._error
+        return self._state
+
+    def _halt(self, *, serve: bool) -> None:
+        with self._change:
+            self._stopped = True
+            if not serve:
+                self._waiting = None
+            self._change.notify_all()
+        self._thread.join()
+
+    def _raise_if_over(self) -> None:
+        if self._error is not None:
+            raise self._error
+        if self._stopped:
+            raise InvalidConfigError("the stream has stopped; make another one")
+
+    def _serve(self) -> None:
+        try:
+            while self._serve_next():
+                pass
+        except BaseException as error:  # noqa: BLE001
+            # It belongs to whoever hands pictures over, and is raised there.
+            self._error = error
+
+    def _serve_next(self) -> bool:
+        """Serve one picture, or say what has stalled; return whether to go on."""
+        with self._change:
+            if self._waiting is None and not self._stopped:
+                self._change.wait(timeout=0.25 * STALL_S)
+            arrival, self._waiting = self._waiting, None
+            missed, self._missed = self._missed, []
+            turns, self._turns = (self._turns, []) if arrival else ([], self._turns)
+            stopped, stalled = self._stopped, self._find_stalled()
+            self._busy = arrival is not None
+        for time_s, picker in missed:
+            self._tracker.drop(time_s, picker)
+        for turn in turns:
+            turn()
+        if arrival is not None:
+            state = self._tracker.update(
+                arrival.time_s, arrival.depth, arrival.color, arrival.mask, arrival.picker
+            )
+            self._tell(replace(state, latency_s=time.monotonic() - arrival.came_s), stalled)
+            with self._change:
+                self._busy = False
+                self._change.notify_all()
+        elif self._state is not None and stalled != self._stalled:
+            self._tell(self._state, stalled)
+        return arrival is not None or not stopped
+
+    def _find_stalled(self) -> tuple[str, ...]:
+        """Return what has sent nothing for a while."""
+        since_s = {"camera": self._camera_s, **self._picker_s}
+        late_s = time.monotonic() - STALL_S
+        return tuple(name for name, seen_s in since_s.items() if seen_s < late_s)
+
+    def _tell(self, state: LiveState, stalled: tuple[str, ...]) -> None:
+        self._stalled = stalled
+        self._state = replace(state, stalled=stalled)
+        if self._on_state is not None:
+            self._on_state(self._state)
