@@ -258,9 +258,9 @@ def left_behind(
         segmenter: finds the cloth in a picture; the recording's own way by default.
         device: "cpu" or "cuda:0", for the outlines.
     """
-    begun = [action.first_frame for action in tracked.actions[1:]]
+    ends = [*(action.first_frame for action in tracked.actions), len(recording.frames) - 1][1:]
     found = []
-    for label, end in zip(labels_of(tracked), [*begun, len(recording.frames) - 1], strict=True):
+    for label, end in zip(labels_of(tracked), ends, strict=True):
         if end - label.frame < _FEWEST_FRAMES_AFTER:
             continue
         try:
