@@ -1,7 +1,6 @@
 """A camera that is pushed during the film: the table in its depth moves, or the whole picture."""
 
 import numpy as np
-import scipy.fft
 from jaxtyping import Bool, Float
 
 from clothtrack.recordings.geometry_checks.change_maps import color_edges, filling, height_edges
@@ -122,8 +121,8 @@ def _step_correlations(
     total, scales = 0.0, 0.0
     for each in maps:
         centered = np.float32(each - each.mean(axis=(1, 2), keepdims=True))
-        waves, size = scipy.fft.rfft2(centered), centered.shape[1:]
-        products = scipy.fft.irfft2(waves[1:] * waves[:-1].conj(), s=size)
+        waves, size = np.fft.rfft2(centered), centered.shape[1:]
+        products = np.fft.irfft2(waves[1:] * waves[:-1].conj(), s=size)
         strength = np.sqrt((centered**2).sum(axis=(1, 2)))
         usual = max(float(np.mean(strength**2)), 1e-12)
         total = total + products / usual
