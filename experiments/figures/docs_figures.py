@@ -3,7 +3,7 @@
     make demo
     .venv/bin/python experiments docs_figures --tracked out/demo/fold_the_tshirt.zarr
 
-writes docs/images/demo.png, the README's; another recording with `--recording` and `--image`.
+writes demo.png; another recording with `--recording`, another file with `--image`.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tracked", type=Path, required=True)
     parser.add_argument("--recording", type=Path, default=shipped_recording())
-    parser.add_argument("--image", type=Path, default=Path("docs/images/demo.png"))
+    parser.add_argument("--image", type=Path, default=Path("demo.png"))
     arguments = parser.parse_args()
     quiet_warp()
     image = draw(arguments.tracked, arguments.recording, arguments.image)
