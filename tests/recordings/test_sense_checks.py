@@ -203,6 +203,7 @@ WRONG = {
     "early": (lambda s: with_depth_of(s, NUMBERS + 3), "stream_delay",
         put_right.StreamDelay("color", 3)),
     "stuck": (lambda s: with_depth_of(s, np.minimum(NUMBERS, 10)), "depth_stuck", None),
+    "stuck mask": (lambda s: with_mask(s, lambda _, m: s.mask[0]), "mask_stuck", None),
     "order": (lambda s: in_order(s, EXCHANGED), "frame_order", None),
     "small": (lambda s: with_mask(s, lambda _, m: grown(m, -4)), "mask_small", None),
     "large": (lambda s: with_mask(s, lambda _, m: grown(m, 4)), "mask_large", None),

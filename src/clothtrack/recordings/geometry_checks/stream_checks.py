@@ -123,6 +123,9 @@ def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -
     streams = [("depth", pictures.same_depth, changes.color)]
     if changes.color is not None:
         streams.append(("color", pictures.same_color, changes.height_m))
+    if pictures.mask is not None:
+        repeated = (pictures.mask[1:] == pictures.mask[:-1]).all(axis=(1, 2))
+        streams.append(("mask", np.append(False, repeated), None))
     for name, same, other in streams:
         speed = np.zeros(len(same))
         if other is not None:
@@ -130,7 +133,8 @@ def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -
         for begin, end in _runs(same):
             moved = speed[begin:end].mean() >= _STUCK_SPEED if other is not None else False
             # Pictures without noise repeat whenever nothing moves, closed picker or not.
-            noisy = same.sum() - (end - begin) <= _MOST_SAME * len(same)
+            # A mask has no noise, but changes where a closed picker moves the cloth.
+            noisy = name == "mask" or same.sum() - (end - begin) <= _MOST_SAME * len(same)
             carried = noisy and carried_m[begin:end].sum() >= _LEAST_CARRIED_M
             if end - begin < _STUCK_FRAMES - 1 or not (moved or carried):
                 continue
