@@ -42,6 +42,9 @@ _MOST_SAME = 0.02
 _LEAST_CARRIED_M = 0.03
 """A closed tip that goes so far [m] moves cloth in the pictures."""
 
+_MASK_SHARE = 0.8
+"""Share of the way of the closed tips during which a mask without noise must stay the same."""
+
 _CLEARLY = 1.25
 """Two frames are exchanged where that brings them so many times nearer to their neighbors. On a
 right film of two folds chance alone does it for 16 % of the frames without a margin."""
@@ -133,9 +136,12 @@ def _stuck(recording: Recording, pictures: SmallPictures, changes: ChangeMaps) -
         for begin, end in _runs(same):
             moved = speed[begin:end].mean() >= _STUCK_SPEED if other is not None else False
             # Pictures without noise repeat whenever nothing moves, closed picker or not.
-            # A mask has no noise, but changes where a closed picker moves the cloth.
-            noisy = name == "mask" or same.sum() - (end - begin) <= _MOST_SAME * len(same)
-            carried = noisy and carried_m[begin:end].sum() >= _LEAST_CARRIED_M
+            noisy = same.sum() - (end - begin) <= _MOST_SAME * len(same)
+            gone_m = carried_m[begin:end].sum()
+            carried = noisy and gone_m >= _LEAST_CARRIED_M
+            if name == "mask":
+                # Where it changes at times, the picker's clock may be wrong, and not the mask.
+                carried = gone_m >= max(_LEAST_CARRIED_M, _MASK_SHARE * carried_m.sum())
             if end - begin < _STUCK_FRAMES - 1 or not (moved or carried):
                 continue
             first, last = pictures.frames[begin - 1], pictures.frames[end - 1]
