@@ -24,6 +24,7 @@ from clothtrack.files.provenance import made_with
 from clothtrack.files.worker_pool import require_workers
 from clothtrack.recordings.camera_view import CameraView, camera_views
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry
+from clothtrack.recordings.geometry_checks.camera_checks import unit_findings
 from clothtrack.recordings.geometry_checks.clock_checks import time_findings
 from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.mesh_gap import LARGEST_GAP_M, mesh_gap_m
@@ -154,7 +155,7 @@ def track_recording(
                 f"Algorithm 1 has no part {name!r}; there are {', '.join(_PARTS)}"
             )
     if not force:
-        _refuse_wrong_clock(recording)
+        _refuse_wrong_units(recording)
     clock = time.process_time()
     stamp = provenance(recording, config, device)
     reducer = PictureReducer(recording)
@@ -223,8 +224,11 @@ def checked_initial_state(
     return first, gap_m
 
 
-def _refuse_wrong_clock(recording: Recording) -> None:
-    """Refuse times in another unit than seconds: simulating a minute per frame would take hours."""
+def _refuse_wrong_units(recording: Recording) -> None:
+    """Refuse times in another unit than seconds, and depth in another than is stated.
+
+    Simulating a minute per frame takes hours, and so do the points of a cloth of four meters.
+    """
     for finding in time_findings(recording):
         if finding.kind == "clock_unit" and finding.correction is not None:
             raise InvalidRecordingError(
@@ -232,6 +236,10 @@ def _refuse_wrong_clock(recording: Recording) -> None:
                 f"{recording.folder} --suggest OUT writes a corrected copy, and --force tracks it "
                 "as it is"
             )
+    for finding in unit_findings(recording):
+        raise InvalidRecordingError(
+            f"{recording.folder}: stopped, {finding.text}; --force tracks it as it is"
+        )
 
 
 def _first_gap_m(first: InitialState, observation: Observation, device: str) -> float | None:

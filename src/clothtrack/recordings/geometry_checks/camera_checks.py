@@ -39,15 +39,28 @@ _Plane = tuple[Float[np.ndarray, " 3"], float]
 
 def camera_findings(recording: Recording) -> list[Finding]:
     """Cameras whose depth shows the table elsewhere than the recording says: at most one each."""
-    findings = []
+    findings = unit_findings(recording)
+    if findings:
+        return findings
     for place, camera in enumerate(recording.cameras):
         if recording.table is None or not any(camera.name in f.depth for f in recording.frames):
             continue
-        found = _wrong_unit(recording, camera, recording.table, place)
-        found = found or _coarse(recording, camera)
+        found = _coarse(recording, camera)
         found = found or _wrong_pose(recording, camera, recording.table, place)
         findings += [found] if found else []
     return findings
+
+
+def unit_findings(recording: Recording) -> list[Finding]:
+    """Cameras whose depth is a power of ten times that of the recorded table: at most one each."""
+    if recording.table is None:
+        return []
+    found = [
+        _wrong_unit(recording, camera, recording.table, place)
+        for place, camera in enumerate(recording.cameras)
+        if any(camera.name in frame.depth for frame in recording.frames)
+    ]
+    return [each for each in found if each is not None]
 
 
 def _coarse(recording: Recording, camera: Camera) -> Finding | None:
