@@ -160,6 +160,11 @@ def at_work() -> bool:
     return found.returncode == 0
 
 
+def hear_interrupts():
+    """What a shell starts in the background ignores Ctrl-C, and so would its children."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize("works", [False, True], ids=["Ray starts", "Ray works"])
 @pytest.mark.parametrize(
     "stop",
@@ -178,6 +183,7 @@ def test_a_command_that_is_stopped_takes_its_ray_along(
     with subprocess.Popen(
         [sys.executable, "-m", "clothtrack.cli", *words, str(out)],
         stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment,
+        preexec_fn=hear_interrupts,  # noqa: PLW1509
     ) as process:  # fmt: skip
         try:
             while not (out / LOCK_FILE).exists():

@@ -7,8 +7,8 @@ from clothtrack.geometry import closest_point
 from clothtrack.geometry.closest_point import (
     closest_on_mesh,
     closest_on_triangle,
-    distance_to_mesh,
 )
+from clothtrack.geometry.mesh_distance import distance_to_mesh
 
 
 def soup(rng, count):

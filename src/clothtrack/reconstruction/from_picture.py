@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from clothtrack.geometry.camera import Camera
-from clothtrack.geometry.closest_point import distance_to_mesh
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.mesh_distance import distance_to_mesh
 from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.reconstruction.trust import agreement_of, distrust
 from clothtrack.recordings.point_cloud import Observation, thin
