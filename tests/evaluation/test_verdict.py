@@ -20,9 +20,7 @@ from clothtrack.evaluation.verdict import (
 from clothtrack.garments import garment
 from clothtrack.geometry import Camera
 from clothtrack.reconstruction.agreement import Agreement
-from clothtrack.reconstruction.explanation import Explanation
 from clothtrack.reconstruction.from_picture import NetworkMesh, Reconstruction
-from clothtrack.reconstruction.search import Choice
 from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings.geometry_checks.finding import Finding
 
@@ -112,7 +110,7 @@ def test_a_verdict_is_the_same_after_json():
         assert str(again) == str(found)
 
 
-def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9, score=0.15):
+def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9):
     """The verdict of a mesh whose longer side is 0.4 m."""
     mesh = garment("towel", vertex_count=60, size_m=(0.4, 0.2))
     sure = np.full((2, 2), confidence, np.float32)
@@ -120,11 +118,7 @@ def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9, score=0.15):
     camera = Camera("top", 2, 2, 2.0, 2.0, 0.5, 0.5, np.eye(4))
     image = np.zeros((2, 2, 3), np.float32)
     made = Reconstruction(mesh, "template", camera, image, sure, nothing)
-    explained = Explanation(score, 0.0, 0.0, 0.0, 0.0)
-    result = NetworkMesh(
-        mesh, made, expected_error_m=share and 0.4 * share,
-        choices=(Choice("towel", (0.4, 0.2), 0.0, explained),),
-    )  # fmt: skip
+    result = NetworkMesh(mesh, made, expected_error_m=share and 0.4 * share)
     return picture_verdict(result, Agreement(iou, chamfer_m2))
 
 
@@ -133,7 +127,6 @@ MEASURES = {
     "visible surface": ("chamfer_m2", lambda value: 2.0 * value**2),
     "expected error over side": ("share", lambda value: value),
     "unsure correspondences": ("confidence", lambda value: 1.0 - value),
-    "unexplained": ("score", lambda value: value),
 }
 
 
