@@ -35,10 +35,11 @@ from shared.bench_measures import Row, finite
 from shared.figures import say, write_json, write_png
 from shared.learning_experiment import tiny_network
 from shared.learning_runs import kind_of
+from shared.verdict_words import of_each_word, told, trusted_without
 
 from clothtrack import __version__
 from clothtrack.errors import ClothTrackError, InvalidConfigError, InvalidRecordingError
-from clothtrack.evaluation.verdict import WORDS, picture_verdict
+from clothtrack.evaluation.verdict import picture_verdict
 from clothtrack.files import content_hash
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import ClothMesh, quiet_warp, two_way
@@ -137,8 +138,7 @@ def judged(entry: Entry, networks: Networks, keep: Path | None) -> Row:
             row |= {
                 "cloud_to_mesh_m": distance_from_picture(mesh, picture.depth),
                 "expected_error_m": made.expected_error_m,
-                "word": found.word,
-                "reason": found.reason,
+                **told(found),
             }
     except ClothTrackError as error:
         row["error"] = str(error)
@@ -211,7 +211,8 @@ def garments_summary(rows: Sequence[Row]) -> dict[str, object]:
         "rows": list(rows),
         "iou": _mean([row["iou"] for row in rows]),
         "chamfer_median_m2": float(np.median([_or_infinite(row["chamfer_m2"]) for row in rows])),
-        **_words(rows),
+        **of_each_word(rows),
+        **trusted_without(rows),
     }
 
 
@@ -227,16 +228,11 @@ def stickers_summary(rows: Sequence[Row]) -> dict[str, object]:
         "one_to_one_side": _mean(network),
         "within_0_1": _mean([apart < NEAR for apart in network]),
         "within_bounds": _mean(_pooled(rows, "sticker_bounded")),
-        **_words(rows),
+        **of_each_word(rows),
+        **trusted_without(rows),
         "control_one_to_one_side": _mean(control),
         "control_within_0_1": _mean([apart < NEAR for apart in control]),
     }
-
-
-def _words(rows: Sequence[Row]) -> dict[str, object]:
-    """How many rows of each word there are, and how many of these are right."""
-    of = {word: [row["right"] for row in rows if row["word"] == word] for word in WORDS}
-    return {f"{word}: right": f"{sum(right)} of {len(right)}" for word, right in of.items()}
 
 
 SUMMARIES = {GARMENTS: garments_summary, STICKERS: stickers_summary}

@@ -37,9 +37,10 @@ from shared.reconstruction_pictures import (
     mesh_picture,
 )
 from shared.table_column import table
+from shared.verdict_words import of_each_word, told, trusted_without
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.evaluation.verdict import WORDS, picture_verdict
+from clothtrack.evaluation.verdict import picture_verdict
 from clothtrack.files import atomic_file, content_hash
 from clothtrack.files.provenance import commit
 from clothtrack.geometry import ClothMesh, Rasteriser, closest_on_mesh, quiet_warp
@@ -174,7 +175,7 @@ class State:
         row["right"] = row["error_mm"] <= 1e3 * RIGHT * row["size_m"]
         agreement = agreement_of(result.mesh, self.picture)
         found = picture_verdict(result, agreement)
-        row |= {"word": found.word, "reason": found.reason}
+        row |= told(found)
         rows.append({**row, **figures_of(result, result.mesh, self.picture, agreement)})
         return result.mesh
 
@@ -275,22 +276,22 @@ def error_table(rows: Sequence[Row]) -> str:
 
 
 def trust_table(rows: Sequence[Row]) -> str:
-    """One line per network and kind: how many of each word, and how many of these are right."""
+    """One line per network and kind: how many of each word, and how many of these are right.
+
+    Under it, what would be trusted in all without each piece of evidence.
+    """
     good = [row for row in rows if "error" not in row]
-    lines = []
+    lines, without = [], []
     for network in dict.fromkeys(row["weights"] for row in good):
         own = [row for row in good if row["weights"] == network]
         kinds = list(dict.fromkeys(row["kind"] for row in own))
         for kind in [*kinds, *(["all"] if len(kinds) > 1 else [])]:
             some = [row for row in own if kind in (row["kind"], "all")]
-            words = [[row["right"] for row in some if row["word"] == word] for word in WORDS]
-            lines.append([
-                kind, Path(network).name, f"{sum(row['right'] for row in some)} of {len(some)}",
-                *(f"{sum(right)} of {len(right)}" for right in words),
-            ])  # fmt: skip
-    head = ["garment", "network", f"right (at most {100 * RIGHT:g} % off)",
-            *(f"{word}: right" for word in WORDS)]  # fmt: skip
-    return table(head, lines)
+            right = f"{sum(row['right'] for row in some)} of {len(some)}"
+            lines.append([kind, Path(network).name, right, *of_each_word(some).values()])
+        without += [f"- {key} {value}" for key, value in trusted_without(own).items()]
+    head = ["garment", "network", f"right (at most {100 * RIGHT:g} % off)", *of_each_word([])]
+    return "\n".join([table(head, lines), "", *without])
 
 
 def _state(row: Row) -> tuple[object, ...]:

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from shared.verdict_words import trusted_without
 from tables import network_on_states
 from tables.network_on_states import RIGHT, Sheet, State, errors_mm, trust_table
 
@@ -10,8 +11,9 @@ from clothtrack.garments import garment
 from clothtrack.reconstruction.data.state_store import StateShard
 
 
-def row(kind, word, share, weights="a.safetensors"):
-    return {"kind": kind, "weights": weights, "word": word, "right": share <= RIGHT}
+def row(kind, word, share, **evidence):
+    known = {"kind": kind, "weights": "a.safetensors", "word": word, "right": share <= RIGHT}
+    return known | {"evidence": evidence or {"silhouette": word, "surface": "trust"}}
 
 
 def test_the_trust_table_counts_what_is_right_by_kind_and_in_all():
@@ -19,10 +21,23 @@ def test_the_trust_table_counts_what_is_right_by_kind_and_in_all():
         row("towel", "trust", 0.01), row("towel", "trust", 0.04), row("towel", "look", 0.03),
         row("tshirt", "trust", 0.2), row("tshirt", "reject", 0.3), {"error": "no cloth"},
     ]  # fmt: skip
-    towel, shirt, both = (line.split(" | ") for line in trust_table(rows).splitlines()[2:])
+    lines = trust_table(rows).splitlines()[2:5]
+    towel, shirt, both = (line.split(" | ") for line in lines)
     assert [cell.strip(" |") for cell in towel[2:]] == ["3 of 3", "2 of 2", "1 of 1", "0 of 0"]
     assert [cell.strip(" |") for cell in shirt[2:]] == ["0 of 2", "0 of 1", "0 of 0", "0 of 1"]
     assert [cell.strip(" |") for cell in both[2:]] == ["3 of 5", "2 of 3", "1 of 1", "0 of 1"]
+
+
+def test_without_an_evidence_more_is_trusted():
+    rows = [
+        row("towel", "trust", 0.01), row("towel", "look", 0.2, silhouette="look", surface="trust"),
+        row("towel", "look", 0.02, silhouette="look", surface="look"),
+    ]  # fmt: skip
+    assert trusted_without(rows) == {
+        "trust without silhouette: right": "1 of 2",
+        "trust without surface: right": "1 of 1",
+    }
+    assert "- trust without silhouette: right 1 of 2" in trust_table(rows)
 
 
 def test_the_look_alike_of_a_towel_has_no_error():
