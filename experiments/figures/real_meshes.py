@@ -31,7 +31,7 @@ FROM_ABOVE_DEG = 75.0
 def drawn(row: dict[str, object], folder: Path) -> Picture:
     """One mesh with its name and the overlap of its silhouette; "no": it is not trusted."""
     name = str(row["picture"]).removeprefix("template_")
-    words = name, f"{row['iou']:.2f}{'' if row['trusted'] else ' no'}"
+    words = name, f"{row['iou']:.2f}{'' if row['word'] == 'trust' else ' no'}"
     file = folder / f"{row['picture']}.ply"
     if not file.exists():
         return line([blank("no mesh")], words)

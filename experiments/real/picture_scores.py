@@ -1,7 +1,7 @@
 """How near a mesh is to one real picture: its silhouette, and the stickers on its corners."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
@@ -18,23 +18,26 @@ def silhouette_iou(
     return float((drawn & shown).sum() / max((drawn | shown).sum(), 1))
 
 
-def assigned(stickers: Points, corners: Points) -> Float[np.ndarray, " stickers"]:
-    """Distance of each sticker to the corner that it is given: one to one, least in sum."""
+def assigned(
+    stickers: Points, corners: Points
+) -> tuple[Float[np.ndarray, " stickers"], Int[np.ndarray, " stickers"]]:
+    """Distance of each sticker to its corner, and which that is: one to one, least in sum."""
     apart = cdist(stickers, corners)
     rows, columns = linear_sum_assignment(apart)
-    return apart[rows, columns]
+    return apart[rows, columns], columns
 
 
-def sticker_places(mesh: ClothMesh) -> Float[np.ndarray, "4 3"]:
-    """Where the stickers on the corners of a towel are in the world [m]."""
+def at_stickers(
+    mesh: ClothMesh, values: Float[np.ndarray, "vertices n"]
+) -> Float[np.ndarray, "4 n"]:
+    """Values of the vertices of a towel where the stickers on its corners are."""
     flat = np.asarray(mesh.canonical, np.float64)
     low, high = flat.min(axis=0), flat.max(axis=0)
     inset = STICKER_INSET / np.sqrt(2.0) * (high - low).max()
     x, y = (np.array([low[axis] + inset, high[axis] - inset]) for axis in (0, 1))
     wanted = np.array([(a, b, 0.5 * (low[2] + high[2])) for a in x for b in y])
     face, weights = closest_on_mesh(wanted, flat, mesh.faces)
-    corners = mesh.vertices.astype(np.float64)[mesh.faces[face]]
-    return np.einsum("ij,ijk->ik", weights, corners)
+    return np.einsum("ij,ijk->ik", weights, values[mesh.faces[face]])
 
 
 def moved_in(rectangle: Float[np.ndarray, "4 2"], inset: float) -> Float[np.ndarray, "4 2"]:

@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from clothtrack.evaluation.label_evidence import LabelEvidence
@@ -12,10 +13,15 @@ from clothtrack.evaluation.verdict import (
     LIMITS,
     WORDS,
     Verdict,
-    reconstruction_verdict,
+    picture_verdict,
     trajectory_verdict,
     verdict,
 )
+from clothtrack.garments import garment
+from clothtrack.geometry import Camera
+from clothtrack.reconstruction.agreement import Agreement
+from clothtrack.reconstruction.from_picture import NetworkMesh, Reconstruction
+from clothtrack.reconstruction.seen_points import SeenPoints
 from clothtrack.recordings.geometry_checks.finding import Finding
 
 ERROR = LIMITS["expected error"]
@@ -104,10 +110,54 @@ def test_a_verdict_is_the_same_after_json():
         assert str(again) == str(found)
 
 
-def test_the_mesh_of_one_picture_has_the_limits_of_a_label():
-    assert reconstruction_verdict("", 1e-3 * TRUSTED_MM).word == "trust"
-    assert reconstruction_verdict("", 0.023).word == "reject"
-    found = reconstruction_verdict("it covers what was seen to 0.50 only", None)
-    assert str(found) == "look: it covers what was seen to 0.50 only"
-    assert found.remedy
-    assert reconstruction_verdict("", None).word == "trust"
+def picture(iou=0.97, chamfer_m2=2e-5, share=0.01, confidence=0.9):
+    """The verdict of a mesh whose longer side is 0.4 m."""
+    mesh = garment("towel", vertex_count=60, size_m=(0.4, 0.2))
+    sure = np.full((2, 2), confidence, np.float32)
+    nothing = SeenPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    camera = Camera("top", 2, 2, 2.0, 2.0, 0.5, 0.5, np.eye(4))
+    image = np.zeros((2, 2, 3), np.float32)
+    made = Reconstruction(mesh, "template", camera, image, sure, nothing)
+    result = NetworkMesh(mesh, made, expected_error_m=share and 0.4 * share)
+    return picture_verdict(result, Agreement(iou, chamfer_m2))
+
+
+MEASURES = {
+    "silhouette": ("iou", lambda value: 1.0 - value),
+    "visible surface": ("chamfer_m2", lambda value: 2.0 * value**2),
+    "expected error over side": ("share", lambda value: value),
+    "unsure correspondences": ("confidence", lambda value: 1.0 - value),
+}
+
+
+def test_the_mesh_of_one_picture_is_trusted_with_its_evidence():
+    found = picture()
+    assert str(found) == "trust: expected error 4.0 mm"
+    assert found.remedy == ""
+    assert {one.name for one in found.evidence} == set(MEASURES)
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_every_measure_of_a_picture_decides_and_names_the_limit_that_it_broke(name):
+    limit, (option, of) = LIMITS[name], MEASURES[name]
+    factor = 1e3 if limit.unit == "m" else 100.0
+    tried = [("trust", 0.98 * limit.look), ("look", 1.02 * limit.look)]
+    if limit.reject < math.inf:
+        tried += [("look", 0.98 * limit.reject), ("reject", 1.02 * limit.reject)]
+    for word, value in tried:
+        found = picture(**{option: of(value)})
+        assert found.word == word
+        if word != "trust":
+            said = {"look": f"trusted up to {factor * limit.look:g}"}
+            said |= {"reject": f"at most {factor * limit.reject:g}"}
+            assert said[word] in found.reason
+            assert found.remedy == limit.remedy
+
+
+def test_a_mesh_that_nobody_can_see_or_vouch_for_is_not_trusted():
+    found = picture(chamfer_m2=None)
+    assert str(found).startswith("reject: no part of the mesh is visible in the picture")
+    unknown = picture(share=None)
+    assert str(unknown) == "look: the network does not say how far off it may be"
+    again = Verdict.from_dict(json.loads(json.dumps(unknown.as_dict(), allow_nan=False)))
+    assert str(again) == str(unknown)

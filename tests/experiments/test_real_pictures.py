@@ -10,18 +10,19 @@ import cv2
 import numpy as np
 import pytest
 from real import drawn_topdown, real_pictures, topdown
-from real.picture_scores import assigned, moved_in, silhouette_iou, sticker_places
+from real.picture_scores import assigned, at_stickers, moved_in, silhouette_iou
 
 from clothtrack.garments import garment
 from clothtrack.reconstruction import NetworkMesh, Reconstruction
 from clothtrack.reconstruction.seen_points import SeenPoints
 
 REAL = os.environ.get("CLOTHTRACK_TOPDOWN_REAL")
+WORDS = ("trust: right", "look: right", "reject: right")
 KEYS = {
-    "garments": {"rows", "iou", "chamfer_median_m2", "trusted_share", "trusted_worst_m2"},
+    "garments": {"rows", "iou", "chamfer_median_m2", *WORDS},
     "stickers": {
-        "rows", "iou", "one_to_one_side", "within_0_1", "control_one_to_one_side",
-        "control_within_0_1",
+        "rows", "iou", "one_to_one_side", "within_0_1", "within_bounds",
+        "control_one_to_one_side", "control_within_0_1", *WORDS,
     },
 }  # fmt: skip
 
@@ -45,7 +46,10 @@ def told_the_truth(data, monkeypatch):
         seen = SeenPoints(points, points, np.ones(len(points)))
         image, sure = np.zeros((2, 2, 3), np.float32), np.ones((2, 2), np.float32)
         return NetworkMesh(
-            mesh, Reconstruction(mesh, "template", picture.camera, image, sure, seen)
+            mesh,
+            Reconstruction(mesh, "template", picture.camera, image, sure, seen),
+            expected_error_m=1e-3,
+            spread_m=np.full(mesh.vertex_count, 1e-3),
         )
 
     network = SimpleNamespace(mesh=truth)
@@ -73,17 +77,21 @@ def test_the_truth_has_no_error(data, told_the_truth, tmp_path):
     code, report = scored(data, tmp_path)
     assert code == 0
     for name, keys in KEYS.items():
-        assert set(report[name]) == keys
+        assert {key for key in report[name] if "without" not in key} == keys
+        assert len([key for key in report[name] if "without" in key]) == 4
         for row in report[name]["rows"]:
             assert row["iou"] > 0.95
             assert row["chamfer_m2"] < 2e-5
-            assert row["trusted"]
+            assert row["word"] == "trust"
+            assert row["right"]
     (tilted,) = report["garments"]["rows"]
     assert tilted["tilt_deg"] == pytest.approx(drawn_topdown.TILT_DEG, abs=0.1)
     assert tilted["table_source"] == "fitted"
     stickers = report["stickers"]
     assert stickers["one_to_one_side"] < 0.005
     assert stickers["within_0_1"] == 1.0
+    assert stickers["within_bounds"] == 1.0
+    assert stickers["trust: right"] == f"{len(stickers['rows'])} of {len(stickers['rows'])}"
     flat = stickers["rows"][0]
     # The control's corners are not moved in: a sticker's middle lies so far from the corner.
     assert flat["control_side"] == pytest.approx([topdown.STICKER_INSET] * 2, abs=0.006)
@@ -141,20 +149,22 @@ def test_a_picture_without_a_table_is_a_row_that_says_so(data, told_the_truth, t
     assert "no plane dominates" in row["error"]
     assert report["garments"]["iou"] == 0.0
     assert report["garments"]["chamfer_median_m2"] is None
-    assert report["garments"]["trusted_share"] == 0.0
+    assert report["garments"]["reject: right"] == "0 of 1"
 
 
 def test_stickers_are_given_to_corners_one_to_one():
     corners = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     # Both are nearest to the first corner; one must take the second.
     stickers = np.array([[1.0, 0.0], [4.0, 0.0]])
-    np.testing.assert_allclose(assigned(stickers, corners), [1.0, 6.0])
+    apart, corner = assigned(stickers, corners)
+    np.testing.assert_allclose(apart, [1.0, 6.0])
+    assert corner.tolist() == [0, 1]
 
 
 def test_places_of_stickers_lie_inside_the_corners():
     mesh = garment("towel", vertex_count=300, size_m=(0.3, 0.2))
     corners = np.array([(x, y, 0.0) for x in (-0.15, 0.15) for y in (-0.1, 0.1)])
-    apart = np.linalg.norm(sticker_places(mesh) - corners, axis=1)
+    apart = np.linalg.norm(at_stickers(mesh, mesh.vertices.astype(float)) - corners, axis=1)
     np.testing.assert_allclose(apart, 0.3 * topdown.STICKER_INSET, rtol=1e-4)
     rectangle = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0]])
     moved = moved_in(rectangle, 2.0)

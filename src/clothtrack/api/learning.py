@@ -383,7 +383,7 @@ def _reconstructed(
     if network.mesh is None:
         raise InvalidResultError(f"{named}: no mesh ({network.reconstruction.status})")
     asked = size_m is not None or template is not None
-    return ReconstructedMesh.of(network, replace(shown, kind=kind), named=named, asked=asked)
+    return ReconstructedMesh.of(network, replace(shown, kind=kind), asked=asked)
 
 
 def _depth_input(

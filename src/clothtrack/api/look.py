@@ -117,6 +117,7 @@ def _shown(
     truth: "Truth | Path | str | None",
 ) -> tuple[str, Callable[[Path], Path], Any]:
     """The name of one thing, what writes its page, and the decisions that it takes."""
+    from clothtrack.api.reconstructed_mesh import ReconstructedMesh
     from clothtrack.api.run import recording_of, truth_of
     from clothtrack.geometry.mesh import ClothMesh
     from clothtrack.recordings.mesh_file import read_vertex_errors
@@ -133,8 +134,11 @@ def _shown(
     if isinstance(artefact, ClothMesh):
         file = Path(thing) if isinstance(thing, Path | str) else None
         name = file.name if file else "mesh"
-        errors = read_vertex_errors(file) if file else None
-        return name, partial(write_mesh_page, artefact, name, expected_error_m=errors), None
+        errors, verdict = read_vertex_errors(file) if file else None, None
+        if isinstance(artefact, ReconstructedMesh):
+            errors, verdict = artefact.network.spread_m, artefact.verdict
+        write = partial(write_mesh_page, artefact, name, expected_error_m=errors, verdict=verdict)
+        return name, write, None
     source = recording_of(artefact, recordings if artefact is thing else None)
     known, review = truth_of(artefact, truth), review_of(artefact)
     write = partial(page.write_report, artefact, source, truth=known, review=review)

@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING, Any
 from clothtrack.geometry.mesh import ClothMesh
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float
+
     from clothtrack.evaluation.verdict import Verdict
+    from clothtrack.reconstruction.agreement import Agreement
     from clothtrack.reconstruction.depth_input import DepthInput
     from clothtrack.reconstruction.from_picture import NetworkMesh
 
@@ -20,56 +24,57 @@ class ReconstructedMesh(ClothMesh):
     Attributes:
         network: how it came about.
         picture: what it was made from, with its garment.
-        named: what messages call the picture.
         asked: whether the garment's size was given.
         path: where it was written; None when it was not.
     """
 
     network: "NetworkMesh" = None  # pyright: ignore[reportAssignmentType]
     picture: "DepthInput" = None  # pyright: ignore[reportAssignmentType]
-    named: str = ""
     asked: bool = False
     path: Path | None = None
 
     @classmethod
     def of(
-        cls, network: "NetworkMesh", picture: "DepthInput", *, named: str, asked: bool
+        cls, network: "NetworkMesh", picture: "DepthInput", *, asked: bool
     ) -> "ReconstructedMesh":
         """The mesh of a network's answer that has one."""
         mesh = network.mesh
         assert mesh is not None
         return cls(
             mesh.vertices, mesh.faces, mesh.canonical, network=network, picture=picture,
-            named=named, asked=asked,
+            asked=asked,
         )  # fmt: skip
 
     @cached_property
     def figures(self) -> dict[str, Any]:
-        """How well it fits the picture, its expected error, and whether to trust it."""
+        """How well it fits the picture, and its expected error."""
         from clothtrack.reconstruction.from_picture import figures_of
 
-        return figures_of(self.network, self, self.picture)
+        return figures_of(self.network, self, self.picture, self._agreement)
 
     @cached_property
     def verdict(self) -> "Verdict":
-        """Trust, look or reject, by the limits of a tracked label."""
-        from clothtrack.evaluation.verdict import reconstruction_verdict
+        """Trust, look or reject, with the evidence."""
+        from clothtrack.evaluation.verdict import picture_verdict
 
-        figures = self.figures
-        return reconstruction_verdict(figures["why_not"], figures["expected_error_m"])
+        return picture_verdict(self.network, self._agreement)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """Why not to trust it; nothing where it can be trusted."""
-        if self.verdict.word == "trust":
-            return ()
-        return (
-            f"{self.named}: do not trust this mesh ({self.verdict}). Is the garment, its size, its "
-            "mask or the depth's unit another?",
-        )
+    def vertex_bounds_m(self) -> "Float[np.ndarray, ' vertices'] | None":
+        """How far off each vertex is at most, in nine of ten cases [m].
+
+        None from a network that does not say how far off it may be.
+        """
+        return self.network.vertex_bounds_m
+
+    @cached_property
+    def _agreement(self) -> "Agreement":
+        from clothtrack.reconstruction.agreement import agreement_of
+
+        return agreement_of(self, self.picture)
 
     def text(self) -> str:
-        """Return one line: where it is, how well it fits, and what it was taken for."""
+        """Return where it is, how well it fits, what it was taken for, and what it deserves."""
         figures, network = self.figures, self.network
         summary = (
             f"{self.path or 'mesh'}   {self.vertex_count} vertices, "
@@ -84,13 +89,15 @@ class ReconstructedMesh(ClothMesh):
             summary += f", taken for {cut}{width:.2f} x {length:.2f} m"
         if network.scale != 1.0:
             summary += f", seen as if {network.scale:g} times as large"
-        return summary
+        lines = [summary, f"  {self.verdict}"]
+        if self.verdict.remedy:
+            lines.append(f"  what helps: {self.verdict.remedy}")
+        return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as JSON holds them."""
         return {
             "mesh": None if self.path is None else str(self.path),
             **self.figures,
-            "trusted": self.verdict.word == "trust",
             "verdict": self.verdict.as_dict(),
         }

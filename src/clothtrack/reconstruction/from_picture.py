@@ -13,8 +13,8 @@ from jaxtyping import Float, Float32
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.geometry.mesh_distance import distance_to_mesh
+from clothtrack.reconstruction.agreement import Agreement
 from clothtrack.reconstruction.seen_points import SeenPoints
-from clothtrack.reconstruction.trust import agreement_of, distrust
 from clothtrack.recordings.point_cloud import Observation, thin
 from clothtrack.simulation.untangling import Untangling
 
@@ -31,6 +31,9 @@ _SPACING_M = 0.004
 
 LOOSE_FIT_M = 0.02
 """A mesh that is farther from its picture than this [m] is wrong: layers lie closer together."""
+
+BOUND = 3.0
+"""Of a vertex's error over what the network expects of it, nine of ten are below."""
 
 _RUNNERS_UP = 3
 """Choices of the search that are reported after the best one."""
@@ -57,6 +60,12 @@ class Reconstruction:
     confidence: Float32[np.ndarray, "size size"]
     seen: SeenPoints
     rest: ClothMesh | None = None
+
+    @property
+    def mean_confidence(self) -> float:
+        """Mean confidence where cloth is, 0 to 1; 0 where no pixel is."""
+        known = self.confidence[self.confidence > 0]
+        return float(known.mean()) if known.size else 0.0
 
     def scaled(self, factor: float) -> "Reconstruction":
         """The same in a world that is larger by a factor."""
@@ -116,6 +125,14 @@ class NetworkMesh:
     untangling: Untangling | None = None
     choices: "tuple[Choice, ...]" = ()
 
+    @property
+    def vertex_bounds_m(self) -> Float[np.ndarray, " vertices"] | None:
+        """How far off each vertex is at most, in nine of ten cases [m].
+
+        None from a network that does not say how far off it may be.
+        """
+        return None if self.spread_m is None else BOUND * self.spread_m
+
 
 def observation_of(picture: "DepthInput") -> Observation:
     """The cloud of one picture, as the tracker's alignment takes it."""
@@ -146,31 +163,30 @@ def distance_from_cloud(mesh: ClothMesh, points: Float[np.ndarray, "points 3"]) 
     return float(np.sqrt(np.square(distance_to_mesh(points, vertices, mesh.faces)).mean()))
 
 
-def figures_of(result: NetworkMesh, mesh: ClothMesh, picture: "DepthInput") -> dict[str, Any]:
-    """What is reported of a reconstruction, ready for JSON.
+def figures_of(
+    result: NetworkMesh, mesh: ClothMesh, picture: "DepthInput", agreement: Agreement
+) -> dict[str, Any]:
+    """Return what is reported of a reconstruction, ready for JSON.
 
     Args:
         result: the reconstruction.
         mesh: its mesh.
         picture: what it was made from.
+        agreement: of the mesh with the picture.
     """
     reconstruction, refinement = result.reconstruction, result.refinement
     chamfer_m2 = () if refinement is None else refinement.chamfer_m2
-    agreement = agreement_of(mesh, picture)
-    reason = distrust(agreement, result.expected_error_m, mesh)
     return {
         "status": reconstruction.status,
         "cloud_to_mesh_m": distance_from_picture(mesh, picture),
         "scale": result.scale,
         "vertices": mesh.vertex_count,
-        "confidence": float(reconstruction.confidence[reconstruction.confidence > 0].mean()),
+        "confidence": reconstruction.mean_confidence,
         # Not a number where nothing of the mesh was seen, which JSON cannot say.
         "chamfer_m2": [None if np.isnan(value) else value for value in chamfer_m2],
         "silhouette_iou": agreement.iou,
         "visible_chamfer_m2": agreement.chamfer_m2,
         "expected_error_m": result.expected_error_m,
-        "trusted": not reason,
-        "why_not": reason,
         "garment": _named(result.choices[:1]),
         "runners_up": _named(result.choices[1 : 1 + _RUNNERS_UP]),
     }

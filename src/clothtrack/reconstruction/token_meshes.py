@@ -100,5 +100,5 @@ class TokenMeshes:
             expected_error_m=float(np.mean(spread_m)),
             spread_m=spread_m,
             untangling=untangling,
-            choices=search.choices,
+            choices=(best.choice, *(one for one in search.choices if one is not best.choice)),
         )

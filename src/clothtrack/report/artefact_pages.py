@@ -13,6 +13,7 @@ from jaxtyping import Float
 from clothtrack.errors import InvalidRecordingError
 from clothtrack.evaluation.verdict import Verdict, verdict_of
 from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.reconstruction.from_picture import BOUND
 from clothtrack.recordings.recording import Recording
 from clothtrack.report.coloring import judged_or_none, vertex_errors
 from clothtrack.report.document import write_document
@@ -27,7 +28,7 @@ from clothtrack.report.layers import Layers
 from clothtrack.report.overlay import Overlay, OverlayConfig, whole_view
 from clothtrack.report.page import evenly
 from clothtrack.report.scene_data import SCENE_POINTS, SceneContents, recorded_scene
-from clothtrack.report.sections import Figure, jpeg_uri, key_figures
+from clothtrack.report.sections import Figure, evidence_card, jpeg_uri, key_figures
 from clothtrack.report.stage import Pictures, scene_card, stage, video_card
 from clothtrack.report.video import frame_rate, write_video
 from clothtrack.report.viewpoint import three_quarter_view, view_of
@@ -154,8 +155,16 @@ def write_mesh_page(
     path: Path,
     *,
     expected_error_m: Float[np.ndarray, " vertices"] | None = None,
+    verdict: Verdict | None = None,
 ) -> Path:
     """Write a page of one mesh [m], z up, coloured by the error that is expected of each vertex.
+
+    Args:
+        mesh: the mesh.
+        name: the page's title.
+        path: of the page.
+        expected_error_m: of each vertex [m]; None where nobody says.
+        verdict: of the mesh, shown with its evidence; None for one that nothing judged.
 
     Raises:
         StorageError: when the disk refuses.
@@ -180,9 +189,13 @@ def write_mesh_page(
         Figure("Size", size, "cm", "Along x, y and z."),
     ]
     if errors is not None:
-        words = "What the network expects: mean distance of a vertex from where it really is."
+        words = (
+            "What the network expects: mean distance of a vertex from where it really is. Nine of "
+            f"ten vertices lie within {BOUND:g} times theirs."
+        )
         figures.append(Figure("Expected error", f"{1e3 * errors.mean():.0f}", "mm, mean", words))
-    body = f"{key_figures(figures)}{stage([scene_card(scene)], [0], [0.0], wide=True)}"
+    judged = "" if verdict is None else evidence_card(verdict, of="picture")
+    body = f"{judged}{key_figures(figures)}{stage([scene_card(scene)], [0], [0.0], wide=True)}"
     return write_document(path, name, body)
 
 

@@ -325,14 +325,19 @@ def verdict_strip(judged: Sequence[LabelQuality]) -> str:
     return f'<div class="verdicts">{chips}</div>'
 
 
-def evidence_card(found: Verdict) -> str:
-    """Return the verdict of the whole trajectory, with the measures that speak against it first."""
+def evidence_card(found: Verdict, of: str = "recording") -> str:
+    """Return a verdict, with the measures that speak against it first.
+
+    Args:
+        found: the verdict.
+        of: what evidence is about that is not about one label.
+    """
     against = [one for one in found.evidence if one.word != "trust"]
     for_it = [one for one in found.evidence if one.word == "trust"]
     remedy = f"<p>What helps: <code>{escape(found.remedy)}</code></p>" if found.remedy else ""
     folded = ""
     if for_it:
-        rows = "".join(map(_evidence_row, for_it))
+        rows = "".join(_evidence_row(one, of) for one in for_it)
         folded = (
             f"<details><summary>{len(for_it)} measures within their limits</summary>"
             f"<table><tbody>{rows}</tbody></table></details>"
@@ -340,14 +345,15 @@ def evidence_card(found: Verdict) -> str:
     return (
         f'<section id="evidence" class="card"><header><b class="word" data-word="{found.word}">'
         f"{found.word}</b> {escape(found.reason)}</header>"
-        f"<table><tbody>{''.join(map(_evidence_row, against))}</tbody></table>{remedy}{folded}"
+        f"<table><tbody>{''.join(_evidence_row(one, of) for one in against)}</tbody></table>"
+        f"{remedy}{folded}"
         "</section>"
     )
 
 
-def _evidence_row(one: Evidence) -> str:
+def _evidence_row(one: Evidence, of: str) -> str:
     scale, unit = (1e3, " mm") if one.unit == "m" else (1.0, f" {one.unit}".rstrip())
-    where = "recording" if one.action is None else f"label {one.action + 1}"
+    where = of if one.action is None else f"label {one.action + 1}"
     return (
         f'<tr><td><b class="word" data-word="{one.word}">{one.word}</b></td><td>{where}</td>'
         f"<td>{escape(one.text)}</td><td>{scale * one.measured:.3g}{unit}, limit "

@@ -1,0 +1,60 @@
+"""How a reconstruction agrees with the picture that it was made from.
+
+No measure here knows the truth. What is seen can contradict a mesh, and nothing else can: hidden
+layers may be wrong under a silhouette that fits. What it is worth, `evaluation.verdict` decides.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from clothtrack.geometry.chamfer import two_way
+from clothtrack.geometry.mesh import ClothMesh
+from clothtrack.geometry.visibility import Rasteriser
+from clothtrack.recordings.point_cloud import thin
+
+if TYPE_CHECKING:
+    from clothtrack.reconstruction.depth_input import DepthInput
+
+_SPACING_M = 0.004
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a mesh agrees with the picture that it was made from.
+
+    Attributes:
+        iou: intersection over union of the silhouettes in the picture.
+        chamfer_m2: two-way Chamfer distance of the mesh's visible surface and the cloud [m^2]; None
+            where one of them is empty.
+    """
+
+    iou: float
+    chamfer_m2: float | None
+
+    @property
+    def surface_m(self) -> float:
+        """Distance of the visible surface from the cloud [m], root mean square of both ways.
+
+        NaN where nothing of the mesh is visible.
+        """
+        return float("nan") if self.chamfer_m2 is None else (0.5 * self.chamfer_m2) ** 0.5
+
+
+def agreement_of(mesh: ClothMesh, picture: "DepthInput") -> Agreement:
+    """Return how a mesh agrees with a picture: it is rendered into the picture's own camera."""
+    camera = picture.camera
+    vertices = np.asarray(mesh.vertices, np.float64)
+    depth = Rasteriser(mesh.faces, camera).render(vertices).depth
+    covered = np.isfinite(depth)
+    union = int((covered | picture.mask).sum())
+    iou = float((covered & picture.mask).sum() / union) if union else 0.0
+    surface: Float[np.ndarray, "points 3"] = camera.back_project(
+        np.where(covered, depth, 0.0), covered
+    )
+    cloud = camera.back_project(picture.depth_m, picture.mask & (picture.depth_m > 0))
+    if not len(surface) or not len(cloud):
+        return Agreement(iou, None)
+    return Agreement(iou, two_way(thin(surface, _SPACING_M), thin(cloud, _SPACING_M)))
