@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.evaluation import QualityModel, Truth, material_map, material_points
@@ -21,6 +22,9 @@ from clothtrack.reconstruction.data.rendered_states import render
 from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.recordings import read_recording
 from shared.bench_runs import Task, Trajectory, kept_labels
+
+SMOOTH_M = 0.15
+"""Length over which the error of a label that is made wrong changes [m]."""
 
 
 def tracked_labels(task: Task, *, weighted: bool = False) -> LabelledRecording:
@@ -56,6 +60,51 @@ def true_labels(task: Task) -> LabelledRecording:
         for frame in (0, *(label.frame for label in labels))
     ]
     return label_recording(recording, mesh, chosen, kind=trajectory.kind)
+
+
+def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabelledRecording:
+    """The true labels moved along the table, smoothly over the garment; the flat start stays right.
+
+    Args:
+        task: a run that lies in its store, for the frames and the vertices.
+        error_m: mean distance of a label's vertices from the truth [m].
+        seed: of the displacements, with the trajectory's name.
+    """
+    true = true_labels(task)
+    rng = np.random.default_rng([seed, *task.trajectory.name.encode()])
+    labels = [PseudoLabel(true.frames[0], true.pictures[0].positions, 1.0)]
+    for frame, picture in zip(true.frames[1:], true.pictures[1:], strict=True):
+        field = _smooth_field(np.asarray(true.mesh.canonical, np.float64), rng)
+        field *= error_m / np.linalg.norm(field, axis=1).mean()
+        moved = picture.positions + np.column_stack([field, np.zeros(len(field))])
+        labels.append(PseudoLabel(frame, moved, 1.0))
+    recording = read_recording(task.trajectory.recording)
+    return label_recording(recording, true.mesh, labels, kind=true.kind)
+
+
+def simulated_labels(task: Task, *, seed: int = 0) -> LabelledRecording:
+    """The meshes of a run drawn as the network's pretraining draws states: exact labels.
+
+    Args:
+        task: a run of the dynamics alone that lies in its store.
+        seed: of cameras and noise, with the trajectory's name.
+    """
+    rng = np.random.default_rng([seed, *task.trajectory.name.encode()])
+    mesh, labels = kept_labels(task.file.with_suffix(".npz"))
+    states = [mesh.vertices, *(label.vertices for label in labels)]
+    pictures = [render(np.asarray(each, np.float64), mesh, RenderConfig(), rng) for each in states]
+    frames = (0, *(label.frame for label in labels))
+    name = f"simulated_{task.trajectory.name}"
+    return LabelledRecording(name, task.trajectory.kind, mesh, frames, tuple(pictures))
+
+
+def _smooth_field(
+    places: Float[np.ndarray, "vertices 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "vertices 2"]:
+    """A random horizontal displacement that varies over `SMOOTH_M`: sixteen waves."""
+    waves = rng.normal(0.0, 1.0 / SMOOTH_M, (3, 16))
+    phases = rng.uniform(0.0, 2.0 * np.pi, 16)
+    return np.cos(places @ waves + phases) @ rng.normal(size=(16, 2))
 
 
 def old_labels(
