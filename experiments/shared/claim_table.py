@@ -50,7 +50,7 @@ def of_one(rows: Sequence[Row]) -> str:
 
 def _line(name: str, rows: Sequence[Row], errors: Mapping[str, Values]) -> list[str]:
     own, label = errors[name], rows[0]["label_error_mm"]
-    before = _paired(own, errors.get(BEFORE, {}))
+    before = _paired(own, BEFORE, errors)
     below = float(np.mean([own[key] - gap for key, gap in before.items()])) if before else np.nan
     rate = float(np.mean([own[key] for key in before])) / below if before else np.nan
     return [
@@ -62,7 +62,7 @@ def _line(name: str, rows: Sequence[Row], errors: Mapping[str, Values]) -> list[
         _mean(rows, "error_symmetric_visible_mm", 1.0, 1),
         _mean(rows, "error_symmetric_hidden_mm", 1.0, 1),
         _mean(rows, "chamfer_pc_m2", 1e4, 2),
-        *(_difference(own, errors.get(other, {})) if other != name else "-"
+        *(_difference(own, other, errors) if other != name else "-"
           for other in PAIRED_WITH),
         f"{100.0 * np.mean([not row['has_mesh'] for row in rows]):.0f}",
     ]  # fmt: skip
@@ -94,17 +94,20 @@ def standard_error(of: Values) -> float:
     return total**0.5
 
 
-def _paired(own: Values, other: Values) -> Values:
-    """Differences on the same recordings, with the same seed where the other has it."""
-    first = {recording: value for (recording, seed), value in other.items() if seed == 0}
-    seeds = {seed for _, seed in other}
-    if seeds == {0}:
-        other = {(name, seed): first[name] for name, seed in own if name in first}
+def _paired(own: Values, name: str, errors: Mapping[str, Values]) -> Values:
+    """Differences from another kind of label, by recording and seed.
+
+    What has not learned has one value for all seeds.
+    """
+    other = errors.get(name, {})
+    if name == BEFORE:
+        first = {recording: value for (recording, _), value in other.items()}
+        other = {key: first[key[0]] for key in own if key[0] in first}
     return {key: value - other[key] for key, value in own.items() if key in other}
 
 
-def _difference(own: Values, other: Values) -> str:
-    gaps = _paired(own, other)
+def _difference(own: Values, name: str, errors: Mapping[str, Values]) -> str:
+    gaps = _paired(own, name, errors)
     if not gaps:
         return "-"
     lower = sum(gap < 0 for gap in gaps.values())

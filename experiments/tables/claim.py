@@ -30,6 +30,7 @@ from shared.bench_runs import Task, Trajectory, read_rows, run_all, write_rows
 from shared.claim_table import GROUP, markdown
 from shared.experiment import Setup
 from shared.figures import say
+from shared.held_out import require_apart
 from shared.learning_experiment import SMOKE_SETTINGS, tiny_network
 from shared.learning_labels import simulated_labels, tracked_labels, true_labels, wrong_labels
 from shared.learning_runs import Reconstructor, Tuner, reconstruction_rows
@@ -100,7 +101,10 @@ class Claim:
         """One row per held-out picture."""
         weights, error_mm = self._start(cell), None
         if cell.labels != BEFORE:
-            labels, error_mm = self._labels(cell.labels, self.learned(cell.garment))
+            learned = self.learned(cell.garment)
+            measured = (one.recording for one in self.measured(cell.garment))
+            require_apart((one.recording for one in learned), measured)
+            labels, error_mm = self._labels(cell.labels, learned)
             tuner = Tuner(
                 self.out / "networks", "finetune_short",
                 SMOKE_SETTINGS if self.smoke else (), seed=cell.seed,
