@@ -15,26 +15,17 @@ HELD_OUT = 10
 the paper."""
 
 
-def learned_from(bench: Path, split: str, held_out: int | None = None) -> list[Trajectory]:
-    """The trajectories of a benchmark folder to learn from.
-
-    Args:
-        bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.
-        split: this one; without bench.json, all of each garment's trajectories but the last.
-        held_out: so many of these; a tenth, at least one, when None.
-    """
-    return _parts(bench, split, held_out)[0]
-
-
 def measured_on(bench: Path, split: str, held_out: int | None = None) -> list[Trajectory]:
     """The trajectories of a benchmark folder to measure on.
 
     Args:
-        bench: as for `learned_from`.
+        bench: holds `recordings/`, `truth/` and, when it has splits, bench.json.
         split: this one; without bench.json, the last of each garment's.
-        held_out: so many of these, as for `learned_from`.
+        held_out: so many of these; a tenth, at least one, when None.
     """
-    return _parts(bench, split, held_out)[1]
+    if not (bench / BENCH_FILE).exists():
+        return parted(trajectories(bench), held_out)[1]
+    return trajectories(bench, split)
 
 
 def parted(
@@ -91,15 +82,6 @@ def require_apart(learned: Iterable[Path], measured: Iterable[Path]) -> None:
 @cache
 def _pictures(folder: Path) -> frozenset[str]:
     return picture_digests(read_recording(folder))
-
-
-def _parts(
-    bench: Path, split: str, held_out: int | None
-) -> tuple[list[Trajectory], list[Trajectory]]:
-    if not (bench / BENCH_FILE).exists():
-        return parted(trajectories(bench), held_out)
-    found = trajectories(bench, split)
-    return found, found
 
 
 def picture_digests(recording: Recording) -> frozenset[str]:

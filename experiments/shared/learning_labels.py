@@ -1,16 +1,13 @@
-"""What a network is fine-tuned on: tracked meshes, the truth, or as much of the old cloth."""
+"""What a network is fine-tuned on: tracked meshes, the truth, the truth made wrong, simulation."""
 
 import hashlib
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
-from clothtrack.errors import InvalidConfigError
-from clothtrack.evaluation import QualityModel, Truth, material_map, material_points
-from clothtrack.evaluation.label_evidence import label_evidence
-from clothtrack.evaluation.label_quality import SHIPPED
+from clothtrack.evaluation import Truth, material_map, material_points
 from clothtrack.geometry import ClothMesh
-from clothtrack.reconstruction import read_shard
 from clothtrack.reconstruction.data.pseudo_labels import (
     LabelledRecording,
     PseudoLabel,
@@ -18,30 +15,19 @@ from clothtrack.reconstruction.data.pseudo_labels import (
 )
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.rendered_states import render
-from clothtrack.reconstruction.data.state_store import StateSet
 from clothtrack.recordings import read_recording
-from shared.bench_runs import Task, Trajectory, kept_labels
+from shared.bench_runs import Task, kept_labels
+
+SMOOTH_M = 0.15
+"""Length over which the error of a label that is made wrong changes [m]."""
 
 
-def tracked_labels(task: Task, *, weighted: bool = False) -> LabelledRecording:
-    """Pseudo-labels of a finished run: the flat first frame, and the end of every action.
-
-    Args:
-        task: a run that lies in its store.
-        weighted: by the quality that can be observed; otherwise all count alike.
-    """
+def tracked_labels(task: Task) -> LabelledRecording:
+    """Pseudo-labels of a finished run: the flat first frame, and the end of every action."""
     recording = read_recording(task.trajectory.recording)
     mesh, labels = kept_labels(task.file.with_suffix(".npz"))
-    weights = [1.0] * len(labels)
-    if weighted:
-        model = QualityModel.load(SHIPPED)
-        weights = [model.quality(one) for one in label_evidence(mesh, labels, recording)]
     chosen = [PseudoLabel(0, mesh.vertices.astype(np.float64), 1.0)]
-    chosen += [
-        PseudoLabel(label.frame, np.asarray(label.vertices, np.float64), float(weight))
-        for label, weight in zip(labels, weights, strict=True)
-        if weight > 0.0
-    ]
+    chosen += [PseudoLabel(one.frame, np.asarray(one.vertices, np.float64), 1.0) for one in labels]
     return label_recording(recording, mesh, chosen, kind=task.trajectory.kind)
 
 
@@ -58,41 +44,49 @@ def true_labels(task: Task) -> LabelledRecording:
     return label_recording(recording, mesh, chosen, kind=trajectory.kind)
 
 
-def old_labels(
-    states: StateSet, like: Sequence[LabelledRecording], *, seed: int = 0
-) -> list[LabelledRecording]:
-    """As many pictures of the old cloth, in as many groups, as the labels that they stand beside.
+def wrong_labels(task: Task, error_m: float, *, seed: int = 0) -> LabelledRecording:
+    """The true labels moved along the table, smoothly over the garment; the flat start stays right.
 
-    Each group is of one simulated garment; its states are filmed once, as a recording is.
-
-    Raises:
-        InvalidConfigError: the states are of another kind, or a garment has too few.
+    Args:
+        task: a run that lies in its store, for the frames and the vertices.
+        error_m: mean distance of a label's vertices from the truth [m].
+        seed: of the displacements, with the trajectory's name.
     """
-    kinds = {one.kind for one in like} | {states.kind}
-    if len(kinds) != 1:
-        raise InvalidConfigError(
-            f"{states.folder} has states of {states.kind}, the labels are of "
-            f"{', '.join(sorted(kinds - {states.kind}))}; give --old states of the same kind"
-        )
-    rng = np.random.default_rng(seed)
-    found = []
-    for number, one in enumerate(like):
-        shard = read_shard(states.shards[number % len(states.shards)])
-        if len(shard.positions) < len(one.pictures):
-            raise InvalidConfigError(
-                f"{states.folder}: a garment has {len(shard.positions)} states, "
-                f"{len(one.pictures)} are needed; make more with clothtrack simulate --states"
-            )
-        chosen = rng.choice(len(shard.positions), len(one.pictures), replace=False)
-        pictures = tuple(
-            render(shard.positions[state].astype(np.float64), shard.mesh, RenderConfig(), rng)
-            for state in chosen
-        )
-        frames = tuple(int(state) for state in chosen)
-        found.append(
-            LabelledRecording(f"old_{number:03d}", states.kind, shard.mesh, frames, pictures)
-        )
-    return found
+    true = true_labels(task)
+    rng = np.random.default_rng([seed, *task.trajectory.name.encode()])
+    labels = [PseudoLabel(true.frames[0], true.pictures[0].positions, 1.0)]
+    for frame, picture in zip(true.frames[1:], true.pictures[1:], strict=True):
+        field = _smooth_field(np.asarray(true.mesh.canonical, np.float64), rng)
+        field *= error_m / np.linalg.norm(field, axis=1).mean()
+        moved = picture.positions + np.column_stack([field, np.zeros(len(field))])
+        labels.append(PseudoLabel(frame, moved, 1.0))
+    recording = read_recording(task.trajectory.recording)
+    return label_recording(recording, true.mesh, labels, kind=true.kind)
+
+
+def simulated_labels(task: Task, *, seed: int = 0) -> LabelledRecording:
+    """The meshes of a run drawn as the network's pretraining draws states: exact labels.
+
+    Args:
+        task: a run of the dynamics alone that lies in its store.
+        seed: of cameras and noise, with the trajectory's name.
+    """
+    rng = np.random.default_rng([seed, *task.trajectory.name.encode()])
+    mesh, labels = kept_labels(task.file.with_suffix(".npz"))
+    states = [mesh.vertices, *(label.vertices for label in labels)]
+    pictures = [render(np.asarray(each, np.float64), mesh, RenderConfig(), rng) for each in states]
+    frames = (0, *(label.frame for label in labels))
+    name = f"simulated_{task.trajectory.name}"
+    return LabelledRecording(name, task.trajectory.kind, mesh, frames, tuple(pictures))
+
+
+def _smooth_field(
+    places: Float[np.ndarray, "vertices 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "vertices 2"]:
+    """A random horizontal displacement that varies over `SMOOTH_M`: sixteen waves."""
+    waves = rng.normal(0.0, 1.0 / SMOOTH_M, (3, 16))
+    phases = rng.uniform(0.0, 2.0 * np.pi, 16)
+    return np.cos(places @ waves + phases) @ rng.normal(size=(16, 2))
 
 
 def label_mesh(task: Task, frame: int) -> ClothMesh | None:
@@ -116,8 +110,3 @@ def digest_of(labels: Sequence[LabelledRecording]) -> str:
             content.update(picture.mask.tobytes())
             content.update(np.asarray(picture.faces, np.int32).tobytes())
     return content.hexdigest()[:10]
-
-
-def first_of(trajectories: Sequence[Trajectory], kind: str, count: int | None) -> list[Trajectory]:
-    """The first so many of a kind."""
-    return [one for one in trajectories if one.kind == kind][:count]

@@ -26,11 +26,5 @@ PAPER: Mapping[str, Mapping[str, float]] = {
         "90 %, without TTO2": 2.85,
     },
     "collision": {"paper, with rigidity": 4099, "paper, without rigidity": 33765},
-    "table2": {"before": 3.0, "labels: the paper's mode": 1.6},
     "network_alone": {"network, implicit, fine-tuned at test time": 3.0},
 }
-
-PAPER_MESH: Mapping[str, Mapping[str, float]] = {
-    "table2": {"before": 2.2, "labels: the paper's mode": 1.2},
-}
-"""Chamfer Mesh in the paper's Table 2, against its own pseudo-labels."""

@@ -26,9 +26,8 @@ from shared.learning_columns import (
     LEARNING_TITLES,
     SYMMETRIC,
     SYMMETRIC_HIDDEN,
-    gains,
 )
-from shared.paper_numbers import PAPER, PAPER_MESH
+from shared.paper_numbers import PAPER
 from shared.table_column import Column, table
 
 Select = Callable[[Row], bool]
@@ -62,6 +61,7 @@ COLUMNS: Mapping[str, tuple[Column, ...]] = {
     "table1": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, SWAPPED, BELOW, CPU),
     "default_ablations": (*LEADING, STRAIN, CROSSINGS_RATE, WORLD_CROSSINGS, SWAPPED, CPU),
     "calibration": (CHAMFER_LAST, CHAMFER, FLOOR, ERROR, VISIBLE, HIDDEN, CPU),
+    "printed_grid": (CHAMFER_LAST, CHAMFER, FLOOR, ERROR, VISIBLE, HIDDEN, CPU),
     "final_alignment": (CHAMFER_LAST, CHAMFER, CHAMFER_AFTER, FLOOR, ERROR_BEFORE, ERROR, HIDDEN),
     "collision": (
         PAIRS, PAIRS_RATE, PAIRS_TRUTH, PAIRS_BEFORE, CROSSINGS, CROSSINGS_RATE, WORLD_CROSSINGS,
@@ -78,6 +78,7 @@ TITLES = {
     "table1": "Table 1: what each part of the method is worth",
     "default_ablations": "From the paper's method to the default, and the default ablated",
     "calibration": "Calibration: online against offline",
+    "printed_grid": "Calibration: the paper's printed grid against descent",
     "final_alignment": "TTO2 against a bad calibration",
     "collision": "Collision: with and without the rigidity loss",
     "sensitivity": "Sensitivity: one setting at a time",
@@ -89,11 +90,10 @@ REFERENCES: Mapping[str, tuple[str, ...]] = {
     "table1": ("paper",),
     "default_ablations": ("default",),
     "calibration": ("paper, online", "default, online"),
+    "printed_grid": ("descent",),
     "final_alignment": ("best, with TTO2",),
     "collision": ("paper, with rigidity", "default, with rigidity"),
     "model_free": ("default",),
-    "table2": ("before",),
-    "label_count": ("trajectories=0",),
     "network_alone": ("network, template",),
     "flattening": ("random",),
     "planning_dynamics": ("simulator",),
@@ -135,10 +135,6 @@ def _by_action_and_garment(rows: Sequence[Row], variants: Sequence[str]) -> list
     return parts
 
 
-def _what_was_gained(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
-    return [*_by_action_and_garment(rows, variants), gains(rows)]
-
-
 def _improvement_by_action(rows: Sequence[Row], variants: Sequence[str]) -> list[str]:
     heading = "Mean normalised improvement after each action:"
     return [heading, curve(rows, variants), targets(rows)]
@@ -155,7 +151,6 @@ def _error_up_to_symmetry(rows: Sequence[Row], variants: Sequence[str]) -> list[
 
 
 _BELOW: Mapping[str, Callable[[Sequence[Row], Sequence[str]], list[str]]] = {
-    "table2": _what_was_gained,
     "flattening": _improvement_by_action,
     "planning_dynamics": _promises_by_choice,
     "planning_perception": _error_up_to_symmetry,
@@ -192,8 +187,7 @@ def means(experiment: str, rows: Sequence[Row], variants: Sequence[str]) -> str:
     columns = COLUMNS[experiment]
     paper = PAPER.get(experiment, {})
     titles = [title for column in columns for title in column.titles]
-    stated = {"paper": paper, "paper, mesh": PAPER_MESH.get(experiment, {})}
-    stated = {title: own for title, own in stated.items() if any(v in own for v in variants)}
+    stated = {"paper": paper} if any(variant in paper for variant in variants) else {}
     head = ["method", *stated, "n", *titles]
     lines = []
     for variant in variants:

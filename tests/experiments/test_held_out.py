@@ -39,7 +39,8 @@ def _read_anew():
 )
 def test_a_folder_without_a_list_is_parted_as_the_paper_does(tmp_path, count, learned):
     fill(tmp_path, *(f"towel_{number:04d}" for number in range(count)), "tshirt_0000")
-    first, last = held_out.learned_from(tmp_path, "dev"), held_out.measured_on(tmp_path, "test")
+    first, last = held_out.parted(trajectories(tmp_path))
+    assert last == held_out.measured_on(tmp_path, "test")
     towels = [one.name for one in first], [one.name for one in last if one.kind == "towel"]
     assert [len(names) for names in towels] == [learned, count - learned]
     assert not {one.name for one in first} & {one.name for one in last}
@@ -49,12 +50,12 @@ def test_a_folder_without_a_list_is_parted_as_the_paper_does(tmp_path, count, le
 def test_so_many_are_held_out_as_are_asked_for(tmp_path):
     fill(tmp_path, *(f"towel_{number:04d}" for number in range(20)), "tshirt_0000", "tshirt_0001")
     for count, learned in ((1, 20), (None, 19)):
-        first = held_out.learned_from(tmp_path, "dev", count)
-        last = held_out.measured_on(tmp_path, "test", count)
+        first, last = held_out.parted(trajectories(tmp_path), count)
+        assert last == held_out.measured_on(tmp_path, "test", count)
         assert (len(first), len(first) + len(last)) == (learned, 22)
     for count in (0, 2):
         with pytest.raises(InvalidConfigError, match=f"is {count}, and there are .*hold out 1 to"):
-            held_out.learned_from(tmp_path, "dev", count)
+            held_out.measured_on(tmp_path, "test", count)
 
 
 def test_a_list_decides_where_there_is_one(tmp_path):
@@ -64,7 +65,7 @@ def test_a_list_decides_where_there_is_one(tmp_path):
         for number, split in enumerate(("test", "dev"))
     ]
     (tmp_path / "bench.json").write_text(json.dumps({"trajectories": entries}))
-    assert [one.name for one in held_out.learned_from(tmp_path, "dev")] == ["towel_0001"]
+    assert [one.name for one in held_out.measured_on(tmp_path, "dev")] == ["towel_0001"]
     assert [one.name for one in held_out.measured_on(tmp_path, "test")] == ["towel_0000"]
 
 

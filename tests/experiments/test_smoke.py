@@ -13,6 +13,7 @@ EXPERIMENTS = {
     "table1": 9,
     "default_ablations": 18,
     "calibration": 8,
+    "printed_grid": 2,
     "final_alignment": 6,
     "collision": 5,
     "sensitivity": 15,

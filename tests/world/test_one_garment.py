@@ -32,7 +32,9 @@ def digest(value):
 def test_without_a_garment_seed_all_is_drawn_as_before(kind, tmp_path):
     # Kept benchmarks and episodes are known by these settings: another default would disown them.
     settings = asdict(EpisodeConfig())
-    assert settings.pop("printed") is False  # came later: the lists of before take its default
+    # Came later: the lists of before take the defaults.
+    assert settings.pop("printed") is False
+    assert settings.pop("slips") == 0.0
     assert digest(settings) == "4db02f2ea2903dd6"
     assert set(asdict(SimulatedRobotConfig())) == {
         "episode", "film", "layers", "contact_s", "limits"

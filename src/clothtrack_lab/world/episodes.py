@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.files.bounds import Bounds, Checked, Count, NotNegative, Positive
+from clothtrack.files.bounds import Bounds, Checked, Count, NotNegative, Positive, Share
 from clothtrack.garments.garment_meshes import DEFAULT_SIZES_M, GarmentKind
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
@@ -46,6 +46,9 @@ logger = logging.getLogger(__name__)
 
 PICKER = "gripper"
 
+_SLIPS_AT = 0.2, 0.8
+"""Share of the way after which cloth that slips leaves the gripper, evenly drawn."""
+
 
 @dataclass(frozen=True)
 class EpisodeConfig(Checked):
@@ -72,6 +75,8 @@ class EpisodeConfig(Checked):
             random direction.
         printed: the cloth has a print and the colour pictures have noise. Nothing else depends on
             it: depth and motion are those of the plain cloth.
+        slips: share of carries in which a recording's cloth slips out of the gripper, somewhere
+            between a fifth and four fifths of the way; the recorded path says nothing of it.
     """
 
     size_m: tuple[float, float] | None = None
@@ -90,6 +95,7 @@ class EpisodeConfig(Checked):
     reach_across: bool = False
     calibration_error_m: Error = 0.0
     printed: bool = False
+    slips: Share = 0.0
 
 
 SMALL_WORLD = EpisodeConfig(
@@ -136,8 +142,8 @@ def simulate_trajectory(
     config = config or EpisodeConfig()
     name = name or recording_name(kind, seed, garment)
     root = np.random.SeedSequence([seed, list(DEFAULT_SIZES_M).index(kind)])
-    of_world, of_actions, of_sensor, of_template, of_picker, of_calibration = map(
-        np.random.default_rng, root.spawn(6)
+    of_world, of_actions, of_sensor, of_template, of_picker, of_calibration, of_slips = map(
+        np.random.default_rng, root.spawn(7)
     )
     cut = garment or SeededGarment(kind, config.garment, config.size_m, seed)
     flat = cut.flat(vertex_count=config.vertex_count)
@@ -175,7 +181,7 @@ def simulate_trajectory(
         provenance=_provenance(seed, config, garment),
     ) as writer:
         film = _Film(world, scene, sensor, writer, config)
-        film.run(ClothMesh(world.positions, flat.faces, flat.canonical), of_actions)
+        film.run(ClothMesh(world.positions, flat.faces, flat.canonical), of_actions, of_slips)
         writer.set_picker_path(PICKER, film.measured_path(of_picker))
         _write_truth(Path(out) / "truth" / f"{name}.npz", film, flat, fabric)
     logger.info("%s: %d frames, %.2f s simulated", name, len(film.positions), world.time_s)
@@ -202,10 +208,14 @@ class _Film:
         self.missing: list[float] = []
         self.outside: list[float] = []
         self.folded: list[bool] = []
+        self.held: list[int] = []
+        self.slipped: list[bool] = []
         self._tips: list[Float[np.ndarray, " 3"]] = []
         self.closed: list[bool] = []
 
-    def run(self, start: ClothMesh, rng: np.random.Generator) -> None:
+    def run(
+        self, start: ClothMesh, rng: np.random.Generator, of_slips: np.random.Generator
+    ) -> None:
         """Settle the cloth, then film every action; the last frame of each shows no tool."""
         config = self._config
         self._world.settle(speed=config.settle_speed, limit_s=config.settle_limit_s)
@@ -227,7 +237,15 @@ class _Film:
             self._take(plan.pick, closed=True)
             self._world.grasp(plan.held, plan.pick)
             path = carrying_path(plan, config.action, TIME_STEP_S)
+            lost_at = len(path) + 1
+            slips, share = of_slips.random() < config.slips, of_slips.uniform(*_SLIPS_AT)
+            if slips:
+                lost_at = round(share * len(path))
+            self.held.append(len(plan.held))
+            self.slipped.append(slips)
             for number, tip in enumerate(path, start=1):
+                if number == lost_at:
+                    self._world.release()
                 self._world.move(tip)
                 self._world.step()
                 if number % self._steps_per_frame == 0:
@@ -319,4 +337,6 @@ def _write_truth(path: Path, film: _Film, flat: ClothMesh, fabric: Fabric) -> No
             outside_picture=np.array(film.outside),
             gripper_closed=np.array(film.closed),
             picked_folded=np.array(film.folded),
+            held_vertices=np.array(film.held),
+            slipped=np.array(film.slipped),
         )

@@ -10,6 +10,7 @@ beyond `garments.outlines.draw_shirt`, the cloth is thicker than any of the benc
 camera noisier.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -45,24 +46,28 @@ class OneGarment:
     Attributes:
         kind: towel or T-shirt.
         seed: that all of it is drawn from.
+        sweater: a shirt with the long sleeves and the wide armholes of a sweater.
     """
 
     kind: GarmentKind
     seed: int
+    sweater: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a seed that nothing can be drawn from.
 
         Raises:
-            InvalidConfigError: it is negative.
+            InvalidConfigError: it is negative, or a towel is to be a sweater.
         """
         if self.seed < 0:
             raise InvalidConfigError(f"garment_seed is {self.seed}; give 0 or more")
+        if self.sweater and self.kind != "tshirt":
+            raise InvalidConfigError(f"a sweater is a tshirt, and kind is {self.kind!r}")
 
     @property
     def label(self) -> str:
         """What recordings and episodes of it begin their names with."""
-        return f"{self.kind}_g{self.seed:04d}"
+        return f"{self.kind}_{'s' if self.sweater else 'g'}{self.seed:04d}"
 
     @cached_property
     def cut(self) -> tuple[ShirtOutline | None, tuple[float, float]]:
@@ -71,7 +76,7 @@ class OneGarment:
         if self.kind == "towel":
             length_m = float(rng.uniform(*_TOWEL_LENGTHS_M))
             return None, (length_m, length_m * float(rng.uniform(*TOWEL_ASPECTS)))
-        outline = _outside_shirt(rng)
+        outline = _drawn(rng, _SWEATER if self.sweater else _TSHIRT)
         widest = float(np.ptp(_corners(outline)[:, 0]))
         return outline, (width_m := float(rng.uniform(*_SHIRT_WIDTHS_M)), width_m / widest)
 
@@ -127,22 +132,27 @@ _OUTSIDE = Ranges(
 )
 
 
-def _outside_shirt(rng: np.random.Generator) -> ShirtOutline:
-    """Return a wide, boxy shirt that flares to its hem, with a large neck and wide sleeves."""
+_TSHIRT = {
+    "body": (0.97, 1.05), "waist": (1.12, 1.18), "shoulder": (0.84, 0.92), "slope": (0.1, 0.13),
+    "armhole": (0.37, 0.41), "sleeve": (0.24, 0.32), "sleeve_angle_rad": (0.2, 0.5),
+    "cuff": (0.29, 0.32), "neck": (0.17, 0.2), "front_depth": (0.15, 0.19),
+    "back_depth": (0.045, 0.07),
+}  # fmt: skip
+"""A wide, boxy shirt that flares to its hem, with a large neck and wide sleeves."""
+
+_SWEATER = {
+    "body": (1.06, 1.12), "waist": (0.66, 0.71), "shoulder": (0.84, 0.92), "slope": (0.13, 0.15),
+    "armhole": (0.43, 0.46), "sleeve": (0.7, 0.85), "sleeve_angle_rad": (0.95, 1.1),
+    "cuff": (0.21, 0.24), "neck": (0.175, 0.19), "front_depth": (0.05, 0.08),
+    "back_depth": (0.035, 0.05),
+}  # fmt: skip
+"""A wide sweater, gathered at its hem, with low armholes and wide cuffs."""
+
+
+def _drawn(rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]]) -> ShirtOutline:
+    """Return proportions from these ranges whose outline does not cross itself."""
     while True:
-        outline = ShirtOutline(
-            body=rng.uniform(0.97, 1.05),
-            waist=rng.uniform(1.12, 1.18),
-            shoulder=rng.uniform(0.84, 0.92),
-            slope=rng.uniform(0.1, 0.13),
-            armhole=rng.uniform(0.37, 0.41),
-            sleeve=rng.uniform(0.24, 0.32),
-            sleeve_angle_rad=rng.uniform(0.2, 0.5),
-            cuff=rng.uniform(0.29, 0.32),
-            neck=rng.uniform(0.17, 0.2),
-            front_depth=rng.uniform(0.15, 0.19),
-            back_depth=rng.uniform(0.045, 0.07),
-        )
+        outline = ShirtOutline(**{name: rng.uniform(*ends) for name, ends in ranges.items()})
         try:
             _corners(outline)
         except InvalidConfigError:
