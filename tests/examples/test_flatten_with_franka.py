@@ -177,4 +177,4 @@ def test_fingers_that_may_not_come_down_to_the_cloth_take_nothing(cell):
     assert (np.array(cell.arm.moves)[:, 2] >= 0.1).all()
     assert "close" not in cell.arm.fingers
     status = json.loads((cell.out / "episode" / "episode.json").read_text())["status"]
-    assert status == "nothing promises a gain"
+    assert status == "no action is within reach"

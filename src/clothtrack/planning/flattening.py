@@ -33,9 +33,6 @@ logger = logging.getLogger(__name__)
 ENOUGH = 0.95
 """An episode ends when the cloth covers this share of the flat garment's area."""
 
-PATIENCE = 2
-"""Looks in a row at which nothing promises a gain, after which an episode ends."""
-
 _OF_EPISODES = 0xEF15
 """Keeps the draws of this module apart from those of others with the same seed."""
 
@@ -211,11 +208,7 @@ class Flattening:
         if not status:
             self._tell(number, "plan")
             decision = self._decide(look, estimate, number)
-            # No candidate predicts a gain: resample before the episode ends.
-            for again in range(1, PATIENCE):
-                if decision.action is None:
-                    decision = self._decide(look, estimate, number, again)
-            status = "" if decision.action is not None else "nothing promises a gain"
+            status = "" if decision.action is not None else "no action is within reach"
         if status:
             store.document["status"] = status
             store.write()
@@ -238,11 +231,9 @@ class Flattening:
         row = _step_row(number + 1, decision, decision.action, execution)
         return look, self._finish_step(store, look, row)
 
-    def _decide(
-        self, look: Look, estimate: Estimate | None, number: int, again: int = 0
-    ) -> Decision:
+    def _decide(self, look: Look, estimate: Estimate | None, number: int) -> Decision:
         """Return the next action that the robot can carry out."""
-        rng = np.random.default_rng([_OF_EPISODES, self._seed, number, again])
+        rng = np.random.default_rng([_OF_EPISODES, self._seed, number, 0])
         seen = seen_cloth(look.recording, look.observation())
         if self._planner is None:
             assert self._propose is not None  # __init__ refuses neither
@@ -254,14 +245,11 @@ class Flattening:
             )
         belief = Hypothesis(estimate.flat, estimate.positions, self._scene.cloth.kind)
         decision = self._planner.decide(belief, seen, rng)
-        order = np.argsort(-decision.worth_m2, kind="stable")
-        good = [k for k in order if decision.gains_m2[k] > 0.0]
-        action = self._reachable([decision.candidates[k] for k in good])
-        if action is decision.action:
-            return decision
-        gain = max((float(decision.gains_m2[k]) for k in good
-                    if decision.candidates[k] is action), default=0.0)  # fmt: skip
-        return replace(decision, action=action, gain_m2=gain)
+        action = self._reachable(decision.candidates)
+        if action is None or action is decision.action:
+            return replace(decision, action=action)
+        gain = decision.gains_m2[[one is action for one in decision.candidates].index(True)]
+        return replace(decision, action=action, gain_m2=float(gain))
 
     def _reachable(self, actions: Sequence[PickPlace]) -> PickPlace | None:
         """Return the first of the actions that the robot does not refuse."""
@@ -279,6 +267,7 @@ class Flattening:
         row["perception_s"] = time.perf_counter() - clock
         row["perception_cpu_s"] = time.process_time() - cpu
         row["sources"] = [] if estimate is None else [estimate.source]
+        row["expected_error_m"] = None if estimate is None else estimate.expected_error_m
         flat = self._scene.flat_area_m2
         if flat is None and estimate is not None:
             flat = projected_area(estimate.flat.vertices, estimate.flat.faces)

@@ -71,11 +71,14 @@ class Estimate:
         flat: the garment at rest, on the table [m]; canonical coordinates filled.
         positions: its vertices [m].
         source: "network", "tracker", or "control: truth".
+        expected_error_m: mean error of the vertices that the network expects [m]; None where
+            nothing says.
     """
 
     flat: ClothMesh
     positions: Float[np.ndarray, "vertices 3"]
     source: str
+    expected_error_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +160,7 @@ class NetworkPerception:
             )
         positions = result.mesh.vertices.astype(np.float64)
         flat = laid_flat(rest, positions, recording.table, RESTING_HEIGHT_M)
-        return Estimate(flat, positions, "network")
+        return Estimate(flat, positions, "network", result.expected_error_m)
 
 
 class TrackerPerception:

@@ -65,9 +65,9 @@ class Decision:
     """What was chosen, and from what.
 
     Attributes:
-        action: the best; None when nothing beats doing nothing.
+        action: the best; None when no action keeps the limits.
         gain_m2: coverage that it is expected to add [m^2].
-        candidates: every action that was tried.
+        candidates: every action that was tried, the best first.
         gains_m2: expected gain of each [m^2].
         worth_m2: what each is chosen by: its gain, and the strip to its place [m^2].
         seconds: wall-clock time of the decision [s].
@@ -108,16 +108,15 @@ class Planner:
         )  # fmt: skip
         gains = self._gains(tried, seen, cloth)
         worth = gains + self.config.strip_m * off_cloth(seen, tried)
-        # A strip says which action, never that there should be one.
-        improving = np.where(gains > 0.0, worth, -np.inf)
-        best = int(np.argmax(improving)) if len(gains) else -1
-        improves = best >= 0 and gains[best] > 0.0
+        # Cloth that is not flat can be flattened: where the mesh promises nothing, it is wrong.
+        order = np.lexsort((-worth, gains <= 0.0))
+        order = order[np.isfinite(gains[order])]
         return Decision(
-            action=tried[best] if improves else None,
-            gain_m2=float(gains[best]) if improves else 0.0,
-            candidates=tuple(tried),
-            gains_m2=gains,
-            worth_m2=worth,
+            action=tried[order[0]] if len(order) else None,
+            gain_m2=float(gains[order[0]]) if len(order) else 0.0,
+            candidates=tuple(tried[k] for k in order),
+            gains_m2=gains[order],
+            worth_m2=worth[order],
             seconds=time.perf_counter() - clock,
             cpu_s=time.process_time() - cpu,
         )
