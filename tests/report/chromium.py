@@ -30,6 +30,19 @@ def find_chromium() -> str | None:
     return next(filter(None, map(shutil.which, names)), None)
 
 
+_LEFT = (
+    "Inspected target navigated or closed",
+    "Execution context was destroyed",
+    "Cannot find default execution context",
+    "Cannot find context with specified id",
+)
+"""What the browser answers to a question that the next document came in between."""
+
+
+class PageLeftError(AssertionError):
+    """The page loaded another document before it had answered."""
+
+
 class Page:
     """One open page: what it asked for, what it complained about, what it answers."""
 
@@ -44,6 +57,8 @@ class Page:
         while True:
             answer = json.loads(self._socket.recv(timeout=60))
             if answer.get("id") == number:
+                if str(answer.get("error", {}).get("message", "")).startswith(_LEFT):
+                    raise PageLeftError(answer)
                 assert "error" not in answer, answer
                 return answer["result"]
             self.events.append(answer)
@@ -57,11 +72,14 @@ class Page:
         return answer["result"].get("value")
 
     def wait_for(self, expression: str, *, limit_s: float = 60.0) -> None:
-        """Return when a JavaScript expression becomes true."""
-        end = time.monotonic() + limit_s
-        while not self.ask(expression):
-            assert time.monotonic() < end, f"never true: {expression}"
-            time.sleep(0.25)
+        """Return when a JavaScript expression becomes true, in this document or the next one."""
+        end, found = time.monotonic() + limit_s, False
+        while not found:
+            with contextlib.suppress(PageLeftError):
+                found = self.ask(expression)
+            assert found or time.monotonic() < end, f"never true: {expression}"
+            if not found:
+                time.sleep(0.25)
 
     def requests(self) -> list[str]:
         """Every address that was asked for."""
