@@ -221,9 +221,10 @@ class _Hands:
     def __init__(self, recording: Recording, pictures: SmallPictures) -> None:
         assert recording.table is not None
         camera, factor = pictures.camera, pictures.factor
-        known = np.isfinite(pictures.height_m)
-        ordered = np.sort(np.where(known, pictures.height_m, np.inf), axis=0)
-        usual = np.take_along_axis(ordered, known.sum(axis=0)[None] // 10, axis=0)[0]
+        # What is low in a tenth of the frames; what is never measured hides nothing.
+        heights = np.where(np.isfinite(pictures.height_m), pictures.height_m, np.inf)
+        low = len(heights) // 10
+        usual = np.partition(heights, low, axis=0)[low]
         slope, self._above_m = height_per_depth(camera, recording.table)
         rows, columns = usual.shape
         self._slope = slope[factor // 2 :: factor, factor // 2 :: factor][:rows, :columns]
@@ -238,22 +239,28 @@ class _Hands:
         height_m = self._pictures.height_m[self._places[frame]]
         came = (height_m > _STANDS_HIGH_M) & (height_m - self._usual > _ROSE_M)
         rows, columns = np.nonzero(came)
-        if not len(rows):
-            return None
         depth_m = (height_m[rows, columns] - self._above_m) / self._slope[rows, columns]
+        pixels_m = factor * depth_m / camera.fx
+        if not len(rows) or _half_thickness(came) * pixels_m.max() < _HALF_THICKNESS_M:
+            return None
         pixels = factor * (np.stack([columns, rows], axis=1) + 0.5) - 0.5
         away = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         local = np.column_stack([away, np.ones(len(away))]) * depth_m[:, None]
         points = local @ camera.world_from_camera[:3, :3].T + camera.position
-        other = cKDTree(seen.points).query(points)[0] > _FROM_CLOTH_M
+        # A tree that is asked once is not worth balancing.
+        cloth = cKDTree(seen.points, compact_nodes=False, balanced_tree=False)
+        other = cloth.query(points)[0] > _FROM_CLOTH_M
         if not other.any():
             return None
         came[rows[~other], columns[~other]] = False
-        # Single pixels without depth are no rim.
-        whole = cv2.morphologyEx(came.view(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-        thick = float(cv2.distanceTransform(whole, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max())
-        pixel_m = factor * float(np.median(depth_m[other])) / camera.fx
-        return points[other] if thick * pixel_m >= _HALF_THICKNESS_M else None
+        thick_m = _half_thickness(came) * float(np.median(pixels_m[other]))
+        return points[other] if thick_m >= _HALF_THICKNESS_M else None
+
+
+def _half_thickness(shape: Bool[np.ndarray, "rows columns"]) -> float:
+    """How far its innermost pixel is from its rim [pixels]; single missing pixels are no rim."""
+    whole = cv2.morphologyEx(shape.view(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    return float(cv2.distanceTransform(whole, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max())
 
 
 def _hand_elsewhere(
@@ -264,12 +271,10 @@ def _hand_elsewhere(
     path, gaps = recording.picker_paths[name], []
     for frame in carried_frames(recording, number, name):
         seen = frames.at(frame)
+        points = None if seen is None or not len(seen.points) else hands.at(frame, seen)
         tip = path.position_at(recording.frames[frame].time_s)
-        if seen is None or not len(seen.points) or _behind_cloth(seen, tip):
-            continue
-        points = hands.at(frame, seen)
-        if points is not None:
-            gaps.append(float(cKDTree(points).query(tip)[0]))
+        if seen is not None and points is not None and not _behind_cloth(seen, tip):
+            gaps.append(float(np.linalg.norm(points - tip, axis=1).min()))
     more_m = allowance_m(recording)
     near, limit_m = _MEASURED_TO_ITS_TIP_M + more_m, _FARTHEST_HAND_M + more_m
     if len(gaps) < _LEAST_FRAMES or sorted(gaps)[2] > near:
