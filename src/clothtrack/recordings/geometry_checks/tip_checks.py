@@ -56,8 +56,8 @@ _FROM_CLOTH_M = 0.012
 _HALF_THICKNESS_M = 0.025
 """Of a hand or gripper [m]: of a thinner tool the tip is often not measured."""
 
-_MEASURED_TO_ITS_TIP_M = 0.025
-"""Such a hand is measured up to its tip when it is this near to the path [m] in three frames."""
+_MEASURED_TO_ITS_TIP_M = 0.03
+"""Such a hand is measured up to its tip when it is this near to the path [m] in two frames."""
 
 _FARTHEST_HAND_M = 0.04
 """Distance of a closed tip from the hand [m], the median of three frames in succession. It is below
@@ -277,7 +277,7 @@ def _hand_elsewhere(
             gaps.append(float(np.linalg.norm(points - tip, axis=1).min()))
     more_m = allowance_m(recording)
     near, limit_m = _MEASURED_TO_ITS_TIP_M + more_m, _FARTHEST_HAND_M + more_m
-    if len(gaps) < _LEAST_FRAMES or sorted(gaps)[2] > near:
+    if len(gaps) < _LEAST_FRAMES or sorted(gaps)[1] > near:
         return []
     gap_m = max(float(np.median(gaps[at : at + 3])) for at in range(len(gaps) - 2))
     if gap_m <= limit_m:
