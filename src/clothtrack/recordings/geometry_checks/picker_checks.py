@@ -17,8 +17,8 @@ REACH_M = 0.03
 depth within 22 mm."""
 
 _FARTHEST_CARRIED_M = 0.016
-"""Middle distance of a closed tip from the cloth [m] above which the tip is not where the cloth is
-carried. It is below 11 mm on right recordings with a thin tool."""
+"""Distance of a closed tip from the cloth [m] that a quarter of its frames may pass: more, and the
+tip is not where the cloth is carried."""
 
 _HIDDEN_M = 0.05
 """A tip that nothing can be measured at, because a tool or hand is in front, may have cloth beside
@@ -128,7 +128,7 @@ def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> 
         for tip in [path.position_at(recording.frames[frame].time_s)]
         if (seen := frames.at(frame)) is not None and len(seen.points) and not _beyond(seen, tip)
     ]
-    gap_m, limit_m = float(np.median(gaps)) if gaps else 0.0, _FARTHEST_CARRIED_M
+    gap_m, limit_m = float(np.percentile(gaps, 75)) if gaps else 0.0, _FARTHEST_CARRIED_M
     if gap_m <= limit_m:
         return None
     return Finding(

@@ -59,7 +59,7 @@ _HALF_THICKNESS_M = 0.025
 _MEASURED_TO_ITS_TIP_M = 0.03
 """Such a hand is measured up to its tip when it is this near to the path [m] in two frames."""
 
-_FARTHEST_HAND_M = 0.04
+_FARTHEST_HAND_M = 0.035
 """Distance of a closed tip from the hand [m], the median of three frames in succession. It is below
 23 mm on right recordings."""
 
