@@ -344,12 +344,12 @@ def test_a_place_beside_the_hand_is_found(film):
     """Cloth is there, but the fingers are elsewhere."""
     frames = ObservedFrames(film)
     assert hand_findings(film, frames) == []
-    aside = 0.1 * np.array([-0.9, 0.3, 0.0])
+    aside = 0.15 * np.array([-0.9, 0.3, 0.0])
     for share in (lambda part: part**2, lambda part: (1.0 - part) ** 2):
         wrong = carried(film, lambda tips, part, way=share: tips + way(part) * aside)
         (found,) = hand_findings(wrong, frames)
         assert found.kind == "picker_beside_hand"
-        assert 0.04 < found.measured < 0.11
+        assert 0.035 < found.measured < 0.15
     # A constant error may be that of a tool whose tip is not measured.
     assert hand_findings(carried(film, lambda tips, _: tips + aside), frames) == []
 
