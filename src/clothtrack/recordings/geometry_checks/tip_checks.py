@@ -60,8 +60,8 @@ _MEASURED_TO_ITS_TIP_M = 0.03
 """Such a hand is measured up to its tip when it is this near to the path [m] in two frames."""
 
 _FARTHEST_HAND_M = 0.035
-"""Distance of a closed tip from the hand [m] that three frames in succession may not all pass. They
-do not pass 23 mm on right recordings, nor on paths from clicks that are 0.1 s off."""
+"""Distance of a closed tip from the hand [m] that three frames in succession may not all pass. On
+right recordings they do not all pass 23 mm, on paths of clicks that are 0.1 s off 26."""
 
 _BEHIND_M = 0.02
 """A tip so far behind cloth [m] may have a hand that is not seen."""
