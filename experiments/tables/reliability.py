@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report = {}
         for kind in options.only:
             count = SMOKE[kind] if options.smoke else getattr(options, kind)
-            report[kind] = cases(kind, count, options.seed, stage, out)
+            report[kind] = cases(kind, count, options.seed, stage, out, kinds=options.kinds)
             say(f"\n{kind}\n\n{PROOFS[kind].markdown(report[kind])}")
         if options.json is not None:
             tables = {kind: PROOFS[kind].markdown(rows) for kind, rows in report.items()}
@@ -78,8 +78,13 @@ def staged(folder: Path, kinds: set[str], data: Path | None) -> Path:
     return folder if kinds <= OWN_STAGE else prepared(folder)
 
 
-def cases(kind: str, count: int, seed: int, stage: Path, out: Path) -> list[dict]:
-    """The rows of the first `count` cases; those that are missing are done, one by one."""
+def cases(
+    kind: str, count: int, seed: int, stage: Path, out: Path, *, kinds: Sequence[str] = ()
+) -> list[dict]:
+    """The rows of the first `count` cases; those that are missing are done, one by one.
+
+    With `kinds`, only the cases of these kinds of change.
+    """
     told = progress(kind, count)
     file, proof = out / f"{kind}.jsonl", PROOFS[kind]
     if hasattr(proof, "rows"):
@@ -89,14 +94,17 @@ def cases(kind: str, count: int, seed: int, stage: Path, out: Path) -> list[dict
         file.write_text("".join(json.dumps(row) + "\n" for row in made))
         return made
     done = {row["case"]: row for row in read_rows(file) if row["seed"] == seed}
-    for number in range(count):
+    wanted = range(count)
+    if kinds:
+        wanted = [n for n in wanted if proof.kinds[n % len(proof.kinds)].name in kinds]
+    for number in wanted:
         if number not in done:
             told(number)
             row = proof.case(number, seed, stage, out / "box")
             done[number] = {"case": number, "seed": seed, **row}
             with file.open("a", encoding="utf-8") as rows:
                 rows.write(json.dumps(done[number]) + "\n")
-    return [done[number] for number in range(count)]
+    return [done[number] for number in wanted]
 
 
 def read_rows(file: Path) -> list[dict]:
@@ -128,6 +136,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     for kind, count in COUNTS.items():
         parser.add_argument(f"--{kind}", type=int, default=count, help=f"cases ({count})")
     parser.add_argument("--data", type=Path, help="folder of the real sets, for wrong and harmless")
+    parser.add_argument(
+        "--kinds", nargs="+", default=(), help="of wrong or harmless: the cases of these alone"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of all cases")
     parser.add_argument("--case", help="one case, such as fuzz:1234; nothing is kept")
     parser.add_argument("--json", type=Path, help="write rows and tables to this file")
@@ -135,6 +146,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if options.out is None and not options.smoke:
         parser.error("give --out FOLDER, or --smoke")
+    if options.kinds and not set(options.only) <= OWN_STAGE:
+        parser.error("--kinds needs --only wrong, harmless or both")
     kind, _, number = (options.case or "kills:0").partition(":")
     if kind not in PROOFS or not number.isdigit():
         parser.error("--case is KIND:NUMBER, such as fuzz:1234")

@@ -27,6 +27,7 @@ from clothtrack.recordings import Recording, read_recording
 from clothtrack.recordings.geometry_checks.action_checks import action_findings
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry, sense_findings
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures, small_pictures
+from clothtrack.recordings.geometry_checks.tip_checks import motion_findings
 from clothtrack_lab.world import SMALL_WORLD, simulate
 from tables.geometry_checks import recordings_in
 
@@ -72,7 +73,12 @@ def row(kind: SenseKind, right: Sequence[Right], draws: int) -> dict[str, Any]:
         rng = np.random.default_rng(draw)
         wrong, seen = kind.spoil(recording, small, rng)
         kinds = {
-            each.kind for each in [*sense_findings(wrong, seen), *action_findings(wrong, seen)]
+            each.kind
+            for each in [
+                *sense_findings(wrong, seen),
+                *action_findings(wrong),
+                *motion_findings(wrong, seen),
+            ]
         }
         found += bool(kinds)
         named += bool(kinds & set(kind.kinds))

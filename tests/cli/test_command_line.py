@@ -50,6 +50,19 @@ def test_help_is_quick_and_lists_the_verbs_in_groups():
     assert min(ours) < 5.0 * min(bare)
 
 
+@pytest.mark.parametrize("words", [["--help"], ["track", "--help"], ["--version"]])
+def test_a_reader_that_goes_away_is_no_error(words):
+    """As in `clothtrack track --help | head`."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as closed:
+        done = subprocess.run(
+            [sys.executable, "-m", "clothtrack.cli", *words],
+            stdout=closed, stderr=subprocess.PIPE, check=False, timeout=120,
+        )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_help_loads_no_stage():
     code = (
         "import sys\nfrom clothtrack.cli.command_line import main\n"

@@ -22,9 +22,11 @@ from clothtrack.recordings.geometry_checks.action_checks import action_findings
 from clothtrack.recordings.geometry_checks.all_checks import check_geometry, sense_findings
 from clothtrack.recordings.geometry_checks.camera_checks import camera_findings
 from clothtrack.recordings.geometry_checks.clock_checks import time_findings
+from clothtrack.recordings.geometry_checks.finding import ObservedFrames
 from clothtrack.recordings.geometry_checks.lens_checks import lens_findings
 from clothtrack.recordings.geometry_checks.small_pictures import small_pictures
 from clothtrack.recordings.geometry_checks.template_checks import size_findings, template_findings
+from clothtrack.recordings.geometry_checks.tip_checks import hand_findings, motion_findings
 from clothtrack.recordings.inspection import inspect
 from clothtrack.recordings.recording import ClothDescription, PickAndPlace, PickerPath, Table
 from clothtrack.recordings.store import RecordingWriter, read_recording
@@ -121,7 +123,7 @@ def small(film):
 
 
 def findings_of(film, small):
-    return [*sense_findings(film, small), *action_findings(film, small)]
+    return [*sense_findings(film, small), *action_findings(film), *motion_findings(film, small)]
 
 
 def test_a_right_recording_is_not_accused(film):
@@ -243,7 +245,7 @@ def test_a_few_frames_are_not_accused(film, count):
     few = replace(film, frames=film.frames[CLOSED : CLOSED + count], actions=actions)
     few = replace(few, frames=tuple(replace(f, index=n) for n, f in enumerate(few.frames)))
     seen = small_pictures(few)
-    assert "picker_moves_nothing" not in [each.kind for each in action_findings(few, seen)]
+    assert "picker_moves_nothing" not in [each.kind for each in motion_findings(few, seen)]
 
 
 def test_another_thing_in_the_first_mask_is_found(film, small):
@@ -301,17 +303,55 @@ def test_depth_in_large_steps_is_doubted(film, tmp_path, step_m, found):
 def test_an_action_holds_its_pick_and_its_release(film, small):
     for first, last, kind in ((12, 26, "action_begins_late"), (2, 13, "action_ends_early")):
         wrong = replace(film, actions=(PickAndPlace(first, last, ("hand",)),))
-        assert kind in [each.kind for each in action_findings(wrong, small)]
+        assert kind in [each.kind for each in action_findings(wrong)]
     # One long carry in two actions loses nothing.
     halves = (PickAndPlace(2, 13, ("hand",)), PickAndPlace(13, 26, ("hand",)))
-    assert action_findings(replace(film, actions=halves), small) == []
+    assert action_findings(replace(film, actions=halves)) == []
 
 
 def test_a_tip_that_moves_where_nothing_does_is_found(film, small):
     path = film.picker_paths["hand"]
     elsewhere = replace(path, positions=path.positions * (-1.0, 1.0, 1.0))
-    found = action_findings(replace(film, picker_paths={"hand": elsewhere}), small)
+    found = motion_findings(replace(film, picker_paths={"hand": elsewhere}), small)
     assert [each.kind for each in found] == ["picker_moves_nothing"]
+
+
+def carried(film, change):
+    """The film with its closed tips at other places: the share of the carry goes from 0 to 1."""
+    path = film.picker_paths["hand"]
+    positions = path.positions.copy()
+    frames = np.flatnonzero(path.closed)
+    positions[frames] = change(positions[frames], np.linspace(0.0, 1.0, len(frames))[:, None])
+    positions[frames[-1] + 1 :] = positions[frames[-1]]
+    return replace(film, picker_paths={"hand": replace(path, positions=positions)})
+
+
+def test_a_tip_that_stands_while_its_cloth_goes_on_is_found(film, small):
+    for since in (5, 7, 9):
+        stuck = carried(film, lambda tips, _, at=since: tips[np.minimum(np.arange(len(tips)), at)])
+        (found,) = motion_findings(stuck, small)
+        assert found.kind == "picker_stuck"
+        assert f"from {(CLOSED + since) / RATE:g} s on" in found.text
+    # A tip that waits before it carries, or keeps what it holds where it is, is right.
+    late = carried(film, lambda tips, _: tips[np.maximum(np.arange(len(tips)) - 3, 0)])
+    assert "picker_stuck" not in [each.kind for each in motion_findings(late, small)]
+    waits = in_order(small, np.minimum(np.arange(FRAMES), CLOSED + 9))
+    stuck = carried(film, lambda tips, _: tips[np.minimum(np.arange(len(tips)), 9)])
+    assert motion_findings(stuck, waits) == []
+
+
+def test_a_place_beside_the_hand_is_found(film):
+    """Cloth is there, but the fingers are elsewhere."""
+    frames = ObservedFrames(film)
+    assert hand_findings(film, frames) == []
+    aside = 0.15 * np.array([-0.9, 0.3, 0.0])
+    for share in (lambda part: part**2, lambda part: (1.0 - part) ** 2):
+        wrong = carried(film, lambda tips, part, way=share: tips + way(part) * aside)
+        (found,) = hand_findings(wrong, frames)
+        assert found.kind == "picker_beside_hand"
+        assert 0.035 < found.measured < 0.15
+    # A constant error may be that of a tool whose tip is not measured.
+    assert hand_findings(carried(film, lambda tips, _: tips + aside), frames) == []
 
 
 def test_a_template_is_one_surface(film):

@@ -23,7 +23,6 @@ import clothtrack
 from clothtrack.cli.signature import configuration_of
 from clothtrack.cli.terminal import (
     INTERRUPTED,
-    WRONG_USAGE,
     complain,
     end_by_interrupt,
     exit_code,
@@ -34,7 +33,6 @@ from clothtrack.cli.terminal import (
 from clothtrack.cli.usage import Function, overview, parse
 from clothtrack.cli.versions import versions
 from clothtrack.cli.warnings_once import logged
-from clothtrack.errors import WrongUsageError
 
 OWN: Mapping[str, str] = {
     "demo": "demo",
@@ -93,23 +91,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if words[:1] == ["--version"]:
-        return exit_code(lambda: versions(json="--json" in words))
-    try:
-        if words[:1] in (["-h"], ["--help"]):
-            say(overview(VERBS, GROUPS))
-            return 0
-        function, chosen = parse(words, VERBS, _GONE)
-    except WrongUsageError as wrong:
-        complain(str(wrong))
-        return WRONG_USAGE
-    for variable in _THREADS:
-        os.environ.setdefault(variable, "1")
-    with logged(verbose=chosen.pop("verbose")):
-        code = exit_code(lambda: _run(words[0], function, chosen))
+    code = exit_code(lambda: _begin(words))
     if code == INTERRUPTED and arguments is None:
         end_by_interrupt()
     return code
+
+
+def _begin(words: Sequence[str]) -> int:
+    """Do what the words ask for; the exit code.
+
+    Raises:
+        WrongUsageError: they ask for nothing that there is.
+        SystemExit: the help of a verb was asked for, and written.
+    """
+    if words[:1] == ["--version"]:
+        return versions(json="--json" in words)
+    if words[:1] in (["-h"], ["--help"]):
+        say(overview(VERBS, GROUPS))
+        return 0
+    function, chosen = parse(words, VERBS, _GONE)
+    for variable in _THREADS:
+        os.environ.setdefault(variable, "1")
+    with logged(verbose=chosen.pop("verbose")):
+        return _run(words[0], function, chosen)
 
 
 def _run(verb: str, function: Function, chosen: dict[str, Any]) -> int:

@@ -75,7 +75,11 @@ def exit_code(run: Callable[[], int]) -> int:
 
 def _exit_code(run: Callable[[], int], terminations: list[float]) -> int:
     try:
-        return run()
+        try:
+            return run()
+        finally:
+            # What a reader that went away did not take is noticed here, not when Python ends.
+            sys.stdout.flush()
     except WrongUsageError as wrong:
         complain(str(wrong))
         return WRONG_USAGE

@@ -1,28 +1,10 @@
-"""The picker and the actions against what moves in the pictures."""
-
-from collections.abc import Iterator
+"""The actions against the picker: do they hold its pick and its release?"""
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.spatial.distance import cdist
 
-from clothtrack.recordings.geometry_checks.change_maps import change_maps
 from clothtrack.recordings.geometry_checks.finding import Finding
-from clothtrack.recordings.geometry_checks.picker_checks import allowance_m, held_by_name
-from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
+from clothtrack.recordings.geometry_checks.picker_checks import held_by_name
 from clothtrack.recordings.recording import PickAndPlace, PickerPath, Recording
-
-_FARTHEST_MOTION_M = 0.05
-"""A tip that carries cloth has something that moves within this distance in the picture [m]."""
-
-_MOST_FAR = 0.2
-"""Share of the frames in which a moving closed tip may have none: some lack depth there."""
-
-_LEAST_STEP_M = 0.015
-"""A tip that goes so far in two frames [m] moves what it holds by more than the noise."""
-
-_LEAST_FRAMES = 5
-"""Fewer frames with a moving tip than this say nothing."""
 
 _LEAST_LATE_S = 0.1
 _LEAST_LATE_M = 0.02
@@ -30,17 +12,14 @@ _LEAST_LATE_M = 0.02
 much time [s]."""
 
 
-def action_findings(recording: Recording, pictures: SmallPictures | None) -> list[Finding]:
-    """Return actions that leave out the pick or the release, and paths where nothing moves."""
+def action_findings(recording: Recording) -> list[Finding]:
+    """Return actions that leave out the pick or the release."""
     found = []
     for number, action in enumerate(recording.actions):
         for name in action.pickers:
             if held_by_name(recording, name):
                 continue
-            path = recording.picker_paths[name]
-            found += _left_out(recording, number, name, path)
-            if pictures is not None:
-                found += _moves_nothing(recording, pictures, number, name)
+            found += _left_out(recording, number, name, recording.picker_paths[name])
     return found
 
 
@@ -112,62 +91,3 @@ def _way_m(path: PickerPath, first_s: float, last_s: float) -> float:
     """How far a tip gets away from where it was at the first time [m]."""
     spots = np.stack([path.position_at(time) for time in np.linspace(first_s, last_s, 20)])
     return float(np.linalg.norm(spots - spots[0], axis=1).max())
-
-
-def _moves_nothing(
-    recording: Recording, pictures: SmallPictures, number: int, name: str
-) -> list[Finding]:
-    """Nothing moves in the picture where a closed tip moves."""
-    action = recording.actions[number]
-    far = [
-        gap
-        for frame, gap in _motion_gaps_m(recording, pictures, name)
-        if action.first_frame <= frame <= action.last_frame
-    ]
-    limit_m = _FARTHEST_MOTION_M + allowance_m(recording)
-    share = float(np.mean(np.array(far) > limit_m)) if far else 0.0
-    if len(far) < _LEAST_FRAMES or share <= _MOST_FAR:
-        return []
-    gap_m = float(np.percentile(far, 100 * (1 - _MOST_FAR)))
-    return [
-        Finding(
-            "picker_moves_nothing", gap_m, limit_m, "m", "picker.csv: x_m, y_m, z_m",
-            f"in {100 * share:.0f} % of the frames of action {number + 1} nothing moves within "
-            f"{1e3 * limit_m:.0f} mm of the closed picker {name!r} (at most "
-            f"{100 * _MOST_FAR:.0f} %): correct pick, place and times of its path in picker.csv",
-        )
-    ]  # fmt: skip
-
-
-def _motion_gaps_m(
-    recording: Recording, pictures: SmallPictures, name: str
-) -> Iterator[tuple[int, float]]:
-    """Frames with a moving closed tip in the picture, and how far from it something moves [m]."""
-    path, camera, step = recording.picker_paths[name], pictures.camera, 2
-    if len(pictures.frames) <= step:
-        return
-    changes = change_maps(pictures, step)
-    times = [recording.frames[frame].time_s for frame in pictures.frames]
-    for place in range(len(pictures.frames) - step):
-        before, after = times[place], times[place + step]
-        tips = np.stack([path.position_at(before), path.position_at(after)])
-        held = path.closed_at(before) and path.closed_at(after)
-        if not held or np.linalg.norm(tips[1] - tips[0]) < _LEAST_STEP_M:
-            continue
-        moved = changes.height_m[place] > 0
-        if changes.color is not None:
-            moved = moved | (changes.color[place] > 0)
-        spots, depth = camera.project(tips)
-        inside = ((spots >= 0) & (spots < (camera.width, camera.height))).all()
-        if not inside or not (depth > 0).all():
-            continue
-        pixels = _nearest(moved, spots / pictures.factor)
-        yield pictures.frames[place], pixels * pictures.factor * float(depth.min()) / camera.fx
-
-
-def _nearest(moved: Bool[np.ndarray, "rows columns"], spots: Float[np.ndarray, "2 2"]) -> float:
-    """Distance of the nearer of two spots from the nearest pixel that moved [reduced pixels]."""
-    if not moved.any():
-        return float(np.hypot(*moved.shape))
-    pixels = np.minimum(spots.astype(int), np.array(moved.shape[::-1]) - 1)
-    return float(cdist(pixels, np.argwhere(moved)[:, ::-1]).min())

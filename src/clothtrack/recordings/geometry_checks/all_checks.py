@@ -19,6 +19,7 @@ from clothtrack.recordings.geometry_checks.picker_clock import clock_findings
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 from clothtrack.recordings.geometry_checks.stream_checks import stream_findings
 from clothtrack.recordings.geometry_checks.template_checks import size_findings, template_findings
+from clothtrack.recordings.geometry_checks.tip_checks import hand_findings, motion_findings
 from clothtrack.recordings.recording import Recording
 
 
@@ -46,7 +47,13 @@ def check_geometry(
         return (*alone, *cloth)
     clock = clock_findings(recording, frames)
     path = clock or picker_findings(recording, frames)
-    return (*alone, *cloth, *path, *([] if path else action_findings(recording, frames.small)))
+    return (*alone, *cloth, *(path or _carrying(recording, frames)))
+
+
+def _carrying(recording: Recording, frames: ObservedFrames) -> list[Finding]:
+    """What is wrong with a path that leads through the cloth."""
+    moved = [] if frames.small is None else motion_findings(recording, frames.small)
+    return [*action_findings(recording), *(moved or hand_findings(recording, frames))]
 
 
 def sense_findings(recording: Recording, pictures: SmallPictures | None) -> list[Finding]:

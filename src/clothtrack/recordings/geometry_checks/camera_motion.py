@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothtrack.recordings.geometry_checks.change_maps import color_edges, filling, height_edges
+from clothtrack.recordings.geometry_checks.change_maps import color_edges, height_edges
 from clothtrack.recordings.geometry_checks.finding import Finding
 from clothtrack.recordings.geometry_checks.small_pictures import SmallPictures
 from clothtrack.recordings.recording import Recording
@@ -11,6 +11,9 @@ from clothtrack.recordings.recording import Recording
 _LARGEST_MOTION_M = 0.0025
 """Change of the table's height somewhere in the picture [m] up to which the camera stands still.
 It is below 0.4 mm on right recordings; a camera turned by 1 degree makes 7."""
+
+_EVERY = 2
+"""Of the reduced pixels that the table is fitted to, along each axis: thousands are enough."""
 
 _NEAR_TABLE_M = 0.03
 """What the first frames show this near to the recorded table [m] may be the table."""
@@ -22,8 +25,8 @@ _INLIER_M = 0.005
 _FEWEST_INLIERS = 0.6
 """Share of the table's pixels that must agree within so much [m] on how the table moved."""
 
-_ROUNDS = 8
-"""Of the reweighted fit; it is steady after five."""
+_ROUNDS = 5
+"""Of the reweighted fit; it is steady then."""
 
 _LEAST_JUMP, _MOST_JUMP = 2.5, 15.0
 """Shift of the whole picture between two frames [reduced pixels, 1/160 of the width] that is a
@@ -51,12 +54,12 @@ def _table_moved(recording: Recording, pictures: SmallPictures) -> list[Finding]
     """The table is turned or lies lower although nothing but cloth and hands may move."""
     if recording.table is None:
         return []
-    heights = pictures.height_m
+    heights = pictures.height_m[:, ::_EVERY, ::_EVERY]
     known = np.isfinite(heights[:3])
     first = np.where(known, heights[:3], 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     table = known.any(axis=0) & (np.abs(first) < _NEAR_TABLE_M)
     if pictures.mask is not None:
-        table &= (pictures.mask == 0).all(axis=0)
+        table &= (pictures.mask[:, ::_EVERY, ::_EVERY] == 0).all(axis=0)
     moved = np.array([_table_motion_m(height - first, table) for height in heights])
     lasting = np.minimum(moved[:-1], moved[1:])  # What a single frame shows is noise, or an arm.
     most_m = float(lasting.max())
@@ -77,12 +80,12 @@ def _table_motion_m(
         return 0.0
     across = 2.0 * columns / (change.shape[1] - 1) - 1.0
     down = 2.0 * rows / (change.shape[0] - 1) - 1.0
-    basis, wanted = np.stack([np.ones(len(rows)), across, down], axis=1), change[usable]
+    basis, wanted = np.stack([np.ones(len(rows)), across, down]), change[usable].astype(np.float64)
     plane, away = np.zeros(3), wanted - np.median(wanted)
     for _ in range(_ROUNDS):
-        weight = 1.0 / (1.0 + (away / _INLIER_M) ** 2)
-        plane = np.linalg.lstsq(basis * weight[:, None], wanted * weight, rcond=None)[0]
-        away = wanted - basis @ plane
+        weighted = basis / np.square(1.0 + (away / _INLIER_M) ** 2)
+        plane = np.linalg.solve(weighted @ basis.T, weighted @ wanted)
+        away = wanted - plane @ basis
     if (np.abs(away) < _INLIER_M).mean() < _FEWEST_INLIERS:
         return 0.0
     return float(np.abs(plane).sum())
@@ -90,13 +93,11 @@ def _table_motion_m(
 
 def _picture_jumped(recording: Recording, pictures: SmallPictures) -> list[Finding]:
     """All edges are elsewhere from one frame to the next, and not on the way there."""
-    fits = _step_correlations(pictures)
-    away = np.hypot(*_best_shifts(fits).T)
+    as_recorded, fit, away = _step_shifts(pictures)
     # What moves at a constant speed is farther off after a missing frame.
     took = np.diff([recording.frames[frame].time_s for frame in pictures.frames])
     speed = away / np.maximum(took, 1e-9)
     beside = took * np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))
-    fit, as_recorded = fits.max(axis=(1, 2)), fits[:, 0, 0]
     jump = (away >= _LEAST_JUMP) & (away <= _MOST_JUMP) & (beside <= 0.5 * away)
     jump &= (fit >= _LEAST_FIT) & (fit >= as_recorded + _LEAST_GAIN)
     if not jump.any():
@@ -107,34 +108,36 @@ def _picture_jumped(recording: Recording, pictures: SmallPictures) -> list[Findi
     return [_finding(pictures, pictures.frames[step + 1], (pixels, limit, "px"), shown)]
 
 
-def _step_correlations(
+def _step_shifts(
     pictures: SmallPictures,
-) -> Float[np.ndarray, "steps rows columns"]:
-    """Return how the edges of each frame lie on those of the next, for all shifts; none at [0, 0].
+) -> tuple[Float[np.ndarray, " steps"], Float[np.ndarray, " steps"], Float[np.ndarray, " steps"]]:
+    """Return how the edges of each frame lie on those of the next, from one frame to the next.
 
-    A picture with few edges counts little beside one of the same frame with many.
+    As they are, where they are shifted best, and by how much [pixels]. A picture with few edges
+    counts little beside one of the same frame with many. Edges that fit as they are, and whose
+    neighbors in time do, are not shifted.
     """
-    filled = filling(pictures.height_m)
-    maps = [np.stack([height_edges(height, filled) for height in pictures.height_m])]
+    maps = [np.stack([height_edges(height, pictures.filled_m) for height in pictures.height_m])]
     if pictures.color is not None:
         maps.append(np.stack([color_edges(color) for color in pictures.color]))
-    total, scales = 0.0, 0.0
-    for each in maps:
-        centered = np.float32(each - each.mean(axis=(1, 2), keepdims=True))
-        waves, size = np.fft.rfft2(centered), centered.shape[1:]
-        products = np.fft.irfft2(waves[1:] * waves[:-1].conj(), s=size)
-        strength = np.sqrt((centered**2).sum(axis=(1, 2)))
-        usual = max(float(np.mean(strength**2)), 1e-12)
-        total = total + products / usual
-        scales = scales + strength[1:] * strength[:-1] / usual
-    return total / np.maximum(scales, 1e-12)[:, None, None]
-
-
-def _best_shifts(fits: Float[np.ndarray, "steps rows columns"]) -> Float[np.ndarray, "steps 2"]:
-    """Return the shift of the largest correlation of each step, down and right [pixels]."""
-    size = np.array(fits.shape[1:])
-    best = np.stack(np.divmod(fits.reshape(len(fits), -1).argmax(axis=1), size[1]), axis=1)
-    return ((best + size // 2) % size - size // 2).astype(np.float64)
+    centered = [np.float32(each - each.mean(axis=(1, 2), keepdims=True)) for each in maps]
+    squares = [np.einsum("fij,fij->f", each, each).astype(np.float64) for each in centered]
+    usual = [max(float(np.mean(each)), 1e-12) for each in squares]
+    scale = sum(np.sqrt(a[1:] * a[:-1]) / u for a, u in zip(squares, usual, strict=True))
+    scale = np.maximum(scale, 1e-12)
+    products = [np.einsum("fij,fij->f", each[1:], each[:-1]) for each in centered]
+    as_recorded = sum(a / u for a, u in zip(products, usual, strict=True)) / scale
+    fit, away = as_recorded.copy(), np.zeros(len(scale))
+    moved = np.convolve(as_recorded < 1.0 - _LEAST_GAIN, [1, 1, 1], "same") > 0
+    for step in np.flatnonzero(moved):
+        pair = [np.fft.rfft2(each[step : step + 2]) / u**0.5
+                for each, u in zip(centered, usual, strict=True)]  # fmt: skip
+        size = centered[0].shape[1:]
+        fits = np.fft.irfft2(sum(one[1] * one[0].conj() for one in pair), s=size) / scale[step]
+        best = np.array(np.unravel_index(fits.argmax(), size))
+        half = np.array(size) // 2
+        fit[step], away[step] = fits.max(), np.hypot(*((best + half) % size - half))
+    return as_recorded, fit, away
 
 
 def _finding(pictures: SmallPictures, since: int, by: _Motion, shown: str) -> Finding:

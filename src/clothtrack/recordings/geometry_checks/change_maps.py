@@ -49,23 +49,16 @@ def change_maps(pictures: SmallPictures, step: int = 1) -> ChangeMaps:
 
 def color_edges(color: np.ndarray) -> Float[np.ndarray, "rows columns"]:
     """Return the slope of the strongest channel, noise taken off, clipped."""
-    slopes = [_slope(channel) for channel in cv2.split(color.astype(np.float32))]
-    return np.clip(np.max(slopes, axis=0) - COLOR_EDGE, 0.0, COLOR_EDGE_MOST)
+    slope = _slope(color.astype(np.float32))
+    # Channel by channel, which is ten times as fast as along the last axis.
+    strongest = np.maximum(np.maximum(slope[..., 0], slope[..., 1]), slope[..., 2])
+    return np.clip(strongest - COLOR_EDGE, 0.0, COLOR_EDGE_MOST)
 
 
 def height_edges(height_m: np.ndarray, filled: np.ndarray) -> Float[np.ndarray, "rows columns"]:
     """Return the slope of the height [m], noise taken off, clipped; `filled` stands in for NaN."""
     slope = _slope(np.where(np.isfinite(height_m), height_m, filled).astype(np.float32))
     return np.clip(slope - HEIGHT_EDGE_M, 0.0, HEIGHT_EDGE_MOST_M)
-
-
-def filling(heights_m: Float[np.ndarray, "frames rows columns"]) -> np.ndarray:
-    """Return the middle height of each pixel over all frames [m]; 0 where it was never measured."""
-    known = np.isfinite(heights_m)
-    ordered = np.sort(np.where(known, heights_m, np.inf), axis=0)
-    place = np.maximum(known.sum(axis=0) - 1, 0) // 2
-    middle = np.take_along_axis(ordered, place[None], axis=0)[0]
-    return np.where(np.isfinite(middle), middle, 0.0).astype(np.float32)
 
 
 def moving(changes: Float[np.ndarray, "steps rows columns"]) -> Bool[np.ndarray, " steps"]:
@@ -80,4 +73,5 @@ _LEAST_MOVING = 0.002
 def _slope(picture: np.ndarray) -> np.ndarray:
     soft = cv2.GaussianBlur(picture, (0, 0), 1.0)
     across = cv2.Sobel(soft, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
-    return cv2.magnitude(across, cv2.Sobel(soft, cv2.CV_32F, 0, 1, ksize=3, scale=0.125))
+    down = cv2.Sobel(soft, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
+    return cv2.magnitude(across.ravel(), down.ravel()).reshape(picture.shape)

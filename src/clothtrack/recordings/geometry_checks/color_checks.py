@@ -16,7 +16,6 @@ from scipy import fft
 from clothtrack.recordings.geometry_checks.change_maps import (
     change_maps,
     color_edges,
-    filling,
     height_edges,
     moving,
 )
@@ -174,10 +173,9 @@ def _maps(pictures: SmallPictures) -> _Pairs | None:
         return None
     strength = np.where(both, changes.height_m.sum(axis=(1, 2)), 0.0)
     chosen = np.sort(np.argsort(strength)[::-1][: min(FRAMES, int(both.sum()))])
-    filled = filling(pictures.height_m)
     edges = (
         np.stack([color_edges(pictures.color[place]) for place in chosen]),
-        np.stack([height_edges(pictures.height_m[place], filled) for place in chosen]),
+        np.stack([height_edges(pictures.height_m[place], pictures.filled_m) for place in chosen]),
     )
     motion = (changes.color[chosen], changes.height_m[chosen])
     if not all(maps.any() for maps in (*edges, *motion)):

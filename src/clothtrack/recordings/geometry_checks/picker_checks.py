@@ -17,8 +17,8 @@ REACH_M = 0.03
 depth within 22 mm."""
 
 _FARTHEST_CARRIED_M = 0.016
-"""Middle distance of a closed tip from the cloth [m] above which the tip is not where the cloth is
-carried. It is below 11 mm on right recordings with a thin tool."""
+"""Distance of a closed tip from the cloth [m] that a quarter of its frames may pass: more, and the
+tip is not where the cloth is carried."""
 
 _HIDDEN_M = 0.05
 """A tip that nothing can be measured at, because a tool or hand is in front, may have cloth beside
@@ -75,6 +75,19 @@ def _holds(recording: Recording, number: int, action: PickAndPlace) -> Iterator[
         yield _Hold(number, name, closed)
 
 
+def carried_frames(recording: Recording, number: int, picker: str) -> tuple[int, ...]:
+    """Return up to twelve frames of an action in which a picker is closed, spread evenly."""
+    for hold in _holds(recording, number, recording.actions[number]):
+        if hold.name == picker and hold.closed:
+            return _spread(hold)
+    return ()
+
+
+def _spread(hold: _Hold) -> tuple[int, ...]:
+    chosen = np.linspace(0, len(hold.closed) - 1, _CARRIED_FRAMES).round().astype(int)
+    return tuple(hold.closed[place] for place in np.unique(chosen))
+
+
 def _never_closed(hold: _Hold) -> Finding | None:
     if hold.closed:
         return None
@@ -109,14 +122,13 @@ def _closes_beside(recording: Recording, hold: _Hold, frames: ObservedFrames) ->
 def _carries_none(recording: Recording, hold: _Hold, frames: ObservedFrames) -> Finding | None:
     """The tip while it is closed against the cloth of the same frames."""
     path = recording.picker_paths[hold.name]
-    chosen = np.linspace(0, len(hold.closed) - 1, _CARRIED_FRAMES).round().astype(int)
     gaps = [
         carried_distances_m(seen, tip[None], allowance_m(recording))[0]
-        for frame in {hold.closed[place] for place in chosen}
+        for frame in _spread(hold)
         for tip in [path.position_at(recording.frames[frame].time_s)]
         if (seen := frames.at(frame)) is not None and len(seen.points) and not _beyond(seen, tip)
     ]
-    gap_m, limit_m = float(np.median(gaps)) if gaps else 0.0, _FARTHEST_CARRIED_M
+    gap_m, limit_m = float(np.percentile(gaps, 75)) if gaps else 0.0, _FARTHEST_CARRIED_M
     if gap_m <= limit_m:
         return None
     return Finding(

@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import cv2
@@ -48,6 +49,15 @@ class SmallPictures:
     mask: Float[np.ndarray, "frames rows columns"] | None
     same_color: Bool[np.ndarray, " frames"]
     same_depth: Bool[np.ndarray, " frames"]
+
+    @cached_property
+    def filled_m(self) -> Float[np.ndarray, "rows columns"]:
+        """Middle height of each pixel over all frames [m]; 0 where it was never measured."""
+        known = np.isfinite(self.height_m)
+        ordered = np.sort(np.where(known, self.height_m, np.inf), axis=0)
+        place = np.maximum(known.sum(axis=0) - 1, 0) // 2
+        middle = np.take_along_axis(ordered, place[None], axis=0)[0]
+        return np.where(np.isfinite(middle), middle, 0.0).astype(np.float32)
 
 
 class PictureReducer:

@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float
 from clothtrack.recordings.geometry_checks.change_maps import (
     ChangeMaps,
     change_maps,
-    filling,
     moving,
 )
 from clothtrack.recordings.geometry_checks.corrections import StreamDelay
@@ -180,8 +179,7 @@ def _disordered(pictures: SmallPictures) -> list[Finding]:
     """Neighbors that would be nearer to the frames around them the other way round."""
     if len(pictures.frames) < _LEAST_MOVING_STEPS + 3:
         return []
-    filled = filling(pictures.height_m)
-    away = np.nan_to_num(pictures.height_m - filled, nan=0.0)
+    away = np.nan_to_num(pictures.height_m - pictures.filled_m, nan=0.0)
     one, two = _apart(np.clip(away, -_MOST_AWAY_M, _MOST_AWAY_M))
     if pictures.color is not None:
         color_one, color_two = _apart(pictures.color.astype(np.float32))
