@@ -26,7 +26,7 @@ from clothtrack.recordings.optical_flow import (
 from clothtrack.recordings.point_cloud import FollowedPoints
 from clothtrack.recordings.recognition import KeyPoints, Recogniser
 from clothtrack.recordings.recording import Frame, Recording
-from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.recordings.segmentation import Segmenter, bounds_of
 
 _SPACING_PX = 10
 """At most one point is chosen per cell of this side [pixels]."""
@@ -62,6 +62,9 @@ LEAST_MEASURED = 0.4
 _STEEP_PX = 12.0
 """Depth that changes within that square by so many pixels' width of the cloth, and 4 mm, is no
 slope but a step: a window there shows two layers."""
+
+_AROUND_PX = 2 * SMOOTH_PX
+"""Around the cloth depth is smoothed so far [pixels]: more than what a pixel's value depends on."""
 
 
 class PointFollower:
@@ -134,7 +137,7 @@ class _Picture:
     Attributes:
         gray: brightness.
         even: the same of the cloth, whatever light falls on it.
-        depth: smoothed depth [m].
+        depth: smoothed depth of the cloth and around it [m]; 0 elsewhere.
         clear: where a window shows one layer of cloth and nothing else.
     """
 
@@ -146,19 +149,23 @@ class _Picture:
     @classmethod
     def of(cls, view: CameraView, color: UInt8[np.ndarray, "height width 3"]) -> "_Picture":
         """Find where windows of what a camera saw may be compared."""
+        # Nothing is followed beside the cloth: a picture that is as wide as needed there.
+        part = bounds_of(view.mask, margin=_AROUND_PX)
         window = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)
-        clear = cv2.erode(view.mask.view(np.uint8), window, borderValue=0).view(bool)
-        measured = (~view.blind).astype(np.float32)
+        shown = cv2.erode(view.mask[part].view(np.uint8), window, borderValue=0).view(bool)
+        measured = (~view.blind[part]).astype(np.float32)
         square = np.ones((SMOOTH_PX, SMOOTH_PX), np.uint8)
         share = cv2.blur(measured, square.shape)
-        smooth = cv2.blur(measured * view.depth_m, square.shape)
+        smooth = cv2.blur(measured * view.depth_m[part], square.shape)
         smooth /= np.maximum(share, 1e-6)
         step = cv2.dilate(smooth, square) - cv2.erode(smooth, square)
-        clear &= (share > LEAST_MEASURED) & (
+        shown &= (share > LEAST_MEASURED) & (
             step < LEAST_JUMP_M + _STEEP_PX / view.camera.fx * smooth
         )
+        clear, depth = np.zeros(view.mask.shape, bool), np.zeros(view.mask.shape, np.float32)
+        clear[part], depth[part] = shown, smooth
         gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-        return cls(gray, even_picture(gray, view.mask), smooth, clear)
+        return cls(gray, even_picture(gray, view.mask), depth, clear)
 
     def noise_since(self, before: "_Picture | None") -> float:
         """Return the standard deviation [grey values].
