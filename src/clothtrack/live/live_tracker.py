@@ -49,6 +49,10 @@ Picker = Mapping[str, tuple[Sequence[float] | Float[np.ndarray, " 3"], bool]]
 _CLOUDS_KEPT = 3
 """Of this frame, the one before, and the one that resting cloth is compared with."""
 
+_FOLLOWED_KEPT = 64
+"""Followed points of so many frames: the final alignment of an action asks for those of its last
+frame, a moment later."""
+
 
 @dataclass(eq=False)
 class _Parts:
@@ -325,7 +329,7 @@ class LiveTracker:
         self._growing.show_paths(frame.index)
         self._cloud = observer(
             recording, config.cloud_spacing_m, self._segmenter, color=config.color,
-            kept=_CLOUDS_KEPT,
+            kept=_CLOUDS_KEPT, followed=_FOLLOWED_KEPT,
         )  # fmt: skip
         first, gap_m = checked_initial_state(
             recording, self._cloud(frame), config.initial_state, segmenter=self._segmenter,
@@ -337,7 +341,7 @@ class LiveTracker:
         made = METHODS[config.mode](components)
         recorder = Recorder(
             recording, first.mesh, made.state, components.visible,
-            watch=None if self._watch is None else self._show,
+            watch=None if self._watch is None else self._show, on_disk=True,
         )  # fmt: skip
         return _Parts(
             components, recorder.timed(made.method), made.state, made.theta, recorder,

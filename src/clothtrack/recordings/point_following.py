@@ -70,21 +70,26 @@ _AROUND_PX = 2 * SMOOTH_PX
 class PointFollower:
     """The points of the cloth that can be followed, frame by frame; chosen where actions begin."""
 
-    def __init__(self, recording: Recording, segmenter: Segmenter | None = None) -> None:
+    def __init__(
+        self, recording: Recording, segmenter: Segmenter | None = None, *, kept: int | None = None
+    ) -> None:
         """Follow nothing yet.
 
         Args:
             recording: a recording of clouds has nothing to follow.
             segmenter: finds the cloth; the recording's masks, colour or height by default.
+            kept: the points of so many frames are kept, the newest; all by default. In an older one
+                nothing is followed.
         """
         self._recording, self._segmenter = recording, segmenter
         numbers = itertools.count()
         self._followers = {camera.name: _Follower(camera, numbers) for camera in recording.cameras}
-        self._found: list[FollowedPoints] = []
+        self._found: dict[int, FollowedPoints] = {}
+        self._next, self._kept = 0, kept
 
     def knows(self, frame: Frame) -> bool:
         """Return whether a frame has been followed to: its pictures are not needed again."""
-        return frame.index < len(self._found)
+        return frame.index < self._next
 
     def __call__(self, frame: Frame, views: Sequence[CameraView]) -> FollowedPoints:
         """Return the points in a frame; those in the frames before it are followed first.
@@ -96,13 +101,13 @@ class PointFollower:
         Raises:
             InvalidRecordingError: a picture of a frame before cannot be read.
         """
-        for skipped in self._recording.frames[len(self._found) : frame.index]:
+        for skipped in self._recording.frames[self._next : frame.index]:
             self._follow(
                 skipped, camera_views(self._recording, skipped, self._segmenter, color=True)
             )
         if not self.knows(frame):
             self._follow(frame, views)
-        return self._found[frame.index]
+        return self._found.get(frame.index, FollowedPoints())
 
     def _follow(self, frame: Frame, views: Sequence[CameraView]) -> None:
         """Follow the points to the next frame."""
@@ -118,7 +123,9 @@ class PointFollower:
             for view in views
             if view.color is not None
         ]
-        self._found.append(_together(parts))
+        self._found[frame.index], self._next = _together(parts), frame.index + 1
+        if self._kept is not None:
+            self._found.pop(frame.index - self._kept, None)
 
 
 def _together(parts: list[FollowedPoints]) -> FollowedPoints:
