@@ -1,14 +1,17 @@
 """A recording that is still being made: frames, actions and paths are added as they come."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.table_plane import world_from_table
 from clothtrack.live.growing_frames import GrowingFrames
+from clothtrack.recordings.recorded_table import fit_recorded_table
 from clothtrack.recordings.recording import (
     WRITTEN_UNIT_M,
     ClothDescription,
@@ -18,6 +21,9 @@ from clothtrack.recordings.recording import (
     Recording,
     Table,
 )
+
+Picker = Mapping[str, tuple[Sequence[float] | Float[np.ndarray, " 3"], bool]]
+"""Where the tips are in the world [m], and whether they are closed, by the picker's name."""
 
 
 class GrowingPath:
@@ -64,6 +70,7 @@ class GrowingRecording:
     Attributes:
         recording: what there is so far; a path begins where the latest action did.
         paths: the whole paths, by the picker's name.
+        zero_s: where the recording begins on the caller's clock [s]; 0 before it does.
     """
 
     def __init__(
@@ -74,13 +81,73 @@ class GrowingRecording:
         self._actions: list[PickAndPlace] = []
         self._paths: dict[str, PickerPath] = {}
         self.paths: dict[str, GrowingPath] = {}
+        self.zero_s, self._begun = 0.0, False
         self.recording = Recording(
             Path(name), (camera,), {camera.name: WRITTEN_UNIT_M}, self._frames, self._actions,
             self._paths, table, cloth,
         )  # fmt: skip
 
-    def stand_on(self, camera: Camera, table: Table) -> None:
-        """Put the camera into the world that a table gives."""
+    def since_start(self, time_s: float) -> float:
+        """Return a time [s] as it counts from the first one that was asked about."""
+        if not self._begun:
+            self.zero_s, self._begun = float(time_s), True
+        return float(time_s) - self.zero_s
+
+    def next_time(self, time_s: float) -> float:
+        """Return the time of the next frame since the start [s].
+
+        Raises:
+            InvalidRecordingError: it does not advance.
+        """
+        at_s, frames = self.since_start(time_s), self._frames
+        if not np.isfinite(at_s) or (frames and not at_s > frames[-1].time_s):
+            raise InvalidRecordingError(
+                f"a picture of {time_s} s follows one of {frames[-1].time_s + self.zero_s} s; "
+                "give pictures in order of time, in seconds"
+                if frames
+                else f"a picture of {time_s} s; give seconds"
+            )
+        return at_s
+
+    def move_picker(self, at_s: float, picker: Picker) -> list[str]:
+        """Take samples of the pickers' paths.
+
+        Args:
+            at_s: when, since the start [s].
+            picker: position of each tip in the world [m], and whether it is closed.
+
+        Returns:
+            What was wrong with them, in words.
+
+        Raises:
+            InvalidRecordingError: a position is no three finite numbers.
+        """
+        notes = []
+        for name, (position, closed) in picker.items():
+            tip = np.asarray(position, np.float64)
+            if tip.shape != (3,) or not np.isfinite(tip).all():
+                raise InvalidRecordingError(
+                    f"picker {name!r} is at {position!r:.80}; give x, y and z in the world [m]"
+                )
+            path = self.paths.setdefault(name, GrowingPath())
+            if not path.add(at_s, tip, bool(closed)):
+                notes.append(f"picker {name}: a sample that is older than the last")
+        return notes
+
+    def find_table(self) -> None:
+        """Find the table in the first picture, and the world where the camera has no pose.
+
+        Raises:
+            InvalidRecordingError: there is no plane that dominates.
+        """
+        (camera,) = self.recording.cameras
+        fit = fit_recorded_table(self.recording, camera)
+        if np.array_equal(camera.world_from_camera, np.eye(4)):
+            camera = replace(camera, world_from_camera=world_from_table(camera, fit))
+            table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+        else:
+            normal = camera.world_from_camera[:3, :3] @ fit.normal
+            table = Table(camera.position - fit.distance_m * normal, normal)
         self.recording = replace(self.recording, cameras=(camera,), table=table)
 
     def add_frame(self, frame: Frame) -> None:

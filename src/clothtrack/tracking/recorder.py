@@ -155,6 +155,13 @@ class Recorder:
             )
         )
 
+    def begin_anew(self, frame: Frame, state: State) -> None:
+        """Keep another state of the cloth from a frame on, in which nothing moved it there."""
+        mesh = np.asarray(state.positions[0], np.float32)
+        self._reach(len(self._recording.frames))
+        self._meshes.fill(frame.index, len(self._meshes), mesh)
+        self._show(frame, mesh)
+
     def trajectory(self) -> TrackedTrajectory:
         """Return everything that was kept."""
         frames = self._recording.frames
