@@ -18,9 +18,15 @@ live with what a core drops; the true errors of their labels are compared. Run w
     python benchmarks/bench_live.py --json out/bench_live.json [--quick]
     python benchmarks/bench_live.py --json FILE --recordings out/world/recordings \
         --truth out/world/truth
+
+`--soak MINUTES` tracks nothing else than so many minutes of film, as fast as it can: the shipped
+recording forwards and backwards, again and again, and says how much memory the process has.
+
+    python benchmarks/bench_live.py --json out/soak.json --soak 60
 """
 
 import argparse
+import gc
 import sys
 import tempfile
 import time
@@ -38,6 +44,7 @@ from clothtrack.geometry import quiet_warp
 from clothtrack.live.playback import pickers_at, play
 
 QUICK = ["search.method=none"]
+SOAK_EVERY = 500
 PARTS = ("observe", "predict", "align", "correct")
 
 
@@ -231,6 +238,53 @@ def _labels_mm(evaluation: Any) -> list[float]:
     return [row.vertex_error_mm["all"].mean for row in after]
 
 
+def soak(minutes: float) -> dict[str, Any]:
+    """Memory of the process [MB] against pictures, over so many minutes of film."""
+    recording = ct.read_recording(ct.shipped_recording())
+    film = Film.of(recording)
+    step_s = film.pictures[1]["time_s"] - film.pictures[0]["time_s"]
+    there_and_back = [*film.pictures, *film.pictures[::-1]]
+    tracker, served, rows, began = film.tracker(), 0, [], time.process_time()
+    while served * step_s < 60.0 * minutes:
+        for picture in there_and_back:
+            tracker.update(**(picture | {"time_s": served * step_s}))
+            served += 1
+            if served % SOAK_EVERY == 0:
+                rows.append({"pictures": served, "resident_mb": _resident_mb()})
+                sys.stderr.write(f"{rows[-1]}\n")
+    cpu_s = time.process_time() - began
+    actions = len(tracker.recording.actions)
+    return {
+        "minutes": served * step_s / 60.0,
+        "pictures": served,
+        "actions": actions,
+        "cpu_s": cpu_s,
+        "memory": rows,
+        "bytes_a_picture": _slope(rows),
+        "after_close_mb": _closed_mb(tracker),
+    }
+
+
+def _closed_mb(tracker: ct.LiveTracker) -> float:
+    tracked, _ = tracker.tracked()
+    tracked.positions[-1].sum()
+    return _resident_mb()
+
+
+def _resident_mb() -> float:
+    """What of the process is in memory now, without what is mapped from files."""
+    gc.collect()
+    words = Path("/proc/self/status").read_text(encoding="ascii").split()
+    return int(words[words.index("RssAnon:") + 1]) / 1024.0
+
+
+def _slope(rows: list[dict[str, float]]) -> float:
+    """Growth over the second half, by least squares [bytes per picture]."""
+    half = rows[len(rows) // 2 :]
+    x, y = (np.array([row[name] for row in half]) for name in ("pictures", "resident_mb"))
+    return float(np.polyfit(x, y, 1)[0] * 2**20)
+
+
 def table(rows: list[dict[str, Any]], compared: list[dict[str, Any]]) -> str:
     """The rows as text."""
     lines = ["[ms] median / 95 %, while the picker carries the cloth"]
@@ -268,8 +322,14 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="1,000 vertices alone")
     parser.add_argument("--recordings", type=Path, help="simulated recordings to compare errors on")
     parser.add_argument("--truth", type=Path, help="their truth")
+    parser.add_argument("--soak", type=float, metavar="MINUTES", help="memory over so much film")
     options = parser.parse_args()
     quiet_warp()
+    if options.soak:
+        found = soak(options.soak)
+        write_json(options.json, {"benchmark": "live_soak", **found, "provenance": provenance()})
+        sys.stdout.write(f"{found}\n")
+        return
     cases = [(1000, 30.0)] if options.quick else [(1000, 30.0), (4000, 10.0)]
     with tempfile.TemporaryDirectory(prefix="bench-live-") as folder:
         rows = [case(count, rate, Path(folder) / f"fold{count}") for count, rate in cases]

@@ -71,8 +71,10 @@ def play_live(
     def served(state: "LiveState") -> None:
         latencies.add(state)
         stalled = f"; nothing from {' and '.join(state.stalled)}" if state.stalled else ""
+        said = "".join(f"; {note}" for note in state.notes)
         words[0] = (
             f"at {state.time_s:.1f} s: latency {latencies.text()}{_lost(state, source)}{stalled}"
+            f"{said}"
         )
 
     page = live_tracking(lambda: words[0], None, opened=opened) if opened else nullcontext()

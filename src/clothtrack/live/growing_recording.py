@@ -1,14 +1,17 @@
 """A recording that is still being made: frames, actions and paths are added as they come."""
 
-from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from clothtrack.errors import InvalidRecordingError
 from clothtrack.geometry.camera import Camera
+from clothtrack.geometry.table_plane import world_from_table
+from clothtrack.live.growing_frames import GrowingFrames
+from clothtrack.recordings.recorded_table import fit_recorded_table
 from clothtrack.recordings.recording import (
     WRITTEN_UNIT_M,
     ClothDescription,
@@ -19,45 +22,46 @@ from clothtrack.recordings.recording import (
     Table,
 )
 
+Picker = Mapping[str, tuple[Sequence[float] | Float[np.ndarray, " 3"], bool]]
+"""Where the tips are in the world [m], and whether they are closed, by the picker's name."""
+
 
 class GrowingPath:
-    """Where a picker's tip was, sample by sample."""
+    """Where a picker's tip was, sample by sample: 40 bytes each."""
 
     def __init__(self) -> None:
         """Begin without a sample."""
-        self._time_s: list[float] = []
-        self._positions: list[Float[np.ndarray, " 3"]] = []
-        self._closed: list[bool] = []
+        self._samples = np.zeros((64, 5))
+        self._count = 0
 
     def add(self, time_s: float, position: Float[np.ndarray, " 3"], closed: bool) -> bool:
         """Add a sample; another one of the last time replaces it, an older one is not taken."""
-        if self._time_s and time_s < self._time_s[-1]:
-            return False
-        if self._time_s and time_s == self._time_s[-1]:
-            del self._time_s[-1], self._positions[-1], self._closed[-1]
-        self._time_s.append(time_s)
-        self._positions.append(position)
-        self._closed.append(closed)
+        if self._count and time_s <= self.latest_s:
+            if time_s < self.latest_s:
+                return False
+            self._count -= 1
+        if self._count == len(self._samples):
+            self._samples = np.concatenate([self._samples, np.zeros_like(self._samples)])
+        self._samples[self._count] = (time_s, *position, closed)
+        self._count += 1
         return True
 
     @property
     def closed(self) -> bool:
         """Whether the picker is closed now."""
-        return self._closed[-1]
+        return bool(self._samples[self._count - 1, 4])
 
     @property
     def latest_s(self) -> float:
         """Time of the last sample [s]."""
-        return self._time_s[-1]
+        return float(self._samples[self._count - 1, 0])
 
     def since(self, time_s: float) -> PickerPath:
         """Return the path from the last sample up to this time [s] on."""
-        first = max(bisect_right(self._time_s, time_s) - 1, 0)
-        return PickerPath(
-            np.array(self._time_s[first:]),
-            np.array(self._positions[first:]),
-            np.array(self._closed[first:], bool),
-        )
+        times = self._samples[: self._count, 0]
+        first = max(int(np.searchsorted(times, time_s, side="right")) - 1, 0)
+        part = self._samples[first : self._count].copy()
+        return PickerPath(part[:, 0].copy(), part[:, 1:4].copy(), part[:, 4] > 0.5)
 
 
 class GrowingRecording:
@@ -66,43 +70,105 @@ class GrowingRecording:
     Attributes:
         recording: what there is so far; a path begins where the latest action did.
         paths: the whole paths, by the picker's name.
+        zero_s: where the recording begins on the caller's clock [s]; 0 before it does.
     """
 
     def __init__(
         self, name: str, camera: Camera, table: Table | None, cloth: ClothDescription
     ) -> None:
         """Begin with no frame."""
-        self._frames: list[Frame] = []
+        self._frames = GrowingFrames()
         self._actions: list[PickAndPlace] = []
         self._paths: dict[str, PickerPath] = {}
         self.paths: dict[str, GrowingPath] = {}
+        self.zero_s, self._begun = 0.0, False
         self.recording = Recording(
             Path(name), (camera,), {camera.name: WRITTEN_UNIT_M}, self._frames, self._actions,
             self._paths, table, cloth,
         )  # fmt: skip
 
-    def stand_on(self, camera: Camera, table: Table) -> None:
-        """Put the camera into the world that a table gives."""
+    def since_start(self, time_s: float) -> float:
+        """Return a time [s] as it counts from the first one that was asked about."""
+        if not self._begun:
+            self.zero_s, self._begun = float(time_s), True
+        return float(time_s) - self.zero_s
+
+    def next_time(self, time_s: float) -> float:
+        """Return the time of the next frame since the start [s].
+
+        Raises:
+            InvalidRecordingError: it does not advance.
+        """
+        at_s, frames = self.since_start(time_s), self._frames
+        if not np.isfinite(at_s) or (frames and not at_s > frames[-1].time_s):
+            raise InvalidRecordingError(
+                f"a picture of {time_s} s follows one of {frames[-1].time_s + self.zero_s} s; "
+                "give pictures in order of time, in seconds"
+                if frames
+                else f"a picture of {time_s} s; give seconds"
+            )
+        return at_s
+
+    def move_picker(self, at_s: float, picker: Picker) -> list[str]:
+        """Take samples of the pickers' paths.
+
+        Args:
+            at_s: when, since the start [s].
+            picker: position of each tip in the world [m], and whether it is closed.
+
+        Returns:
+            What was wrong with them, in words.
+
+        Raises:
+            InvalidRecordingError: a position is no three finite numbers.
+        """
+        notes = []
+        for name, (position, closed) in picker.items():
+            tip = np.asarray(position, np.float64)
+            if tip.shape != (3,) or not np.isfinite(tip).all():
+                raise InvalidRecordingError(
+                    f"picker {name!r} is at {position!r:.80}; give x, y and z in the world [m]"
+                )
+            path = self.paths.setdefault(name, GrowingPath())
+            if not path.add(at_s, tip, bool(closed)):
+                notes.append(f"picker {name}: a sample that is older than the last")
+        return notes
+
+    def find_table(self) -> None:
+        """Find the table in the first picture, and the world where the camera has no pose.
+
+        Raises:
+            InvalidRecordingError: there is no plane that dominates.
+        """
+        (camera,) = self.recording.cameras
+        fit = fit_recorded_table(self.recording, camera)
+        if np.array_equal(camera.world_from_camera, np.eye(4)):
+            camera = replace(camera, world_from_camera=world_from_table(camera, fit))
+            table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+        else:
+            normal = camera.world_from_camera[:3, :3] @ fit.normal
+            table = Table(camera.position - fit.distance_m * normal, normal)
         self.recording = replace(self.recording, cameras=(camera,), table=table)
 
     def add_frame(self, frame: Frame) -> None:
         """Add a frame."""
-        self._frames.append(frame)
+        self._frames.add(frame)
 
     def take_back(self, frame: int) -> None:
         """Take the last frame back, and the action that begins with it."""
-        del self._frames[frame]
+        self._frames.take_back()
         if self._actions and self._actions[-1].first_frame == frame:
             del self._actions[-1]
 
     def forget_pictures(self, index: int) -> None:
-        """Keep of a frame its time alone, unless it is the first one or an action's first or last.
+        """Take the pictures of a frame out of memory; the first frame's stay.
 
-        Labels are judged by these; all pictures would fill the memory in a minute.
+        Those where an action begins or ends go to a disk: labels are judged by them. All would fill
+        it in an hour.
         """
         ends = {end for one in self._actions[-2:] for end in (one.first_frame, one.last_frame)}
-        if index > 0 and index not in ends:
-            self._frames[index] = Frame(index, self._frames[index].time_s)
+        if index > 0:
+            self._frames.put_away(index, keep=index in ends)
 
     def begin_action(self, first_frame: int) -> None:
         """Add an action; it ends where it begins, and nobody makes it, until that is known."""
@@ -135,6 +201,6 @@ class GrowingRecording:
             name: path.since(-np.inf) for name, path in self.paths.items()
         }
         return replace(
-            self.recording, frames=tuple(self._frames), actions=tuple(self._actions),
+            self.recording, frames=self._frames, actions=tuple(self._actions),
             picker_paths=whole,
         )  # fmt: skip

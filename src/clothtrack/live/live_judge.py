@@ -104,6 +104,11 @@ class LiveJudge:
         self._label, self._asked_s = after, -np.inf
         self._actions += 1
 
+    def wait(self) -> None:
+        """Wait for a judgement that is under way."""
+        if self._busy is not None:
+            self._busy.exception()
+
     def close(self) -> None:
         """End the thread."""
         self._thread.shutdown()

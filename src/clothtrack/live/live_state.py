@@ -23,6 +23,8 @@ class LiveState:
         acting: whether an action is under way.
         settling: whether the final alignment of the last action is still being made beside the
             stream; a later state has it.
+        astray: whether the mesh has lost the cloth: a fifth of the vertices is lost, in two
+            judgements. Once no picker holds the cloth, the network is asked for another mesh.
         held: the vertices that each closed picker holds, by its name.
         latency_s: from the call of `update` to this state [s]; in a `LiveStream` from the arrival
             of the picture.
@@ -42,6 +44,7 @@ class LiveState:
     judged_s: float
     acting: bool
     settling: bool
+    astray: bool
     held: Mapping[str, tuple[int, ...]]
     latency_s: float
     spent_s: Mapping[str, float] = field(default_factory=dict)

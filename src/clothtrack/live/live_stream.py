@@ -9,8 +9,9 @@ from types import TracebackType
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.live.growing_recording import Picker
 from clothtrack.live.live_state import LiveState
-from clothtrack.live.live_tracker import LiveTracker, Picker
+from clothtrack.live.live_tracker import LiveTracker
 
 STALL_S = 0.2
 """Camera or picker that sends nothing for so long has stalled [s]."""

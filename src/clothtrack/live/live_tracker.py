@@ -1,67 +1,36 @@
 """Track a cloth picture by picture, as they come from the camera.
 
-A recording is a live source that waits: the steps are those of `tracking.algorithm`, in the same
-order, and what comes of the same pictures is the same to the bit. Three things differ. Nothing is
-searched: parameters stay as they are configured. The final alignment of an action (TTO2) is made
-beside the stream, while the mesh rests. And pictures may be missing.
+The steps are those of `tracking.algorithm`, in the same order, and what comes of the same pictures
+is the same to the bit. Nothing is searched, the final alignment of an action (TTO2) is made beside
+the stream while the mesh rests, and pictures may be missing.
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from clothtrack.errors import InvalidConfigError, InvalidRecordingError
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.mesh import ClothMesh
-from clothtrack.geometry.table_plane import world_from_table
-from clothtrack.live.growing_recording import GrowingPath, GrowingRecording
+from clothtrack.live.eyes import Eyes
+from clothtrack.live.growing_recording import GrowingRecording, Picker
 from clothtrack.live.live_action import LiveAction
-from clothtrack.live.live_judge import LiveJudge
+from clothtrack.live.live_parts import LiveParts
 from clothtrack.live.live_state import LiveState
+from clothtrack.live.recovery import Found, Recovery
 from clothtrack.live.warm_up import warm_up
 from clothtrack.recordings.point_cloud import Observation
-from clothtrack.recordings.recorded_table import fit_recorded_table
-from clothtrack.recordings.recording import (
-    ClothDescription,
-    Frame,
-    Recording,
-    Table,
-)
+from clothtrack.recordings.recording import ClothDescription, Frame, Recording, Table
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.configuration import RunConfig
-from clothtrack.tracking.methods import METHODS, Components
-from clothtrack.tracking.pipeline import Judge, checked_initial_state, observer, provenance
-from clothtrack.tracking.protocols import Method, State, Watch
-from clothtrack.tracking.recorder import Recorder
+from clothtrack.tracking.pipeline import Judge, provenance
+from clothtrack.tracking.protocols import State, Watch
 from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
-
-Picker = Mapping[str, tuple[Sequence[float] | Float[np.ndarray, " 3"], bool]]
-"""Where the tips are in the world [m], and whether they are closed, by the picker's name."""
-
-
-_CLOUDS_KEPT = 3
-"""Of this frame, the one before, and the one that resting cloth is compared with."""
-
-
-@dataclass(eq=False)
-class _Parts:
-    """What is made when the first picture is known."""
-
-    components: Components
-    method: Method
-    state: State
-    theta: Theta
-    recorder: Recorder
-    judge: LiveJudge
-    gap_m: float | None
-    origin: Mapping[str, object]
 
 
 class LiveTracker:
@@ -89,23 +58,9 @@ class LiveTracker:
     ) -> None:
         """Load and warm everything that the first picture needs.
 
-        Args:
-            cloth: its template in the world [m]; or its kind, and its size where it is known. Its
-                color, masks, the table or a segmenter tell it from the rest.
-            camera: intrinsics, and the pose in the world.
-            table: the plane that the cloth lies on, or None when it hangs. "find": what most of the
-                first picture that is not cloth lies on. A camera without a pose (the identity) then
-                gives the world, too: z up, the table at z = 0; `camera` has its pose.
-            config: the settings; nothing is searched, whatever they say.
-            segmenter: finds the cloth in a picture.
-            device: "cpu" or "cuda:0".
-            watch: called with each mesh (`tracking.protocols.Watch`).
-            name: of what is tracked.
-            keep_pictures: keep all of them in memory, some 60 MB a second, and not only those where
-                actions begin and end.
-            force: track although the first mesh lies more than 2 cm (rms) from its cloud.
-            warm: track a small cloth first, so that kernels are loaded when the first picture
-                comes; takes a second or two once in a process.
+        `clothtrack.LiveTracker` says what the arguments are. With `warm` a small cloth is tracked
+        first, so that kernels are loaded when the first picture comes: a second or two, once in a
+        process.
         """
         config = config or RunConfig()
         self._config = replace(config, search=SearchConfig(method="none"))
@@ -115,18 +70,16 @@ class LiveTracker:
         )
         self._segmenter, self._device, self._watch = segmenter, device, watch
         self._keep_pictures, self._force = keep_pictures, force
-        self._eyes = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-eyes")
+        self._eyes = Eyes()
         self._finisher = ThreadPoolExecutor(1, thread_name_prefix="clothtrack-final")
-        self._looks: dict[int, Future[Observation]] = {}
-        self._cloud: Callable[[Frame], Observation] | None = None
-        self._parts: _Parts | None = None
+        self._recovery = Recovery(self._config.initial_state, segmenter, device)
+        self._parts: LiveParts | None = None
         self._action: LiveAction | None = None
         self._over: tuple[LiveAction, Frame] | None = None
         self._final: Future[tuple[Theta, State] | None] | None = None
         self._seen_from: tuple[np.ndarray, np.ndarray] | None = None
         self._closed_before = set[str]()
         self._begins = self._ends = False
-        self._zero_s: float | None = None
         self._dropped = 0
         self._notes: list[str] = []
         self._spent_s: dict[str, float] = {}
@@ -177,16 +130,7 @@ class LiveTracker:
         Raises:
             InvalidRecordingError: a position is no three finite numbers.
         """
-        at_s = self._since_start(time_s)
-        for name, (position, closed) in picker.items():
-            tip = np.asarray(position, np.float64)
-            if tip.shape != (3,) or not np.isfinite(tip).all():
-                raise InvalidRecordingError(
-                    f"picker {name!r} is at {position!r:.80}; give x, y and z in the world [m]"
-                )
-            path = self._growing.paths.setdefault(name, GrowingPath())
-            if not path.add(at_s, tip, bool(closed)):
-                self._notes.append(f"picker {name}: a sample that is older than the last")
+        self._notes += self._growing.move_picker(self._growing.since_start(time_s), picker)
 
     def drop(self, time_s: float, picker: Picker | None = None) -> None:
         """Take note of a picture that cannot be served; the mesh stays, the picker's path counts.
@@ -199,8 +143,7 @@ class LiveTracker:
             InvalidRecordingError: it is older than the last one.
         """
         self.move_picker(time_s, picker or {})
-        index = len(self.recording.frames)
-        frame = Frame(index, self._next_time(time_s))
+        frame = Frame(len(self.recording.frames), self._growing.next_time(time_s))
         self._dropped += 1
         if self._parts is None:
             return
@@ -236,7 +179,7 @@ class LiveTracker:
         self.move_picker(time_s, picker or {})
         index = len(self.recording.frames)
         frame = Frame.of_arrays(
-            index, self._next_time(time_s), self.camera, depth=depth,
+            index, self._growing.next_time(time_s), self.camera, depth=depth,
             color=None if color is None else np.array(color), mask=mask,
         )  # fmt: skip
         self._growing.add_frame(frame)
@@ -251,6 +194,8 @@ class LiveTracker:
         seen = self._track(frame, self._parts, closed, begins=begins, ends=ends)
         if index and not self._keep_pictures:
             self._growing.forget_pictures(index - 1)
+        if seen is not None:
+            self._recover(frame, self._parts, seen)
         state = self._state(frame, self._parts, seen, began)
         if self._over is not None and self._final is None:
             # Nothing else needs the simulator until an action begins.
@@ -276,14 +221,15 @@ class LiveTracker:
             self._end(self._action, self._action.tracked_frame)
         self._finish(wait=True)
         self._closed = True
-        self._eyes.shutdown()
+        self._eyes.close()
+        self._recovery.close()
         self._finisher.shutdown()
         parts.judge.close()
         source = recording or self._growing.finished()
         stamp = provenance(source, self._config, self._device) | {
             "initial_state": dict(parts.origin),
             "first_mesh_gap_m": parts.gap_m,
-            "live": {"dropped": self._dropped},
+            "live": {"dropped": self._dropped, "begun_anew": parts.begun_anew},
         }
         if self._segmenter is not None:
             stamp["replaced_parts"] = ["segmenter"]
@@ -296,97 +242,24 @@ class LiveTracker:
             tracked = replace(tracked, verdict_fields=verdict)
         return tracked, source
 
-    def _since_start(self, time_s: float) -> float:
-        if self._zero_s is None:
-            self._zero_s = float(time_s)
-        return float(time_s) - self._zero_s
-
-    def _next_time(self, time_s: float) -> float:
-        """Return the time of the next frame since the start [s].
-
-        Raises:
-            InvalidRecordingError: it does not advance.
-        """
-        at_s, frames = self._since_start(time_s), self.recording.frames
-        if not np.isfinite(at_s) or (frames and not at_s > frames[-1].time_s):
-            raise InvalidRecordingError(
-                f"a picture of {time_s} s follows one of {frames[-1].time_s + self._zero_s} s; "
-                "give pictures in order of time, in seconds"
-                if frames and self._zero_s is not None
-                else f"a picture of {time_s} s; give seconds"
-            )
-        return at_s
-
-    def _start(self, frame: Frame) -> _Parts:
+    def _start(self, frame: Frame) -> LiveParts:
         """Find the first mesh, and make the method for it."""
         if self._find_table:
-            self._stand_on_table()
-        recording, config, device = self.recording, self._config, self._device
+            self._growing.find_table()
         self._growing.show_paths(frame.index)
-        self._cloud = observer(
-            recording, config.cloud_spacing_m, self._segmenter, color=config.color,
-            kept=_CLOUDS_KEPT,
-        )  # fmt: skip
-        first, gap_m = checked_initial_state(
-            recording, self._cloud(frame), config.initial_state, segmenter=self._segmenter,
-            device=device, force=self._force,
-        )  # fmt: skip
-        components = Components(
-            recording, first.mesh, config, self._observe, first.positions, device
-        )
-        made = METHODS[config.mode](components)
-        recorder = Recorder(
-            recording, first.mesh, made.state, components.visible,
+        self._eyes.open(self.recording, self._config, self._segmenter)
+        return LiveParts.of_first(
+            self.recording, self._config, self._eyes.observe, segmenter=self._segmenter,
+            device=self._device, force=self._force,
             watch=None if self._watch is None else self._show,
-        )  # fmt: skip
-        return _Parts(
-            components, recorder.timed(made.method), made.state, made.theta, recorder,
-            LiveJudge(first.mesh, device), gap_m, first.origin,
         )  # fmt: skip
 
     def _show(
-        self,
-        recording: Recording,
-        mesh: ClothMesh,
-        frame: Frame,
-        positions: Float[np.ndarray, "vertices 3"],
+        self, recording: Recording, mesh: ClothMesh, frame: Frame, positions: np.ndarray
     ) -> None:
         """Show a mesh to who watches; a dropped picture has none to lay it over."""
         if self._watch is not None and frame.depth:
             self._watch(recording, mesh, frame, positions)
-
-    def _stand_on_table(self) -> None:
-        """Find the table in the first picture, and the world where the camera has no pose.
-
-        Raises:
-            InvalidRecordingError: there is no plane that dominates.
-        """
-        recording, camera = self.recording, self.camera
-        fit = fit_recorded_table(recording, camera)
-        if np.array_equal(camera.world_from_camera, np.eye(4)):
-            camera = replace(camera, world_from_camera=world_from_table(camera, fit))
-            table = Table(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-        else:
-            turn = camera.world_from_camera[:3, :3]
-            normal = turn @ fit.normal
-            table = Table(camera.position - fit.distance_m * normal, normal)
-        self._growing.stand_on(camera, table)
-
-    def _look(self, frame: Frame) -> Observation:
-        """Return the cloud of the newest frame, and note what it costs; in a thread of its own."""
-        assert self._cloud is not None
-        start_s = time.thread_time()
-        seen = self._cloud(frame)
-        self._spent_s["observe"] = time.thread_time() - start_s
-        return seen
-
-    def _observe(self, frame: Frame) -> Observation:
-        """Return the cloud of a frame; that of the newest was begun when it came."""
-        look = self._looks.pop(frame.index, None)
-        if look is not None:
-            return look.result()
-        assert self._cloud is not None
-        return self._cloud(frame)
 
     def _turn(self, frame: Frame, closed: set[str]) -> tuple[bool, bool]:
         """Return whether an action begins and whether one ends with a frame.
@@ -410,20 +283,20 @@ class LiveTracker:
         return begins, ends
 
     def _track(
-        self, frame: Frame, parts: _Parts, closed: set[str], *, begins: bool, ends: bool
+        self, frame: Frame, parts: LiveParts, closed: set[str], *, begins: bool, ends: bool
     ) -> Observation | None:
         """Take the mesh to a frame; return its cloud, or None where no cloth is found."""
-        assert self._cloud is not None
         action = self._action
         self._growing.show_paths(frame.index if action is None else action.first_frame)
         self._spent_s = {}
-        self._looks = {frame.index: self._eyes.submit(self._look, frame)}
+        self._eyes.begin(frame)
         try:
             if action is not None:
                 action.grasp(frame, closed)
                 action.step(frame)
                 self._spent_s |= action.spent_s(frame)
-            seen = self._observe(frame)
+            seen = self._eyes.observe(frame)
+            self._spent_s["observe"] = self._eyes.spent_s
         except InvalidRecordingError as error:
             self._unseen(frame, begins=begins, words=str(error))
             return None
@@ -434,7 +307,7 @@ class LiveTracker:
         self._closed_before = closed
         return seen
 
-    def _begin(self, parts: _Parts, first: Frame, closed: set[str]) -> None:
+    def _begin(self, parts: LiveParts, first: Frame, closed: set[str]) -> None:
         """Begin an action with a frame, from where the one before ended."""
         self._finish(wait=True)
         by_gripper, self._begins, self._ends = not self._begins, False, False
@@ -476,8 +349,25 @@ class LiveTracker:
             self._action.announce_last(None)
             self._action.stay(frame)
 
+    def _recover(self, frame: Frame, parts: LiveParts, seen: Observation) -> None:
+        """Notice that the mesh has lost the cloth, and begin anew once another mesh is found."""
+        recovery, said = self._recovery, self._notes
+        said += [note for note in [recovery.look(parts.judge.latest)] if note]
+        if self._action is not None or self._over is not None:
+            return
+        answer = recovery.answer()
+        if answer is not None and not isinstance(answer, str):
+            positions = parts.state.positions[0]
+            answer = recovery.better(answer, parts.components.mesh, positions, seen)
+        if isinstance(answer, Found):
+            parts.begin_anew(answer, frame)
+            answer = "the mesh begins anew, from the network's of an earlier picture"
+        said += [answer] if answer else []
+        if recovery.astray:
+            recovery.ask(self.recording, frame)
+
     def _state(
-        self, frame: Frame, parts: _Parts, seen: Observation | None, began_s: float
+        self, frame: Frame, parts: LiveParts, seen: Observation | None, began_s: float
     ) -> LiveState:
         """Return what is known of the cloth in a frame."""
         components, action = parts.components, self._action
@@ -492,15 +382,16 @@ class LiveTracker:
         if self._seen_from is None or not np.array_equal(self._seen_from[0], positions):
             self._seen_from = positions, components.visible(positions)
         return LiveState(
-            time_s=frame.time_s + (self._zero_s or 0.0),
+            time_s=frame.time_s + self._growing.zero_s,
             frame=frame.index,
             positions=positions,
             visible=self._seen_from[1],
             expected_error_m=judged.expected_error_m,
             lost=judged.lost,
-            judged_s=judged.time_s + (self._zero_s or 0.0),
+            judged_s=judged.time_s + self._growing.zero_s,
             acting=action is not None,
             settling=self._over is not None,
+            astray=self._recovery.astray,
             held={} if action is None else action.held,
             latency_s=time.perf_counter() - began_s,
             spent_s=dict(self._spent_s),

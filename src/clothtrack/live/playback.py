@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from clothtrack.live.growing_recording import Picker
 from clothtrack.live.live_state import LiveState
 from clothtrack.live.live_stream import LiveStream
-from clothtrack.live.live_tracker import Picker
 from clothtrack.recordings.pictures import read_color, read_depth, read_mask
 from clothtrack.recordings.recording import Frame, Recording
 

@@ -58,14 +58,14 @@ def front_up(
     for signs in symmetries(kind):
         named = positions
         if not (signs > 0).all():
-            named = _carried_over(canonical * signs, canonical, positions, faces)
+            named = carried_over(canonical * signs, canonical, positions, faces)
         namings.append(named)
     # The first of those that look up as much: the network's own names where they do.
     facing = np.array([outward @ _upward_area(named, faces) for named in namings])
     return namings[int(np.argmax(facing > 0.99 * facing.max()))]
 
 
-def _carried_over(
+def carried_over(
     points: Float[np.ndarray, "points 3"],
     canonical: Float[np.ndarray, "vertices 3"],
     positions: Float[np.ndarray, "vertices 3"],

@@ -26,7 +26,7 @@ from clothtrack.recordings.optical_flow import (
 from clothtrack.recordings.point_cloud import FollowedPoints
 from clothtrack.recordings.recognition import KeyPoints, Recogniser
 from clothtrack.recordings.recording import Frame, Recording
-from clothtrack.recordings.segmentation import Segmenter
+from clothtrack.recordings.segmentation import Segmenter, bounds_of
 
 _SPACING_PX = 10
 """At most one point is chosen per cell of this side [pixels]."""
@@ -63,25 +63,33 @@ _STEEP_PX = 12.0
 """Depth that changes within that square by so many pixels' width of the cloth, and 4 mm, is no
 slope but a step: a window there shows two layers."""
 
+_AROUND_PX = 2 * SMOOTH_PX
+"""Around the cloth depth is smoothed so far [pixels]: more than what a pixel's value depends on."""
+
 
 class PointFollower:
     """The points of the cloth that can be followed, frame by frame; chosen where actions begin."""
 
-    def __init__(self, recording: Recording, segmenter: Segmenter | None = None) -> None:
+    def __init__(
+        self, recording: Recording, segmenter: Segmenter | None = None, *, kept: int | None = None
+    ) -> None:
         """Follow nothing yet.
 
         Args:
             recording: a recording of clouds has nothing to follow.
             segmenter: finds the cloth; the recording's masks, colour or height by default.
+            kept: the points of so many frames are kept, the newest; all by default. In an older one
+                nothing is followed.
         """
         self._recording, self._segmenter = recording, segmenter
         numbers = itertools.count()
         self._followers = {camera.name: _Follower(camera, numbers) for camera in recording.cameras}
-        self._found: list[FollowedPoints] = []
+        self._found: dict[int, FollowedPoints] = {}
+        self._next, self._kept = 0, kept
 
     def knows(self, frame: Frame) -> bool:
         """Return whether a frame has been followed to: its pictures are not needed again."""
-        return frame.index < len(self._found)
+        return frame.index < self._next
 
     def __call__(self, frame: Frame, views: Sequence[CameraView]) -> FollowedPoints:
         """Return the points in a frame; those in the frames before it are followed first.
@@ -93,13 +101,13 @@ class PointFollower:
         Raises:
             InvalidRecordingError: a picture of a frame before cannot be read.
         """
-        for skipped in self._recording.frames[len(self._found) : frame.index]:
+        for skipped in self._recording.frames[self._next : frame.index]:
             self._follow(
                 skipped, camera_views(self._recording, skipped, self._segmenter, color=True)
             )
         if not self.knows(frame):
             self._follow(frame, views)
-        return self._found[frame.index]
+        return self._found.get(frame.index, FollowedPoints())
 
     def _follow(self, frame: Frame, views: Sequence[CameraView]) -> None:
         """Follow the points to the next frame."""
@@ -115,7 +123,9 @@ class PointFollower:
             for view in views
             if view.color is not None
         ]
-        self._found.append(_together(parts))
+        self._found[frame.index], self._next = _together(parts), frame.index + 1
+        if self._kept is not None:
+            self._found.pop(frame.index - self._kept, None)
 
 
 def _together(parts: list[FollowedPoints]) -> FollowedPoints:
@@ -134,7 +144,7 @@ class _Picture:
     Attributes:
         gray: brightness.
         even: the same of the cloth, whatever light falls on it.
-        depth: smoothed depth [m].
+        depth: smoothed depth of the cloth and around it [m]; 0 elsewhere.
         clear: where a window shows one layer of cloth and nothing else.
     """
 
@@ -146,19 +156,23 @@ class _Picture:
     @classmethod
     def of(cls, view: CameraView, color: UInt8[np.ndarray, "height width 3"]) -> "_Picture":
         """Find where windows of what a camera saw may be compared."""
+        # Nothing is followed beside the cloth: a picture that is as wide as needed there.
+        part = bounds_of(view.mask, margin=_AROUND_PX)
         window = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)
-        clear = cv2.erode(view.mask.view(np.uint8), window, borderValue=0).view(bool)
-        measured = (~view.blind).astype(np.float32)
+        shown = cv2.erode(view.mask[part].view(np.uint8), window, borderValue=0).view(bool)
+        measured = (~view.blind[part]).astype(np.float32)
         square = np.ones((SMOOTH_PX, SMOOTH_PX), np.uint8)
         share = cv2.blur(measured, square.shape)
-        smooth = cv2.blur(measured * view.depth_m, square.shape)
+        smooth = cv2.blur(measured * view.depth_m[part], square.shape)
         smooth /= np.maximum(share, 1e-6)
         step = cv2.dilate(smooth, square) - cv2.erode(smooth, square)
-        clear &= (share > LEAST_MEASURED) & (
+        shown &= (share > LEAST_MEASURED) & (
             step < LEAST_JUMP_M + _STEEP_PX / view.camera.fx * smooth
         )
+        clear, depth = np.zeros(view.mask.shape, bool), np.zeros(view.mask.shape, np.float32)
+        clear[part], depth[part] = shown, smooth
         gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-        return cls(gray, even_picture(gray, view.mask), smooth, clear)
+        return cls(gray, even_picture(gray, view.mask), depth, clear)
 
     def noise_since(self, before: "_Picture | None") -> float:
         """Return the standard deviation [grey values].

@@ -70,6 +70,10 @@ class KeyPoints:
         return len(self.pixels)
 
 
+_MOST_VIEWS = 12
+"""So many pictures are remembered, one an action: each is searched at every look."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Remembered:
     """What was seen of the cloth in one picture."""
@@ -101,8 +105,13 @@ class Recogniser:
         seen: KeyPoints,
         positions: Float[np.ndarray, "points 3"],
     ) -> None:
-        """Remember key points of a picture under these numbers, where they are in the world [m]."""
+        """Remember key points of a picture under these numbers, where they are in the world [m].
+
+        The first picture is never forgotten; of later ones the oldest is.
+        """
         self._views.append(_Remembered(numbers, seen.descriptions, positions))
+        if len(self._views) > _MOST_VIEWS:
+            del self._views[1]
 
     def recognised(
         self, seen: KeyPoints, positions: Float[np.ndarray, "points 3"]

@@ -9,6 +9,7 @@ import warp as wp
 from jaxtyping import Float, Float32
 
 from clothtrack.errors import InvalidConfigError
+from clothtrack.geometry.device_arrays import overwrite
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation import kernels
 from clothtrack.simulation.buffers import allocate
@@ -71,6 +72,8 @@ class ClothSolver:
         self.set_parameters(parameters or ClothParameters())
         self._contact = TriangleContact(mesh, self._buffers, self.config, self._material[3])
         self._attached = False
+        self._attaching: dict[int, tuple[wp.array, wp.array, wp.Launch]] = {}
+        self._clock_type = np.dtype(kernels.Clock.numpy_dtype())
         self._graphs: tuple[wp.Graph | None, wp.Graph | None] | None = None
 
     # State
@@ -108,7 +111,7 @@ class ClothSolver:
             for p in parameters
         ]
         self.parameters = tuple(parameters)
-        self._material.assign(np.ascontiguousarray(np.array(rows, dtype=np.float32).T))
+        overwrite(self._material, np.array(rows, dtype=np.float32).T)
 
     def save(self) -> ClothState:
         """Return everything that the next step depends on, copied to the host."""
@@ -131,15 +134,11 @@ class ClothSolver:
                 f"a state of {state.positions.shape[1]} vertices for a cloth of "
                 f"{self.mesh.vertex_count}"
             )
-        self._buffers.positions.assign(self._everywhere(state.positions))
-        self._buffers.velocities.assign(self._everywhere(state.velocities))
+        overwrite(self._buffers.positions, state.positions)
+        overwrite(self._buffers.velocities, state.velocities)
         memory = state.contacts
-        self._buffers.airborne.assign(self._everywhere(memory.airborne))
-        self._contact.restore(
-            self._everywhere(memory.sides),
-            self._everywhere(memory.distances),
-            self._everywhere(memory.counts),
-        )
+        overwrite(self._buffers.airborne, memory.airborne)
+        self._contact.restore(memory.sides, memory.distances, memory.counts)
 
     def place(self, positions: Float[np.ndarray, "*environments vertices 3"]) -> None:
         """Move the vertices [m] without forgetting on which side of each other they were.
@@ -147,15 +146,12 @@ class ClothSolver:
         One environment (or no environment axis) is given to all; velocities stay.
         """
         positions = np.asarray(positions, dtype=np.float32).reshape(-1, self.mesh.vertex_count, 3)
-        self._buffers.positions.assign(self._everywhere(positions))
+        overwrite(self._buffers.positions, positions)
 
     def set_velocities(self, velocities: Float[np.ndarray, "*environments vertices 3"]) -> None:
         """Set the velocities [m/s]; one environment is given to all."""
         shaped = np.asarray(velocities, dtype=np.float32).reshape(-1, self.mesh.vertex_count, 3)
-        self._buffers.velocities.assign(self._everywhere(shaped))
-
-    def _everywhere(self, array: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray(np.broadcast_to(array, (self.environments, *array.shape[1:])))
+        overwrite(self._buffers.velocities, shaped)
 
     # Motion
 
@@ -189,45 +185,50 @@ class ClothSolver:
 
     def _set_clock(self, substep_s: float, substeps: int, rebuild_s: float) -> int:
         between_searches = max(1, round(rebuild_s / substep_s))
-        clock = kernels.Clock()
-        clock.substep_s = substep_s
-        clock.elastic_s = substep_s / ELASTIC_SUBSTEPS
-        clock.inverse_square = 1.0 / clock.elastic_s**2
-        clock.decay = math.exp(-self.config.damping * clock.elastic_s)
-        clock.rebuild_s = substep_s * between_searches
-        self._buffers.clocks.assign([clock])
+        elastic_s = substep_s / ELASTIC_SUBSTEPS
+        clock = np.zeros(1, self._clock_type)
+        clock["substep_s"] = substep_s
+        clock["elastic_s"] = elastic_s
+        clock["inverse_square"] = 1.0 / elastic_s**2
+        clock["decay"] = math.exp(-self.config.damping * elastic_s)
+        clock["rebuild_s"] = substep_s * between_searches
+        overwrite(self._buffers.clocks, clock)
         self._buffers.substeps_left.fill_(substeps)
         return between_searches
 
     def _set_attachment(self, attachment: Attachment | None, duration_s: float) -> None:
         if attachment is None and not self._attached:
             return
-        buffers = self._buffers
         self._attached = attachment is not None
         if attachment is None:
             nothing = np.zeros((1, self.mesh.vertex_count))
             attachment = Attachment(np.zeros((*nothing.shape, 3)), nothing)
         strength = np.asarray(attachment.strength, dtype=np.float64)
         rates = np.where(strength >= 1.0, -1.0, pull_rate(strength, duration_s))
-        targets = np.asarray(attachment.targets, dtype=np.float32)
-        environments = max(len(rates), len(targets))
-        targets = np.broadcast_to(targets, (environments, *targets.shape[1:]))
-        rates = np.broadcast_to(rates, targets.shape[:2]).astype(np.float32)
-        point, normal, table = self._table()
-        wp.launch(
-            kernels.attach,
-            dim=buffers.shape,
-            inputs=[
-                wp.array(np.ascontiguousarray(targets), dtype=wp.vec3, device=self.device),
-                wp.array(rates, dtype=float, device=self.device),
-                buffers.masses,
-                point,
-                normal,
-                self.config.resting_height_m if table else -math.inf,
-            ],
-            outputs=[buffers.pull, buffers.goals, buffers.inverse_masses],
-            device=self.device,
-        )
+        targets, held, launch = self._attach(max(len(rates), len(attachment.targets)))
+        overwrite(targets, attachment.targets)
+        overwrite(held, rates)
+        launch.launch()
+
+    def _attach(self, environments: int) -> tuple[wp.array, wp.array, wp.Launch]:
+        """Return room for targets and rates of so many environments, and what spreads them."""
+        if environments not in self._attaching:
+            buffers, device = self._buffers, self.device
+            shape = (environments, self.mesh.vertex_count)
+            targets = wp.zeros(shape, dtype=wp.vec3, device=device)
+            rates = wp.zeros(shape, dtype=float, device=device)
+            point, normal, table = self._table()
+            lowest = self.config.resting_height_m if table else -math.inf
+            launch = wp.launch(
+                kernels.attach,
+                dim=buffers.shape,
+                inputs=[targets, rates, buffers.masses, point, normal, lowest],
+                outputs=[buffers.pull, buffers.goals, buffers.inverse_masses],
+                device=device,
+                record_cmd=True,
+            )
+            self._attaching[environments] = targets, rates, launch
+        return self._attaching[environments]
 
     def _table(self) -> tuple[wp.vec3, wp.vec3, int]:
         if self.config.table is None:

@@ -83,6 +83,7 @@ class Components:
         observe: cloud of a frame.
         start: vertices at the first frame [m], if the cloth does not lie flat there.
         device: "cpu" or "cuda:0".
+        first_frame: where the state is from that the method begins with.
     """
 
     recording: Recording
@@ -91,6 +92,7 @@ class Components:
     observe: Observe
     start: Float[np.ndarray, "vertices 3"] | None = None
     device: str = "cpu"
+    first_frame: int = 0
 
     @cached_property
     def visible(self) -> VisibilityCheck:
@@ -270,7 +272,8 @@ def aligned_first(components: Components, method: Method, state: State) -> State
     The rest lengths stay those of the first mesh.
     """
     recording, positions = components.recording, state.positions[0]
-    observation, start_s = components.observe(recording.frames[0]), recording.frames[0].time_s
+    first = recording.frames[components.first_frame]
+    observation, start_s = components.observe(first), first.time_s
     visible = components.visible(positions)
     observed = visible & ~observation.unobservable(positions.astype(np.float64))
     # Of a cloth below a cut a cloud shows a hand's breadth: the rest would slide after it.

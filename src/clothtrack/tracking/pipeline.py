@@ -86,6 +86,7 @@ def observer(
     color: bool = False,
     look: Look | None = None,
     kept: int = _CLOUDS_KEPT,
+    followed: int | None = None,
 ) -> Callable[[Frame], Observation]:
     """Return the clouds of a recording, those of the latest frames kept.
 
@@ -99,8 +100,9 @@ def observer(
         color: follow points of the cloth in the pictures, too.
         look: is shown the pictures of every frame that is looked at.
         kept: clouds of so many frames stay in memory.
+        followed: followed points of so many frames do; all by default.
     """
-    follower = PointFollower(recording, segmenter) if color else None
+    follower = PointFollower(recording, segmenter, kept=followed) if color else None
 
     @lru_cache(maxsize=kept)
     def seen(frame_index: int) -> Observation:

@@ -14,6 +14,7 @@ from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.recordings.recording import Frame, PickAndPlace, Recording
 from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.simulation.state import Attachment
+from clothtrack.tracking.mesh_log import MeshLog
 from clothtrack.tracking.protocols import (
     Candidate,
     Corrected,
@@ -49,6 +50,7 @@ class Recorder:
         progress: Progress | None = None,
         watch: Watch | None = None,
         candidates: int = 1,
+        on_disk: bool = False,
     ) -> None:
         """Begin a trajectory that stays where it starts.
 
@@ -60,15 +62,18 @@ class Recorder:
             progress: called after every frame.
             watch: called with the first mesh now, and with every later one.
             candidates: to expect for each action, for the progress.
+            on_disk: keep meshes in a file and not in memory (`MeshLog`).
         """
         self._recording, self._mesh, self._visible = recording, mesh, visible
         self._progress, self._expected, self._begun = progress, candidates, 0
-        self._positions = np.asarray(state.positions, np.float32)
+        self._on_disk = on_disk
+        self._meshes = MeshLog(mesh.vertex_count, on_disk=on_disk)
+        self._meshes.write(0, np.asarray(state.positions, np.float32))
         self._records = StepRecords.empty(0)
         self._reach(len(recording.frames))
         self._actions: list[TrackedAction] = []
         self._watch, self._clocks = watch, Clocks()
-        self._show(recording.frames[0], self._positions[0])
+        self._show(recording.frames[0], np.asarray(state.positions[0], np.float32))
 
     def timed(self, method: Method) -> Method:
         """Return the same method with clocks around prediction, alignment and line search."""
@@ -77,7 +82,10 @@ class Recorder:
     def begin(self, action: PickAndPlace, candidate: Candidate) -> "CandidateNotes":
         """Begin the notes of one candidate."""
         self._begun += 1
-        return CandidateNotes(self._recording, action, candidate, self._clocks, self._tell)
+        log = MeshLog(self._mesh.vertex_count, on_disk=self._on_disk)
+        return CandidateNotes(
+            self._recording, action, candidate, self._clocks, self._tell, meshes=log
+        )
 
     def _show(self, frame: Frame, positions: Float[np.ndarray, "vertices 3"]) -> None:
         if self._watch is not None:
@@ -106,9 +114,7 @@ class Recorder:
 
     def _reach(self, count: int) -> None:
         """Make room for so many frames: a live recording grows. The mesh stays where it is."""
-        missing = count - len(self._positions)
-        rest = np.repeat(self._positions[-1:], missing, axis=0)
-        self._positions = np.concatenate([self._positions, rest])
+        self._meshes.fill(len(self._meshes), count, self._meshes.newest())
         known, self._records = self._records, StepRecords.empty(count)
         self._records.adopt(known, slice(0, len(known.trials)))
 
@@ -131,8 +137,8 @@ class Recorder:
         within = slice(action.first_frame + 1, action.last_frame + 1)
         end = np.asarray(state.positions[0], np.float32)
         self._reach(len(self._recording.frames))
-        self._positions[within] = best.positions
-        self._positions[action.last_frame :] = end
+        self._meshes.write(within.start, best.positions)
+        self._meshes.fill(action.last_frame, len(self._meshes), end)
         self._show(self._recording.frames[action.last_frame], end)
         self._records.adopt(best.records, within)
         self._begun = 0
@@ -140,7 +146,7 @@ class Recorder:
             TrackedAction(
                 first_frame=action.first_frame,
                 last_frame=action.last_frame,
-                positions_before_final_alignment=best.positions[-1],
+                positions_before_final_alignment=np.array(best.positions[-1]),
                 positions_after_final_alignment=end,
                 final_alignment_losses=np.array(losses),
                 parameters={k: float(v) for k, v in asdict(best.candidate.theta).items()},
@@ -149,20 +155,38 @@ class Recorder:
             )
         )
 
+    def begin_anew(self, frame: Frame, state: State) -> None:
+        """Keep another state of the cloth from a frame on, in which nothing moved it there."""
+        mesh = np.asarray(state.positions[0], np.float32)
+        self._reach(len(self._recording.frames))
+        self._meshes.fill(frame.index, len(self._meshes), mesh)
+        self._show(frame, mesh)
+
     def trajectory(self) -> TrackedTrajectory:
         """Return everything that was kept."""
         frames = self._recording.frames
         self._reach(len(frames))
+        positions = self._meshes.meshes()
         return TrackedTrajectory(
             name=self._recording.name,
             mesh=self._mesh,
             frames=np.array([frame.index for frame in frames]),
             time_s=np.array([frame.time_s for frame in frames]),
-            positions=self._positions,
-            visible=np.stack([self._visible(each) for each in self._positions]),
+            positions=positions,
+            visible=self._seen(positions),
             actions=tuple(self._actions),
             steps=self._records,
         )
+
+    def _seen(
+        self, positions: Float[np.ndarray, "frames vertices 3"]
+    ) -> Bool[np.ndarray, "frames vertices"]:
+        """Return which vertices some camera sees; a mesh that rests is looked at once."""
+        seen = np.zeros(positions.shape[:2], bool)
+        for frame, mesh in enumerate(positions):
+            rests = frame > 0 and np.array_equal(mesh, positions[frame - 1])
+            seen[frame] = seen[frame - 1] if rests else self._visible(mesh)
+        return seen
 
 
 class CandidateNotes:
@@ -175,12 +199,14 @@ class CandidateNotes:
         candidate: Candidate,
         clocks: "Clocks",
         tell: Callable[[PickAndPlace, Frame, Float[np.ndarray, "vertices 3"]], None],
+        *,
+        meshes: MeshLog,
     ) -> None:
         """Begin with empty records; `tell` is called with every frame and its mesh."""
         self._recording, self._action, self._candidate = recording, action, candidate
         self._clocks, self._tell = clocks, tell
         self._steps: list[tuple[int, dict[str, float | bool]]] = []
-        self._positions: list[np.ndarray] = []
+        self._meshes = meshes
         clocks.reset()
 
     def step(
@@ -207,8 +233,7 @@ class CandidateNotes:
             }
         self._steps.append((frame.index, step))
         clocks.reset()
-        self._positions.append(np.asarray(corrected.state.positions[0], np.float32))
-        self._tell(self._action, frame, self._positions[-1])
+        self._note(frame, corrected.state)
 
     def spent_s(self, frame: Frame) -> dict[str, float]:
         """Return the CPU time of each part of a frame [s], by its name; empty where it rests."""
@@ -221,8 +246,12 @@ class CandidateNotes:
     def rest(self, frame: Frame, state: State) -> None:
         """Note that the mesh stays as it is at one frame."""
         self._clocks.reset()
-        self._positions.append(np.asarray(state.positions[0], np.float32))
-        self._tell(self._action, frame, self._positions[-1])
+        self._note(frame, state)
+
+    def _note(self, frame: Frame, state: State) -> None:
+        positions = np.asarray(state.positions[0], np.float32)
+        self._meshes.append(positions)
+        self._tell(self._action, frame, positions)
 
     def finished(self, state: State) -> TrackedCandidate:
         """Return the tracked candidate with the state that it ends with."""
@@ -231,7 +260,7 @@ class CandidateNotes:
             for name, value in step.items():
                 getattr(records, name)[at] = value
         return TrackedCandidate(
-            self._action, self._candidate, np.stack(self._positions), state, records
+            self._action, self._candidate, self._meshes.meshes(), state, records
         )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import warp as wp
 
 from clothtrack.geometry.boxes import EIGHT, no_boxes
+from clothtrack.geometry.device_arrays import overwrite
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.simulation.buffers import ClothBuffers
 from clothtrack.simulation.contact import scatter_kernels as scatter
@@ -118,9 +119,9 @@ class TriangleContact:
 
     def restore(self, sides: np.ndarray, distances: np.ndarray, counts: np.ndarray) -> None:
         """Take the lists back."""
-        self.sides.assign(sides)
-        self.distances.assign(distances)
-        self.counts.assign(counts)
+        overwrite(self.sides, sides)
+        overwrite(self.distances, distances)
+        overwrite(self.counts, counts)
 
 
 class _ScatteredPush:

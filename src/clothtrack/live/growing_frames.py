@@ -1,0 +1,96 @@
+"""Frames that are still being added: their times in memory, their pictures only for a moment."""
+
+import os
+import tempfile
+import weakref
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+
+from clothtrack.recordings.frame_files import PICTURE_KINDS
+from clothtrack.recordings.recording import Frame
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """Where a picture is in the file."""
+
+    offset: int
+    shape: tuple[int, ...]
+    dtype: np.dtype
+
+
+class GrowingFrames(Sequence[Frame]):
+    """The frames of a live recording.
+
+    Pictures of the newest are in memory. Those that are to be kept go to a file without a name, and
+    are read from it whenever their frame is asked for: hours of pictures need no memory.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a frame."""
+        self._times = array("d")
+        self._shown: dict[int, Frame] = {}
+        self._stored: dict[int, Mapping[str, Mapping[str, _Stored]]] = {}
+        self._file = tempfile.TemporaryFile(prefix="clothtrack-", buffering=0)  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._times)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Frame, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Frame | tuple[Frame, ...]:
+        """Return a frame, with its pictures where they are kept, or several."""
+        if isinstance(index, slice):
+            return tuple(self[one] for one in range(*index.indices(len(self))))
+        number = range(len(self))[index]
+        shown = self._shown.get(number)
+        if shown is not None:
+            return shown
+        stored = self._stored.get(number, {})
+        pictures = {
+            kind: {camera: self._read(one) for camera, one in cameras.items()}
+            for kind, cameras in stored.items()
+        }
+        return Frame(number, self._times[number], **pictures)
+
+    def add(self, frame: Frame) -> None:
+        """Add a frame, the next one."""
+        self._times.append(frame.time_s)
+        self._shown[frame.index] = frame
+
+    def take_back(self) -> None:
+        """Take the last frame back."""
+        self._shown.pop(len(self) - 1, None)
+        self._times.pop()
+
+    def put_away(self, index: int, *, keep: bool) -> None:
+        """Take the pictures of a frame out of memory; `keep` them on disk, or forget them."""
+        frame = self._shown.pop(index, None)
+        if frame is None or not keep:
+            return
+        self._stored[index] = {
+            kind: {camera: self._write(np.asarray(one)) for camera, one in cameras.items()}
+            for kind in PICTURE_KINDS
+            if (cameras := getattr(frame, kind))
+        }
+
+    def _write(self, picture: np.ndarray) -> _Stored:
+        offset = self._file.seek(0, os.SEEK_END)
+        self._file.write(np.ascontiguousarray(picture).tobytes())
+        return _Stored(offset, picture.shape, picture.dtype)
+
+    def _read(self, stored: _Stored) -> np.ndarray:
+        # From any thread: a place of its own in the file, and not the file's.
+        size = int(np.prod(stored.shape)) * stored.dtype.itemsize
+        data = bytearray(os.pread(self._file.fileno(), size, stored.offset))
+        return np.frombuffer(data, stored.dtype).reshape(stored.shape)
