@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from clothtrack.recordings.recorded_table import fit_recorded_table
     from clothtrack_capture.api.calibration import calibrate_camera
     from clothtrack_capture.api.importing import import_recording
+    from clothtrack_capture.api.live_ros2 import live_ros2
     from clothtrack_capture.api.picker import find_picker
     from clothtrack_capture.api.recording import record
     from clothtrack_capture.api.segmentation import segment
@@ -51,6 +52,7 @@ __all__ = [
     "find_picker",
     "fit_recorded_table",
     "import_recording",
+    "live_ros2",
     "locate_board",
     "locate_boards",
     "open_realsense",

@@ -105,6 +105,7 @@ def setting_names(verb):
         "flatten": [FlattenConfig()],
         "track": [RunConfig()],
         "live": [RunConfig()],
+        "live-ros2": [RunConfig()],
         "simulate": [EpisodeConfig()],
         "pretrain": [LearningConfig.preset("pretrain")],
         "finetune": [LearningConfig.preset("finetune")],

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import clothtrack as ct
 from clothtrack.geometry import ClothMesh
 from clothtrack.recordings import read_color, read_depth, read_recording, shipped_recording
 
 pytest.importorskip("cyclonedds", reason="the extra [ros2] brings it")
 
+from clothtrack_capture import live_ros2
 from clothtrack_capture.ros2 import Ros2Sink, Ros2Source, Ros2SourceConfig, Ros2Topics
 
 PLAYER = Path(__file__).with_name("dds_player.py")
@@ -47,9 +49,9 @@ def play(loopback, tmp_path):
     """Starts the player of a recording; the file of what it received, and its process."""
     started = []
 
-    def start(recording, *encodings):
+    def start(recording, *encodings, paced=PACED, burst=BURST):
         out = tmp_path / "received.npz"
-        command = [sys.executable, PLAYER, recording.folder, out, *encodings, PACED, BURST]
+        command = [sys.executable, PLAYER, recording.folder, out, *encodings, paced, burst]
         started.append(
             subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, text=True)
         )
@@ -89,6 +91,45 @@ def test_what_is_sent_arrives_bit_by_bit_and_so_does_the_mesh(play, encodings):
         assert player.wait(WAIT_S) == 0
         assert sink.skipped == 0
     check_received(np.load(out), recording, published)
+
+
+@pytest.mark.slow
+def test_the_verb_tracks_what_is_sent_as_a_tracker_does_and_publishes_its_meshes(play, tmp_path):
+    recording = read_recording(shipped_recording())
+    (camera,) = recording.cameras
+    out, player = play(recording, "16UC1", "rgb8", paced=PACED, burst=1)
+    result = live_ros2(
+        tmp_path / "live.zarr", depth="camera/depth", color="camera/color",
+        camera_info="camera/camera_info", pose="arm/tip", gripper="arm/closed",
+        cloth=recording.cloth, world_from_camera=camera.world_from_camera, table=recording.table,
+        config=Ros2SourceConfig(patience_s=WAIT_S),
+    )  # fmt: skip
+    assert player.wait(WAIT_S) == 0
+    assert "ms median" in result.text()
+    tracker = ct.LiveTracker(recording.cloth, camera, table=recording.table)
+    path = recording.picker_paths["gripper"]
+    wanted = [
+        tracker.update(
+            (round(frame.time_s * 1e9) + START_NS - START_NS) / 1e9,
+            read_depth(frame.depth["top"], 0.001),
+            read_color(frame.color["top"]),
+            picker={"gripper": (path.positions[frame.index], bool(path.closed[frame.index]))},
+        )
+        for frame in recording.frames[: PACED + 1]
+    ]
+    received = np.load(out)
+    for vertices, state in zip(received["vertices"], wanted, strict=True):
+        np.testing.assert_array_equal(vertices, state.positions)
+    run = ct.load(tmp_path / "live.zarr")
+    assert len(run.frames) == PACED + 1
+    np.testing.assert_array_equal(run.positions, tracker.close().positions)
+
+
+def test_a_tool_without_a_world_and_a_result_that_is_there_are_refused(loopback, tmp_path):
+    with pytest.raises(ct.InvalidConfigError, match="world-frame"):
+        live_ros2(tmp_path / "live.zarr", pose="arm/tip")
+    with pytest.raises(ct.InvalidConfigError, match="is there already"):
+        live_ros2(tmp_path)
 
 
 def check_picture(source, recording, index):

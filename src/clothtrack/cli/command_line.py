@@ -57,7 +57,7 @@ VERBS: Mapping[str, Callable[[], Function]] = {
 """What loads the functions of all verbs; other packages name theirs as entry points."""
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
-    "the main path": ("demo", "import", "track", "live", "evaluate", "view"),
+    "the main path": ("demo", "import", "track", "live", "evaluate", "view", "live-ros2"),
     "recordings": (
         "inspect", "record", "calibrate-camera", "segment", "find-picker", "garment",
     ),

@@ -61,7 +61,7 @@ class MeshLog:
     def meshes(self) -> Float32[np.ndarray, "meshes vertices 3"]:
         """Return all meshes [m]; those of a file are read as they are looked at."""
         shape = (self._count, *self._shape)
-        if not self._on_disk:
+        if not self._on_disk or not self._count:
             self._file.seek(0)
             return np.frombuffer(bytearray(self._file.read()), np.float32).reshape(shape)
         self._file.flush()

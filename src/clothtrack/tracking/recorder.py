@@ -34,6 +34,9 @@ from clothtrack.tracking.tracked_trajectory import (
     TrackedTrajectory,
 )
 
+_ON_DISK = np.zeros((0, 3), np.float32)
+"""Stands for meshes of an action until the trajectory is asked for."""
+
 Visible = Callable[[Float[np.ndarray, "vertices 3"]], Bool[np.ndarray, " vertices"]]
 
 
@@ -72,6 +75,8 @@ class Recorder:
         self._records = StepRecords.empty(0)
         self._reach(len(recording.frames))
         self._actions: list[TrackedAction] = []
+        # Of each action the mesh before its final alignment and the one after it.
+        self._ends = MeshLog(mesh.vertex_count, on_disk=on_disk)
         self._watch, self._clocks = watch, Clocks()
         self._show(recording.frames[0], np.asarray(state.positions[0], np.float32))
 
@@ -142,12 +147,14 @@ class Recorder:
         self._show(self._recording.frames[action.last_frame], end)
         self._records.adopt(best.records, within)
         self._begun = 0
+        self._ends.append(best.positions[-1])
+        self._ends.append(end)
         self._actions.append(
             TrackedAction(
                 first_frame=action.first_frame,
                 last_frame=action.last_frame,
-                positions_before_final_alignment=np.array(best.positions[-1]),
-                positions_after_final_alignment=end,
+                positions_before_final_alignment=_ON_DISK,
+                positions_after_final_alignment=_ON_DISK,
                 final_alignment_losses=np.array(losses),
                 parameters={k: float(v) for k, v in asdict(best.candidate.theta).items()},
                 calibration=calibration,
@@ -166,7 +173,7 @@ class Recorder:
         """Return everything that was kept."""
         frames = self._recording.frames
         self._reach(len(frames))
-        positions = self._meshes.meshes()
+        positions, ends = self._meshes.meshes(), np.array(self._ends.meshes())
         return TrackedTrajectory(
             name=self._recording.name,
             mesh=self._mesh,
@@ -174,7 +181,14 @@ class Recorder:
             time_s=np.array([frame.time_s for frame in frames]),
             positions=positions,
             visible=self._seen(positions),
-            actions=tuple(self._actions),
+            actions=tuple(
+                replace(
+                    action,
+                    positions_before_final_alignment=before,
+                    positions_after_final_alignment=after,
+                )
+                for action, before, after in zip(self._actions, ends[::2], ends[1::2], strict=True)
+            ),
             steps=self._records,
         )
 
