@@ -108,7 +108,7 @@ def test_a_tracking_run_has_one_line_that_is_rewritten(world):
         for state in states
     ]
     steps = [[int(number) for number in one.groups()] for one in told if one]
-    assert len(steps) > 10
+    assert len(steps) > 5
     # The share grows, through one candidate after the other, each from its first frame.
     assert steps == sorted(steps)
     assert {candidate for _, candidate, _, _ in steps} >= {1, 2, 3}
@@ -191,8 +191,15 @@ def test_a_server_ends_with_ctrl_c_and_0(world, verb, address):
     (world / "tracked").mkdir(exist_ok=True)
     with terminal(f"{VERB} {verb}", world) as on:
         served = on.until(address)[1]
-        with urllib.request.urlopen(served, timeout=60) as page:
-            assert page.status == 200
+        # An index lists the trajectories as soon as they are read; before that, Ctrl-C may end by
+        # the signal (one run in fifteen).
+        wanted = b"towel_0001.html" if verb.startswith("view tracked") else b""
+        shown, end = None, time.monotonic() + PATIENCE_S
+        while shown is None or wanted not in shown:
+            assert time.monotonic() < end, shown
+            with urllib.request.urlopen(served, timeout=60) as page:
+                assert page.status == 200
+                shown = page.read()
         on.press(CTRL_C)
         assert on.ended() == 0, on.shown
     assert "Traceback" not in on.shown
