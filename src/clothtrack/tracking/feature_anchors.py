@@ -27,7 +27,11 @@ weight): it is followed wrongly, or bound wrongly."""
 
 
 class FeatureAnchors:
-    """Binds feature tracks to a cloth, and says where they want its vertices."""
+    """Binds feature tracks to a cloth, and says where they want its vertices.
+
+    Attributes:
+        bound: by the number of each point, the triangle and the barycentric weights.
+    """
 
     def __init__(
         self,
@@ -41,7 +45,7 @@ class FeatureAnchors:
             visible: which vertices some camera sees.
         """
         self._faces, self._visible = mesh.faces, visible
-        self._bound: dict[int, tuple[int, np.ndarray]] = {}
+        self.bound: dict[int, tuple[int, np.ndarray]] = {}
 
     def bind(self, state: State, observation: Observation) -> None:
         """Bind the points that are followed here and not bound yet; lost ones may come back.
@@ -51,7 +55,7 @@ class FeatureAnchors:
             observation: what is seen there.
         """
         numbers = observation.followed.numbers
-        fresh = np.array([number not in self._bound for number in numbers.tolist()], dtype=bool)
+        fresh = np.array([number not in self.bound for number in numbers.tolist()], dtype=bool)
         positions = state.positions[0].astype(np.float64)
         seen = np.flatnonzero(self._visible(positions)[self._faces].all(axis=1))
         if not (fresh.any() and len(seen)):
@@ -61,14 +65,14 @@ class FeatureAnchors:
         face = seen[place]
         gaps = np.linalg.norm(interpolate(weights, positions[self._faces[face]]) - points, axis=1)
         for index in np.flatnonzero(gaps < NEAR_M).tolist():
-            self._bound[int(numbers[fresh][index])] = int(face[index]), weights[index]
-        logger.info("%d followed points, %d bound to the cloth", len(numbers), len(self._bound))
+            self.bound[int(numbers[fresh][index])] = int(face[index]), weights[index]
+        logger.info("%d followed points, %d bound to the cloth", len(numbers), len(self.bound))
 
     def __call__(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
     ) -> Marks | None:
         """Return where the feature tracks want vertices that are here now [m]; None without any."""
-        numbers, bound = observation.followed.numbers, self._bound
+        numbers, bound = observation.followed.numbers, self.bound
         known = np.array([number in bound for number in numbers.tolist()], dtype=bool)
         if not known.any():
             return None
