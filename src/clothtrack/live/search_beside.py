@@ -152,7 +152,7 @@ def _ask_all(
     try:
         path = os.pathsep.join(each for each in sys.path if each)
         process = subprocess.Popen(
-            [sys.executable, "-m", search_process.__name__],
+            [sys.executable, "-c", f"from {search_process.__name__} import main; main()"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=os.environ | {"PYTHONPATH": path},
         )  # fmt: skip
         processes.append(process)
@@ -167,9 +167,10 @@ def _ask_all(
                 given.flush()
                 answers.put(pickle.load(taken))
             process.kill()
-    except (OSError, EOFError, pickle.UnpicklingError) as error:
-        # The tracker goes on without: a process may be killed where memory is short.
-        answers.put(f"the process that searches has ended: {error or 'it died'}")
+    except Exception as error:  # noqa: BLE001
+        # The tracker goes on without, whatever it was: a process may be killed where memory is
+        # short, and nobody else would tell that no answer comes.
+        answers.put(f"the process that searches has ended: {str(error) or 'it died'}")
 
 
 def _end(
