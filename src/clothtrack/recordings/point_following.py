@@ -253,9 +253,7 @@ class _Follower:
         self._points = NumberedPoints.none()
         self._lost: list[_Lost] = []
 
-    def follow(
-        self, picture: _Picture, frame: int, *, choose: bool, ends: bool
-    ) -> FollowedPoints:
+    def follow(self, picture: _Picture, frame: int, *, choose: bool, ends: bool) -> FollowedPoints:
         """Return the points in the next picture.
 
         Args:
