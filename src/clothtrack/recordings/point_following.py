@@ -213,21 +213,23 @@ class _Lost:
         frame: the first frame without them.
         even: the last picture that showed them.
         points: they, there.
-        others: all that were followed in it.
+        numbers: of all that were followed in it.
+        pixels: where these were.
     """
 
     frame: int
     even: UInt8[np.ndarray, "height width"]
     points: NumberedPoints
-    others: NumberedPoints
+    numbers: Int[np.ndarray, " others"]
+    pixels: Float32[np.ndarray, "others 2"]
 
     def found_in(self, picture: _Picture, followed: NumberedPoints) -> NumberedPoints:
         """Return those that a later picture shows near where the others have gone."""
         _, then, now = np.intersect1d(
-            self.others.numbers, followed.numbers, assume_unique=True, return_indices=True
+            self.numbers, followed.numbers, assume_unique=True, return_indices=True
         )
-        moves = followed.pixels[now] - self.others.pixels[then]
-        guess, near = moved_with(self.points.pixels, self.others.pixels[then], moves)
+        moves = followed.pixels[now] - self.pixels[then]
+        guess, near = moved_with(self.points.pixels, self.pixels[then], moves)
         points, guess = self.points[near], guess[near]
         there, found = matched(self.even, picture.even, points.pixels, guess)
         found &= np.linalg.norm(there - points.pixels - guess, axis=1) < _BESIDE_PX
@@ -284,7 +286,7 @@ class _Follower:
         there, found = carried(before.even, picture.even, old.pixels, old.steps)
         moved = old.at(there)[found & picture.shows(there)]
         self._points = moved[moved.near_each_other(self._positions(moved, picture))]
-        lost = _Lost(frame, before.even, old, old).without(self._points)
+        lost = _Lost(frame, before.even, old, old.numbers, old.pixels).without(self._points)
         self._lost = [*self._lost, *([lost] if len(lost.points) else [])][-_KEPT_PICTURES:]
 
     def _recognise(self, picture: _Picture) -> KeyPoints | None:
