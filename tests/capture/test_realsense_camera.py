@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+import clothtrack as ct
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.extras import install_command
 from clothtrack.recordings.pictures import read_color, read_depth
@@ -103,6 +104,27 @@ def test_a_software_device_is_recorded_value_by_value(tmp_path):
         np.testing.assert_allclose(depth[depth > 0], 0.7 + 0.001 * number, atol=1e-6)
     steps = np.diff([frame.time_s for frame in recording.frames])
     np.testing.assert_allclose(steps, 1 / 30, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_software_device_is_tracked_live():
+    device = SoftwareDevice(pytest.importorskip("pyrealsense2"), 10)
+    states = []
+    try:
+        source = RealSenseCamera(device)
+        frames = source.frames()
+        tracker = ct.LiveTracker(
+            ct.ClothDescription("towel", "red"), source.camera, table="find", force=True
+        )
+        with ct.LiveStream(tracker, states.append) as stream:
+            for frame in frames:
+                stream.put(frame.time_s, frame.depth_m, frame.color)
+        source.close()
+    finally:
+        device.close()
+    assert states
+    spans = np.ptp(states[0].positions, axis=0)  # of 40 pixels of cloth at 0.7 m
+    np.testing.assert_allclose(spans[:2], 40 * 0.7 / FOCAL, rtol=0.15)
 
 
 def test_without_a_camera_the_message_says_what_to_do():

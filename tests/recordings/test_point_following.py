@@ -89,6 +89,20 @@ def test_plain_cloth_has_nothing_to_follow(tmp_path, noise):
     assert [len(found[index].numbers) for index in range(3)] == [0, 0, 0]
 
 
+def test_lost_points_are_looked_for_five_frames_later(tmp_path):
+    masks = np.ones((9, HEIGHT, WIDTH), bool)
+    masks[1:6, :, :60] = False
+    masks[2:6, :, 100:] = False
+    found = followed(recorded(tmp_path / "r", [cut(printed(), (0.0, 0.0))] * 9, masks=masks))
+    across = [found[index].positions[:, 0] / PIXEL_M + CAMERA.cx for index in range(9)]
+    left, right = ([part.sum() for part in parts] for parts in (
+        [each < 45 for each in across], [each > 115 for each in across],
+    ))  # fmt: skip
+    assert left[6] > 0.8 * left[0]
+    assert right[6] == 0  # though nothing covers it any more
+    assert right[7] > 0.8 * right[0]
+
+
 def test_what_is_covered_is_lost_and_numbers_are_never_used_twice(tmp_path):
     masks = np.ones((5, HEIGHT, WIDTH), bool)
     masks[1:3, :, : WIDTH // 2] = False

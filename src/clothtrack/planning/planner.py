@@ -106,7 +106,7 @@ class Planner:
             seen, self.config.candidates, self.config.space, rng,
             weights=pick_weights(seen.cloud, cloth.flat, cloth.positions),
         )  # fmt: skip
-        gains = self._gains(tried, seen, cloth)
+        gains = self._gained(tried, seen, cloth)
         worth = gains + self.config.strip_m * off_cloth(seen, tried)
         # Cloth that is not flat can be flattened: where the mesh promises nothing, it is wrong.
         order = np.lexsort((-worth, gains <= 0.0))
@@ -121,7 +121,13 @@ class Planner:
             cpu_s=time.process_time() - cpu,
         )
 
-    def _gains(
+    def gains(
+        self, hypothesis: Hypothesis, seen: SeenCloth, actions: Sequence[PickPlace]
+    ) -> Float[np.ndarray, " actions"]:
+        """Return the coverage [m^2] that each action is expected to add to doing nothing."""
+        return self._gained(actions, seen, self._coarsened(hypothesis, seen.table_height_m))
+
+    def _gained(
         self, actions: Sequence[PickPlace], seen: SeenCloth, cloth: PlannedCloth
     ) -> Float[np.ndarray, " actions"]:
         """Return the coverage [m^2] that each action adds to doing nothing."""

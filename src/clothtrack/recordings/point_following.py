@@ -43,7 +43,9 @@ _LEAST_NOISE = 0.5
 """Noise of a picture [grey values, 0 to 255] that is reckoned with in any case; rounding is 0.3."""
 
 _LOOK_AGAIN = 5
-"""Points that were lost are looked for in every so many frames, and where actions begin and end."""
+"""Points are looked for so many frames after they were lost, and again after as many, and where
+actions begin and end. Those that were lost in one frame are looked for together, so that no frame
+has to look for all."""
 
 _KEPT_PICTURES = 80
 """So many pictures are kept for the points that they were the last to show; older ones are
@@ -115,10 +117,9 @@ class PointFollower:
         actions = self._recording.actions
         choose = any(frame.index == action.first_frame for action in actions)
         ends = any(frame.index == action.last_frame for action in actions)
-        look = choose or ends or frame.index % _LOOK_AGAIN == 0
         parts = [
             self._followers[view.camera.name].follow(
-                _Picture.of(view, view.color), choose=choose, look=look
+                _Picture.of(view, view.color), frame.index, choose=choose, ends=ends
             )
             for view in views
             if view.color is not None
@@ -209,27 +210,35 @@ class _Lost:
     """Points that were lost from one picture to the next.
 
     Attributes:
+        frame: the first frame without them.
         even: the last picture that showed them.
         points: they, there.
-        others: all that were followed in it.
+        numbers: of all that were followed in it.
+        pixels: where these were.
     """
 
+    frame: int
     even: UInt8[np.ndarray, "height width"]
     points: NumberedPoints
-    others: NumberedPoints
+    numbers: Int[np.ndarray, " others"]
+    pixels: Float32[np.ndarray, "others 2"]
 
     def found_in(self, picture: _Picture, followed: NumberedPoints) -> NumberedPoints:
         """Return those that a later picture shows near where the others have gone."""
         _, then, now = np.intersect1d(
-            self.others.numbers, followed.numbers, assume_unique=True, return_indices=True
+            self.numbers, followed.numbers, assume_unique=True, return_indices=True
         )
-        moves = followed.pixels[now] - self.others.pixels[then]
-        guess, near = moved_with(self.points.pixels, self.others.pixels[then], moves)
+        moves = followed.pixels[now] - self.pixels[then]
+        guess, near = moved_with(self.points.pixels, self.pixels[then], moves)
         points, guess = self.points[near], guess[near]
         there, found = matched(self.even, picture.even, points.pixels, guess)
         found &= np.linalg.norm(there - points.pixels - guess, axis=1) < _BESIDE_PX
         found &= picture.shows(there)
         return replace(points, pixels=there, steps=np.zeros_like(there))[found]
+
+    def is_due(self, frame: int) -> bool:
+        """Return whether they are to be looked for in a frame."""
+        return frame > self.frame and (frame - self.frame) % _LOOK_AGAIN == 0
 
     def without(self, followed: NumberedPoints) -> "_Lost":
         """Return those that are lost still."""
@@ -246,20 +255,21 @@ class _Follower:
         self._points = NumberedPoints.none()
         self._lost: list[_Lost] = []
 
-    def follow(self, picture: _Picture, *, choose: bool, look: bool) -> FollowedPoints:
+    def follow(self, picture: _Picture, frame: int, *, choose: bool, ends: bool) -> FollowedPoints:
         """Return the points in the next picture.
 
         Args:
             picture: the next one; some may be missing in between.
+            frame: number of its frame.
             choose: add new ones where there are none.
-            look: look for those that were lost.
+            ends: an action ends with it; look for all that were lost.
         """
         if self._before is not None:
-            self._carry(self._before, picture)
+            self._carry(self._before, picture, frame)
         unknown = None
-        if choose or look:
+        if choose or ends or frame % _LOOK_AGAIN == 0:
             unknown = self._recognise(picture)
-            self._look_again(picture)
+        self._look_again(picture, None if choose or ends else frame)
         if choose:
             self._choose(picture, unknown)
         self._before = picture
@@ -270,13 +280,13 @@ class _Follower:
     ) -> Float[np.ndarray, "points 3"]:
         return picture.in_world(points.pixels, self._camera)
 
-    def _carry(self, before: _Picture, picture: _Picture) -> None:
+    def _carry(self, before: _Picture, picture: _Picture, frame: int) -> None:
         """Follow all points from the picture before."""
         old = self._points
         there, found = carried(before.even, picture.even, old.pixels, old.steps)
         moved = old.at(there)[found & picture.shows(there)]
         self._points = moved[moved.near_each_other(self._positions(moved, picture))]
-        lost = _Lost(before.even, old, old).without(self._points)
+        lost = _Lost(frame, before.even, old, old.numbers, old.pixels).without(self._points)
         self._lost = [*self._lost, *([lost] if len(lost.points) else [])][-_KEPT_PICTURES:]
 
     def _recognise(self, picture: _Picture) -> KeyPoints | None:
@@ -290,12 +300,18 @@ class _Follower:
         self._points = self._points.together_with(back[~back.are_in(self._points)])
         return seen[~known]
 
-    def _look_again(self, picture: _Picture) -> None:
-        """Add points that were lost and are seen again, beside those that they were beside."""
+    def _look_again(self, picture: _Picture, frame: int | None) -> None:
+        """Add points that were lost and are seen again, beside those that they were beside.
+
+        Those whose turn it is in a frame; all where it is None.
+        """
+        due = [one for one in self._lost if frame is None or one.is_due(frame)]
         back = NumberedPoints.none()
-        for lost in self._lost:
+        for lost in due:
             found = lost.without(self._points).found_in(picture, self._points)
             back = back.together_with(found)
+        if not len(back):
+            return
         points = self._points.together_with(back)
         near = points.near_each_other(self._positions(points, picture))
         self._points = points[near | ~points.are_in(back)]

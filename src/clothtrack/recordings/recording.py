@@ -123,8 +123,8 @@ class Frame:
             types, right = _TYPES[kind]
             if not np.issubdtype(picture.dtype, types):
                 raise InvalidRecordingError(f"frame {index}: {kind} is {picture.dtype}; {right}")
-        known = np.nan_to_num(shown["depth"], nan=0.0, posinf=0.0, neginf=0.0)
-        shown["depth"] = np.maximum(known, 0.0, dtype=np.float32)
+        shown["depth"] = known = np.array(shown["depth"], np.float32)
+        known[~((known > 0.0) & (known < np.inf))] = 0.0
         return cls(index, float(time_s), **{kind: {name: one} for kind, one in shown.items()})
 
 

@@ -25,6 +25,10 @@ DOUBT_M = 0.02
 """A followed point that far from its material point [m] counts a quarter (Geman and McClure's
 weight): it is followed wrongly, or bound wrongly."""
 
+_MOST_BOUND = 4096
+"""More points are not remembered; the oldest that are lost are forgotten. Hours of film bind ever
+new ones."""
+
 
 class FeatureAnchors:
     """Binds feature tracks to a cloth, and says where they want its vertices.
@@ -66,6 +70,10 @@ class FeatureAnchors:
         gaps = np.linalg.norm(interpolate(weights, positions[self._faces[face]]) - points, axis=1)
         for index in np.flatnonzero(gaps < NEAR_M).tolist():
             self.bound[int(numbers[fresh][index])] = int(face[index]), weights[index]
+        followed = set(numbers.tolist())
+        for number in list(self.bound)[:-_MOST_BOUND]:
+            if number not in followed:
+                del self.bound[number]
         logger.info("%d followed points, %d bound to the cloth", len(numbers), len(self.bound))
 
     def __call__(

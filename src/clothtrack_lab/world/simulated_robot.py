@@ -5,6 +5,7 @@ What a camera could not tell is in `true_cloth`, which only scoring and the name
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,10 @@ _LIFT_SHARE = (0.4, 0.8)
 hangs clear of the table. Dropped from 1 a towel ends as a ball that no single pick-and-place opens:
 of 25 the best gained 6 % of the flat area."""
 
+Stop = Callable[[RgbdFrame, Float[np.ndarray, " 3"], bool], str]
+"""Is shown a picture, where the tip is [m] and whether it is closed; returns why the robot is to
+stop, or nothing."""
+
 _OF_STARTS = 0xF1A7
 """Keeps the draws of this module apart from those of others with the same seed."""
 
@@ -61,12 +66,14 @@ class SimulatedRobotConfig:
         layers: layers of cloth that the gripper takes, the uppermost first.
         contact_s: time constant of a contact between layers [s], half the usual one (`FlexWorld`):
             a shirt that passed through itself in its fall is knotted, and nobody can flatten it.
+        slips_at: share of the way after which the cloth slips out of the gripper; 1: never.
         limits: what the robot refuses.
     """
 
     episode: EpisodeConfig | None = None
     film: bool = True
     layers: int = 1
+    slips_at: float = 1.0
     contact_s: float = 0.01
     limits: MotionLimits = field(
         default_factory=lambda: MotionLimits(workspace=Workspace((-0.45, 0.45), (-0.4, 0.4)))
@@ -143,13 +150,19 @@ class SimulatedRobot:
         reason = self.config.limits.refusal(path)
         return Reachability(not reason, reason)
 
-    def execute(self, action: PickPlace) -> Execution:
-        """Pick up what lies at the pick, carry it, let it go, and wait until it rests."""
+    def execute(self, action: PickPlace, stop: Stop | None = None) -> Execution:
+        """Pick up what lies at the pick, carry it, let it go, and wait until it rests.
+
+        Args:
+            action: what is done.
+            stop: is shown every picture on the way, with where the tip is [m] and whether it is
+                closed. Where it returns a reason, the gripper opens and retreats from there.
+        """
         reachability = self.check(action)
         if not reachability.reachable:
             raise InvalidConfigError(f"refused before moving: {reachability.reason}")
         episode = self._episode
-        way = _Path(self)
+        way = _Path(self, stop)
         away = self._scene.out_of_picture(action.pick)
         held = self._under(action.pick)
         tip = action.pick.copy()
@@ -164,18 +177,24 @@ class SimulatedRobot:
         if len(held):
             self._world.grasp(held, tip)
         stride = self._stride
+        slips = int(self.config.slips_at * len(carried))
+        point = tip
         for number, point in enumerate(carried, start=1):
+            if number == slips < len(carried):
+                self._world.release()
             self._world.move(point)
             self._world.step()
             if number % stride == 0:
                 way.take(point, closed=number < len(carried))
+            if way.reason:
+                break
         self._world.release()
-        self._retreat(way, carried[-1])
+        self._retreat(way, point)
         noise = episode.picker_noise_m * self._of_picker.standard_normal((len(way.tips), 3))
         path = PickerPath(
             np.array(way.times), np.array(way.tips) + self._bias + noise, np.array(way.closed)
         )
-        return Execution(path, tuple(way.film), grasped=bool(len(held)))
+        return Execution(path, tuple(way.film), grasped=bool(len(held)), error=way.reason)
 
     def home(self) -> None:
         """The tool is out of view already: it retreats after every action."""
@@ -332,8 +351,9 @@ class SimulatedRobot:
 class _Path:
     """The tip's path through one action, and the pictures taken on it."""
 
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
+    def __init__(self, robot: SimulatedRobot, stop: Stop | None) -> None:
+        self._robot, self._stop = robot, stop
+        self.reason = ""
         self.film: list[RgbdFrame] = []
         self.times: list[float] = []
         self.tips: list[Float[np.ndarray, " 3"]] = []
@@ -347,6 +367,8 @@ class _Path:
         if robot.config.film or needed or not self.film:
             self.film.append(robot.picture(tip))
             self.times.append(self.film[-1].time_s)
+            if self._stop is not None:
+                self.reason = self.reason or self._stop(self.film[-1], np.array(tip), closed)
         else:
             self.times.append(robot.tick())
         self.tips.append(np.array(tip))
