@@ -11,8 +11,8 @@ in memory and goes through `ct.LiveTracker`:
   core would drop;
 - at the speed of the camera through `ct.LiveStream`, on the wall's clock.
 
-With `--recordings DIR --truth DIR` each recording there is tracked offline without a search, and
-live with what a core drops; the true errors of their labels are compared. Run with
+With `--recordings DIR --truth DIR` each recording there is tracked offline and live, with what a
+core drops, without a search and with it; the true errors of their labels are compared. Run with
 `OMP_NUM_THREADS=1`.
 
     python benchmarks/bench_live.py --json out/bench_live.json [--quick]
@@ -30,7 +30,7 @@ import gc
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -73,10 +73,12 @@ class Film:
             ),
         )
 
-    def tracker(self) -> ct.LiveTracker:
+    def tracker(self, settings: Sequence[str] = QUICK) -> ct.LiveTracker:
         """A tracker for its cloth."""
         recording = self.recording
-        return ct.LiveTracker(recording.cloth, recording.cameras[0], table=recording.table)
+        return ct.LiveTracker(
+            recording.cloth, recording.cameras[0], table=recording.table, settings=settings
+        )
 
     def turns(self, tracker: Any, index: int) -> None:
         """Let actions begin and end where the recording says so."""
@@ -123,13 +125,15 @@ def back_to_back(film: Film) -> tuple[list[Cost], float, ct.Run]:
     return costs, time.process_time() - start, ct.Run.of(tracked, film.recording)
 
 
-def on_a_core(film: Film) -> tuple[list[float], int, ct.Run]:
+def on_a_core(film: Film, settings: Sequence[str] = QUICK) -> tuple[list[float], int, ct.Run]:
     """Serve at the camera's speed on a clock of CPU time; the newest picture wins.
+
+    A search is made by another core, and waited for at the end.
 
     Returns:
         Latencies of all served pictures but the first [s], dropped pictures, and the run.
     """
-    tracker, latencies, free_s = film.tracker(), [], 0.0
+    tracker, latencies, free_s = film.tracker(settings), [], 0.0
     turns: list[int] = []
     for place, (index, arrives_s, next_s) in enumerate(_arrivals(film)):
         turns.append(index)
@@ -204,7 +208,7 @@ def case(vertex_count: int, rate: float, folder: Path) -> dict[str, Any]:
 
 
 def errors(recordings: Path, truth: Path) -> list[dict[str, Any]]:
-    """True errors of the labels, offline without a search and live on one core."""
+    """True errors of the labels, offline and live on one core, without a search and with it."""
     rows = []
     for folder in sorted(path.parent for path in recordings.glob("*/recording.json")):
         film = Film.of(ct.read_recording(folder))
@@ -212,10 +216,13 @@ def errors(recordings: Path, truth: Path) -> list[dict[str, Any]]:
         offline = ct.track(film.recording, settings=QUICK)
         every, _, same = back_to_back(film)
         late, dropped, live = on_a_core(film)
-        means = {
-            name: _labels_mm(ct.evaluate(run, truth=known))
-            for name, run in (("offline_mm", offline), ("live_mm", live))
+        runs = {
+            "offline_mm": offline,
+            "live_mm": live,
+            "offline_searched_mm": ct.track(film.recording),
+            "live_searched_mm": on_a_core(film, ())[2],
         }
+        means = {name: _labels_mm(ct.evaluate(run, truth=known)) for name, run in runs.items()}
         rows.append(
             {
                 "recording": folder.name,
@@ -301,12 +308,13 @@ def table(rows: list[dict[str, Any]], compared: list[dict[str, Any]]) -> str:
             share = 100 * spread["dropped_share"]
             lines.append(f"  {name.replace('_', ' ')}: {_cell(spread)}, {share:.0f} % dropped")
     for row in compared:
-        pair = zip(row["offline_mm"], row["live_mm"], strict=True)
-        words = ", ".join(f"{there:.2f} / {here:.2f}" for there, here in pair)
+        names = ("offline_mm", "live_mm", "offline_searched_mm", "live_searched_mm")
+        labels = zip(*(row[name] for name in names), strict=True)
+        words = ", ".join(" / ".join(f"{one:.2f}" for one in label) for label in labels)
         same = "same bits" if row["same_bits_when_nothing_is_dropped"] else "OTHER BITS"
         lines.append(
             f"{row['recording']} ({row['vertices']} vertices, {100 * row['dropped_share']:.0f} % "
-            f"dropped): offline / live {words} mm; nothing dropped: {same}"
+            f"dropped): offline / live / both searched {words} mm; nothing dropped: {same}"
         )
     return "\n".join(lines) + "\n"
 

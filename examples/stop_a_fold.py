@@ -47,7 +47,9 @@ def fold(kind: str, seed: int, slips_at: float) -> Fold:
     """
     robot = SimulatedRobot(kind, seed, SimulatedRobotConfig(slips_at=slips_at))
     shown, done = robot.observe(), Fold()
-    tracker = ct.LiveTracker(robot.cloth, shown.camera, table=robot.table)
+    tracker = ct.LiveTracker(
+        robot.cloth, shown.camera, table=robot.table, settings=["search.method=none"]
+    )
     flat = tracker.update(shown.time_s, shown.depth_m, shown.color).positions.astype(np.float64)
     middle = flat.mean(axis=0)
     outermost = flat[np.argmax(np.linalg.norm(flat - middle, axis=1))]

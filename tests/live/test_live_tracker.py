@@ -14,7 +14,7 @@ from clothtrack.tracking.picking import Grasp, HeldCloth
 
 @pytest.fixture(scope="module")
 def offline(film):
-    return ct.track(film.recording, settings=["search.method=none"])
+    return ct.track(film.recording)
 
 
 @pytest.fixture(scope="module")

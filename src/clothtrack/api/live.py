@@ -22,9 +22,10 @@ class LiveTracker(live_tracker.LiveTracker):
 
     Call `update` with every picture, in order. An action begins with the first picture in which a
     picker is closed and ends 0.2 s after all have opened; between actions the mesh rests.
-    `begin_action` and `end_action` say it instead, where no gripper does. Nothing is searched; what
-    comes of the pictures of a recording is what `track` makes of it without a search. `close` gives
-    a `Run`.
+    `begin_action` and `end_action` say it instead, where no gripper does. Candidates are searched
+    beside the stream (`settings=["search.method=none"]`: never); where no picture is missing, what
+    comes of a recording is what `track` makes of it. `close` waits for the searches, and gives a
+    `Run`.
     """
 
     def __init__(

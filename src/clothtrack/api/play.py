@@ -31,7 +31,8 @@ def play_live(
 
     A page on this machine shows the mesh over what is seen, its latency, and which part of the
     cloth is lost. Pictures that come while an older one is tracked are dropped, but for the newest.
-    Nothing is searched. The last lines say how long pictures took, and what the result deserves.
+    Actions are searched beside the stream. The last lines say how long pictures took, and what the
+    result deserves.
 
     Args:
         recording: a recording folder.

@@ -1,16 +1,21 @@
 """One action while it happens."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clothtrack.live.growing_recording import GrowingRecording
-from clothtrack.recordings.recording import Frame, PickAndPlace
+from clothtrack.live.search_beside import Asked, in_tracked_frames
+from clothtrack.live.search_process import Question, Standing
+from clothtrack.live.seen_log import SeenLog
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath
 from clothtrack.simulation.picker_action import PickerAction
 from clothtrack.tracking.algorithm import Tracked, begin_action, end_action, track_frame
 from clothtrack.tracking.methods import Components
 from clothtrack.tracking.picking import HeldCloth
-from clothtrack.tracking.protocols import Candidate, Method, State
+from clothtrack.tracking.protocols import Candidate, Method, State, TrackedCandidate
 from clothtrack.tracking.recorder import Recorder
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import Calibration
@@ -55,6 +60,7 @@ class LiveAction:
         theta: Theta,
         first: Frame,
         by_gripper: bool,
+        searched: bool,
     ) -> None:
         """Begin with a frame in which the cloth lies still.
 
@@ -67,7 +73,13 @@ class LiveAction:
             theta: its parameters.
             first: the first frame.
             by_gripper: it ends when the pickers have opened.
+            searched: keep what a search of the action needs.
         """
+        bound = components.anchors.bound
+        self._standing = Standing(state, theta, dict(bound) if searched else {})
+        self._log = SeenLog() if searched else None
+        self._hurried, self._paths = False, dict[str, PickerPath]()
+        self._known: TrackedCandidate | None = None
         begin_action(first, state, method)
         self._growing, self._components = growing, components
         self._method, self._recorder = method, recorder
@@ -119,12 +131,19 @@ class LiveAction:
         Raises:
             InvalidRecordingError: no cloth is found in it.
         """
-        grasps = self._grasps()
+        grasps = self._grasps(self._growing.recording.picker_paths)
         if frame.index > self._tracked.frame.index + 1:
             grasps = HurriedCloth(grasps.grasps, grasps.offset)
+            self._hurried |= frame.time_s - self._tracked.frame.time_s > LONGEST_GAP_S
         self._tracked = track_frame(
             self._dyn, self._tracked, grasps, frame, method=self._method, notes=self._notes
         )
+
+    def note_seen(self, frame: Frame, seen: Observation) -> None:
+        """Take what was seen in a frame that was tracked, and the paths until then."""
+        self._paths = dict(self._growing.recording.picker_paths)
+        if self._log is not None:
+            self._log.add(frame, seen, rests=self._tracked.moved_at.index != frame.index)
 
     def stay(self, frame: Frame) -> None:
         """Leave the mesh as it is in a frame that shows nothing."""
@@ -159,16 +178,33 @@ class LiveAction:
         action = self._growing.change_action(self._place, last_frame=last.index)
         tracked = self._notes.finished(self.state)
         tracked = replace(
-            tracked, action=action, candidate=Candidate(self._theta, self._grasps()),
+            tracked, action=action, candidate=Candidate(self._theta, self._grasps(self._paths)),
             positions=tracked.positions[:count],
         )  # fmt: skip
+        self._known = tracked
         return end_action(
             self._growing.recording, tracked, self.state, Calibration.none(),
             method=self._method, recorder=self._recorder,
         )  # fmt: skip
 
-    def _grasps(self) -> HeldCloth:
-        """Return what is held, with the paths as they are known now."""
-        paths = self._growing.recording.picker_paths
+    def asked(self, *, behind: bool) -> Asked | None:
+        """Return the action as its search is asked for, after its end; None where none can be.
+
+        Args:
+            behind: a search before it was not answered when it began; this one starts from there.
+        """
+        log, known = self._log, self._known
+        if log is None or known is None:
+            return None
+        question = Question(
+            tuple(log.times_s), tuple(log.rests), b"", known.action.pickers, self._paths,
+            None if behind else self._standing,
+            # Over a long gap the dynamics were hurried, which no other candidate's are.
+            None if behind or self._hurried else in_tracked_frames(known, log.frames),
+        )  # fmt: skip
+        return Asked(self._place, tuple(log.frames), question, log)
+
+    def _grasps(self, paths: Mapping[str, PickerPath]) -> HeldCloth:
+        """Return what is held, with the paths as they are known by now."""
         grasps = [replace(one, path=paths[one.picker]) for one in self._held.grasps]
         return replace(self._held, grasps=tuple(grasps))

@@ -5,8 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from clothtrack.evaluation.label_evidence import mean_distance
 from clothtrack.live.live_judge import LiveJudge
 from clothtrack.live.recovery import Found
+from clothtrack.live.search_beside import Asked, in_live_frames
+from clothtrack.live.search_process import Answer, Setup
+from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame, Recording
 from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.configuration import RunConfig
@@ -43,6 +47,16 @@ class LiveParts:
     gap_m: float | None
     origin: Mapping[str, object]
     begun_anew: list[dict[str, object]] = field(default_factory=list)
+
+    def setup(self, seen: Observation) -> Setup:
+        """Return what the process that searches needs; `seen` is the first cloud."""
+        parts, first = self.components, self.components.recording.frames[0]
+        cloth = replace(parts.recording.cloth, template=None)
+        recording = replace(
+            parts.recording, frames=(Frame(0, first.time_s),), actions=(), picker_paths={},
+            cloth=cloth,
+        )  # fmt: skip
+        return Setup(recording, parts.mesh, parts.config, parts.start, seen, parts.device)
 
     @classmethod
     def of_first(
@@ -83,6 +97,26 @@ class LiveParts:
             components, recorder.timed(made.method), made.state, made.theta, recorder,
             LiveJudge(first.mesh, device), gap_m, first.origin,
         )  # fmt: skip
+
+    def keep_searched(self, asked: Asked, answer: Answer) -> None:
+        """Keep what a search has found in the place of what was tracked live."""
+        recording = self.components.recording
+        last, count = asked.frames[-1], len(recording.frames)
+        others = [one.first_frame + 1 for one in recording.actions]
+        others += [int(str(one["frame"])) for one in self.begun_anew]
+        self.recorder.keep_again(
+            asked.number, in_live_frames(answer, asked.frames, count), answer.end.state,
+            answer.losses, answer.calibration,
+            until=min([frame for frame in others if frame > last], default=count),
+        )  # fmt: skip
+
+    def stand(self, answer: Answer) -> float:
+        """Go on from what a search has found; return how far the mesh moves on average [m]."""
+        before, end = self.state.positions[0], answer.end
+        self.state, self.theta = end.state, end.theta
+        self.components.anchors.bound = dict(end.bound)
+        self.judge.end_otherwise(answer.best.positions[-1], end.state.positions[0])
+        return mean_distance(end.state.positions[0].astype(float), before.astype(float))
 
     def begin_anew(self, found: Found, frame: Frame) -> None:
         """Go on from another mesh in a frame in which the cloth rests."""

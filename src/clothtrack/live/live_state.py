@@ -23,6 +23,9 @@ class LiveState:
         acting: whether an action is under way.
         settling: whether the final alignment of the last action is still being made beside the
             stream; a later state has it.
+        searching: whether candidates of an action that has ended are still being tracked beside
+            the stream. The mesh of the first picture between actions that has the answer is the
+            better one; an action that begins earlier begins from the one that was tracked live.
         astray: whether the mesh has lost the cloth: a fifth of the vertices is lost, in two
             judgements. Once no picker holds the cloth, the network is asked for another mesh.
         held: the vertices that each closed picker holds, by its name.
@@ -44,6 +47,7 @@ class LiveState:
     judged_s: float
     acting: bool
     settling: bool
+    searching: bool
     astray: bool
     held: Mapping[str, tuple[int, ...]]
     latency_s: float

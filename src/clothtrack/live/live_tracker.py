@@ -1,8 +1,8 @@
 """Track a cloth picture by picture, as they come from the camera.
 
 The steps are those of `tracking.algorithm`, in the same order, and what comes of the same pictures
-is the same to the bit. Nothing is searched, the final alignment of an action (TTO2) is made beside
-the stream while the mesh rests, and pictures may be missing.
+is the same to the bit. The final alignment of an action (TTO2) and the search of its candidates are
+made beside the stream, and pictures may be missing.
 """
 
 import time
@@ -21,6 +21,7 @@ from clothtrack.live.live_action import LiveAction
 from clothtrack.live.live_parts import LiveParts
 from clothtrack.live.live_state import LiveState
 from clothtrack.live.recovery import Found, Recovery
+from clothtrack.live.search_beside import Asked, SearchBeside
 from clothtrack.live.warm_up import warm_up
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import ClothDescription, Frame, Recording, Table
@@ -28,7 +29,6 @@ from clothtrack.recordings.segmentation import Segmenter
 from clothtrack.tracking.configuration import RunConfig
 from clothtrack.tracking.pipeline import Judge, provenance
 from clothtrack.tracking.protocols import State, Watch
-from clothtrack.tracking.search import SearchConfig
 from clothtrack.tracking.theta import Theta
 from clothtrack.tracking.tracked_trajectory import TrackedTrajectory
 
@@ -62,8 +62,7 @@ class LiveTracker:
         first, so that kernels are loaded when the first picture comes: a second or two, once in a
         process.
         """
-        config = config or RunConfig()
-        self._config = replace(config, search=SearchConfig(method="none"))
+        self._config = config or RunConfig()
         self._find_table = isinstance(table, str)
         self._growing = GrowingRecording(
             name, camera, None if isinstance(table, str) else table, cloth
@@ -77,6 +76,10 @@ class LiveTracker:
         self._action: LiveAction | None = None
         self._over: tuple[LiveAction, Frame] | None = None
         self._final: Future[tuple[Theta, State] | None] | None = None
+        self._search: SearchBeside | None = None
+        self._searches: list[dict[str, object]] = []
+        self._newest: Asked | None = None
+        self._linked = self._behind = False
         self._seen_from: tuple[np.ndarray, np.ndarray] | None = None
         self._closed_before = set[str]()
         self._begins = self._ends = False
@@ -176,6 +179,7 @@ class LiveTracker:
         if self._closed:
             raise InvalidConfigError("the tracker is closed; make another one")
         self._finish(wait=False)
+        self._take_searched(wait=False)
         self.move_picker(time_s, picker or {})
         index = len(self.recording.frames)
         frame = Frame.of_arrays(
@@ -207,6 +211,8 @@ class LiveTracker:
     ) -> tuple[TrackedTrajectory, Recording]:
         """End an action that is under way; return what was tracked, and from what.
 
+        Searches that wait are waited for; Ctrl-C leaves out those that are not done.
+
         Args:
             recording: what was played, frame by frame, where it was one; what was seen by default.
             judge: says what to do with the trajectory; nobody by default.
@@ -220,7 +226,10 @@ class LiveTracker:
         if self._action is not None:
             self._end(self._action, self._action.tracked_frame)
         self._finish(wait=True)
+        self._take_searched(wait=True)
         self._closed = True
+        if self._search is not None:
+            self._search.close()
         self._eyes.close()
         self._recovery.close()
         self._finisher.shutdown()
@@ -229,7 +238,11 @@ class LiveTracker:
         stamp = provenance(source, self._config, self._device) | {
             "initial_state": dict(parts.origin),
             "first_mesh_gap_m": parts.gap_m,
-            "live": {"dropped": self._dropped, "begun_anew": parts.begun_anew},
+            "live": {
+                "dropped": self._dropped,
+                "begun_anew": parts.begun_anew,
+                "searches": self._searches,
+            },
         }
         if self._segmenter is not None:
             stamp["replaced_parts"] = ["segmenter"]
@@ -248,11 +261,14 @@ class LiveTracker:
             self._growing.find_table()
         self._growing.show_paths(frame.index)
         self._eyes.open(self.recording, self._config, self._segmenter)
-        return LiveParts.of_first(
+        parts = LiveParts.of_first(
             self.recording, self._config, self._eyes.observe, segmenter=self._segmenter,
             device=self._device, force=self._force,
             watch=None if self._watch is None else self._show,
         )  # fmt: skip
+        if self._config.search.method != "none":
+            self._search = SearchBeside(parts.setup(self._eyes.observe(frame)))
+        return parts
 
     def _show(
         self, recording: Recording, mesh: ClothMesh, frame: Frame, positions: np.ndarray
@@ -296,6 +312,8 @@ class LiveTracker:
                 action.step(frame)
                 self._spent_s |= action.spent_s(frame)
             seen = self._eyes.observe(frame)
+            if action is not None:
+                action.note_seen(frame, seen)
             self._spent_s["observe"] = self._eyes.spent_s
         except InvalidRecordingError as error:
             self._unseen(frame, begins=begins, words=str(error))
@@ -303,19 +321,24 @@ class LiveTracker:
         if action is not None and ends:
             self._end(action, frame)
         if begins:
-            self._begin(parts, frame, closed)
+            self._begin(parts, frame, closed, seen)
         self._closed_before = closed
         return seen
 
-    def _begin(self, parts: LiveParts, first: Frame, closed: set[str]) -> None:
+    def _begin(self, parts: LiveParts, first: Frame, closed: set[str], seen: Observation) -> None:
         """Begin an action with a frame, from where the one before ended."""
         self._finish(wait=True)
+        self._take_searched(wait=False)
+        self._newest = None
+        self._behind = self._linked and self._search is not None and self._search.busy
         by_gripper, self._begins, self._ends = not self._begins, False, False
         self._growing.show_paths(first.index)
         self._action = LiveAction(
             self._growing, parts.components, parts.method, parts.recorder,
             state=parts.state, theta=parts.theta, first=first, by_gripper=by_gripper,
+            searched=self._search is not None,
         )  # fmt: skip
+        self._action.note_seen(first, seen)
         self._action.grasp(first, closed)
 
     def _end(self, action: LiveAction, last: Frame) -> None:
@@ -339,6 +362,41 @@ class LiveTracker:
             before = parts.state.positions[0]
             parts.theta, parts.state = ended
             parts.judge.end_action(before, parts.state.positions[0])
+            if self._search is not None:
+                self._ask(self._search, action)
+
+    def _ask(self, search: SearchBeside, action: LiveAction) -> None:
+        """Have an action searched that has ended, unless too many wait already."""
+        asked = None if search.full else action.asked(behind=self._behind)
+        self._newest, self._linked = asked, asked is not None
+        if asked is not None:
+            search.ask(asked)
+
+    def _take_searched(self, *, wait: bool) -> None:
+        """Take over what searches have found since; the mesh, where no action is under way.
+
+        Args:
+            wait: until all are answered.
+        """
+        search, parts = self._search, self._parts
+        # The final alignment writes to what is kept, in another thread.
+        if search is None or parts is None or self._over is not None:
+            return
+        for asked, answer in search.answers(wait=wait):
+            if isinstance(answer, str):
+                note = f"no action is searched any more: {answer}"
+                self._notes += [] if note in self._notes else [note]
+                continue
+            parts.keep_searched(asked, answer)
+            row = {"action": asked.number, "candidates": len(answer.calibration.scores)}
+            if asked is self._newest:
+                moved_m = parts.stand(answer)
+                row |= {"frame": len(self.recording.frames), "moved_m": moved_m}
+                if moved_m > 0.0:
+                    self._notes.append(
+                        f"the search of the last action moves the mesh by {1e3 * moved_m:.1f} mm"
+                    )
+            self._searches.append(row)
 
     def _unseen(self, frame: Frame, *, begins: bool, words: str) -> None:
         """Leave the mesh as it is in a picture without cloth; what was to begin or end waits."""
@@ -361,6 +419,7 @@ class LiveTracker:
             answer = recovery.better(answer, parts.components.mesh, positions, seen)
         if isinstance(answer, Found):
             parts.begin_anew(answer, frame)
+            self._newest, self._linked = None, False
             answer = "the mesh begins anew, from the network's of an earlier picture"
         said += [answer] if answer else []
         if recovery.astray:
@@ -391,6 +450,7 @@ class LiveTracker:
             judged_s=judged.time_s + self._growing.zero_s,
             acting=action is not None,
             settling=self._over is not None,
+            searching=self._search is not None and self._search.busy,
             astray=self._recovery.astray,
             held={} if action is None else action.held,
             latency_s=time.perf_counter() - began_s,

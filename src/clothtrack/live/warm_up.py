@@ -13,6 +13,7 @@ from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.recordings.recording import ClothDescription, Table
 from clothtrack.tracking.configuration import InitialStateConfig, ModeName
 from clothtrack.tracking.configuration import mode as settings_of_mode
+from clothtrack.tracking.search import SearchConfig
 
 _HEIGHT_M = 0.5
 _RESTING_M = 0.0015
@@ -38,7 +39,10 @@ def warm_up(make: Callable[..., Any], mode: ModeName, color: bool, device: str) 
     mask = drawn.faces >= 0
     depth = np.where(mask, drawn.depth, _HEIGHT_M).astype(np.float32)
     noise = np.random.default_rng(0).integers(0, 255, (120, 160, 3), dtype=np.uint8)
-    config = replace(settings_of_mode(mode), color=color, initial_state=InitialStateConfig())
+    config = replace(
+        settings_of_mode(mode), color=color, initial_state=InitialStateConfig(),
+        search=SearchConfig(method="none"),
+    )  # fmt: skip
     tracker = make(
         ClothDescription("towel", template=towel), camera,
         table=Table(np.zeros(3), np.array([0.0, 0.0, 1.0])), config=config, device=device,

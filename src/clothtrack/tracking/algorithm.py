@@ -99,11 +99,25 @@ def end_action(
     Returns:
         Parameters and state that the next action starts from.
     """
-    last = recording.frames[best.action.last_frame]
-    theta, held = best.candidate.theta, best.candidate.grasps.closed_at(last.time_s)
-    state, losses = method.align_last(state, theta, method.observe(last), held)  # TTO2
+    state, losses = aligned_end(recording, best, state, method)
     recorder.keep(best, state, losses, calibration)
-    return theta, state
+    return best.candidate.theta, state
+
+
+def aligned_end(
+    recording: Recording, best: TrackedCandidate, state: State, method: Method
+) -> tuple[State, tuple[float, float]]:
+    """Return the cloth at the end of an action after TTO2, and the objective [m^2] around it.
+
+    Args:
+        recording: frames with their times.
+        best: the candidate that is kept.
+        state: the cloth at the last frame.
+        method: TTO2.
+    """
+    last = recording.frames[best.action.last_frame]
+    held = best.candidate.grasps.closed_at(last.time_s)
+    return method.align_last(state, best.candidate.theta, method.observe(last), held)  # TTO2
 
 
 def track_action(

@@ -31,7 +31,11 @@ new ones."""
 
 
 class FeatureAnchors:
-    """Binds feature tracks to a cloth, and says where they want its vertices."""
+    """Binds feature tracks to a cloth, and says where they want its vertices.
+
+    Attributes:
+        bound: by the number of each point, the triangle and the barycentric weights.
+    """
 
     def __init__(
         self,
@@ -45,7 +49,7 @@ class FeatureAnchors:
             visible: which vertices some camera sees.
         """
         self._faces, self._visible = mesh.faces, visible
-        self._bound: dict[int, tuple[int, np.ndarray]] = {}
+        self.bound: dict[int, tuple[int, np.ndarray]] = {}
 
     def bind(self, state: State, observation: Observation) -> None:
         """Bind the points that are followed here and not bound yet; lost ones may come back.
@@ -55,7 +59,7 @@ class FeatureAnchors:
             observation: what is seen there.
         """
         numbers = observation.followed.numbers
-        fresh = np.array([number not in self._bound for number in numbers.tolist()], dtype=bool)
+        fresh = np.array([number not in self.bound for number in numbers.tolist()], dtype=bool)
         positions = state.positions[0].astype(np.float64)
         seen = np.flatnonzero(self._visible(positions)[self._faces].all(axis=1))
         if not (fresh.any() and len(seen)):
@@ -65,18 +69,18 @@ class FeatureAnchors:
         face = seen[place]
         gaps = np.linalg.norm(interpolate(weights, positions[self._faces[face]]) - points, axis=1)
         for index in np.flatnonzero(gaps < NEAR_M).tolist():
-            self._bound[int(numbers[fresh][index])] = int(face[index]), weights[index]
+            self.bound[int(numbers[fresh][index])] = int(face[index]), weights[index]
         followed = set(numbers.tolist())
-        for number in list(self._bound)[:-_MOST_BOUND]:
+        for number in list(self.bound)[:-_MOST_BOUND]:
             if number not in followed:
-                del self._bound[number]
-        logger.info("%d followed points, %d bound to the cloth", len(numbers), len(self._bound))
+                del self.bound[number]
+        logger.info("%d followed points, %d bound to the cloth", len(numbers), len(self.bound))
 
     def __call__(
         self, positions: Float[np.ndarray, "vertices 3"], observation: Observation
     ) -> Marks | None:
         """Return where the feature tracks want vertices that are here now [m]; None without any."""
-        numbers, bound = observation.followed.numbers, self._bound
+        numbers, bound = observation.followed.numbers, self.bound
         known = np.array([number in bound for number in numbers.tolist()], dtype=bool)
         if not known.any():
             return None

@@ -138,28 +138,65 @@ class Recorder:
             losses: objective of TTO2 [m^2], before and after.
             calibration: the candidates that were tried.
         """
+        self._reach(len(self._recording.frames))
+        self._begun = 0
+        number = len(self._actions)
+        self._actions.append(self._placed(number, best, state, losses, calibration=calibration))
+        last = self._recording.frames[best.action.last_frame]
+        self._show(last, np.asarray(state.positions[0], np.float32))
+
+    def keep_again(
+        self,
+        number: int,
+        best: TrackedCandidate,
+        state: State,
+        losses: tuple[float, float],
+        calibration: Calibration,
+        *,
+        until: int,
+    ) -> None:
+        """Keep another candidate of an action that was kept before.
+
+        Args:
+            number: of the action, from 0.
+            best: as for `keep`.
+            state: likewise.
+            losses: likewise.
+            calibration: likewise.
+            until: the first frame after the action that does not show the cloth as it left it.
+        """
+        self._reach(len(self._recording.frames))
+        self._actions[number] = self._placed(
+            number, best, state, losses, calibration=calibration, until=until
+        )  # fmt: skip
+
+    def _placed(
+        self,
+        number: int,
+        best: TrackedCandidate,
+        state: State,
+        losses: tuple[float, float],
+        *,
+        calibration: Calibration,
+        until: int | None = None,
+    ) -> TrackedAction:
+        """Put the meshes of an action where they belong; return what else is kept of it."""
         action = best.action
         within = slice(action.first_frame + 1, action.last_frame + 1)
         end = np.asarray(state.positions[0], np.float32)
-        self._reach(len(self._recording.frames))
         self._meshes.write(within.start, best.positions)
-        self._meshes.fill(action.last_frame, len(self._meshes), end)
-        self._show(self._recording.frames[action.last_frame], end)
+        self._meshes.fill(action.last_frame, len(self._meshes) if until is None else until, end)
         self._records.adopt(best.records, within)
-        self._begun = 0
-        self._ends.append(best.positions[-1])
-        self._ends.append(end)
-        self._actions.append(
-            TrackedAction(
-                first_frame=action.first_frame,
-                last_frame=action.last_frame,
-                positions_before_final_alignment=_ON_DISK,
-                positions_after_final_alignment=_ON_DISK,
-                final_alignment_losses=np.array(losses),
-                parameters={k: float(v) for k, v in asdict(best.candidate.theta).items()},
-                calibration=calibration,
-                held_vertices=best.candidate.grasps.held_vertices,
-            )
+        self._ends.write(2 * number, np.stack([best.positions[-1], end]))
+        return TrackedAction(
+            first_frame=action.first_frame,
+            last_frame=action.last_frame,
+            positions_before_final_alignment=_ON_DISK,
+            positions_after_final_alignment=_ON_DISK,
+            final_alignment_losses=np.array(losses),
+            parameters={k: float(v) for k, v in asdict(best.candidate.theta).items()},
+            calibration=calibration,
+            held_vertices=best.candidate.grasps.held_vertices,
         )
 
     def begin_anew(self, frame: Frame, state: State) -> None:

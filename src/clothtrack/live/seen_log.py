@@ -1,0 +1,70 @@
+"""What was seen in the frames of one action, in a file, until its search has been answered."""
+
+import io
+import pickle
+import tempfile
+import weakref
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clothtrack.recordings.point_cloud import Observation
+from clothtrack.recordings.recording import Frame
+
+
+@dataclass(frozen=True, eq=False)
+class _Packed:
+    """An observation with eight hidden pixels in a byte."""
+
+    seen: Observation
+    hidden: dict[str, tuple[tuple[int, ...], np.ndarray]]
+
+    @classmethod
+    def of(cls, seen: Observation) -> "_Packed":
+        hidden = {name: (one.shape, np.packbits(one)) for name, one in seen.hidden.items()}
+        return cls(replace(seen, hidden={}), hidden)
+
+    def unpacked(self) -> Observation:
+        hidden = {
+            name: np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape).view(bool)
+            for name, (shape, bits) in self.hidden.items()
+        }
+        return replace(self.seen, hidden=hidden)
+
+
+class SeenLog:
+    """Clouds of the frames that an action was tracked through; pictures are not needed again.
+
+    Attributes:
+        frames: number of each frame.
+        times_s: when it was [s].
+        rests: whether the cloth was found to lie in it as it lay before.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a frame; the file has no name and goes with this object."""
+        self.frames: list[int] = []
+        self.times_s: list[float] = []
+        self.rests: list[bool] = []
+        self._file = tempfile.TemporaryFile(prefix="clothtrack-")  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
+
+    def add(self, frame: Frame, seen: Observation, *, rests: bool) -> None:
+        """Add the next frame that was tracked."""
+        self.frames.append(frame.index)
+        self.times_s.append(frame.time_s)
+        self.rests.append(rests)
+        pickle.dump(_Packed.of(seen), self._file, pickle.HIGHEST_PROTOCOL)
+
+    def packed(self) -> bytes:
+        """Return all clouds, as `unpacked` reads them."""
+        self._file.seek(0)
+        return self._file.read()
+
+
+def unpacked(packed: bytes) -> list[Observation]:
+    """Return the clouds of a log."""
+    file, seen = io.BytesIO(packed), list[Observation]()
+    while file.tell() < len(packed):
+        seen.append(pickle.load(file).unpacked())
+    return seen
