@@ -8,7 +8,13 @@ import numpy as np
 from clothtrack.live.growing_recording import GrowingRecording
 from clothtrack.live.search_beside import Asked, in_tracked_frames
 from clothtrack.live.search_process import Question, Standing
-from clothtrack.live.seen_log import SeenLog
+from clothtrack.live.seen_log import SeenLog, unpacked
+from clothtrack.recordings.geometry_checks.finding import ObservedFrames
+from clothtrack.recordings.geometry_checks.picker_clock import (
+    FARTHEST_LAG_S,
+    ClockLag,
+    picker_lag,
+)
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import Frame, PickAndPlace, PickerPath
 from clothtrack.simulation.picker_action import PickerAction
@@ -60,7 +66,6 @@ class LiveAction:
         theta: Theta,
         first: Frame,
         by_gripper: bool,
-        searched: bool,
     ) -> None:
         """Begin with a frame in which the cloth lies still.
 
@@ -73,11 +78,9 @@ class LiveAction:
             theta: its parameters.
             first: the first frame.
             by_gripper: it ends when the pickers have opened.
-            searched: keep what a search of the action needs.
         """
-        bound = components.anchors.bound
-        self._standing = Standing(state, theta, dict(bound) if searched else {})
-        self._log = SeenLog() if searched else None
+        self._standing = Standing(state, theta, dict(components.anchors.bound))
+        self._log = SeenLog()
         self._hurried, self._paths = False, dict[str, PickerPath]()
         self._known: TrackedCandidate | None = None
         begin_action(first, state, method)
@@ -142,8 +145,7 @@ class LiveAction:
     def note_seen(self, frame: Frame, seen: Observation) -> None:
         """Take what was seen in a frame that was tracked, and the paths until then."""
         self._paths = dict(self._growing.recording.picker_paths)
-        if self._log is not None:
-            self._log.add(frame, seen, rests=self._tracked.moved_at.index != frame.index)
+        self._log.add(frame, seen, rests=self._tracked.moved_at.index != frame.index)
 
     def stay(self, frame: Frame) -> None:
         """Leave the mesh as it is in a frame that shows nothing."""
@@ -194,7 +196,7 @@ class LiveAction:
             behind: a search before it was not answered when it began; this one starts from there.
         """
         log, known = self._log, self._known
-        if log is None or known is None:
+        if known is None:
             return None
         question = Question(
             tuple(log.times_s), tuple(log.rests), b"", known.action.pickers, self._paths,
@@ -203,6 +205,20 @@ class LiveAction:
             None if behind or self._hurried else in_tracked_frames(known, log.frames),
         )  # fmt: skip
         return Asked(self._place, tuple(log.frames), question, log)
+
+    def picker_lag(self) -> ClockLag | None:
+        """Return what the action says of the pickers' clock, after its end; None: nothing."""
+        seen, times_s = unpacked(self._log.packed()), self._log.times_s
+        since_s = times_s[0] - FARTHEST_LAG_S
+        recording = replace(
+            self._growing.recording,
+            frames=[Frame(index, time_s) for index, time_s in enumerate(times_s)],
+            actions=[PickAndPlace(0, len(times_s) - 1, tuple(sorted(self._closed)))],
+            picker_paths={name: path.since(since_s) for name, path in self._growing.paths.items()},
+        )
+        frames = ObservedFrames(recording, cloud=lambda frame: seen[frame.index])
+        lag = picker_lag(recording, frames)
+        return lag if lag is not None and lag.is_wrong(times_s) else None
 
     def _grasps(self, paths: Mapping[str, PickerPath]) -> HeldCloth:
         """Return what is held, with the paths as they are known by now."""

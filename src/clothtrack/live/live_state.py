@@ -28,6 +28,9 @@ class LiveState:
             better one; an action that begins earlier begins from the one that was tracked live.
         astray: whether the mesh has lost the cloth: a fifth of the vertices is lost, in two
             judgements. Once no picker holds the cloth, the network is asked for another mesh.
+        picker_lag_s: how long after the closed picker the cloth moved in the last action, by the
+            times that were given [s]; below 0 where the picker's are late, 0 where nothing speaks
+            against them.
         held: the vertices that each closed picker holds, by its name.
         latency_s: from the call of `update` to this state [s]; in a `LiveStream` from the arrival
             of the picture.
@@ -49,6 +52,7 @@ class LiveState:
     settling: bool
     searching: bool
     astray: bool
+    picker_lag_s: float
     held: Mapping[str, tuple[int, ...]]
     latency_s: float
     spent_s: Mapping[str, float] = field(default_factory=dict)

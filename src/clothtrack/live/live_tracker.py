@@ -23,6 +23,7 @@ from clothtrack.live.live_state import LiveState
 from clothtrack.live.recovery import Found, Recovery
 from clothtrack.live.search_beside import Asked, SearchBeside
 from clothtrack.live.warm_up import warm_up
+from clothtrack.recordings.geometry_checks.picker_clock import ClockLag
 from clothtrack.recordings.point_cloud import Observation
 from clothtrack.recordings.recording import ClothDescription, Frame, Recording, Table
 from clothtrack.recordings.segmentation import Segmenter
@@ -76,6 +77,8 @@ class LiveTracker:
         self._action: LiveAction | None = None
         self._over: tuple[LiveAction, Frame] | None = None
         self._final: Future[tuple[Theta, State] | None] | None = None
+        self._lags: list[Future[ClockLag | None]] = []
+        self._lag: ClockLag | None = None
         self._search: SearchBeside | None = None
         self._searches: list[dict[str, object]] = []
         self._newest: Asked | None = None
@@ -180,6 +183,7 @@ class LiveTracker:
             raise InvalidConfigError("the tracker is closed; make another one")
         self._finish(wait=False)
         self._take_searched(wait=False)
+        self._compare_clocks(wait=False)
         self.move_picker(time_s, picker or {})
         index = len(self.recording.frames)
         frame = Frame.of_arrays(
@@ -227,6 +231,7 @@ class LiveTracker:
             self._end(self._action, self._action.tracked_frame)
         self._finish(wait=True)
         self._take_searched(wait=True)
+        self._compare_clocks(wait=True)
         self._closed = True
         if self._search is not None:
             self._search.close()
@@ -242,6 +247,7 @@ class LiveTracker:
                 "dropped": self._dropped,
                 "begun_anew": parts.begun_anew,
                 "searches": self._searches,
+                "picker_lag_s": None if self._lag is None else self._lag.lag_s,
             },
         }
         if self._segmenter is not None:
@@ -336,7 +342,6 @@ class LiveTracker:
         self._action = LiveAction(
             self._growing, parts.components, parts.method, parts.recorder,
             state=parts.state, theta=parts.theta, first=first, by_gripper=by_gripper,
-            searched=self._search is not None,
         )  # fmt: skip
         self._action.note_seen(first, seen)
         self._action.grasp(first, closed)
@@ -362,8 +367,21 @@ class LiveTracker:
             before = parts.state.positions[0]
             parts.theta, parts.state = ended
             parts.judge.end_action(before, parts.state.positions[0])
+            self._lags.append(self._finisher.submit(action.picker_lag))
             if self._search is not None:
                 self._ask(self._search, action)
+
+    def _compare_clocks(self, *, wait: bool) -> None:
+        """Take over what ended actions say of the pickers' clock; all of them with `wait`."""
+        while self._lags and (wait or self._lags[0].done()):
+            before, self._lag = self._lag, self._lags.pop(0).result()
+            if self._lag is not None and before is None:
+                lag_s = self._lag.lag_s
+                order, size = ("before", "smaller") if lag_s < 0 else ("after", "larger")
+                self._notes.append(
+                    f"the cloth moves {abs(lag_s):.2f} s {order} the closed picker does: give the "
+                    f"picker times that are {size} by so much (`move_picker`)"
+                )
 
     def _ask(self, search: SearchBeside, action: LiveAction) -> None:
         """Have an action searched that has ended, unless too many wait already."""
@@ -452,6 +470,7 @@ class LiveTracker:
             settling=self._over is not None,
             searching=self._search is not None and self._search.busy,
             astray=self._recovery.astray,
+            picker_lag_s=0.0 if self._lag is None else self._lag.lag_s,
             held={} if action is None else action.held,
             latency_s=time.perf_counter() - began_s,
             spent_s=dict(self._spent_s),

@@ -1,6 +1,7 @@
 """What was seen in the frames of one action, in a file, until its search has been answered."""
 
 import io
+import os
 import pickle
 import tempfile
 import weakref
@@ -57,9 +58,10 @@ class SeenLog:
         pickle.dump(_Packed.of(seen), self._file, pickle.HIGHEST_PROTOCOL)
 
     def packed(self) -> bytes:
-        """Return all clouds, as `unpacked` reads them."""
-        self._file.seek(0)
-        return self._file.read()
+        """Return all clouds, as `unpacked` reads them; several threads may ask."""
+        self._file.flush()
+        place = self._file.fileno()
+        return os.pread(place, os.fstat(place).st_size, 0)
 
 
 def unpacked(packed: bytes) -> list[Observation]:

@@ -8,8 +8,8 @@ Correlating the speeds of tip and cloth was tried: cloth that falls after the re
 that a tool uncovers, moved the maximum by 0.4 s on right recordings of T-shirts.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +27,7 @@ _LARGEST_LAG_S = 0.2
 """Difference of the two clocks [s] from which they are doubted, and one and a half frames at least.
 Right recordings are never doubted below `_LEAST_GAIN_M`, whatever their lag."""
 
-_FARTHEST_LAG_S = 1.5
+FARTHEST_LAG_S = 1.5
 """Lags up to this [s] are tried."""
 
 STEP_S = 0.05
@@ -64,6 +64,18 @@ class ClockLag:
     unshifted_m: float
     shifted_m: float
 
+    def is_wrong(self, times_s: Sequence[float]) -> bool:
+        """Return whether the clock is clearly wrong, beside pictures of these times [s]."""
+        clear = (
+            self.shifted_m <= _LARGEST_REST_M and self.unshifted_m - self.shifted_m >= _LEAST_GAIN_M
+        )
+        return clear and abs(self.lag_s) > largest_lag_s(times_s)
+
+
+def largest_lag_s(times_s: Sequence[float]) -> float:
+    """Return the lag [s] that nobody doubts beside pictures of these times [s]."""
+    return max(_LARGEST_LAG_S, 1.5 * float(np.median(np.diff(times_s))))
+
 
 def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding]:
     """The picker's clock, when it clearly runs before or behind that of the pictures."""
@@ -73,10 +85,9 @@ def clock_findings(recording: Recording, frames: ObservedFrames) -> list[Finding
     lag = picker_lag(recording, frames)
     if lag is None:
         return []
-    steps = [later.time_s - frame.time_s for frame, later in pairwise(recording.frames)]
-    limit_s = max(_LARGEST_LAG_S, 1.5 * float(np.median(steps)))
-    clear = lag.shifted_m <= _LARGEST_REST_M and lag.unshifted_m - lag.shifted_m >= _LEAST_GAIN_M
-    if abs(lag.lag_s) <= limit_s or not clear:
+    times_s = [frame.time_s for frame in recording.frames]
+    limit_s = largest_lag_s(times_s)
+    if not lag.is_wrong(times_s):
         return []
     order, change = ("before", "subtract") if lag.lag_s < 0 else ("after", "add")
     text = (
@@ -97,7 +108,7 @@ def picker_lag(recording: Recording, frames: ObservedFrames) -> ClockLag | None:
 
     None where nothing can be said: no action, or only pickers whose hold the recording names.
     """
-    lags = np.arange(-_FARTHEST_LAG_S, _FARTHEST_LAG_S + 0.5 * STEP_S, STEP_S)
+    lags = np.arange(-FARTHEST_LAG_S, FARTHEST_LAG_S + 0.5 * STEP_S, STEP_S)
     total, count = _beside(recording, frames, lags)
     none = int(np.argmin(np.abs(lags)))
     enough = count >= max(LEAST_SHARE * count.max(), 3.0)
