@@ -40,7 +40,7 @@ class PlannerConfig(Checked):
     """
 
     candidates: Count = 100
-    strip_m: NotNegative = 0.06
+    strip_m: NotNegative = 0.09
     space: ActionSpace = field(default_factory=ActionSpace)
     coarse: CoarseConfig = field(default_factory=CoarseConfig)
 
