@@ -16,7 +16,7 @@ import numpy as np
 
 import clothtrack as ct
 from clothtrack.planning import PickPlace
-from clothtrack_lab.world.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+from clothtrack_lab.world import SimulatedRobot, SimulatedRobotConfig
 
 MOST_ERROR_M = 0.012
 """The robot stops when the mean expected error of a vertex is larger than this [m]."""

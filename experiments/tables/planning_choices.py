@@ -133,7 +133,7 @@ def won(rows: Sequence[dict[str, Any]], promise: str, strip_m: float) -> str:
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
     """Both tables."""
     beliefs = {"the network's mesh": "promised_m2", "*the truth*": "promised_by_truth_m2"}
-    lines = ["| planned from | per promised cm2 | per meter off the cloth, cm2 | strip, m | known |"]
+    lines = ["| planned from | per promised cm2 | per meter off, cm2 | strip, m | known |"]
     lines.append("|---" * 5 + "|")
     lines += [f"| {name} {fitted(rows, promise)}" for name, promise in beliefs.items()]
     head = " | ".join(f"strip {100 * strip_m:.0f} cm" for strip_m in STRIPS_M)
