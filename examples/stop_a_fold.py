@@ -16,7 +16,7 @@ import numpy as np
 
 import clothtrack as ct
 from clothtrack.planning import PickPlace
-from clothtrack_lab.world import SimulatedRobot, SimulatedRobotConfig
+from clothtrack_lab.world import SimulatedRobot
 
 MOST_ERROR_M = 0.012
 """The robot stops when the mean expected error of a vertex is larger than this [m]."""
@@ -45,7 +45,7 @@ def fold(kind: str, seed: int, slips_at: float) -> Fold:
         seed: of cloth, camera and noise.
         slips_at: share of the way after which the cloth slips out of the gripper; 1: never.
     """
-    robot = SimulatedRobot(kind, seed, SimulatedRobotConfig(slips_at=slips_at))
+    robot = SimulatedRobot(kind, seed)
     shown, done = robot.observe(), Fold()
     tracker = ct.LiveTracker(
         robot.cloth, shown.camera, table=robot.table, settings=["search.method=none"]
@@ -67,7 +67,8 @@ def fold(kind: str, seed: int, slips_at: float) -> Fold:
         done.expected_error_m = max(done.expected_error_m, error_m)
         return f"an error of {1e3 * error_m:.0f} mm" if error_m > MOST_ERROR_M else ""
 
-    done.reason = robot.execute(PickPlace(pick, place, 0.08), stop).error
+    action = PickPlace(pick, place, 0.08)
+    done.reason = robot.execute(action, stop=stop, slips_at=slips_at).error
     tracker.close()
     return done
 

@@ -66,14 +66,12 @@ class SimulatedRobotConfig:
         layers: layers of cloth that the gripper takes, the uppermost first.
         contact_s: time constant of a contact between layers [s], half the usual one (`FlexWorld`):
             a shirt that passed through itself in its fall is knotted, and nobody can flatten it.
-        slips_at: share of the way after which the cloth slips out of the gripper; 1: never.
         limits: what the robot refuses.
     """
 
     episode: EpisodeConfig | None = None
     film: bool = True
     layers: int = 1
-    slips_at: float = 1.0
     contact_s: float = 0.01
     limits: MotionLimits = field(
         default_factory=lambda: MotionLimits(workspace=Workspace((-0.45, 0.45), (-0.4, 0.4)))
@@ -150,13 +148,16 @@ class SimulatedRobot:
         reason = self.config.limits.refusal(path)
         return Reachability(not reason, reason)
 
-    def execute(self, action: PickPlace, stop: Stop | None = None) -> Execution:
+    def execute(
+        self, action: PickPlace, *, stop: Stop | None = None, slips_at: float = 1.0
+    ) -> Execution:
         """Pick up what lies at the pick, carry it, let it go, and wait until it rests.
 
         Args:
             action: what is done.
             stop: is shown every picture on the way, with where the tip is [m] and whether it is
                 closed. Where it returns a reason, the gripper opens and retreats from there.
+            slips_at: share of the way after which the cloth slips out of the gripper; 1: never.
         """
         reachability = self.check(action)
         if not reachability.reachable:
@@ -177,7 +178,7 @@ class SimulatedRobot:
         if len(held):
             self._world.grasp(held, tip)
         stride = self._stride
-        slips = int(self.config.slips_at * len(carried))
+        slips = int(slips_at * len(carried))
         point = tip
         for number, point in enumerate(carried, start=1):
             if number == slips < len(carried):
