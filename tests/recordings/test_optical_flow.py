@@ -97,3 +97,10 @@ def test_nobody_and_nobody_near_tell_nothing():
     moves, told = moved_with(here, near.astype(np.float32), move)
     assert told.all()
     np.testing.assert_array_equal(moves, move)
+
+
+@pytest.mark.parametrize("away", [(-500.0, 0.0), (500.0, 0.0), (0.0, -500.0), (0.0, 500.0)])
+def test_a_guess_far_outside_the_picture_is_not_found(away):
+    picture, pixels = even(printed()), np.array([[80.0, 60.0]], np.float32)
+    _, found = matched(picture, picture, pixels, np.array([away], np.float32))
+    assert not found.any()

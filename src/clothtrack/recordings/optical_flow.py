@@ -135,7 +135,9 @@ def _lucas_kanade(
     pixels: Float32[np.ndarray, "points 2"],
     guess: Float32[np.ndarray, "points 2"],
 ) -> tuple[Float32[np.ndarray, "points 2"], Bool[np.ndarray, " points"]]:
-    ends = np.concatenate([pixels, guess])
+    height, width = before.shape
+    # What lies outside is not found there either; a part that is empty would be an error.
+    ends = np.clip(np.concatenate([pixels, guess]), 0.0, (width - 1.0, height - 1.0))
     low = np.clip(np.floor(ends.min(axis=0)).astype(int) - _AROUND_PX, 0, None)
     high = np.ceil(ends.max(axis=0)).astype(int) + _AROUND_PX + 1
     part, corner = np.s_[low[1] : high[1], low[0] : high[0]], low.astype(np.float32)
