@@ -104,9 +104,9 @@ class LiveParts:
         last, count = asked.frames[-1], len(recording.frames)
         others = [one.first_frame + 1 for one in recording.actions]
         others += [int(str(one["frame"])) for one in self.begun_anew]
-        self.recorder.keep_again(
-            asked.number, in_live_frames(answer, asked.frames, count), answer.end.state,
-            answer.losses, answer.calibration,
+        self.recorder.keep(
+            in_live_frames(answer, asked.frames, count), answer.end.state,
+            answer.losses, answer.calibration, again=asked.number,
             until=min([frame for frame in others if frame > last], default=count),
         )  # fmt: skip
 

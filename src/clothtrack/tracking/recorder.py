@@ -129,58 +129,23 @@ class Recorder:
         state: State,
         losses: tuple[float, float],
         calibration: Calibration,
+        *,
+        again: int | None = None,
+        until: int | None = None,
     ) -> None:
-        """Keep the chosen candidate with its final alignment.
+        """Keep the chosen candidate of an action with its final alignment.
 
         Args:
             best: the candidate.
             state: the cloth after TTO2; the frames that follow start from there.
             losses: objective of TTO2 [m^2], before and after.
             calibration: the candidates that were tried.
+            again: number of an action that was kept before, from 0; None: the next action.
+            until: the first frame after the action that does not show the cloth as it left it;
+                None: there is none.
         """
         self._reach(len(self._recording.frames))
-        self._begun = 0
-        number = len(self._actions)
-        self._actions.append(self._placed(number, best, state, losses, calibration=calibration))
-        last = self._recording.frames[best.action.last_frame]
-        self._show(last, np.asarray(state.positions[0], np.float32))
-
-    def keep_again(
-        self,
-        number: int,
-        best: TrackedCandidate,
-        state: State,
-        losses: tuple[float, float],
-        calibration: Calibration,
-        *,
-        until: int,
-    ) -> None:
-        """Keep another candidate of an action that was kept before.
-
-        Args:
-            number: of the action, from 0.
-            best: as for `keep`.
-            state: likewise.
-            losses: likewise.
-            calibration: likewise.
-            until: the first frame after the action that does not show the cloth as it left it.
-        """
-        self._reach(len(self._recording.frames))
-        self._actions[number] = self._placed(
-            number, best, state, losses, calibration=calibration, until=until
-        )  # fmt: skip
-
-    def _placed(
-        self,
-        number: int,
-        best: TrackedCandidate,
-        state: State,
-        losses: tuple[float, float],
-        *,
-        calibration: Calibration,
-        until: int | None = None,
-    ) -> TrackedAction:
-        """Put the meshes of an action where they belong; return what else is kept of it."""
+        number = len(self._actions) if again is None else again
         action = best.action
         within = slice(action.first_frame + 1, action.last_frame + 1)
         end = np.asarray(state.positions[0], np.float32)
@@ -188,7 +153,7 @@ class Recorder:
         self._meshes.fill(action.last_frame, len(self._meshes) if until is None else until, end)
         self._records.adopt(best.records, within)
         self._ends.write(2 * number, np.stack([best.positions[-1], end]))
-        return TrackedAction(
+        kept = TrackedAction(
             first_frame=action.first_frame,
             last_frame=action.last_frame,
             positions_before_final_alignment=_ON_DISK,
@@ -198,6 +163,10 @@ class Recorder:
             calibration=calibration,
             held_vertices=best.candidate.grasps.held_vertices,
         )
+        self._actions[number : number + 1] = [kept]
+        if again is None:
+            self._begun = 0
+            self._show(self._recording.frames[action.last_frame], end)
 
     def begin_anew(self, frame: Frame, state: State) -> None:
         """Keep another state of the cloth from a frame on, in which nothing moved it there."""
