@@ -87,10 +87,9 @@ def play_live(
         )  # fmt: skip
         with LiveStream(tracker, served) as stream:
             play(source, stream)
-        words[0] = (
-            f"all pictures are served, latency {latencies.text()}; candidates may still be "
-            "searched (Ctrl-C leaves out what is not done)"
-        )
+        words[0] = f"all pictures are served, latency {latencies.text()}"
+        if config.search.method != "none":
+            words[0] += "; candidates may still be searched (Ctrl-C leaves out what is not done)"
         run = tracker.close(source)
         run.save(path)
         text = f"latency  {latencies.text()}\ntracked  {path}\nverdict  {run.verdict}"

@@ -3,6 +3,8 @@
 It runs Algorithm 1 as `track` does, with the search of the configuration, on what the tracker has
 seen. The candidate that was tracked live counts as tracked. What it reads from its standard input
 are a `Setup` and then `Question`s, and it answers each on its standard output; all are pickled.
+Both pipes, and the file without a name that clouds come from (`seen_log`), are of the tracker's own
+process and this one: nothing is unpickled that anyone else could have written.
 
 It is no child of `multiprocessing`: that imports the caller's program once more, and a program that
 tracks in its first lines would track in every process.
