@@ -222,6 +222,7 @@ def errors(recordings: Path, truth: Path) -> list[dict[str, Any]]:
             "offline_searched_mm": ct.track(film.recording),
             "live_searched_mm": on_a_core(film, ())[2],
         }
+        verdicts = {name.replace("_mm", "_verdict"): one.verdict.word for name, one in runs.items()}
         means = {name: _labels_mm(ct.evaluate(run, truth=known)) for name, run in runs.items()}
         rows.append(
             {
@@ -234,6 +235,7 @@ def errors(recordings: Path, truth: Path) -> list[dict[str, Any]]:
                 "dropped_share": dropped / len(film.pictures),
                 "latency": _spread(late),
                 **means,
+                **verdicts,
             }
         )
     return rows
@@ -311,10 +313,12 @@ def table(rows: list[dict[str, Any]], compared: list[dict[str, Any]]) -> str:
         names = ("offline_mm", "live_mm", "offline_searched_mm", "live_searched_mm")
         labels = zip(*(row[name] for name in names), strict=True)
         words = ", ".join(" / ".join(f"{one:.2f}" for one in label) for label in labels)
+        said = " / ".join(row[name.replace("_mm", "_verdict")] for name in names)
         same = "same bits" if row["same_bits_when_nothing_is_dropped"] else "OTHER BITS"
         lines.append(
             f"{row['recording']} ({row['vertices']} vertices, {100 * row['dropped_share']:.0f} % "
-            f"dropped): offline / live / both searched {words} mm; nothing dropped: {same}"
+            f"dropped): offline / live / both searched {words} mm, "
+            f"{said}; nothing dropped: {same}"
         )
     return "\n".join(lines) + "\n"
 

@@ -8,13 +8,7 @@ import pytest
 from figures import flattening_figure
 from shared import tables
 from shared.bench_runs import read_rows, write_rows
-from tables import (
-    flattening,
-    network_on_heaps,
-    planning_dynamics,
-    planning_perception,
-    planning_promises,
-)
+from tables import flattening, network_on_heaps, planning_dynamics, planning_perception
 
 from clothtrack.errors import InvalidConfigError
 
@@ -124,22 +118,6 @@ def test_what_the_dynamics_promise_is_ranked_against_what_came():
     assert "| simulator | 1 | 25.0 ± - | 25.0 | 50.0 |" in text
 
 
-def test_what_a_promise_and_a_metre_are_worth_is_found_again():
-    rng = np.random.default_rng(0)
-    promise, off = rng.uniform(0.0, 100.0, 400), rng.uniform(0.0, 0.2, 400)
-    gain = -20.0 + 0.5 * promise + 300.0 * off + rng.normal(0.0, 5.0, 400)
-    found = planning_promises.fitted(np.stack([promise, gain, off], axis=1))
-    for name, true in (("constant", -20.0), ("promise", 0.5), ("off", 300.0)):
-        value, error = found[name]
-        assert abs(value - true) < 4.0 * error
-    blind = planning_promises.fitted(np.stack([0.0 * promise, gain, off], axis=1))
-    assert "promise" not in blind
-    text = planning_promises.markdown({"planned": np.stack([promise, gain, off], axis=1)})
-    assert "| planned | over 10 |" in text
-    strip_m = float(text.splitlines()[-1].split("|")[-2])
-    assert strip_m == pytest.approx(300.0 / 0.5 / 1e4, rel=0.1)
-
-
 @pytest.mark.slow
 def test_every_action_that_was_done_is_predicted_by_all_dynamics(tmp_path, capsys):
     torch = pytest.importorskip("torch", reason="the extra [learn] brings it")
@@ -165,8 +143,6 @@ def test_every_action_that_was_done_is_predicted_by_all_dynamics(tmp_path, capsy
     decided = [row for row in rows if "decision_cpu_s" in row]
     assert [row["candidates"] for row in decided] == [100, 100, 100]
     assert decided[0]["agreement"] == pytest.approx(1.0)
-    assert planning_promises.main(["--out", str(out), "--kind", "towel"]) == 0
-    assert "| random |" in capsys.readouterr().out
     assert planning_dynamics.main(["--out", str(tmp_path), "--dynamics", str(weights)]) == 1
     assert "no episodes" in capsys.readouterr().err
 
