@@ -80,7 +80,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--slips-at", type=float, default=0.4, help="share of the way; 1: never")
     options = parser.parse_args()
-    done = fold(options.kind, options.seed, options.slips_at)
+    try:
+        done = fold(options.kind, options.seed, options.slips_at)
+    except ct.ClothTrackError as error:
+        parser.error(str(error))
     what = f"stopped, the mesh expects {done.reason}" if done.reason else "finished"
     sys.stdout.write(
         f"{what}, after {100 * done.way:.0f} % of the way "

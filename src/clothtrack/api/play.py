@@ -78,9 +78,9 @@ def play_live(
             f"{said}"
         )
 
+    config = tracking_config(mode, template, weights, settings)
     page = live_tracking(lambda: words[0], None, opened=opened) if opened else nullcontext()
     with page as shown:
-        config = tracking_config(mode, template, weights, settings)
         tracker = LiveTracker(
             source.cloth, camera, table=source.table, config=config, device=device,
             watch=None if shown is None else shown.watch, name=source.name,

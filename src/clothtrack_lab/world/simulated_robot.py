@@ -103,7 +103,12 @@ class SimulatedRobot:
             config: the robot.
             garment: what lies on the table, in place of one that is drawn from `seed`; its camera,
                 tool and speeds too where the configuration has no episode.
+
+        Raises:
+            InvalidConfigError: a setting is missing, or `seed` is negative.
         """
+        if seed < 0:
+            raise InvalidConfigError(f"seed is {seed}; it must be at least 0")
         self.kind: GarmentKind = kind
         self.config = config or SimulatedRobotConfig()
         drawn = vary(kind, seed) if garment is None else garment.config
@@ -158,7 +163,12 @@ class SimulatedRobot:
             stop: is shown every picture on the way, with where the tip is [m] and whether it is
                 closed. Where it returns a reason, the gripper opens and retreats from there.
             slips_at: share of the way after which the cloth slips out of the gripper; 1: never.
+
+        Raises:
+            InvalidConfigError: the path is out of the limits, or `slips_at` is not a share.
         """
+        if not 0.0 <= slips_at <= 1.0:
+            raise InvalidConfigError(f"slips_at is {slips_at}; it is a share of the way, 0 to 1")
         reachability = self.check(action)
         if not reachability.reachable:
             raise InvalidConfigError(f"refused before moving: {reachability.reason}")
