@@ -37,7 +37,6 @@ from clothtrack.planning import (
     PickPlace,
     PlannedCloth,
     Planner,
-    PlannerConfig,
     PlanningDynamics,
     SeenCloth,
     SimulatorDynamics,
@@ -140,17 +139,18 @@ def predicted(
 ) -> Iterator[Row]:
     """One row per action and dynamics, and one per dynamics for the first decision."""
     flat = done[0].flat
-    coarsen = Coarsener(flat, kind, PlannerConfig().coarse)
+    coarseners = {name: Coarsener(flat, kind, dynamics.coarse) for name, dynamics in asked.items()}
     named = {"experiment": NAME, "recording": f"{kind}_{seed}", "kind": kind, "split": "",
              "actions": max(one.number for one in done), "stage": "after"}  # fmt: skip
     stamp = {"clothtrack": __version__, "commit": commit(), "seed": seed}
     for one in done:
-        cloth = PlannedCloth(
-            coarsen.flat, coarsen(one.before), fine=one.before, stands_for=coarsen.stands_for
-        )
-        true_end = coarsen(one.after)
         gain = projected_area(one.after, flat.faces) - projected_area(one.before, flat.faces)
         for name, dynamics in asked.items():
+            coarsen = coarseners[name]
+            cloth = PlannedCloth(
+                coarsen.flat, coarsen(one.before), fine=one.before, stands_for=coarsen.stands_for
+            )
+            true_end = coarsen(one.after)
             ends = dynamics.predict(cloth, [None, one.action])
             areas = coverage(ends, coarsen.flat.faces)
             yield {

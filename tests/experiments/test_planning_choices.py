@@ -14,10 +14,17 @@ def test_one_start_is_measured_once(tmp_path, capsys):
     printed = capsys.readouterr().out
     (path,) = tmp_path.glob("*/row.json")
     row, written = json.loads(path.read_text()), path.stat().st_mtime_ns
-    each = ("gain_m2", "off_m", "promised_m2", "promised_by_truth_m2", "actions")
-    assert {len(row[name]) for name in each} == {12}
+    assert len(row["gain_m2"]) == len(row["done"]) == len(set(row["done"]))
     assert np.isfinite(row["gain_m2"]).all()
-    assert len(row["all_gains_m2"]) > 12
+    planners = [f"{belief}, {name}" for name in planning_choices.PLANNERS
+                for belief in planning_choices.BELIEFS]  # fmt: skip
+    assert list(row["promised_m2"]) == planners
+    assert {len(gains) for gains in row["promised_m2"].values()} == {len(row["actions"])} == {12}
+    off_m = np.array(row["off_m"])
+    assert int(off_m.argmax()) in row["done"]
+    for gains in row["promised_m2"].values():
+        for strip_m in planning_choices.STRIPS_M:
+            assert planning_choices.preferred(np.array(gains), off_m, strip_m) in row["done"]
     assert planning_choices.main(["--smoke", "--out", str(tmp_path)]) == 0
     assert path.stat().st_mtime_ns == written
     assert capsys.readouterr().out == printed
@@ -28,20 +35,21 @@ def starts(promise_worth, off_worth):
     rng = np.random.default_rng(0)
     for base_m2 in (0.0, 0.01, -0.02):
         promised, off = rng.uniform(-0.01, 0.02, 12), rng.uniform(0.0, 0.2, 12)
+        done = rng.permutation(12)
         gain = base_m2 + promise_worth * promised + off_worth * off
         yield {
-            "gain_m2": gain.tolist(), "promised_m2": promised.tolist(), "off_m": off.tolist(),
-            "promised_by_truth_m2": gain.tolist(),
+            "gain_m2": gain[done].tolist(), "promised_m2": {"one": promised.tolist()},
+            "off_m": off.tolist(), "done": done.tolist(),
         }  # fmt: skip
 
 
 def test_a_strip_is_what_a_meter_is_worth_over_the_promise():
-    line = planning_choices.fitted(list(starts(0.25, 0.02)), "promised_m2")
+    line = planning_choices.fitted(list(starts(0.25, 0.02)), "one")
     assert line == "| 0.25 ± 0.00 | 200 ± 0 | 0.080 | 100 % |"
 
 
 def test_the_right_strip_wins_most():
     rows = list(starts(1.0, 0.12))
-    best = float(planning_choices.won(rows, "promised_m2", 0.12).split()[0])
+    best = np.mean(planning_choices.won(rows, "one", 0.12))
     for strip_m in (0.0, 0.03):
-        assert float(planning_choices.won(rows, "promised_m2", strip_m).split()[0]) < best
+        assert np.mean(planning_choices.won(rows, "one", strip_m)) < best

@@ -13,6 +13,7 @@ from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.geometry.visibility import Rasteriser
 from clothtrack.planning.action_space import Workspace
+from clothtrack.planning.coarse_cloth import CoarseConfig
 from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
 from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area, improvement
 from clothtrack.planning.perception import Estimate, PerceptionConfig
@@ -88,6 +89,8 @@ class Known:
 
 class Stretch:
     """Dynamics in which everything helps."""
+
+    coarse = CoarseConfig()
 
     def predict(self, cloth, actions):
         scale = [1.0 if one is None else 1.0 + abs(one.place[0]) for one in actions]

@@ -9,6 +9,7 @@ from clothtrack.errors import InvalidConfigError
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.camera import Camera
 from clothtrack.planning.action_space import SeenCloth
+from clothtrack.planning.coarse_cloth import CoarseConfig
 from clothtrack.planning.planner import Hypothesis, Planner, PlannerConfig
 from clothtrack.planning.planning_dynamics import PlannedCloth, SimulatorDynamics
 
@@ -20,6 +21,8 @@ BELIEF = Hypothesis(FLAT, LYING, "towel")
 
 class GrowTowards:
     """The cloth grows the more, the nearer the place is to a goal."""
+
+    coarse = CoarseConfig()
 
     def __init__(self, goal, strength=1.0):
         self.goal = np.array(goal)

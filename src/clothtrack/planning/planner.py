@@ -21,7 +21,7 @@ from clothtrack.planning.action_space import (
     pick_weights,
     sample_actions,
 )
-from clothtrack.planning.coarse_cloth import CoarseConfig, Coarsener
+from clothtrack.planning.coarse_cloth import Coarsener
 from clothtrack.planning.planning_dynamics import PlannedCloth, PlanningDynamics
 from clothtrack.planning.reward import coverage
 
@@ -36,13 +36,11 @@ class PlannerConfig(Checked):
             along to it [m]; 0: what the dynamics promise counts alone. They promise too much for
             places on the cloth and beside it (docs/flattening.md).
         space: which actions are tried.
-        coarse: the mesh that is rolled out.
     """
 
     candidates: Count = 100
     strip_m: NotNegative = 0.09
     space: ActionSpace = field(default_factory=ActionSpace)
-    coarse: CoarseConfig = field(default_factory=CoarseConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +138,7 @@ class Planner:
     def _coarsened(self, belief: Hypothesis, table_height_m: float) -> PlannedCloth:
         """Return the coarse cloth of a hypothesis; the same flat garment gives the same mesh."""
         known = [coarsen for flat, coarsen in self._coarse if flat is belief.flat]
-        coarsen = known[0] if known else Coarsener(belief.flat, belief.kind, self.config.coarse)
+        coarsen = known[0] if known else Coarsener(belief.flat, belief.kind, self._dynamics.coarse)
         if not known:
             self._coarse = [*self._coarse[-3:], (belief.flat, coarsen)]
         fine = np.asarray(belief.positions, dtype=np.float64)

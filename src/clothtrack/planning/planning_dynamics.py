@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from clothtrack.files.bounds import Checked, Positive
 from clothtrack.geometry.mesh import ClothMesh
 from clothtrack.planning.action_space import PickPlace
+from clothtrack.planning.coarse_cloth import CoarseConfig
 from clothtrack.recordings.recording import Table
 from clothtrack.simulation.parameters import ClothParameters, SolverConfig
 from clothtrack.simulation.solver import ClothSolver
@@ -70,6 +71,11 @@ class LearnedDynamics:
 @runtime_checkable
 class PlanningDynamics(Protocol):
     """Where a cloth ends after an action: all that a planner knows of physics."""
+
+    @property
+    def coarse(self) -> CoarseConfig:
+        """The mesh of a garment that is moved."""
+        ...
 
     def predict(
         self, cloth: PlannedCloth, actions: Sequence[PickPlace | None]
@@ -200,13 +206,15 @@ class SimulatorConfig(Checked):
     """The solver as the dynamics of a planner.
 
     Attributes:
+        coarse: the mesh that is rolled out.
         motion: how actions are carried out.
         parameters: what the cloth is made of.
     """
 
+    coarse: CoarseConfig = field(default_factory=CoarseConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     parameters: ClothParameters = field(
-        default_factory=lambda: ClothParameters(stretch_compliance=3e-3, bend_compliance=30.0)
+        default_factory=lambda: ClothParameters(stretch_compliance=3e-3)
     )
 
 
@@ -226,6 +234,7 @@ class SimulatorDynamics:
     ) -> None:
         """Compute with this motion and material; the solver's table is that of the cloth."""
         self.config = config or SimulatorConfig()
+        self.coarse = self.config.coarse
         self._settings, self._together = solver, together
         self._device = device
         self._mesh: ClothMesh | None = None

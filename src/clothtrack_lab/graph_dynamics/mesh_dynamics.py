@@ -27,6 +27,7 @@ from clothtrack_lab.graph_dynamics.mesh_network import (
     roll_out,
 )
 from clothtrack_lab.graph_dynamics.mesh_prior import Springs
+from clothtrack_lab.graph_dynamics.roll_outs import LEARNED_MESH
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class MeshDynamics:
             InvalidConfigError: the motion's time step is not the network's.
         """
         self.config = config or MeshDynamicsConfig()
+        self.coarse = LEARNED_MESH
         if abs(self.config.motion.time_step_s - network.config.step_s) > 1e-9:
             raise InvalidConfigError(
                 f"motion.time_step_s is {self.config.motion.time_step_s}, the network was trained "

@@ -72,6 +72,10 @@ def _of_flattening() -> StatesConfig:
     return StatesConfig(garments=sizes, crumpling=crumpling)
 
 
+LEARNED_MESH = CoarseConfig(spacing_m=0.025, most_vertices=400)
+"""The mesh that the learned dynamics move; the reference code clusters to the same spacing."""
+
+
 @dataclass(frozen=True)
 class RollOutConfig(Checked):
     """What roll-outs are made, and how.
@@ -91,7 +95,7 @@ class RollOutConfig(Checked):
     starts: Count = 5
     actions: Annotated[int, Bounds(least=1, most=1000)] = 10
     frame_s: float = 0.05
-    coarse: CoarseConfig = field(default_factory=CoarseConfig)
+    coarse: CoarseConfig = LEARNED_MESH
     motion: MotionConfig = field(
         default_factory=lambda: MotionConfig(time_step_s=0.025, rest_s=0.4)
     )
