@@ -86,6 +86,7 @@ def measured(
     folder: Path,
     planners: Mapping[str, Planner],
     perceptions: Mapping[str, Perception],
+    *,
     candidates: int,
 ) -> dict[str, Any]:
     """Return promises and true gains of what anyone would choose at one start."""
@@ -230,7 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 folder,
                 planners,
                 perceptions,
-                options.candidates,
+                candidates=options.candidates,
             )
             with atomic_file(done) as unfinished:
                 unfinished.write_text(json.dumps(row), encoding="utf-8")
