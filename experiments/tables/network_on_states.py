@@ -26,7 +26,7 @@ from pathlib import Path
 import _path  # noqa: F401
 import numpy as np
 from jaxtyping import Float
-from shared.bench_measures import Row
+from shared.bench_measures import Row, swapped_layers
 from shared.figures import say, write_png
 from shared.reconstruction_pictures import (
     HEIGHT,
@@ -83,20 +83,18 @@ def look_alikes(mesh: ClothMesh) -> list[Float[np.ndarray, "3 3"]]:
     return signs + [swap @ one for one in signs]
 
 
-def errors_mm(
+def named_best(
     mesh: ClothMesh,
     vertices: Float[np.ndarray, "vertices 3"],
     true: Float[np.ndarray, "vertices 3"],
-) -> Float[np.ndarray, " vertices"]:
-    """Distance of every vertex from the truth [mm] under the labelling that fits best."""
-    canonical, best = np.asarray(mesh.canonical, float), None
+) -> Float[np.ndarray, "vertices 3"]:
+    """Return the vertices [m] under the labelling that is nearest to the truth."""
+    canonical = np.asarray(mesh.canonical, float)
+    renamed = []
     for turn in look_alikes(mesh):
         face, blend = closest_on_mesh(canonical @ turn.T, canonical, mesh.faces)
-        renamed = np.einsum("vc,vcx->vx", blend, vertices[mesh.faces[face]])
-        apart = 1e3 * np.linalg.norm(renamed - true, axis=1)
-        best = apart if best is None or apart.mean() < best.mean() else best
-    assert best is not None
-    return best
+        renamed.append(np.einsum("vc,vcx->vx", blend, vertices[mesh.faces[face]]))
+    return min(renamed, key=lambda one: np.linalg.norm(one - true, axis=1).mean())
 
 
 def run(options: argparse.Namespace) -> list[Row]:
@@ -167,7 +165,9 @@ class State:
             rows.append({**row, "error": result.reconstruction.status})
             return None
         true, seen = self.true.vertices.astype(float), self._seen
-        apart = errors_mm(self._flat, result.mesh.vertices.astype(float), true)
+        named = named_best(self._flat, result.mesh.vertices.astype(float), true)
+        apart = 1e3 * np.linalg.norm(named - true, axis=1)
+        row["swapped"] = float(swapped_layers(named, true, self._flat).mean())
         row |= {"error_mm": float(apart.mean()), "seen_mm": float(apart[seen].mean())}
         row |= {"hidden_mm": float(apart[~seen].mean())} if (~seen).any() else {}
         if (bounds := result.vertex_bounds_m) is not None:
@@ -244,8 +244,9 @@ def error_table(rows: Sequence[Row]) -> str:
     networks = list(dict.fromkeys(str(row["weights"]) for row in rows))
     several = len(networks) > 1
     head = ["garment", "network", "coverage", "states", "error, mm", "% of the side", "seen, mm",
-            "hidden, mm", *(["minus the first", "lower in"] if several else []),
-            "within bounds", "CPU s"]  # fmt: skip
+            "hidden, mm", "in the wrong layer",
+            *(["minus the first", "lower in"] if several else []), "within bounds",
+            "CPU s"]  # fmt: skip
     first = {_state(row): row["error_mm"] for row in good if row["weights"] == networks[0]}
     lines = []
     for kind, network in product(dict.fromkeys(row["kind"] for row in rows), networks):
@@ -269,7 +270,8 @@ def error_table(rows: Sequence[Row]) -> str:
                 _mean_and_error(np.array([row["error_mm"] for row in own])),
                 _mean([0.1 * row["error_mm"] / row["size_m"] for row in own]),
                 _mean([row["seen_mm"] for row in own]),
-                _mean([row["hidden_mm"] for row in own if "hidden_mm" in row]), *pair,
+                _mean([row["hidden_mm"] for row in own if "hidden_mm" in row]),
+                f"{_mean([100 * row['swapped'] for row in own])} %", *pair,
                 f"{_mean(bounded)} %", f"{np.median([row['cpu_s'] for row in own]):.2f}",
             ])  # fmt: skip
     return table(head, lines)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from shared.verdict_words import trusted_without
 from tables import network_on_states
-from tables.network_on_states import RIGHT, Sheet, State, errors_mm, trust_table
+from tables.network_on_states import RIGHT, Sheet, State, named_best, trust_table
 
 from clothtrack.garments import garment
 from clothtrack.reconstruction.data.state_store import StateShard
@@ -43,8 +43,9 @@ def test_without_an_evidence_more_is_trusted():
 def test_the_look_alike_of_a_towel_has_no_error():
     flat = garment("towel", vertex_count=120, size_m=(0.3, 0.2))
     turned = flat.vertices * (-1.0, -1.0, 1.0)
-    assert errors_mm(flat, turned, flat.vertices).max() < 1e-3
-    assert errors_mm(flat, flat.vertices + (0.0, 0.0, 0.01), flat.vertices) == pytest.approx(10.0)
+    np.testing.assert_allclose(named_best(flat, turned, flat.vertices), flat.vertices, atol=1e-6)
+    raised = flat.vertices + (0.0, 0.0, 0.01)
+    np.testing.assert_allclose(named_best(flat, raised, flat.vertices), raised, atol=1e-6)
 
 
 def test_the_sheet_keeps_the_worst_of_all_states(tmp_path):
