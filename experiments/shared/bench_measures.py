@@ -144,6 +144,45 @@ def swapped_layers(
     return swapped
 
 
+def in_order(
+    vertices: Float[np.ndarray, "vertices 3"],
+    points: Float[np.ndarray, "vertices 3"],
+    mesh: ClothMesh,
+) -> float | None:
+    """Share of the vertices that are as high among their layers as they really are.
+
+    Vertices count that have other layers above or below them, in truth and in the mesh, wherever
+    these lie; half of them would be in order by chance where there are two layers. None where
+    fewer than twenty count.
+
+    Args:
+        vertices: to judge [m].
+        points: where they really are [m].
+        mesh: the flat mesh: it tells layers from neighbours.
+    """
+    found, true = _place_among_layers(vertices, mesh), _place_among_layers(points, mesh)
+    apart = np.abs(found - true)
+    apart = apart[np.isfinite(apart)]
+    return float((apart < 0.5).mean()) if len(apart) >= 20 else None
+
+
+def _place_among_layers(
+    positions: Float[np.ndarray, "vertices 3"], mesh: ClothMesh, *, apart_m: float = 0.0003
+) -> Float[np.ndarray, " vertices"]:
+    """Share of the other layers at each vertex that lie under it; not a number where none is."""
+    reach_m = 0.75 * float(np.median(mesh.edge_lengths))
+    a, b = cKDTree(positions[:, :2]).query_pairs(reach_m, output_type="ndarray").T
+    rest = np.asarray(mesh.canonical if mesh.canonical is not None else mesh.vertices)
+    gap_m = positions[a, 2] - positions[b, 2]
+    layers = np.linalg.norm(rest[a] - rest[b], axis=1) > 4.0 * reach_m
+    layers &= np.abs(gap_m) > apart_m
+    a, b, on_top = a[layers], b[layers], gap_m[layers] > 0.0
+    count = len(positions)
+    under = np.bincount(a, on_top, count) + np.bincount(b, ~on_top, count)
+    others = np.bincount(a, minlength=count) + np.bincount(b, minlength=count)
+    return np.divide(under, others, out=np.full(count, np.nan), where=others > 0)
+
+
 def without_slip(
     vertices: Float[np.ndarray, "vertices 3"], points: Float[np.ndarray, "vertices 3"]
 ) -> float:

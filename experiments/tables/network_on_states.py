@@ -26,7 +26,7 @@ from pathlib import Path
 import _path  # noqa: F401
 import numpy as np
 from jaxtyping import Float
-from shared.bench_measures import Row, swapped_layers
+from shared.bench_measures import Row, in_order
 from shared.figures import say, write_png
 from shared.reconstruction_pictures import (
     HEIGHT,
@@ -167,7 +167,7 @@ class State:
         true, seen = self.true.vertices.astype(float), self._seen
         named = named_best(self._flat, result.mesh.vertices.astype(float), true)
         apart = 1e3 * np.linalg.norm(named - true, axis=1)
-        row["swapped"] = float(swapped_layers(named, true, self._flat).mean())
+        row["in_order"] = in_order(named, true, self._flat)
         row |= {"error_mm": float(apart.mean()), "seen_mm": float(apart[seen].mean())}
         row |= {"hidden_mm": float(apart[~seen].mean())} if (~seen).any() else {}
         if (bounds := result.vertex_bounds_m) is not None:
@@ -244,7 +244,7 @@ def error_table(rows: Sequence[Row]) -> str:
     networks = list(dict.fromkeys(str(row["weights"]) for row in rows))
     several = len(networks) > 1
     head = ["garment", "network", "coverage", "states", "error, mm", "% of the side", "seen, mm",
-            "hidden, mm", "in the wrong layer",
+            "hidden, mm", "layers in order",
             *(["minus the first", "lower in"] if several else []), "within bounds",
             "CPU s"]  # fmt: skip
     first = {_state(row): row["error_mm"] for row in good if row["weights"] == networks[0]}
@@ -265,13 +265,14 @@ def error_table(rows: Sequence[Row]) -> str:
                 f"{100 * low:.0f} to {100 * min(high, 1.0):.0f} %"
             )  # fmt: skip
             bounded = [100 * row["bounded"] for row in own if "bounded" in row]
+            ordered = [100 * row["in_order"] for row in own if row["in_order"] is not None]
             lines.append([
                 kind, Path(network).name, band, str(len(own)),
                 _mean_and_error(np.array([row["error_mm"] for row in own])),
                 _mean([0.1 * row["error_mm"] / row["size_m"] for row in own]),
                 _mean([row["seen_mm"] for row in own]),
                 _mean([row["hidden_mm"] for row in own if "hidden_mm" in row]),
-                f"{_mean([100 * row['swapped'] for row in own])} %", *pair,
+                f"{_mean(ordered)} %", *pair,
                 f"{_mean(bounded)} %", f"{np.median([row['cpu_s'] for row in own]):.2f}",
             ])  # fmt: skip
     return table(head, lines)

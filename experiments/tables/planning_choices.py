@@ -23,18 +23,23 @@ from typing import Any
 
 import _path  # noqa: F401
 import numpy as np
+from jaxtyping import Float
+from shared.bench_measures import in_order
 from shared.figures import say
 
 from clothtrack.errors import ClothTrackError
+from clothtrack.evaluation import material_map, material_points
 from clothtrack.files import with_settings
 from clothtrack.files.atomic_write import atomic_file
-from clothtrack.geometry import projected_area, quiet_warp
+from clothtrack.geometry import ClothMesh, projected_area, quiet_warp
 from clothtrack.planning import FlattenConfig, PerceptionConfig, dynamics_of, perception_of
 from clothtrack.planning.action_space import off_cloth, pick_weights, sample_actions
 from clothtrack.planning.episode_store import write_step
 from clothtrack.planning.perception import Estimate, Look, Perception
 from clothtrack.planning.planner import Hypothesis, Planner
 from clothtrack.planning.seen import seen_cloth
+from clothtrack.reconstruction.first_mesh import symmetries
+from clothtrack_lab.published_networks.canonical_frame import conventional
 from clothtrack_lab.world import SMALL_WORLD, SimulatedRobot, SimulatedRobotConfig
 from clothtrack_lab.world.flex import Fabric
 
@@ -124,12 +129,33 @@ def measured(
     return {
         "start": f"{robot.kind}_{seed}",
         "expected_error_m": found["refined"].expected_error_m,
+        "beliefs": {
+            name: _against_truth(found[name], flat, positions, robot.kind) for name in perceptions
+        },
         "coverage": before_m2 / projected_area(flat.vertices, flat.faces),
         "actions": [action.as_dict() for action in tried],
         "off_m": off_m.tolist(),
         "promised_m2": {name: gains.tolist() for name, gains in gains_m2.items()},
         "done": done,
         "gain_m2": true_m2,
+    }
+
+
+def _against_truth(
+    belief: Estimate, flat: ClothMesh, positions: Float[np.ndarray, "vertices 3"], kind: str
+) -> dict[str, float | None]:
+    """How wrong a belief is, by the naming that is nearest to the truth."""
+    own, true = (conventional(np.asarray(one.canonical, np.float64), kind)
+                 for one in (belief.flat, flat))  # fmt: skip
+    namings = [
+        material_points(positions, flat.faces, material_map(true, flat.faces, own * signs))
+        for signs in symmetries(kind)
+    ]
+    errors_m = [np.linalg.norm(belief.positions - points, axis=1).mean() for points in namings]
+    nearest = int(np.argmin(errors_m))
+    return {
+        "error_mm": 1e3 * float(errors_m[nearest]),
+        "in_order": in_order(belief.positions, namings[nearest], belief.flat),
     }
 
 
@@ -166,7 +192,7 @@ def won(rows: Sequence[dict[str, Any]], planner: str, strip_m: float) -> list[fl
 
 
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    """Both tables."""
+    """Both tables, and how wrong the beliefs were."""
     names = list(rows[0]["promised_m2"])
     lines = ["| planned from, by | per promised cm2 | per meter off, cm2 | strip, m | known |"]
     lines.append("|---" * 5 + "|")
@@ -178,6 +204,11 @@ def markdown(rows: Sequence[dict[str, Any]]) -> str:
         lines.append(f"| {name} | {cells} |")
     off = [1e4 * row["gain_m2"][row["done"].index(int(np.argmax(row["off_m"])))] for row in rows]
     lines.append(f"\nFarthest off the cloth: {_cell(off)}.")
+    for name in rows[0]["beliefs"]:
+        wrong = [row["beliefs"][name] for row in rows]
+        order = 100 * np.mean([one["in_order"] for one in wrong if one["in_order"] is not None])
+        error_mm = np.mean([one["error_mm"] for one in wrong])
+        lines.append(f"{name}: {error_mm:.1f} mm off, layers in order {order:.0f} %.")
     return "\n".join(lines)
 
 

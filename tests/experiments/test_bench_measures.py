@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from shared.bench_measures import finite, swapped_layers, without_slip
+from shared.bench_measures import finite, in_order, swapped_layers, without_slip
 
 from clothtrack.garments import towel
 from clothtrack.geometry import ClothMesh
@@ -49,6 +49,17 @@ def test_a_layer_pushed_through_the_other_is_swapped_where_they_overlap(flat):
     assert swapped[far & over].all()
     assert swapped[far & ~over].all()
     assert not swapped_layers(through + [0.05, 0.0, 0.0], points + [0.05, 0, 0], flat)[~far].all()
+
+
+def test_order_is_told_wherever_the_layers_lie(flat):
+    points, over = folded(flat)
+    through = points.copy()
+    through[over, 2] -= 0.008
+    for away in (0.0, 0.05):
+        assert in_order(points + [away, 0.0, 0.0], points, flat) == 1.0
+        assert in_order(through + [away, 0.0, 0.0], points, flat) == 0.0
+    spread = flat.vertices.astype(float)
+    assert in_order(spread, spread, flat) is None
 
 
 def test_layers_that_touch_have_no_order(flat):
