@@ -1,10 +1,10 @@
 """What a choice is worth: the true gain of each action that a planner would choose.
 
-Actions of a crumpled start are judged by every planner (`PLANNERS`) with every belief
-(`BELIEFS`). Those that any of them would choose, with a strip of any width (`planner.strip_m`), are
-carried out in the simulated world, which goes back to the start before each; the one placed
-farthest off the cloth and two at random, too. So planners are compared on the same starts, without
-episodes.
+Actions of a crumpled start are judged by every planner (`PLANNERS`) with every belief (`PERCEIVED`,
+either order of the layers, and the truth). Those that any of them would choose, with a strip of any
+width (`planner.strip_m`), are carried out in the simulated world, which goes back to the start
+before each; the one placed farthest off the cloth and two at random, too. So planners are compared
+on the same starts, without episodes.
 
     python experiments planning_choices --out OUT --kind tshirt --starts 20 [--weights TOKENS]
 
@@ -49,8 +49,9 @@ FIRST_SEED = 9100
 STRIPS_M = (0.0, 0.03, 0.06, 0.09, 0.12)
 SMOKE = replace(SMALL_WORLD, fabric=Fabric())
 
-BELIEFS = ("refined", "laid", "truth")
-"""The network's mesh as it is by default, the same before it is refined, and the true cloth."""
+PERCEIVED = ("refined", "laid")
+"""The network's mesh, and the same before it is refined. Beside them, either order of its layers is
+believed (the default), and the truth."""
 
 PLANNERS: dict[str, tuple[str, ...]] = {
     "default": (),
@@ -110,6 +111,7 @@ def measured(
     found["truth"] = Estimate(flat, positions, "control: truth")
     beliefs = {name: Hypothesis(one.flat, one.positions, robot.kind) for name, one in found.items()}
     refined = beliefs["refined"]
+    beliefs["either order"] = replace(refined, opposite=found["refined"].opposite)
     weights = pick_weights(seen.cloud, refined.flat, refined.positions)
     tried = sample_actions(seen, candidates, space, rng, weights=weights)
     off_m = off_cloth(seen, tried)
@@ -240,7 +242,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 options.kind,
                 PerceptionConfig(weights=options.weights, refined=name == "refined"),
             )
-            for name in BELIEFS[:2]
+            for name in PERCEIVED
         }
     except ClothTrackError as error:
         parser.error(str(error))

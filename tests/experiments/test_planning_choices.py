@@ -17,7 +17,7 @@ def test_one_start_is_measured_once(tmp_path, capsys):
     assert len(row["gain_m2"]) == len(row["done"]) == len(set(row["done"]))
     assert np.isfinite(row["gain_m2"]).all()
     planners = [f"{belief}, {name}" for name in planning_choices.PLANNERS
-                for belief in planning_choices.BELIEFS]  # fmt: skip
+                for belief in (*planning_choices.PERCEIVED, "truth", "either order")]  # fmt: skip
     assert list(row["promised_m2"]) == planners
     assert {len(gains) for gains in row["promised_m2"].values()} == {len(row["actions"])} == {12}
     off_m = np.array(row["off_m"])

@@ -84,7 +84,8 @@ class Known:
     def perceive(self, look):
         self.looks.append(look)
         flat = FLAT.with_vertices(FLAT.vertices + [0.0, 0.0, 0.0015])
-        return Estimate(flat, self.robot.vertices, "network")
+        vertices = self.robot.vertices
+        return Estimate(flat, vertices, "network", opposite=vertices + [0.0, 0.0, 0.001])
 
 
 class Stretch:
@@ -186,6 +187,12 @@ def test_weights_count_by_what_is_in_them(tmp_path):
 
 def of_weights(path):
     return replace(CONFIG, actions=1, perception=PerceptionConfig(weights=str(path)))
+
+
+def test_both_orders_of_the_layers_are_kept(tmp_path):
+    _, store = paper(tmp_path)
+    kept = store.estimate(0)
+    np.testing.assert_array_equal(kept.opposite, kept.positions + [0.0, 0.0, 0.001])
 
 
 def test_an_episode_goes_on_where_nothing_promises_a_gain(tmp_path):

@@ -72,6 +72,20 @@ def test_cloth_that_would_leave_the_picture_is_worth_nothing():
         assert (decision.gain_m2 > 0.0) == acts
 
 
+def test_both_orders_of_the_layers_count_alike():
+    """Where the other order is as likely, a gain is the mean of both."""
+    dynamics = GrowTowards([0.2, 0.0])
+    narrow = replace(BELIEF, positions=LYING * [0.5, 1.0, 1.0])
+    actions = decide(dynamics).candidates[:10]
+    planner = Planner(dynamics, plain())
+    one, other, both = (
+        planner.gains(belief, SEEN, actions)
+        for belief in (BELIEF, narrow, replace(BELIEF, opposite=narrow.positions))
+    )
+    np.testing.assert_allclose(other, 0.5 * one, rtol=1e-6)
+    np.testing.assert_allclose(both, 0.5 * (one + other), rtol=1e-6)
+
+
 def test_of_two_alike_the_place_farther_off_the_cloth_is_taken():
     """Everything gains as much; the strip decides, and is no gain."""
     alike = GrowTowards([0.2, 0.0])

@@ -6,6 +6,7 @@ import seen_above as above
 
 from clothtrack.garments.garment_meshes import towel
 from clothtrack.geometry.quality import crossings
+from clothtrack.reconstruction.finished_fit import finished
 from clothtrack.reconstruction.isometric_fit import GAP_M, Guide, IsometricFit
 from clothtrack.reconstruction.seen_points import SeenPoints
 
@@ -97,6 +98,18 @@ def test_layers_are_taken_apart_by_their_heights_alone(flat, fit, truth, rng):
     # The other order, if that is what is said.
     under = fit.layered(pressed, -truth[:, 2], 0.0)
     assert under[x < -0.03, 2].min() - under[x > 0.03, 2].max() > 0.7 * GAP_M
+
+
+def test_the_opposite_order_lays_the_same_fold_below(flat, fit, guide, cloth):
+    over, under = (
+        finished(fit, guide, cloth, table=None, opposite=opposite).positions
+        for opposite in (False, True)
+    )
+    x = flat.canonical[:, 0]
+    folded, lying = x > 0.03, x < -0.03
+    assert over[folded, 2].mean() > over[lying, 2].mean() + 0.5 * GAP_M
+    assert under[folded, 2].mean() < under[lying, 2].mean() - 0.5 * GAP_M
+    assert np.linalg.norm((over - under)[:, :2], axis=1).mean() < 0.01
 
 
 def test_the_upper_layer_is_seen_and_the_lower_one_is_not(flat, fit, truth, cloth):

@@ -125,6 +125,8 @@ class EpisodeStore:
             "faces_0": estimate.flat.faces,
             "positions_0": estimate.positions,
         }
+        if estimate.opposite is not None:
+            arrays["opposite_0"] = estimate.opposite
         if estimate.flat.canonical is not None:
             arrays["canonical_0"] = estimate.flat.canonical
         with atomic_file(self.folder / "estimates" / f"{step:02d}.npz") as unfinished:
@@ -145,7 +147,9 @@ class EpisodeStore:
             with np.load(path, allow_pickle=False) as file:
                 canonical = file["canonical_0"] if "canonical_0" in file.files else None
                 flat = ClothMesh(file["flat_0"], file["faces_0"], canonical)
-                return Estimate(flat, file["positions_0"], str(file["sources"][0]))
+                opposite = file["opposite_0"] if "opposite_0" in file.files else None
+                source = str(file["sources"][0])
+                return Estimate(flat, file["positions_0"], source, opposite=opposite)
         except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as error:
             raise InvalidResultError(
                 f"{path}: not the estimate of a step ({error}); remove the episode"

@@ -243,7 +243,9 @@ class Flattening:
             raise InvalidResultError(
                 f"{look.recording.folder}: what was believed of it is missing; remove the episode"
             )
-        belief = Hypothesis(estimate.flat, estimate.positions, self._scene.cloth.kind)
+        belief = Hypothesis(
+            estimate.flat, estimate.positions, self._scene.cloth.kind, estimate.opposite
+        )
         decision = self._planner.decide(belief, seen, rng)
         action = self._reachable(decision.candidates)
         if action is None or action is decision.action:

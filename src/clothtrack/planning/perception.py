@@ -73,12 +73,15 @@ class Estimate:
         source: "network", "tracker", or "control: truth".
         expected_error_m: mean error of the vertices that the network expects [m]; None where
             nothing says.
+        opposite: the vertices with their layers in the opposite order [m], where that is as likely;
+            None: it is not.
     """
 
     flat: ClothMesh
     positions: Float[np.ndarray, "vertices 3"]
     source: str
     expected_error_m: float | None = None
+    opposite: Float[np.ndarray, "vertices 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +163,9 @@ class NetworkPerception:
             )
         positions = result.mesh.vertices.astype(np.float64)
         flat = laid_flat(rest, positions, recording.table, RESTING_HEIGHT_M)
-        return Estimate(flat, positions, "network", result.expected_error_m)
+        # Depth hardly tells a fold that lies on top from one that lies below.
+        opposite = None if result.opposite is None else result.opposite()
+        return Estimate(flat, positions, "network", result.expected_error_m, opposite)
 
 
 class TrackerPerception:

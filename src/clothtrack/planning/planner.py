@@ -51,11 +51,14 @@ class Hypothesis:
         flat: the garment at rest [m], with canonical coordinates.
         positions: its vertices now [m], world frame.
         kind: the garment.
+        opposite: where they are if the layers lie in the opposite order [m], which is held to be as
+            likely; None: it is not.
     """
 
     flat: ClothMesh
     positions: Float[np.ndarray, "vertices 3"]
     kind: str
+    opposite: Float[np.ndarray, "vertices 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +102,12 @@ class Planner:
             rng: source of the candidates.
         """
         clock, cpu = time.perf_counter(), time.process_time()
-        cloth = self._coarsened(hypothesis, seen.table_height_m)
+        cloth = self._coarsened(hypothesis, hypothesis.positions, seen.table_height_m)
         tried = sample_actions(
             seen, self.config.candidates, self.config.space, rng,
             weights=pick_weights(seen.cloud, cloth.flat, cloth.positions),
         )  # fmt: skip
-        gains = self._gained(tried, seen, cloth)
+        gains = self.gains(hypothesis, seen, tried)
         worth = gains + self.config.strip_m * off_cloth(seen, tried)
         # Cloth that is not flat can be flattened: where the mesh promises nothing, it is wrong.
         order = np.lexsort((-worth, gains <= 0.0))
@@ -123,7 +126,13 @@ class Planner:
         self, hypothesis: Hypothesis, seen: SeenCloth, actions: Sequence[PickPlace]
     ) -> Float[np.ndarray, " actions"]:
         """Return the coverage [m^2] that each action is expected to add to doing nothing."""
-        return self._gained(actions, seen, self._coarsened(hypothesis, seen.table_height_m))
+        either = (hypothesis.positions, hypothesis.opposite)
+        cloths = [
+            self._coarsened(hypothesis, positions, seen.table_height_m)
+            for positions in either
+            if positions is not None
+        ]
+        return np.mean([self._gained(actions, seen, cloth) for cloth in cloths], axis=0)
 
     def _gained(
         self, actions: Sequence[PickPlace], seen: SeenCloth, cloth: PlannedCloth
@@ -135,13 +144,18 @@ class Planner:
         areas = coverage(ends, cloth.flat.faces, seen.camera)
         return areas[1:] - (areas[0] if np.isfinite(areas[0]) else 0.0)
 
-    def _coarsened(self, belief: Hypothesis, table_height_m: float) -> PlannedCloth:
-        """Return the coarse cloth of a hypothesis; the same flat garment gives the same mesh."""
+    def _coarsened(
+        self,
+        belief: Hypothesis,
+        positions: Float[np.ndarray, "vertices 3"],
+        table_height_m: float,
+    ) -> PlannedCloth:
+        """Return the coarse cloth where it is believed to be; one mesh for one flat garment."""
         known = [coarsen for flat, coarsen in self._coarse if flat is belief.flat]
         coarsen = known[0] if known else Coarsener(belief.flat, belief.kind, self._dynamics.coarse)
         if not known:
             self._coarse = [*self._coarse[-3:], (belief.flat, coarsen)]
-        fine = np.asarray(belief.positions, dtype=np.float64)
+        fine = np.asarray(positions, dtype=np.float64)
         return PlannedCloth(
             coarsen.flat, coarsen(fine), table_height_m, fine=fine, stands_for=coarsen.stands_for
         )

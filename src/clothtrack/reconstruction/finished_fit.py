@@ -18,7 +18,13 @@ _LAST_ROUNDS = 30
 
 
 def finished(
-    fit: IsometricFit, guide: Guide, cloth: SeenCloth, *, table: Table | None, device: str = "cpu"
+    fit: IsometricFit,
+    guide: Guide,
+    cloth: SeenCloth,
+    *,
+    table: Table | None,
+    opposite: bool = False,
+    device: str = "cpu",
 ) -> Untangling:
     """A garment where an answer and a picture want it.
 
@@ -31,11 +37,13 @@ def finished(
         guide: what the network says.
         cloth: what was seen.
         table: what the cloth lies on.
+        opposite: lay what the network puts on top below.
         device: "cpu" or "cuda:0".
     """
     apart = Untangler(fit.rest, device=device)
-    laid = fit.lay(guide, cloth, EDGES)
-    laid = fit.layered(laid, guide.places[:, 2], cloth.table_m)
+    order_m = -guide.places[:, 2] if opposite else guide.places[:, 2]
+    laid = fit.lay(guide, cloth, EDGES, order_m=order_m)
+    laid = fit.layered(laid, order_m, cloth.table_m)
     first = apart(laid, table=table)
     drawn = fit.polished(first.positions, cloth, guide.size_m)
     drawn = fit.layered(drawn, drawn[:, 2], cloth.table_m, keep=1.0, votes=1)

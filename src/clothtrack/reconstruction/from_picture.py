@@ -4,6 +4,7 @@ Every network answers in these terms (`design.Reconstructor`), so that what is s
 measured is the same thing.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -114,6 +115,8 @@ class NetworkMesh:
             and at the end; None when it was not asked for, or the flat garment is not known.
         choices: garments that the token network was asked about and turns of the picture, best
             explanation first: the first is the one whose mesh this is; none of another network.
+        opposite: computes the refined vertices [m] with the layers in the opposite order, which
+            depth tells hardly; None from another network than the token network.
     """
 
     mesh: ClothMesh | None
@@ -124,6 +127,7 @@ class NetworkMesh:
     spread_m: Float[np.ndarray, " vertices"] | None = None
     untangling: Untangling | None = None
     choices: "tuple[Choice, ...]" = ()
+    opposite: Callable[[], Float[np.ndarray, "vertices 3"]] | None = None
 
     @property
     def vertex_bounds_m(self) -> Float[np.ndarray, " vertices"] | None:

@@ -126,6 +126,7 @@ class IsometricFit:
         edges: tuple[float, ...] = EDGES,
         *,
         layered: bool = True,
+        order_m: Float[np.ndarray, " vertices"] | None = None,
     ) -> Float[np.ndarray, "vertices 3"]:
         """The garment's vertices [m] where the network and the picture want them.
 
@@ -134,11 +135,12 @@ class IsometricFit:
             cloth: what was seen.
             edges: weight of the edges' lengths in each round.
             layered: keep layers that lie on each other in their order.
+            order_m: heights that say which layer is on top [m]; those of the network by default.
         """
         names = _Names.of(guide, self.rest)
         sure = np.minimum((_SURE * guide.size_m / np.maximum(guide.spread_m, 1e-9)) ** 2, 1.0)
         placed, vertices = _PLACED * sure, guide.places
-        order_m = guide.places[:, 2]
+        order_m = guide.places[:, 2] if order_m is None else order_m
         share = 1.0
         for number, edge in enumerate(edges):
             drawn = None

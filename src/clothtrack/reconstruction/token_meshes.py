@@ -1,5 +1,7 @@
 """Meshes of pictures by the token network: its rival answers, and the search among them."""
 
+from functools import partial
+
 import numpy as np
 
 from clothtrack.errors import InvalidConfigError
@@ -77,10 +79,12 @@ class TokenMeshes:
         else:
             best = search.best(kind, None, vertex_count=vertex_count)
         rest, answer, vertices, untangling = best.garment.mesh, best.answer, best.vertices, None
+        finish = partial(
+            finished, best.garment.fit, answer.guide, search.cloth, table=picture.table,
+            device=device,
+        )  # fmt: skip
         if refined:
-            untangling = finished(
-                best.garment.fit, answer.guide, search.cloth, table=picture.table, device=device
-            )
+            untangling = finish()
             vertices = untangling.positions
         mesh = rest.with_vertices(vertices)
         size = self.network.config.output_size
@@ -100,5 +104,6 @@ class TokenMeshes:
             expected_error_m=float(np.mean(spread_m)),
             spread_m=spread_m,
             untangling=untangling,
+            opposite=lambda: finish(opposite=True).positions,
             choices=(best.choice, *(one for one in search.choices if one is not best.choice)),
         )
