@@ -12,6 +12,7 @@ import pytest
 
 from clothtrack.garments import towel
 from clothtrack.planning import Estimate
+from clothtrack.planning.coarse_cloth import CoarseConfig
 from clothtrack.recordings import read_color, read_depth, read_recording
 from clothtrack_capture import CapturedFrame
 
@@ -83,6 +84,8 @@ class Still:
 
 class Outwards:
     """Dynamics that promise most of the farthest place."""
+
+    coarse = CoarseConfig()
 
     def predict(self, cloth, actions):
         far = [0.0 if one is None else np.linalg.norm(one.place - one.pick) for one in actions]
