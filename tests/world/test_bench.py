@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothtrack.errors import InvalidConfigError, SimulationDivergedError
+from clothtrack.errors import InvalidConfigError, InvalidResultError, SimulationDivergedError
 from clothtrack.files.atomic_write import hidden_name
 from clothtrack.reconstruction.data.sensor_noise import SensorConfig
 from clothtrack.recordings.store import read_recording
 from clothtrack_lab.world import bench_generation
 from clothtrack_lab.world.bench import BenchTrajectory, Ranges, hardened, trajectories, vary
-from clothtrack_lab.world.bench_generation import checksum, damage, generate_bench
+from clothtrack_lab.world.bench_generation import checksum, generate_bench, verify_bench
 from clothtrack_lab.world.episodes import EpisodeConfig, TemplateConfig
 
 SMALL = SensorConfig(width=80, height=60, focal=75.0)
@@ -177,25 +177,19 @@ def test_what_is_finished_is_kept(copy: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in copy.glob("[!.]*/**/*")} == before
 
 
-def broken(bench: Path) -> list[str]:
-    """What is wrong with the listed trajectories that are not as they were made."""
-    entries = document(bench)["trajectories"]
-    return [wrong for wrong in (damage(bench, entry) for entry in entries) if wrong]
-
-
 def test_what_is_broken_is_found_and_made_again(copy: Path) -> None:
     whole = document(copy)
-    assert broken(copy) == []
+    assert verify_bench(copy, PAIR) == []
     picture = next((copy / "recordings" / "towel_dev_01" / "depth").iterdir())
     picture.write_bytes(picture.read_bytes()[:-1] + b"x")
     with subprocess.Popen(["true"]) as dead:
         dead.wait()
     left = hidden_name("towel_dev_01").replace(f"-{os.getpid()}-", f"-{dead.pid}-")
     (copy / "recordings" / left).mkdir()
-    (wrong,) = broken(copy)
+    (wrong,) = verify_bench(copy, PAIR)
     assert "towel_dev_01" in wrong
     generate_bench(copy, PAIR)
-    assert broken(copy) == []
+    assert verify_bench(copy, PAIR) == []
     assert not list(copy.rglob(".*"))
     again = document(copy)["trajectories"][1]
     assert {**again, "cpu_s": 0} == {**whole["trajectories"][1], "cpu_s": 0}
@@ -204,16 +198,24 @@ def test_what_is_broken_is_found_and_made_again(copy: Path) -> None:
 def test_what_is_missing_or_added_is_found(copy: Path) -> None:
     (copy / "truth" / "towel_dev_00.npz").unlink()
     (copy / "recordings" / "towel_dev_01" / "note.txt").write_text("mine")
-    missing, added = broken(copy)
-    assert "missing" in missing
-    assert "differs" in added
+    wrong = verify_bench(copy, trajectories(("dev",))[:3])
+    assert [line.split(":")[0] for line in wrong] == [
+        "towel_dev_00", "towel_dev_01", "towel_dev_02",
+    ]  # fmt: skip
+    assert "missing" in wrong[0]
+    assert "not in bench.json" in wrong[2]
+
+
+def test_a_folder_without_a_list_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidResultError, match=r"bench\.json"):
+        verify_bench(tmp_path)
 
 
 def test_another_recipe_is_not_mixed_in(copy: Path) -> None:
     other = replace(PAIR[0], changes={**TINY, "actions": 2})
     with pytest.raises(InvalidConfigError, match="other settings"):
         generate_bench(copy, [other])
-    assert broken(copy) == []
+    assert verify_bench(copy, PAIR) == []
 
 
 def test_a_diverged_trajectory_gets_the_next_seed(

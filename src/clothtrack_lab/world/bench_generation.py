@@ -126,6 +126,31 @@ def table(entries: Sequence[Entry]) -> str:
     return "\n".join(lines)
 
 
+def verify_bench(out: Path, selected: Sequence[BenchTrajectory] | None = None) -> list[str]:
+    """Return what is wrong with a benchmark on disk: one line per trajectory that is not as listed.
+
+    Args:
+        out: folder of the benchmark.
+        selected: trajectories that must be there; those of the list when None.
+
+    Raises:
+        InvalidResultError: there is no list, or it cannot be read.
+    """
+    listed = _read_list(out)
+    if not listed:
+        raise InvalidResultError(
+            f"{out}: no {LIST_FILE} with trajectories in it; give the folder that the benchmark "
+            "was generated or unpacked into"
+        )
+    names = listed if selected is None else [trajectory.name for trajectory in selected]
+    problems = []
+    for name in names:
+        wrong = damage(out, listed[name]) if name in listed else f"not in {LIST_FILE}"
+        if wrong:
+            problems.append(f"{name}: {wrong}")
+    return problems
+
+
 def damage(out: Path, entry: Mapping[str, Any]) -> str:
     """Return how the files of a listed trajectory differ from its checksums, or ""."""
     recording, truth = _paths(out, entry["name"])
