@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from clothtrack.garments import towel
-from clothtrack.planning import Estimate
-from clothtrack.planning.coarse_cloth import CoarseConfig
+from clothtrack.planning import CoarseConfig, Estimate
 from clothtrack.recordings import read_color, read_depth, read_recording
 from clothtrack_capture import CapturedFrame
 

@@ -6,6 +6,7 @@ from clothtrack._lazy import lazy_names
 
 if TYPE_CHECKING:
     from clothtrack.planning.action_space import ActionSpace, PickPlace, SeenCloth, Workspace
+    from clothtrack.planning.coarse_cloth import CoarseConfig
     from clothtrack.planning.episode_store import EpisodeStore
     from clothtrack.planning.flatten_config import FlattenConfig, dynamics_of
     from clothtrack.planning.flattening import EpisodeScene, Flattening, flat_area, improvement
@@ -23,6 +24,7 @@ else:
 
 __all__ = [
     "ActionSpace",
+    "CoarseConfig",
     "EpisodeScene",
     "EpisodeStore",
     "Estimate",
