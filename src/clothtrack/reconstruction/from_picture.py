@@ -129,6 +129,10 @@ class NetworkMesh:
     choices: "tuple[Choice, ...]" = ()
     opposite: Callable[[], Float[np.ndarray, "vertices 3"]] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process is sent: it cannot compute the opposite order."""
+        return {**self.__dict__, "opposite": None}
+
     @property
     def vertex_bounds_m(self) -> Float[np.ndarray, " vertices"] | None:
         """How far off each vertex is at most, in nine of ten cases [m].
