@@ -36,7 +36,7 @@ from clothtrack.planning import FlattenConfig, PerceptionConfig, dynamics_of, pe
 from clothtrack.planning.action_space import off_cloth, pick_weights, sample_actions
 from clothtrack.planning.episode_store import write_step
 from clothtrack.planning.perception import Estimate, Look, Perception
-from clothtrack.planning.planner import Hypothesis, Planner
+from clothtrack.planning.planner import Hypothesis, Planner, ranked
 from clothtrack.planning.seen import seen_cloth
 from clothtrack.reconstruction.first_mesh import symmetries
 from clothtrack_lab.published_networks.canonical_frame import conventional
@@ -76,8 +76,8 @@ def chosen(
 
 
 def preferred(gains_m2: np.ndarray, off_m: np.ndarray, strip_m: float) -> int:
-    """Return the action that is chosen with a strip of this width (`Planner.decide`)."""
-    return int(np.lexsort((-(gains_m2 + strip_m * off_m), gains_m2 <= 0.0))[0])
+    """Return the action that is chosen with a strip of this width."""
+    return int(ranked(gains_m2, gains_m2 + strip_m * off_m)[0])
 
 
 def looked(robot: SimulatedRobot, folder: Path) -> Look:

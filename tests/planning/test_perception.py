@@ -53,6 +53,15 @@ def test_the_network_believes_in_the_cloth_that_is_seen(look):
     assert np.median(distance_to_mesh(cloud, belief.positions, belief.flat.faces)) < 0.01
 
 
+def test_a_refined_belief_has_its_layers_in_either_order(look):
+    pytest.importorskip("torch")
+    assert NetworkPerception("towel", CONFIG).perceive(look).opposite is None
+    refined = NetworkPerception("towel", replace(CONFIG, refined=True)).perceive(look)
+    cloud = look.observation().points
+    for positions in (refined.positions, refined.opposite):
+        assert np.median(distance_to_mesh(cloud, positions, refined.flat.faces)) < 0.01
+
+
 def test_the_belief_is_of_the_template_that_was_given(look, tmp_path):
     pytest.importorskip("torch")
     cut = towel(*SIZE_M, 0.03)

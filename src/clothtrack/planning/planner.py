@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from clothtrack.files.bounds import Checked, Count, NotNegative
 from clothtrack.geometry.mesh import ClothMesh
@@ -84,6 +84,17 @@ class Decision:
     cpu_s: float = 0.0
 
 
+def ranked(
+    gains_m2: Float[np.ndarray, " actions"], worth_m2: Float[np.ndarray, " actions"]
+) -> Int[np.ndarray, " actions"]:
+    """Return the numbers of the actions, the best first: those that promise a gain, by worth.
+
+    Cloth that is not flat can be flattened: where the mesh promises nothing, it is wrong, and what
+    is worth most is done all the same.
+    """
+    return np.lexsort((-worth_m2, gains_m2 <= 0.0))
+
+
 class Planner:
     """Chooses actions for one garment after another; coarse meshes are kept between decisions."""
 
@@ -109,8 +120,7 @@ class Planner:
         )  # fmt: skip
         gains = self.gains(hypothesis, seen, tried)
         worth = gains + self.config.strip_m * off_cloth(seen, tried)
-        # Cloth that is not flat can be flattened: where the mesh promises nothing, it is wrong.
-        order = np.lexsort((-worth, gains <= 0.0))
+        order = ranked(gains, worth)
         order = order[np.isfinite(gains[order])]
         return Decision(
             action=tried[order[0]] if len(order) else None,

@@ -116,7 +116,8 @@ class NetworkMesh:
         choices: garments that the token network was asked about and turns of the picture, best
             explanation first: the first is the one whose mesh this is; none of another network.
         opposite: computes the refined vertices [m] with the layers in the opposite order, which
-            depth tells hardly; None from another network than the token network.
+            depth tells hardly; None of a mesh that is not refined, or of another network than the
+            token network.
     """
 
     mesh: ClothMesh | None

@@ -104,6 +104,6 @@ class TokenMeshes:
             expected_error_m=float(np.mean(spread_m)),
             spread_m=spread_m,
             untangling=untangling,
-            opposite=lambda: finish(opposite=True).positions,
+            opposite=(lambda: finish(opposite=True).positions) if refined else None,
             choices=(best.choice, *(one for one in search.choices if one is not best.choice)),
         )
