@@ -1,4 +1,4 @@
-"""hanging-cloth-rgbd as Table 2 takes a garment: early frames teach, late ones judge.
+"""hanging-cloth-rgbd as Table 2 takes a garment: a third of its time judges, the others teach.
 
 The camera stands level and the network looks down: the world is turned so that the camera looks
 straight down, and what hangs lies. There is no table, and there are true depth pictures.
@@ -27,8 +27,13 @@ from real import hanging_cloth
 from real.learned_cloth import KIND, Ask, corners, quality
 from real.upright import WORLD_FROM_CAMERA, upright
 
-LEARNED, JUDGED = (range(10), range(10, 20), range(20, 30)), range(35, 50)
-"""A third of the learned frames selects the weights. Five lie between: neighbours are alike."""
+SPLITS = {
+    "late": ((range(10), range(10, 20), range(20, 30)), range(35, 50)),
+    "middle": ((range(6), range(6, 12), range(37, 50)), range(17, 32)),
+    "early": ((range(20, 30), range(30, 40), range(40, 50)), range(15)),
+}
+"""Frames that are learned from, and those that are judged, by what is judged. A third of the
+learned ones selects the weights. Five lie between: neighbours are alike."""
 
 CUT_M = 0.02
 NOISE_M = 0.0015
@@ -45,7 +50,7 @@ class HangingFrames:
     """Some frames of the hanging cloth.
 
     Attributes:
-        name: "hanging_learned_1" to 3, or "hanging_judged".
+        name: unlike that of any other frames.
         source: the set.
         folder: the recording.
         frames: of the recording.
@@ -173,20 +178,26 @@ class HangingFrames:
         return namings[int(np.argmin(apart))]
 
 
-def hanging_frames(data: Path, output: Path) -> dict[str, list[HangingFrames]]:
-    """The set in a folder, as what is learned from and what is measured on; nothing without it."""
+def hanging_frames(data: Path, output: Path) -> dict[str, dict[str, list[HangingFrames]]]:
+    """The set in a folder, as what is learned from, "train", and what is judged, by `SPLITS`.
+
+    Nothing without the set.
+    """
     source = data / hanging_cloth.NAME
     if not source.is_dir():
         return {}
     folder = output / hanging_cloth.NAME
     if not folder.exists():
         hanging_cloth.convert(source, folder)
-    learned = [
-        HangingFrames(f"hanging_learned_{number}", source, folder, frames)
-        for number, frames in enumerate(LEARNED, start=1)
-    ]
-    judged = HangingFrames("hanging_judged", source, folder, JUDGED)
-    return {"train": learned, "test": [judged]}
+
+    def some(frames: range) -> HangingFrames:
+        name = f"hanging_{frames.start}_{frames.stop}"
+        return HangingFrames(name, source, folder, frames)
+
+    return {
+        split: {"train": [some(each) for each in learned], split: [some(judged)]}
+        for split, (learned, judged) in SPLITS.items()
+    }
 
 
 def _shown(tracked: TrackedTrajectory, frame: int) -> Float[np.ndarray, "vertices 3"]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from real import hanging_cloth
-from real.hanging_learning import HangingFrames
+from real.hanging_learning import SPLITS, HangingFrames
 from real.pattern import PatternConfig, Unwrapper, pattern_drift
 from real.upright import WORLD_FROM_CAMERA, level_camera, upright
 
@@ -207,3 +207,12 @@ def test_the_held_corners_and_the_print_judge_it(hanging):
     worse = frames.judged(1, slid, rest, still)
     assert worse["corner_mm"] == pytest.approx(50.0, abs=0.1)
     assert worse["chamfer_mesh_m2"] > row["chamfer_mesh_m2"]
+
+
+@pytest.mark.parametrize("split", SPLITS)
+def test_no_frame_is_judged_whose_neighbor_was_learned_from(split):
+    learned, judged = SPLITS[split]
+    frames = [frame for each in learned for frame in each]
+    assert len(frames) == len(set(frames)) >= 25
+    assert len(judged) == 15
+    assert min(abs(one - other) for one in frames for other in judged) > 5

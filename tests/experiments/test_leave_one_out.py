@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 from real import leave_one_out
-from real.leave_one_out import fabric_of, folds, tables
+from real.leave_one_out import fabric_of, other_fabrics, same_fabric, tables
 
 from clothtrack.errors import InvalidConfigError
 
@@ -23,7 +23,7 @@ def sequences(*names):
 
 
 def test_all_takes_of_a_fabric_are_left_out_together():
-    parts = folds(sequences(*NAMES))
+    parts = other_fabrics(sequences(*NAMES))
     assert list(parts) == ["navy", "paper", "tan"]
     for fabric, splits in parts.items():
         judged = {one.name for one in splits["left out"]}
@@ -34,11 +34,21 @@ def test_all_takes_of_a_fabric_are_left_out_together():
 
 def test_one_fabric_alone_or_one_take_under_two_names_is_refused():
     with pytest.raises(InvalidConfigError, match="one fabric"):
-        folds(sequences("fold_navy", "lift_navy2"))
+        other_fabrics(sequences("fold_navy", "lift_navy2"))
     twice = sequences("fold_navy", "lift_tan")
     twice[1].sequence = twice[0].sequence
     with pytest.raises(InvalidConfigError, match="learned from"):
-        folds(twice)
+        other_fabrics(twice)
+
+
+def test_the_same_fabric_teaches_each_of_its_sequences():
+    parts = same_fabric(sequences("fold_navy", "lift_navy2", "lift_tan", "lift_tan2", "fold_tan"))
+    learned = {name: [one.name for one in splits["train"]] for name, splits in parts.items()}
+    assert learned["fold_navy"] == ["lift_navy2"]
+    assert learned["lift_tan2"] == ["lift_tan", "fold_tan"]
+    assert all([one.name for one in parts[name]["left out"]] == [name] for name in learned)
+    with pytest.raises(InvalidConfigError, match="lift_paper is the only sequence"):
+        same_fabric(sequences(*NAMES))
 
 
 def test_pictures_are_compared_with_themselves_before():
