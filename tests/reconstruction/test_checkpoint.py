@@ -53,6 +53,40 @@ def test_weights_come_back_to_the_bit(line, weights):
         assert torch.equal(value, other.trained.state_dict()[name]), name
 
 
+def test_the_runs_that_led_to_weights_are_told_one_by_one(line, tmp_path):
+    """Weights of before held each the one before; what is written now lists them."""
+    first = {"step": 1, "data": {"states": 5}}
+    second = {"step": 2, "data": {"states": 6, "start": first}}
+    third = {
+        "step": 3,
+        "data": {"states": 8, "start": second},
+        "phases": [{"from_step": 0, "data": {"states": 7, "start": second}}],
+    }
+    stage = line.LineStage(seed=3)
+
+    def written(provenance):
+        path = tmp_path / "weights.safetensors"
+        save_weights(
+            path, stage.trained.state_dict(), stage.network, kind="towel", provenance=provenance
+        )
+        return load_weights(path)
+
+    weights = written(third)
+    for step in (4, 5):
+        weights = written({"step": step, "data": {"start": weights.runs}})
+    assert weights.runs == [
+        first,
+        {"step": 2, "data": {"states": 6}},
+        {
+            "step": 3,
+            "data": {"states": 8},
+            "phases": [{"from_step": 0, "data": {"states": 7}}],
+        },
+        {"step": 4, "data": {}},
+        {"step": 5, "data": {}},
+    ]
+
+
 def test_a_part_is_chosen_by_its_prefix(line, tmp_path):
     stages = {"first": line.LineStage(seed=1), "second": line.LineStage(seed=2)}
     tensors = {

@@ -12,7 +12,6 @@ import torch
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
-from clothtrack.files.run_manifest import as_plain
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.learning_outcome import LearningOutcome
 from clothtrack.reconstruction.tokens.packed_states import PackedStates, read_pack
@@ -21,7 +20,7 @@ from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
 from clothtrack.reconstruction.tokens.token_pictures import PIXELS, TokenPictures
 from clothtrack.reconstruction.tokens.token_stage import TokenBatch
 from clothtrack.reconstruction.training.batches import Draw, Subset
-from clothtrack.reconstruction.training.checkpoint import load_weights
+from clothtrack.reconstruction.training.checkpoint import START, load_weights
 from clothtrack.reconstruction.training.processes import Processes
 from clothtrack.reconstruction.training.training_config import TrainingConfig
 
@@ -112,6 +111,6 @@ def pretrain_packed(
     weights = None
     if start is not None:
         weights = load_weights(start)
-        data["start"] = as_plain(dict(weights.provenance))
+        data[START] = weights.runs
     learning = TokenLearning(network, config, folder, alone, progress, hours, draws.rendered)
     return learning.of(Subset(draws, training), Subset(draws, held), data, weights)

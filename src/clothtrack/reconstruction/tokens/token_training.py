@@ -6,7 +6,6 @@ from typing import Any
 
 from clothtrack.errors import InvalidConfigError
 from clothtrack.files.progress import Progress
-from clothtrack.files.run_manifest import as_plain
 from clothtrack.reconstruction.data.pseudo_labels import LabelledRecording
 from clothtrack.reconstruction.data.render_config import RenderConfig
 from clothtrack.reconstruction.data.state_store import StateSet
@@ -20,7 +19,7 @@ from clothtrack.reconstruction.tokens.token_learning import (
 )
 from clothtrack.reconstruction.tokens.token_network import TokenNetworkConfig
 from clothtrack.reconstruction.training.batches import Examples, Mixture, Subset, split_by_group
-from clothtrack.reconstruction.training.checkpoint import Weights, load_weights
+from clothtrack.reconstruction.training.checkpoint import START, Weights, load_weights
 from clothtrack.reconstruction.training.processes import Processes
 
 
@@ -72,7 +71,7 @@ def pretrain_tokens(
     weights = None
     if start is not None:
         weights = load_weights(start)
-        data["start"] = as_plain(dict(weights.provenance))
+        data[START] = weights.runs
     learning = TokenLearning(network, loop, folder, processes, progress, hours)
     return learning.of(Subset(examples, training), Subset(examples, held), data, weights)
 
@@ -107,7 +106,7 @@ def finetune_tokens(
     examples = LabelledTokenExamples(labels, network, seed=training.seed)
     chosen, held = split_by_group(examples.groups, training.held_out_share, training.seed)
     data: dict[str, Any] = {
-        "start": as_plain(dict(start.provenance)),
+        START: start.runs,
         "recordings": sorted(set(examples.groups)),
         "labels": len(examples),
     }

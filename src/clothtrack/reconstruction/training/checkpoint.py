@@ -34,6 +34,9 @@ _DESCRIPTION = {"format", "version", "network", "kind", "provenance"}
 PACKAGES = ("torch", "numpy", "safetensors", "warp-lang")
 """Distributions whose versions are stored with weights that were trained."""
 
+START = "start"
+"""Key of `data` in a provenance: the runs that led to the weights that a training began with."""
+
 _REMEDY = "train again, or fetch an undamaged copy"
 
 
@@ -55,6 +58,11 @@ class Weights:
     kind: str
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def runs(self) -> list[dict[str, Any]]:
+        """The provenance of every run that led to these weights, the first run first."""
+        return _runs(self.provenance)
+
     def load_into(self, module: nn.Module, *, prefix: str = "") -> None:
         """Give a module these weights, all of them and exactly them.
 
@@ -71,6 +79,22 @@ class Weights:
             if name.startswith(prefix)
         }
         load_tensors(module, found, self.path)
+
+
+def _runs(provenance: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the runs that weights began with, and their own: none holds another."""
+    start = provenance.get("data", {}).get(START, [])
+    # Weights of before said so of the run before alone, which held the one before it.
+    earlier = start if isinstance(start, list) else _runs(start)
+    own = {**provenance, "data": without_start(provenance.get("data", {}))}
+    if "phases" in own:
+        own["phases"] = [{**one, "data": without_start(one["data"])} for one in own["phases"]]
+    return [*earlier, own]
+
+
+def without_start(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what was learned from, without the runs before."""
+    return {name: value for name, value in data.items() if name != START}
 
 
 def save_weights(

@@ -23,6 +23,7 @@ from clothtrack.reconstruction.training.checkpoint import (
     load_tensors,
     save_progress,
     save_weights,
+    without_start,
 )
 from clothtrack.reconstruction.training.stage import Stage
 from clothtrack.reconstruction.training.training_config import TrainingConfig
@@ -210,7 +211,9 @@ class TrainingRun:
             "data": self.phases[-1]["data"],
         }
         if len(self.phases) > 1:
-            provenance["phases"] = self.phases
+            provenance["phases"] = [
+                {**phase, "data": without_start(phase["data"])} for phase in self.phases
+            ]
         save_weights(
             self.folder / WEIGHTS,
             self.averaged.trained.state_dict(),
