@@ -150,23 +150,27 @@ def _cameras(case: Case) -> list:
     return [one for one in recording.cameras if one.name in recording.frames[case.frame].depth]
 
 
-def _where(mesh: ClothMesh, case: Case, signs: Float[np.ndarray, " 3"]) -> tuple:
+def where_in(
+    truth: Truth | ClothMesh, mesh: ClothMesh, kind: str, signs: Float[np.ndarray, " 3"]
+) -> tuple:
     """The pieces of the true cloth that the vertices are, under one look-alike labelling."""
-    canonical = conventional(np.asarray(case.truth.canonical, np.float64), case.kind)
-    own = conventional(np.asarray(mesh.canonical, np.float64), case.kind)
-    return material_map(canonical, case.truth.faces, own * signs)
+    canonical = conventional(np.asarray(truth.canonical, np.float64), kind)
+    own = conventional(np.asarray(mesh.canonical, np.float64), kind)
+    return material_map(canonical, truth.faces, own * signs)
 
 
 def _true_points(
     mesh: ClothMesh, case: Case, signs: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "vertices 3"]:
-    return material_points(case.truth.at(case.frame), case.truth.faces, _where(mesh, case, signs))
+    return material_points(
+        case.truth.at(case.frame), case.truth.faces, where_in(case.truth, mesh, case.kind, signs)
+    )
 
 
 def _truly_visible(
     mesh: ClothMesh, case: Case, signs: Float[np.ndarray, " 3"]
 ) -> Bool[np.ndarray, " vertices"]:
-    face, weights = _where(mesh, case, signs)
+    face, weights = where_in(case.truth, mesh, case.kind, signs)
     seen = visible_vertices(case.truth.at(case.frame), case.truth.faces, case.recording.cameras)
     shares = np.einsum("ij,ij->i", weights, seen[case.truth.faces[face]].astype(float))
     return shares > 0.5

@@ -26,9 +26,10 @@ import numpy as np
 from jaxtyping import Float
 from shared.bench_measures import in_order
 from shared.figures import say
+from shared.learning_measures import where_in
 
 from clothtrack.errors import ClothTrackError
-from clothtrack.evaluation import material_map, material_points
+from clothtrack.evaluation import material_points
 from clothtrack.files import with_settings
 from clothtrack.files.atomic_write import atomic_file
 from clothtrack.geometry import ClothMesh, projected_area, quiet_warp
@@ -39,7 +40,6 @@ from clothtrack.planning.perception import Estimate, Look, Perception
 from clothtrack.planning.planner import Hypothesis, Planner, ranked
 from clothtrack.planning.seen import seen_cloth
 from clothtrack.reconstruction.first_mesh import symmetries
-from clothtrack_lab.published_networks.canonical_frame import conventional
 from clothtrack_lab.world import SMALL_WORLD, SimulatedRobot, SimulatedRobotConfig
 from clothtrack_lab.world.flex import Fabric
 
@@ -147,10 +147,8 @@ def _against_truth(
     belief: Estimate, flat: ClothMesh, positions: Float[np.ndarray, "vertices 3"], kind: str
 ) -> dict[str, float | None]:
     """How wrong a belief is, by the naming that is nearest to the truth."""
-    own, true = (conventional(np.asarray(one.canonical, np.float64), kind)
-                 for one in (belief.flat, flat))  # fmt: skip
     namings = [
-        material_points(positions, flat.faces, material_map(true, flat.faces, own * signs))
+        material_points(positions, flat.faces, where_in(flat, belief.flat, kind, signs))
         for signs in symmetries(kind)
     ]
     errors_m = [np.linalg.norm(belief.positions - points, axis=1).mean() for points in namings]
